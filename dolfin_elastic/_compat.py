@@ -1,0 +1,61 @@
+"""What differs between DOLFINx 0.9 and 0.10/0.11, in one place."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from dolfinx.fem import petsc as _fem_petsc
+from dolfinx.io import XDMFFile
+from dolfinx.mesh import Mesh, MeshTags
+from petsc4py import PETSc
+
+
+def integration_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """Pairs (cell, local facet), flattened, of one cell beside each facet given.
+
+    Not collective once the facet-cell connectivities exist.  Written out by hand because
+    `compute_integration_domains` lost an argument in 0.10 and refuses interior facets.
+    """
+    tdim = mesh.topology.dim
+    facet_cells = mesh.topology.connectivity(tdim - 1, tdim)
+    cell_facets = mesh.topology.connectivity(tdim, tdim - 1)
+    first = facet_cells.array[facet_cells.offsets[facets]]
+    local = cell_facets.array.reshape(-1, tdim + 1)[first] == np.asarray(facets)[:, None]
+    return np.stack([first, np.argmax(local, axis=1)], axis=1).astype(np.int32).reshape(-1)
+
+
+def interpolation_points(element: Any) -> npt.NDArray[np.float64]:
+    """Interpolation points of an element: a method in 0.9, a property from 0.10."""
+    points = element.interpolation_points
+    return points() if callable(points) else points  # type: ignore[no-any-return]
+
+
+def interpolation_matrix(coarse: fem.FunctionSpace, fine: fem.FunctionSpace) -> PETSc.Mat:
+    """Assembled interpolation matrix between two spaces of one mesh. Collective."""
+    matrix = _fem_petsc.interpolation_matrix(coarse, fine)
+    matrix.assemble()
+    return matrix
+
+
+def jit_takes_comm() -> bool:
+    """True where `fem.form` has a `jit_comm` argument (0.11)."""
+    return "jit_comm" in inspect.signature(fem.form).parameters
+
+
+def reads_attributes_by_name() -> bool:
+    """True where one of several attributes of an XDMF grid can be read (0.10)."""
+    return "attribute_name" in inspect.signature(XDMFFile.read_meshtags).parameters
+
+
+def read_meshtags(file: XDMFFile, mesh: Mesh, grid: str, attribute: str) -> MeshTags:
+    """Integer cell data of a grid of an XDMF file. Collective.
+
+    0.9 takes the first attribute of the grid, from 0.10 it can be named.
+    """
+    if reads_attributes_by_name():
+        return file.read_meshtags(mesh, name=grid, attribute_name=attribute)
+    return file.read_meshtags(mesh, name=grid)

@@ -1,0 +1,331 @@
+"""A whole case: what a case file says, as frozen records whose fields ARE the keys.
+
+    case = read_case("bracket.toml")        # from a file, one error message if it is wrong
+    case = Case(mesh={"box": {"size": [2, 1, 1], "cells": [8, 4, 4]}},
+                materials={"steel": {"law": "linear-elastic", "E": "210 GPa", "nu": 0.3}},
+                support=[{"on": "left"}])   # the same in Python
+    Path("copy.toml").write_text(case.to_toml())
+
+Bare numbers under [mesh], [surfaces] and [regions] are in the mesh's unit; all others are SI.
+Any number may be a text with a unit of its own ("2 mm").
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from mpi4py import MPI
+from pydantic import PrivateAttr, ValidationInfo, field_validator, model_validator
+
+from dolfin_elastic.errors import CaseError, InputError, nearest
+from dolfin_elastic.meshes import Body, Selector, name_parts
+from dolfin_elastic.model.law import Law
+from dolfin_elastic.model.loads import LOADS, Load
+from dolfin_elastic.model.supports import Support
+from dolfin_elastic.parallel import on_root
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.schema import Record, within
+from dolfin_elastic.solvers.dynamics import Dynamics, DynamicsSettings
+from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.solvers.statics import Statics, StaticsSettings
+from dolfin_elastic.tables import (
+    Material,
+    MeshTable,
+    Output,
+    as_table,
+    listed,
+    named,
+    pick,
+    selectors,
+    written,
+)
+from dolfin_elastic.toml_text import toml_text
+
+
+class Case(Record):
+    """Everything a run needs to know.
+
+    Attributes:
+        title: For people.
+        mesh: The body's mesh.
+        surfaces: Name to selector, or to a list of selectors that are joined.
+        regions: The same for cells.
+        materials: Name to law and place; together they fill the body exactly once.
+        support: Prescribed displacements; where they meet the later one holds.
+        load: External forces.
+        statics: Equilibrium under growing load (what is done if nothing is said).
+        dynamics: Motion in time.
+        solver: How linear systems are solved.
+        output: What is written.
+    """
+
+    title: str = ""
+    mesh: MeshTable
+    surfaces: dict[str, list[Selector]] = {}
+    regions: dict[str, list[Selector]] = {}
+    materials: dict[str, Material]
+    support: list[Support] = []
+    load: list[Load] = []
+    statics: StaticsSettings | None = None
+    dynamics: DynamicsSettings | None = None
+    solver: LinearSettings = LinearSettings()
+    output: Output = Output()
+
+    _file: str = PrivateAttr(default="")
+    _folder: Path = PrivateAttr(default=Path())
+
+    @field_validator("surfaces", "regions", mode="before")
+    @classmethod
+    def _selectors(cls, tables: Any) -> dict[str, list[Selector]]:
+        return named(tables, selectors)
+
+    @field_validator("materials", mode="before")
+    @classmethod
+    def _materials(cls, tables: Any) -> dict[str, Material]:
+        read = named(tables, Material.read)
+        if not read:
+            raise InputError("there is no material", expected="write [materials.NAME]")
+        return read
+
+    @field_validator("support", "load", mode="before")
+    @classmethod
+    def _rows(cls, rows: Any, info: ValidationInfo) -> list[Support | Load]:
+        key = str(info.field_name)
+        if not isinstance(rows, list | tuple):
+            raise InputError(f"a single table cannot be a {key}",
+                             expected=f"write [[{key}]] with double brackets")
+        return listed(rows, _support if key == "support" else _load)
+
+    @model_validator(mode="after")
+    def _one_analysis(self) -> Self:
+        if self.statics is not None and self.dynamics is not None:
+            raise InputError("[statics] and [dynamics] given together",
+                             expected="a case has one analysis; leave one of them out")
+        return self
+
+    # --- where it came from ---
+
+    @property
+    def file(self) -> str:
+        """The case file as it was named; empty for a case made in Python."""
+        return self._file
+
+    @property
+    def name(self) -> str:
+        """Name of the case file without folder and suffix."""
+        return Path(self._file).stem if self._file else "case"
+
+    @property
+    def folder(self) -> Path:
+        """Folder that paths in the case are relative to."""
+        return self._folder
+
+    @classmethod
+    def from_dict(cls, tables: Mapping[str, Any], folder: str | PathLike[str] = ".", *,
+                  file: str = "") -> Case:
+        """A case from nested dictionaries, as TOML gives them.
+
+        Args:
+            tables: The top-level tables.
+            folder: Folder that paths are relative to.
+            file: Name of the file, for messages.
+
+        Raises:
+            InputError: With the file's name and the dotted key.
+        """
+        with located(file):
+            case = cls(**dict(tables))
+        case._file, case._folder = file, Path(folder)
+        return case
+
+    # --- back to text ---
+
+    def to_dict(self) -> dict[str, Any]:
+        """Nested dictionaries that `from_dict` reads back to an equal case."""
+        tables: dict[str, Any] = {"title": self.title} if self.title else {}
+        tables["mesh"] = written(self.mesh)
+        for key in ("surfaces", "regions"):
+            named = {n: [written(s) for s in rows] for n, rows in getattr(self, key).items()}
+            tables[key] = {n: rows[0] if len(rows) == 1 else rows for n, rows in named.items()}
+        tables["materials"] = {name: item.table() for name, item in self.materials.items()}
+        tables["support"] = [written(item) for item in self.support]
+        tables["load"] = [{"kind": item.kind, **written(item)} for item in self.load]
+        for key in ("statics", "dynamics", "solver", "output"):
+            if key in self.model_fields_set and getattr(self, key) is not None:
+                tables[key] = written(getattr(self, key))
+        return {key: value for key, value in tables.items()
+                if value or key in ("statics", "dynamics")}
+
+    def to_toml(self) -> str:
+        """The case as the text of a case file that reads back to an equal case."""
+        return toml_text(self.to_dict())
+
+    # --- to the parts of a run ---
+
+    def read_body(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Body:
+        """The mesh with all its names. Collective."""
+        key = next(k for k in ("file", "box", "rectangle") if getattr(self.mesh, k) is not None)
+        with located(self.file, f"mesh.{key}", exact=False):
+            body = self.mesh.body(self.folder, comm)
+        with located(self.file):
+            return name_parts(body, surfaces=self.surfaces, regions=self.regions,
+                              scale=self.mesh.scale)
+
+    def make_problem(self, body: Body) -> Problem:
+        """The boundary value problem. Collective."""
+        with located(self.file):
+            body, laws = _fill(body, self.materials)
+            return Problem(body, laws, supports=self._supports(body.dim), loads=self.load,
+                           degree=self.mesh.degree,
+                           quadrature_degree=self.mesh.quadrature_degree)
+
+    def make_solver(self, problem: Problem, *,
+                    petsc: Mapping[str, Any] | None = None) -> Statics | Dynamics:
+        """The solver of the case's analysis.
+
+        Args:
+            problem: From `make_problem`.
+            petsc: PETSc options that win over the case's own.
+        """
+        if self.dynamics is not None:
+            return Dynamics(problem, self.dynamics, linear=self.solver, petsc=petsc)
+        return Statics(problem, self.statics, linear=self.solver, petsc=petsc)
+
+    def results_folder(self) -> Path:
+        """Where results go if nothing else is said."""
+        if self.output.folder is not None:
+            return self.folder / self.output.folder
+        return Path(f"{self.name}_results")
+
+    def _supports(self, dim: int) -> list[Support]:
+        """Those that name no displacement hold all components of the body's dimension."""
+        return [s if "displacement" in s.model_fields_set
+                else Support(**written(s), displacement=[0] * dim) for s in self.support]
+
+
+def read_case(path: str | PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD) -> Case:
+    """Reads a case file on rank 0 and gives it to all ranks.
+
+    Collective.
+
+    Args:
+        path: A TOML file.
+        comm: The ranks that need the case.
+
+    Raises:
+        InputError: On every rank, with file, dotted key, and what is expected.
+    """
+    file = str(path)
+    return on_root(comm, lambda: Case.from_dict(_read_file(file), Path(file).parent, file=file))
+
+
+def _read_file(file: str) -> dict[str, Any]:
+    text = ""
+    try:
+        text = Path(file).read_text(encoding="utf-8-sig")
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise CaseError(_syntax(str(error), text), where=file) from None
+    except UnicodeDecodeError:
+        raise CaseError("this is no text file in UTF-8", where=file) from None
+    except FileNotFoundError:
+        others = sorted(str(p) for p in Path(file).parent.glob("*.toml"))
+        hint = nearest(file, others) if others else "dolfin-elastic new writes a first one"
+        raise CaseError("there is no such case file", where=file, expected=hint) from None
+    except OSError as error:
+        raise CaseError(f"cannot be read: {error.strerror}", where=file) from None
+
+
+_SAID = {"Illegal character '\\n'": "the closing quote is missing",
+         "Cannot overwrite a value": "this key stands here for the second time"}
+
+
+def _syntax(message: str, text: str) -> str:
+    """TOML's complaint with the line it is about and a caret."""
+    found = re.fullmatch(r"(.*?) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
+    if not found:
+        return message[:1].lower() + message[1:]
+    what, line, column = found[1], int(found[2]), int(found[3])
+    if twice := re.fullmatch(r"Cannot declare \((.*?),?\) twice", what):
+        key = twice[1].replace("'", "").replace(", ", ".")
+        what = f"[{key}] stands here for the second time"
+    what = _SAID.get(what, what[:1].lower() + what[1:])
+    shown = text.splitlines()[line - 1].replace("\t", " ")
+    return f"line {line}: {what}\n    {shown}\n    {' ' * (column - 1)}^"
+
+
+@contextmanager
+def located(file: str, key: str = "", *, exact: bool = True) -> Iterator[None]:
+    """Puts the file's name and a key in front of where an error inside points.
+
+    Args:
+        file: Name of the case file, or nothing.
+        key: Dotted key.
+        exact: The error points into that key; otherwise it only comes from it.
+    """
+    try:
+        yield
+    except InputError as error:
+        if exact:
+            error = within(key, error)
+        elif error.where in ("size", "cells", "origin"):
+            error = within(key, error)
+        else:
+            error = type(error)(error.what, where=": ".join(filter(None, (key, error.where))),
+                                expected=error.expected)
+        where = ": ".join(filter(None, (file, error.where)))
+        raise type(error)(error.what, where=where, expected=error.expected) from None
+
+
+# --- rows of lists ---
+
+
+def _support(row: Any) -> Support:
+    if isinstance(row, Support):
+        return row
+    with _vector("displacement"):
+        return Support(**as_table(row))
+
+
+def _load(row: Any) -> Load:
+    if isinstance(row, Load):
+        return row
+    with _vector("value"):
+        return pick(LOADS, row, "kind")(**row)
+
+
+@contextmanager
+def _vector(key: str) -> Iterator[None]:
+    """Gives faults of a component, "[2]", the key they belong to."""
+    try:
+        yield
+    except InputError as error:
+        raise (within(key, error) if error.where.startswith("[") else error) from None
+
+
+# --- materials on the body ---
+
+
+def _fill(body: Body, materials: Mapping[str, Material]) -> tuple[Body, Law | dict[str, Law]]:
+    """One region a material, so that a problem can be made of them."""
+    if len(materials) == 1 and not next(iter(materials.values())).on:
+        return body, next(iter(materials.values())).law
+    index_map = body.mesh.topology.index_map(body.mesh.topology.dim)
+    bare = np.ones(index_map.size_local + index_map.num_ghosts, dtype=bool)
+    regions, laws = {}, {}
+    for name, material in sorted(materials.items(), key=lambda item: item[1].on is None):
+        cells = np.flatnonzero(bare).astype(np.int32)
+        if material.regions:
+            cells = np.unique(np.concatenate([body.region(n) for n in material.regions]))
+        bare[cells] = False
+        taken = name in body.regions and material.regions != (name,)
+        key = f"{name} (material)" if taken else name
+        regions[key], laws[key] = cells, material.law
+    return body.named(regions=regions), laws

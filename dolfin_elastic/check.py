@@ -1,0 +1,353 @@
+"""Everything that can be said about a case before anything is compiled or solved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfin_elastic.case import Case, located
+from dolfin_elastic.errors import CaseError, MeshError, nearest
+from dolfin_elastic.meshes.body import Body, Indices
+from dolfin_elastic.meshes.shapes import cell_corners, facet_corners, facet_nodes, signed_volumes
+from dolfin_elastic.model.loads import Load
+from dolfin_elastic.parallel import total
+from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.solvers.linear import choose
+from dolfin_elastic.tables import Material
+from dolfin_elastic.toml_text import key_text
+
+Floats = npt.NDArray[np.float64]
+_ROUND_OFF = 1e-10
+
+
+@dataclass(frozen=True)
+class PartSize:
+    """How large a named part is.
+
+    Attributes:
+        name: Its name.
+        count: Facets or cells on all ranks.
+        measure: Area or volume [m^2, m^3]; length or area of a plane body [m, m^2].
+        use: What it is there for: "support", "load", material's names; empty: nothing.
+    """
+
+    name: str
+    count: int
+    measure: float
+    use: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a check finds.
+
+    Attributes:
+        case: Name of the case file.
+        title: The case's title.
+        mesh: Where the mesh comes from.
+        dim: 3, or 2 for plane strain.
+        cells: Cells on all ranks.
+        unknowns: Displacement components on all ranks.
+        analysis: "statics" or "dynamics".
+        linear_solver: Which linear solver, and why.
+        surfaces: The named surfaces.
+        regions: The named regions.
+        notes: What a user should know.
+    """
+
+    case: str
+    title: str
+    mesh: str
+    dim: int
+    cells: int
+    unknowns: int
+    analysis: str
+    linear_solver: str
+    surfaces: tuple[PartSize, ...]
+    regions: tuple[PartSize, ...]
+    notes: tuple[str, ...]
+
+
+def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
+    """Checks a case against its mesh and says how large everything is.
+
+    Collective.
+
+    Raises:
+        InputError: Something is wrong.
+    """
+    body = case.read_body(comm)
+    notes = check(case, body)
+    problem = case.make_problem(body)
+    return Report(
+        case=case.file, title=case.title, mesh=body.source, dim=body.dim, cells=body.num_cells,
+        unknowns=problem.num_dofs, analysis="dynamics" if case.dynamics else "statics",
+        linear_solver=choose(problem, case.solver).why, surfaces=_surface_sizes(case, body),
+        regions=_region_sizes(case, body), notes=(*body.notes, *notes))
+
+
+def check(case: Case, body: Body) -> tuple[str, ...]:
+    """Checks a case against its body.
+
+    Collective.
+
+    Returns:
+        What a user should know although nothing is wrong.
+
+    Raises:
+        InputError: The first thing that is wrong, with file and key, on every rank.
+    """
+    with located(case.file):
+        _check_names(case, body)
+        _check_components(case, body)
+        _check_materials(case.materials, body)
+        _check_densities(case)
+        _check_fields(case)
+        if case.dynamics is None:
+            _check_held(case, body)
+    return tuple(_notes(case))
+
+
+# --- names ---
+
+
+def _check_names(case: Case, body: Body) -> None:
+    for i, support in enumerate(case.support):
+        for where, name in _keys(f"support[{i}].on", support.on):
+            _check_name(where, name, "surface", "a support holds surfaces", body)
+    for i, load in enumerate(case.load):
+        kind = "surface" if acts_on_surfaces(load) else "region"
+        for where, name in _keys(f"load[{i}].on", getattr(load, "on", None)):
+            _check_name(where, name, kind, f"a {load.kind} acts on {kind}s", body)
+    for name, material in case.materials.items():
+        for where, region in _keys(f"materials.{key_text(name)}.on", material.on):
+            _check_name(where, region, "region", "a material fills regions", body)
+
+
+def acts_on_surfaces(load: Load) -> bool:
+    """A load must name surfaces; regions may be left out and mean the whole body then."""
+    on = type(load).model_fields.get("on")
+    return on is not None and on.is_required()
+
+
+def _keys(key: str, on: str | Sequence[str] | None) -> Iterator[tuple[str, str]]:
+    if isinstance(on, str):
+        yield key, on
+        return
+    for index, name in enumerate(on or ()):
+        yield f"{key}[{index}]", name
+
+
+def _check_name(where: str, name: str, kind: str, rule: str, body: Body) -> None:
+    here, there = ((body.surfaces, body.regions) if kind == "surface"
+                   else (body.regions, body.surfaces))
+    if name not in here and name in there:
+        other = "region" if kind == "surface" else "surface"
+        raise MeshError(f"'{name}' is a {other}", where=where, expected=rule)
+    if name not in here:
+        raise MeshError(f"there is no {kind} '{name}'", where=where, expected=_offer(name, here))
+    owned = body.owned_facets(name) if kind == "surface" else body.owned_cells(name)
+    if not total(body.comm, len(owned)):
+        raise MeshError(f"the {kind} '{name}' is empty", where=where)
+
+
+def _offer(name: str, names: Mapping[str, Indices]) -> str:
+    return nearest(name, names) if names else "the mesh has none; name one by where it lies"
+
+
+def _check_components(case: Case, body: Body) -> None:
+    vectors = [(f"support[{i}].displacement", s.values) for i, s in enumerate(case.support)
+               if "displacement" in s.model_fields_set]
+    vectors += [(f"load[{i}].value", load.values) for i, load in enumerate(case.load)]
+    for where, values in vectors:
+        if values and len(values) != body.dim:
+            raise CaseError(f"{len(values)} components", where=where,
+                            expected=f"the body is {body.dim}-dimensional, expected {body.dim}")
+
+
+def _check_fields(case: Case) -> None:
+    fields = [(f"output.fields[{i}]", name) for i, name in enumerate(case.output.fields or ())]
+    fields += [(f"output.pictures[{i}].field", p.field) for i, p in
+               enumerate(case.output.pictures)]
+    powerless = [n for n, m in case.materials.items() if not m.law.has_energy]
+    for where, name in fields:
+        if FIELDS[name].motion and case.dynamics is None:
+            raise CaseError(f"there is no '{name}' in statics", where=where,
+                            expected="leave it out, or use [dynamics]")
+        if name == "energy_density" and powerless:
+            raise CaseError(f"the law of '{powerless[0]}' has no strain energy", where=where,
+                            expected="leave the field out")
+
+
+# --- materials ---
+
+
+def _check_materials(materials: Mapping[str, Material], body: Body) -> None:
+    everywhere = [name for name, material in materials.items() if not material.regions]
+    if len(everywhere) > 1:
+        raise CaseError(f"'{everywhere[0]}' and '{everywhere[1]}' both have no `on`",
+                        where=f"materials.{key_text(everywhere[1])}",
+                        expected="only one material can fill what the others leave")
+    own = len(body.owned_cells())
+    filled = {name: _marked(body, material.regions, own)
+              for name, material in materials.items() if material.regions}
+    for (one, first), (two, second) in combinations(filled.items(), 2):
+        if twice := int(total(body.comm, int(np.sum(first & second)))):
+            raise CaseError(f"{twice} cells are in '{one}' too",
+                            where=f"materials.{key_text(two)}.on",
+                            expected="every cell needs exactly one material")
+    bare = own - int(np.sum(np.any(list(filled.values()), axis=0))) if filled else own
+    missing = int(total(body.comm, bare))
+    if missing and not everywhere:
+        raise CaseError(f"{missing} of {body.num_cells} cells have no material", where="materials",
+                        expected="a material without `on` fills what the others leave")
+
+
+def _marked(body: Body, regions: Sequence[str], own: int) -> npt.NDArray[np.bool_]:
+    marks = np.zeros(own, dtype=bool)
+    for name in regions:
+        marks[body.owned_cells(name)] = True
+    return marks
+
+
+def _check_densities(case: Case) -> None:
+    loads = [f"load[{i}] ({load.kind})" for i, load in enumerate(case.load) if load.needs_density]
+    reason = "[dynamics]" if case.dynamics is not None else next(iter(loads), "")
+    for name, material in case.materials.items():
+        if reason and material.law.density is None:
+            raise CaseError("this key is missing", where=f"materials.{key_text(name)}.density",
+                            expected=f'{reason} needs it, for example "1100 kg/m^3"')
+
+
+# --- what holds the body ---
+
+
+def _check_held(case: Case, body: Body) -> None:
+    """A body in equilibrium must be held against every rigid motion."""
+    free = free_motions(case, body)
+    if free:
+        what = "there is no support" if not case.support else "the supports leave the body free"
+        raise CaseError(f"{what}: as a rigid body it can {', '.join(free)}", where="support",
+                        expected="statics needs supports that hold it; [dynamics] does not")
+
+
+def free_motions(case: Case, body: Body) -> list[str]:
+    """Rigid motions that no support prevents, in words. Collective.
+
+    The rows of the supports' constraints, applied to translations and small rotations, sum up to
+    a matrix of 6x6 numbers (3x3 in a plane) whose null space is what is left free.
+    """
+    centre, size = _frame(body)
+    held = np.zeros((_modes(body.dim),) * 2)
+    for support in case.support:
+        prescribed = [i for i in range(body.dim)
+                      if "displacement" not in support.model_fields_set
+                      or support.values[i] is not None]
+        for name in support.surfaces:
+            nodes = np.unique(facet_nodes(body.mesh, body.owned_facets(name)))
+            x = np.asarray((body.mesh.geometry.x[nodes, : body.dim] - centre) / size, dtype=float)
+            for i in prescribed:
+                rows = _rigid(x)[:, i]
+                held += rows.T @ rows
+    values, vectors = np.linalg.eigh(total(body.comm, held))
+    null = vectors[:, values <= _ROUND_OFF * max(values[-1], 1.0)]
+    return _said(null, body.dim)
+
+
+def _modes(dim: int) -> int:
+    return dim * (dim + 1) // 2
+
+
+def _frame(body: Body) -> tuple[Floats, float]:
+    """Middle and size of the body's bounding box. Collective."""
+    x = body.mesh.geometry.x[:, : body.dim]
+    low, high = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
+    low = np.asarray(body.comm.allreduce(low, op=_minimum))
+    high = np.asarray(body.comm.allreduce(high, op=_maximum))
+    return (low + high) / 2, float(np.max(high - low))
+
+
+def _minimum(a: Floats, b: Floats) -> Floats:
+    return np.minimum(a, b)
+
+
+def _maximum(a: Floats, b: Floats) -> Floats:
+    return np.maximum(a, b)
+
+
+def _planes(dim: int) -> list[tuple[int, int]]:
+    """The plane of each rotation: about x, y, z; in a plane about z."""
+    return [(1, 2), (2, 0), (0, 1)][dim - _modes(dim):]
+
+
+def _rigid(x: Floats) -> Floats:
+    """Displacement of points under unit rigid motions, shape (points, component, motion)."""
+    points, dim = x.shape
+    moved = np.zeros((points, dim, _modes(dim)))
+    moved[:, range(dim), range(dim)] = 1.0
+    for k, (i, j) in enumerate(_planes(dim), start=dim):
+        moved[:, i, k], moved[:, j, k] = -x[:, j], x[:, i]
+    return moved
+
+
+def _said(null: Floats, dim: int) -> list[str]:
+    names = ([f"move along {axis}" for axis in "xyz"[:dim]]
+             + [f"turn about {axis}" for axis in ("xyz" if len(null) > 3 else "z")])  # noqa: PLR2004
+    share = np.linalg.norm(null, axis=1)
+    if null.shape[1] == len(null):
+        return ["move and turn freely"]
+    plain = [name for name, part in zip(names, share, strict=True) if part > 1 - 1e-6]
+    if len(plain) < null.shape[1]:
+        plain.append("turn about some axis")
+    return plain
+
+
+# --- notes and sizes ---
+
+
+def _notes(case: Case) -> Iterator[str]:
+    for name, material in case.materials.items():
+        if material.law.warning:
+            yield f"materials.{key_text(name)}: {material.law.warning}"
+    moving = any(value not in (None, 0.0) for support in case.support for value in support.values)
+    if case.dynamics is None and not case.load and not moving:
+        yield "there is no load and every support is at rest: nothing will move"
+
+
+def _uses(case: Case, name: str, *, surface: bool) -> str:
+    loads = [load.kind for load in case.load
+             if acts_on_surfaces(load) == surface and name in load.parts]
+    if surface:
+        return ", ".join(["support" for s in case.support if name in s.surfaces] + loads)
+    return ", ".join([key for key, m in case.materials.items() if name in m.regions] + loads)
+
+
+def _surface_sizes(case: Case, body: Body) -> tuple[PartSize, ...]:
+    sizes = []
+    for name in sorted(body.surfaces):
+        facets = body.owned_facets(name)
+        area = float(total(body.comm, float(np.sum(_areas(facet_corners(body.mesh, facets))))))
+        sizes.append(PartSize(name, body.count(name), area, _uses(case, name, surface=True)))
+    return tuple(sizes)
+
+
+def _areas(corners: Floats) -> Floats:
+    edges = corners[:, 1:] - corners[:, :1]
+    gram = np.einsum("nik,njk->nij", edges, edges)
+    return np.asarray(np.sqrt(np.maximum(np.linalg.det(gram), 0.0)) / edges.shape[1])
+
+
+def _region_sizes(case: Case, body: Body) -> tuple[PartSize, ...]:
+    sizes = []
+    for name in [None, *sorted(body.regions)]:
+        cells = body.owned_cells(name)
+        volume = float(np.sum(np.abs(signed_volumes(cell_corners(body.mesh, cells)))))
+        count, volume = total(body.comm, np.array([len(cells), volume]))
+        use = "" if name is None else _uses(case, name, surface=False)
+        sizes.append(PartSize(name or "(whole body)", int(count), float(volume), use))
+    return tuple(sizes)

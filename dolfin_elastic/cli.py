@@ -1,0 +1,399 @@
+"""The command line: the only place that prints, configures logging, or makes exit codes.
+
+Everything heavy is imported where it is needed, so that --help comes at once.
+"""
+# ruff: noqa: D301, PLC0415
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+import time
+import traceback
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from click.exceptions import ClickException, Exit
+
+from dolfin_elastic import __version__
+from dolfin_elastic.errors import CaseError, ElasticError, SolveError
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+    from dolfin_elastic.case import Case
+
+CRASHED, INTERRUPTED = 1, 130
+HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores.
+
+\b
+  dolfin-elastic new beam.toml              write a first case that runs as it is
+  dolfin-elastic check beam.toml            what will be computed, and what is wrong
+  dolfin-elastic run beam.toml              compute it
+  mpirun -n 4 dolfin-elastic run beam.toml  the same on four cores
+
+\b
+Exit codes:
+  0    done
+  1    a fault of the program itself
+  2    the case, a mesh or the command line is wrong; nothing was written
+  3    no solution was found; the results so far are complete
+  4    results cannot be written
+  130  interrupted; the results so far are complete
+"""
+
+app = typer.Typer(help=HELP, no_args_is_help=True, add_completion=False,
+                  rich_markup_mode=None, pretty_exceptions_enable=False,
+                  context_settings={"help_option_names": ["-h", "--help"]})
+CaseFile = Annotated[Path, typer.Argument(metavar="CASE", hidden=True)]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"dolfin-elastic {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(version: Annotated[bool, typer.Option(
+        "--version", callback=_print_version, is_eager=True,
+        help="Show the version and exit.")] = False) -> None:
+    pass
+
+
+# --- commands ---
+
+
+@app.command()
+def run(case: CaseFile,
+        petsc: Annotated[list[str] | None, typer.Argument(
+            metavar="[-- PETSC...]", hidden=True)] = None, *,
+        output: Annotated[Path | None, typer.Option(
+            "--output", "-o", metavar="DIR", help="Folder of the results.")] = None,
+        profile: Annotated[bool, typer.Option(
+            "--profile", help="Show where time and memory went.")] = False,
+        quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show only problems.")] = False,
+        ) -> None:
+    """Compute a case file (TOML).
+
+    \b
+      dolfin-elastic run beam.toml
+      dolfin-elastic run beam.toml --output /scratch/beam --profile
+      mpirun -n 4 dolfin-elastic run beam.toml -- -ksp_type gmres -log_view
+
+    Results go to CASE_results (fields for ParaView, history.csv, summary.json) unless the case or
+    --output says otherwise.  Ctrl-C stops after the current step; what is written stays complete.
+    What follows two dashes are PETSc options; they win over the case's own.
+    """
+    options, of_petsc = petsc_options(petsc or [])
+    _start_petsc(of_petsc)
+    from mpi4py import MPI
+
+    from dolfin_elastic.case import read_case
+
+    comm = MPI.COMM_WORLD
+    loud = comm.rank == 0 and not quiet
+    _log_to_screen(comm.rank, logging.WARNING if quiet else logging.INFO)
+    read = read_case(case, comm=comm)
+    folder = output if output is not None else read.results_folder()
+    stop = Stop()
+    code = _compute(read, folder, options, stop, loud=loud)
+    if profile:
+        _show_profile(comm)
+    if loud:
+        from dolfin_elastic.screen import show_files
+
+        show_files(folder)
+    if code:
+        raise Exit(code)
+
+
+@app.command()
+def check(case: CaseFile,
+          json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
+          ) -> None:
+    """Say what is wrong with a case, or what it will compute.
+
+    \b
+      dolfin-elastic check beam.toml
+      dolfin-elastic check beam.toml --json | jq .unknowns
+
+    Reads the mesh and compares every name, unit and size with it; nothing is computed.
+    """
+    from mpi4py import MPI
+
+    from dolfin_elastic.case import read_case
+    from dolfin_elastic.check import report
+
+    comm = MPI.COMM_WORLD
+    found = report(read_case(case, comm=comm), comm=comm)
+    if comm.rank == 0 and json:
+        from dataclasses import asdict
+        from json import dumps
+
+        print(dumps(asdict(found), indent=2, ensure_ascii=False))
+    elif comm.rank == 0:
+        from dolfin_elastic.screen import show_check
+
+        show_check(found)
+
+
+@app.command()
+def new(file: Annotated[Path, typer.Argument(metavar="[FILE]", hidden=True)]
+        = Path("case.toml"),
+        force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+        ) -> None:
+    """Write a first case file that runs as it is.
+
+    \b
+      dolfin-elastic new               writes case.toml
+      dolfin-elastic new beam.toml
+    """
+    from dolfin_elastic.starter import starter
+
+    if launched_rank() == 0:
+        if file.exists() and not force:
+            raise CaseError("this file exists already", where=str(file),
+                            expected="choose another name, or --force to overwrite it")
+        try:
+            file.write_text(starter(str(file)), encoding="utf-8")
+        except OSError as error:
+            raise CaseError(f"cannot be written: {error.strerror}", where=str(file)) from None
+    print(f"{file} written; compute it with: dolfin-elastic run {file}")
+
+
+@app.command()
+def info() -> None:
+    """Show versions and libraries."""
+    from dolfin_elastic.machine import describe
+    from dolfin_elastic.screen import show_versions
+
+    found, advice = describe()
+    show_versions(found)
+    for line in advice if launched_rank() == 0 else ():
+        print(f"warning: {line}", file=sys.stderr)
+
+
+# --- a run ---
+
+
+class Stop:
+    """Notes Ctrl-C and SIGTERM; the second one ends the program at once."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._ask)
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        if self.asked:
+            os._exit(INTERRUPTED)
+        self.asked = True
+        if launched_rank() == 0:
+            print("\nstopping after this step; once more: at once", file=sys.stderr, flush=True)
+
+    def agreed(self, comm: MPI.Comm) -> bool:
+        """True on all ranks when one was asked to stop. Collective."""
+        from dolfin_elastic.parallel import largest
+
+        return largest(comm, float(self.asked)) > 0
+
+
+def _compute(case: Case, folder: Path, petsc: dict[str, Any], stop: Stop, *, loud: bool) -> int:
+    """Runs a case and shows it; returns the exit code."""
+    from contextlib import closing
+
+    from mpi4py import MPI
+
+    from dolfin_elastic import run as pipe
+    from dolfin_elastic import screen, timing
+
+    meter = _meter(case.dynamics is not None, loud)
+    state, newton = None, 0
+    try:
+        with closing(pipe.run(case, output=folder, petsc=petsc)) as states:
+            for state in states:
+                newton += state.newton
+                meter.show(state)
+                if state.done < 1.0 and stop.agreed(MPI.COMM_WORLD):
+                    return INTERRUPTED
+    except SolveError as error:
+        error.add_note(f"results so far are in {folder}")
+        raise
+    finally:
+        meter.close()
+    if loud and state is not None:
+        screen.show_end(state, motion=case.dynamics is not None, seconds=timing.totals(),
+                        newton=newton)
+    return 0
+
+
+def _meter(motion: bool, loud: bool) -> Any:
+    from dolfin_elastic import screen
+
+    if not loud:
+        return screen.Silent()
+    shared = next((handler.screen for handler in logging.getLogger("dolfin_elastic").handlers
+                   if isinstance(handler, screen.Handler)), None)
+    if shared is not None and shared.is_terminal and sys.stdout.isatty():
+        return screen.Bar(motion, shared)
+    return screen.Lines(motion)
+
+
+def _show_profile(comm: MPI.Comm) -> None:
+    """Collective."""
+    from dolfin_elastic import screen, timing
+    from dolfin_elastic.parallel import largest, smallest
+    from dolfin_elastic.results.summary import peak_memory
+
+    seconds = timing.totals()
+    rows = [(name, smallest(comm, seconds[name]), largest(comm, seconds[name]))
+            for name in [n for n in seconds if n != "total"] + ["total"]]
+    memory = peak_memory(comm)
+    if comm.rank == 0:
+        screen.show_profile(rows, memory)
+
+
+def _log_to_screen(rank: int, level: int) -> None:
+    from dolfin_elastic.screen import Handler, console
+
+    log = logging.getLogger("dolfin_elastic")
+    log.handlers = [Handler(rank, console(stderr=True))]
+    log.setLevel(level)
+    log.propagate = False
+
+
+# --- PETSc's options ---
+
+OF_PETSC = ("log_view", "log_trace", "log_all", "info", "options_left", "options_view",
+            "malloc_view", "malloc_debug", "memory_view", "fp_trap", "on_error_abort",
+            "on_error_attach_debugger", "start_in_debugger")
+"""Options that PETSc reads itself when it starts, not the solvers."""
+
+
+def petsc_options(words: list[str]) -> tuple[dict[str, Any], list[str]]:
+    """Options for the solvers by name, and those PETSc itself wants when it starts.
+
+    Raises:
+        CaseError: A word is neither an option nor the value of one.
+    """
+    options: dict[str, Any] = {}
+    name = ""
+    for word in words:
+        if word.startswith("-") and not _is_number(word):
+            name = word.lstrip("-")
+            options[name] = None
+        elif name:
+            options[name], name = word, ""
+        else:
+            raise CaseError(f"'{word}' is no PETSc option", where="command line",
+                            expected="after -- write for example -ksp_type gmres")
+    own = [name for name in options if name in OF_PETSC]
+    started = [text for name in own for text in (f"-{name}", options.pop(name)) if text]
+    return options, started
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _start_petsc(options: list[str]) -> None:
+    if options:
+        import petsc4py
+
+        petsc4py.init([sys.argv[0], *options])
+
+
+# --- how it ends ---
+
+
+def launched_rank() -> int:
+    """Rank of this process as its launcher says, without starting MPI; 0 without a launcher."""
+    for name in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID"):
+        if os.environ.get(name, "").isdigit():
+            return int(os.environ[name])
+    return 0
+
+
+def main() -> None:
+    """The console script."""
+    if launched_rank():
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    sys.exit(guarded())
+
+
+def guarded() -> int:
+    """Runs the command line; returns its exit code, the same on every rank."""
+    try:
+        result = app(prog_name="dolfin-elastic", standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except ClickException as error:
+        if launched_rank() == 0:
+            error.show()
+        return error.exit_code
+    except ElasticError as error:
+        return _told(error)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+        return 0
+    except Exception:
+        _crash()
+        raise
+
+
+def _comm() -> MPI.Comm | None:
+    """All ranks, if MPI runs."""
+    if "mpi4py.MPI" not in sys.modules:
+        return None
+    from mpi4py import MPI
+
+    return MPI.COMM_WORLD
+
+
+def _told(error: ElasticError) -> int:
+    """Shows an error once, before any rank leaves (the launcher ends all when one does)."""
+    comm = _comm()
+    if (comm.rank if comm else launched_rank()) == 0:
+        notes = "".join(f"\n  {note}" for note in getattr(error, "__notes__", ()))
+        print(f"error: {error}{notes}", file=sys.stderr, flush=True)
+    if comm and comm.size > 1 and not _all_here(comm):
+        if comm.rank:
+            print(f"error (rank {comm.rank} alone): {error}", file=sys.stderr, flush=True)
+        comm.Abort(error.exit_code)
+    return error.exit_code
+
+
+def _all_here(comm: MPI.Comm, patience: float = 10.0) -> bool:
+    """Waits for all ranks, but not for ever."""
+    request = comm.Ibarrier()
+    until = time.monotonic() + patience
+    while time.monotonic() < until:
+        if request.Test():
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def _crash() -> None:
+    """A fault of ours: one traceback, with the rank, and the end of all ranks."""
+    comm = _comm()
+    if comm is None or comm.size == 1:
+        return
+    time.sleep(min(0.5 * comm.rank, 5.0))  # rank 0 first; it ends the others before they speak
+    print(f"rank {comm.rank} of {comm.size}:\n{traceback.format_exc()}", file=sys.stderr,
+          flush=True)
+    comm.Abort(CRASHED)
+
+
+if __name__ == "__main__":
+    main()

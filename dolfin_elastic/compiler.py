@@ -1,0 +1,81 @@
+"""Compiling forms: flags, a cache that is safe to share, all ranks at work."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import dolfinx
+import ufl
+from dolfinx import fem, jit
+from mpi4py import MPI
+
+from dolfin_elastic.parallel import agree, on_root
+from dolfin_elastic.timing import stage
+
+# No -ffast-math: it would hide the NaN and Inf by which an inverted element is seen.
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-g0")
+
+
+def cache_folder() -> Path:
+    """Where compiled forms are kept: one folder a kind of processor.
+
+    Forms are compiled for the processor at hand, so a home shared by unlike machines must not
+    hand one's code to the other.
+    """
+    root = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(root) / "dolfin_elastic" / "forms" / _processor()
+
+
+def _processor() -> str:
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    except OSError:
+        return platform.machine()
+    flags = next((line for line in text.splitlines() if line.startswith(("flags", "Features"))), "")
+    return f"{platform.machine()}-{hashlib.sha256(flags.encode()).hexdigest()[:10]}"
+
+
+def options(comm: MPI.Comm) -> dict[str, Any]:
+    """Options for `fem.form` and `fem.Expression`, the same on all ranks. Collective."""
+    folder = on_root(comm, lambda: str(cache_folder()))
+    return {"cffi_extra_compile_args": list(FLAGS), "timeout": 600, "cache_dir": folder}
+
+
+def compile_forms(comm: MPI.Comm, forms: Sequence[ufl.Form], jit_options: dict[str, Any],
+                  ) -> list[fem.Form]:
+    """Compiles UFL forms, shared out among the ranks, and makes DOLFINx forms of them.
+
+    Collective.
+
+    Args:
+        comm: The ranks of the forms' mesh.
+        forms: UFL forms.
+        jit_options: From `options`.
+
+    Returns:
+        The forms ready to be assembled.
+
+    Raises:
+        Exception: What the form compiler raised on any rank.
+    """
+    with stage("compile"):
+        if comm.size > 1:
+            _share_out(comm, forms, jit_options)
+        return [fem.form(form, jit_options=jit_options) for form in forms]
+
+
+def _share_out(comm: MPI.Comm, forms: Sequence[ufl.Form], jit_options: dict[str, Any]) -> None:
+    """Each rank compiles its share into the cache; DOLFINx would let rank 0 do it all."""
+    error: Exception | None = None
+    try:
+        for form in forms[comm.rank::comm.size]:
+            jit.ffcx_jit(MPI.COMM_SELF, form, jit_options=jit_options,
+                         form_compiler_options={"scalar_type": dolfinx.default_scalar_type})
+    except Exception as caught:  # told to all ranks just below
+        error = caught
+    agree(comm, error)

@@ -1,0 +1,134 @@
+"""Every error of the package, drawn as a list.
+
+ElasticError                      base: `except ElasticError` catches all of them
+├── InputError          exit 2    what the user wrote is wrong: where, what, expected
+│   ├── CaseError                 a key or value of the case file
+│   ├── FormulaError              a formula ("0.1*x*t")
+│   ├── UnitError                 a number with a unit ("10 MPa")
+│   └── MeshError                 a mesh file, a region or surface name, a geometry selector
+├── SolveError          exit 3    the input is right, but no solution was found
+│   ├── ConvergenceError          Newton or the load stepping gave up
+│   ├── LinearSolveError          the linear solver gave up
+│   └── StabilityError            an explicit time step above the stable one
+└── OutputError         exit 4    results cannot be written
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class ElasticError(Exception):
+    """Base of all errors of this package."""
+
+    exit_code = 1
+
+
+class InputError(ElasticError, ValueError):
+    """Something the user wrote is wrong.
+
+    Args:
+        what: What is wrong, in one sentence without a final stop.
+        where: File and dotted key, for example ``beam.toml: materials.steel.nu``.
+        expected: What would be right.
+    """
+
+    exit_code = 2
+
+    def __init__(self, what: str, *, where: str = "", expected: str = "") -> None:
+        self.what, self.where, self.expected = what, where, expected
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        text = f"{self.where}: {self.what}" if self.where else self.what
+        return f"{text}; {self.expected}" if self.expected else text
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Errors travel between ranks; the default would drop the keyword arguments.
+        return _rebuild, (type(self), self.what, self.where, self.expected)
+
+    def at(self, where: str) -> InputError:
+        """The same error with `where` put in front of where it already points."""
+        inner = where if not self.where else f"{where}.{self.where}" if where else self.where
+        return type(self)(self.what, where=inner, expected=self.expected)
+
+
+def _rebuild(kind: type[InputError], what: str, where: str, expected: str) -> InputError:
+    return kind(what, where=where, expected=expected)
+
+
+class CaseError(InputError):
+    """A key or value of the case file is wrong."""
+
+
+class FormulaError(InputError):
+    """A formula cannot be read or uses a name that does not exist."""
+
+
+class UnitError(InputError):
+    """A number's unit is unknown or measures something else."""
+
+
+class MeshError(InputError):
+    """A mesh, or a name or selector that refers to one, is wrong."""
+
+
+class SolveError(ElasticError):
+    """The input is right, but no solution was found.
+
+    Args:
+        what: The cause in plain words.
+        advice: What to try.
+    """
+
+    exit_code = 3
+
+    def __init__(self, what: str, *, advice: str = "") -> None:
+        self.what, self.advice = what, advice
+        super().__init__(what, advice)
+
+    def __str__(self) -> str:
+        return f"{self.what}\n  try: {self.advice}" if self.advice else self.what
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild_solve, (type(self), self.what, self.advice)
+
+
+def _rebuild_solve(kind: type[SolveError], what: str, advice: str) -> SolveError:
+    return kind(what, advice=advice)
+
+
+class ConvergenceError(SolveError):
+    """Newton's method or the load stepping gave up."""
+
+
+class LinearSolveError(SolveError):
+    """The linear solver gave up."""
+
+
+class StabilityError(SolveError):
+    """An explicit time step is above the stable one."""
+
+
+class OutputError(ElasticError):
+    """Results cannot be written."""
+
+    exit_code = 4
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Says which known name is meant, or lists them all.
+
+    Args:
+        name: What the user wrote.
+        known: The names that exist.
+
+    Returns:
+        For example ``did you mean 'left'?`` or ``known: left, right``.
+    """
+    names = sorted(known)
+    match = get_close_matches(name, names, n=1, cutoff=0.6)
+    if match:
+        return f"did you mean '{match[0]}'?"
+    return f"known: {', '.join(names)}" if names else "there are none"

@@ -1,0 +1,114 @@
+"""Gmsh as a mesher: CAD files meshed on the fly, and old .msh files made new."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from dolfin_elastic.errors import MeshError
+from dolfin_elastic.meshes.msh import MshFile, read_msh
+
+_SAVED = {"Mesh.MshFileVersion": 4.1, "Mesh.Binary": 1, "Mesh.SaveAll": 1}
+_OPTIONS = (*_SAVED, "Mesh.MeshSizeMax", "Mesh.MeshSizeMin", "General.Terminal")
+
+
+def meshed(path: Path, *, size: float | None, dim: int | None) -> MshFile:
+    """Meshes a CAD file. Local: one rank meshes.
+
+    Args:
+        path: .geo, .step, .brep or .iges.
+        size: Size of the elements, in the file's unit; where the file asks for finer ones, that
+            holds.  None: as the file says, or a tenth of its diagonal.
+        dim: 2 or 3; by default 3 where there are volumes.
+
+    Raises:
+        MeshError: Gmsh cannot read or mesh the file.
+    """
+    with _gmsh(path) as gmsh:
+        gmsh.model.mesh.clear()
+        if size is not None:
+            gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+            # Without a lower limit Gmsh makes no cells above a tenth of the diagonal.
+            if not _has_sizes(gmsh):
+                gmsh.option.setNumber("Mesh.MeshSizeMin", size)
+        dim = dim or (3 if gmsh.model.getEntities(3) else 2)
+        if not gmsh.model.getEntities(dim):
+            raise MeshError("the file has neither volumes nor surfaces to mesh" if dim == 2
+                            else "the file has no volumes to mesh", where=path.name)
+        gmsh.model.mesh.generate(dim)
+        found = _saved(gmsh)
+    said = "size as in the file" if size is None else f"size {size:g}"
+    return MshFile(found.points, found.blocks, [*found.notes, f"meshed by Gmsh, {said}"])
+
+
+def _has_sizes(gmsh: Any) -> bool:
+    """True where a .geo file asks for sizes of its own, which may be finer."""
+    points = gmsh.model.getEntities(0)
+    return len(gmsh.model.mesh.field.list()) > 0 or any(
+        size > 0 for size in (gmsh.model.mesh.getSizes(points) if points else ()))
+
+
+def converted(path: Path) -> MshFile:
+    """Reads a .msh file of an old version. Local: one rank reads."""
+    with _gmsh(path) as gmsh:
+        return _saved(gmsh)
+
+
+def _saved(gmsh: Any) -> MshFile:
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "mesh.msh"
+        for name, value in _SAVED.items():
+            gmsh.option.setNumber(name, value)
+        gmsh.write(str(target))
+        return read_msh(target)
+
+
+@contextmanager
+def _gmsh(path: Path) -> Iterator[Any]:
+    """Gmsh with the file open and nothing printed; its errors become ours."""
+    try:
+        import gmsh
+    except ImportError:
+        raise MeshError("Gmsh is needed for this file but its Python module is not installed",
+                        where=path.name, expected="install python3-gmsh") from None
+    own = not gmsh.isInitialized()
+    if own:
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+    options = {name: gmsh.option.getNumber(name) for name in _OPTIONS}
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.logger.start()
+    before = gmsh.model.list()
+    try:
+        gmsh.open(str(path))
+        yield gmsh
+    except Exception as error:
+        if type(error) is not Exception:  # Gmsh raises this base class itself
+            raise
+        raise MeshError(f"Gmsh cannot read or mesh it: {_said(gmsh, error)}",
+                        where=path.name) from None
+    finally:
+        gmsh.logger.stop()
+        if own:
+            gmsh.finalize()
+        else:
+            _forget(gmsh, before, options)
+
+
+def _said(gmsh: Any, error: Exception) -> str:
+    """Gmsh's own errors, the first three."""
+    lines = [line.split(":", 1)[1].strip() for line in gmsh.logger.get()
+             if line.startswith("Error:")]
+    return "; ".join(dict.fromkeys(lines[:3])) or str(error)
+
+
+def _forget(gmsh: Any, before: list[str], options: dict[str, float]) -> None:
+    """Leaves Gmsh to the caller's own work as it was."""
+    for name, value in options.items():
+        gmsh.option.setNumber(name, value)
+    for name in gmsh.model.list():
+        if name not in before:
+            gmsh.model.setCurrent(name)
+            gmsh.model.remove()

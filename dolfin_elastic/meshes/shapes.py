@@ -1,0 +1,111 @@
+"""Volumes, normals and shapes of simplices, from plain arrays or from a mesh."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from math import factorial
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh, exterior_facet_indices
+
+Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+_REGULAR = {2: 4 / np.sqrt(3), 3: 6 * np.sqrt(2)}  # 1 / volume of the regular simplex of edge 1
+
+
+def signed_volumes(corners: Floats) -> Floats:
+    """Signed volume (area in 2D) of straight simplices.
+
+    Args:
+        corners: Vertex coordinates, shape (n, d + 1, d).
+
+    Returns:
+        Shape (n,); negative where the vertices run the other way round.
+    """
+    edges = corners[:, 1:] - corners[:, :1]
+    return np.asarray(np.linalg.det(edges) / factorial(corners.shape[2]))
+
+
+def longest_edges(corners: Floats) -> Floats:
+    """Longest edge of each simplex, shape (n,)."""
+    longest = np.zeros(len(corners))
+    for i, j in combinations(range(corners.shape[1]), 2):
+        np.maximum(longest, np.linalg.norm(corners[:, i] - corners[:, j], axis=1), out=longest)
+    return longest
+
+
+def qualities(corners: Floats) -> Floats:
+    """Volume over longest edge to the power d: 1 for a regular simplex, 0 for a flat one."""
+    size = np.maximum(longest_edges(corners), np.finfo(float).tiny ** 0.25)
+    d = corners.shape[2]
+    return np.asarray(np.abs(signed_volumes(corners)) / size**d * _REGULAR[d])
+
+
+def cell_corners(mesh: Mesh, cells: Indices | None = None) -> Floats:
+    """Vertex coordinates of local cells (all of them by default), shape (n, d + 1, d)."""
+    d = mesh.topology.dim
+    nodes = mesh.geometry.dofmap[:, : d + 1]
+    return np.asarray(mesh.geometry.x[nodes if cells is None else nodes[cells], :d])
+
+
+def prepare_facets(mesh: Mesh) -> None:
+    """Creates the facets and their links to cells. Collective."""
+    d = mesh.topology.dim
+    mesh.topology.create_entities(d - 1)
+    mesh.topology.create_connectivity(d - 1, d)
+    mesh.topology.create_connectivity(d, d - 1)
+
+
+def boundary_facets(mesh: Mesh) -> Indices:
+    """Local facets on the boundary of the body, each on exactly one rank, sorted. Collective."""
+    prepare_facets(mesh)
+    return np.sort(np.asarray(exterior_facet_indices(mesh.topology), dtype=np.int32))
+
+
+def facet_places(mesh: Mesh, facets: Indices) -> tuple[Indices, Indices]:
+    """One cell beside each local facet and the facet's number in it (= the opposite vertex).
+
+    Local, after `prepare_facets`.
+    """
+    d = mesh.topology.dim
+    links = mesh.topology.connectivity(d - 1, d)
+    cells = links.array[links.offsets[facets]]
+    around = mesh.topology.connectivity(d, d - 1).array.reshape(-1, d + 1)[cells]
+    local = np.argmax(around == np.asarray(facets)[:, None], axis=1)
+    return cells, local.astype(np.int32)
+
+
+def facet_nodes(mesh: Mesh, facets: Indices) -> Indices:
+    """Geometry nodes at the vertices of local facets, shape (n, d).
+
+    Local, after `prepare_facets`.
+    """
+    d = mesh.topology.dim
+    cells, local = facet_places(mesh, facets)
+    others = np.array([[k for k in range(d + 1) if k != i] for i in range(d + 1)])
+    nodes = mesh.geometry.dofmap[:, : d + 1][cells]
+    return np.asarray(np.take_along_axis(nodes, others[local], axis=1))
+
+
+def facet_corners(mesh: Mesh, facets: Indices) -> Floats:
+    """Vertex coordinates of local facets, shape (n, d, d)."""
+    return np.asarray(mesh.geometry.x[facet_nodes(mesh, facets), : mesh.topology.dim])
+
+
+def outward_normals(mesh: Mesh, facets: Indices) -> Floats:
+    """Unit normals of local facets, pointing away from the cell beside them, shape (n, d)."""
+    d = mesh.topology.dim
+    corners = facet_corners(mesh, facets)
+    if d == 2:
+        along = corners[:, 1] - corners[:, 0]
+        normals = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    else:
+        arms = corners[:, 1:] - corners[:, :1]
+        normals = np.asarray(np.cross(arms[:, 0], arms[:, 1]), dtype=np.float64)
+    cells, local = facet_places(mesh, facets)
+    opposite = cell_corners(mesh, cells)[np.arange(len(facets)), local]
+    inward = np.einsum("ij,ij->i", normals, opposite - corners[:, 0]) > 0
+    normals[inward] *= -1
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.where(length > 0, length, 1.0))

@@ -1,0 +1,66 @@
+"""Vectors as users write them: numbers, texts with units, or formulas in x, y, z and t."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.formulas import Formula
+from dolfin_elastic.units import is_quantity, to_si
+
+COORDINATES = ("x", "y", "z", "t")
+FREE = "free"
+
+Component = float | Formula | None
+"""A number in SI units, a formula in x, y, z [m] and t, or None for a free component."""
+
+
+def component(written: Any, unit: str, *, may_be_free: bool = False) -> Component:
+    """Reads one component.
+
+    Args:
+        written: A number, a text such as "2 mm", a formula such as "0.1*x*t", or "free".
+        unit: SI unit of the component; formulas give values in it.
+        may_be_free: Whether "free" is allowed.
+
+    Raises:
+        InputError: None of these.
+    """
+    if written == FREE and may_be_free:
+        return None
+    if isinstance(written, str) and not is_quantity(written) and not _misspelt_unit(written):
+        return Formula.parse(written, allowed=COORDINATES)
+    return to_si(written, unit)
+
+
+def _misspelt_unit(text: str) -> bool:
+    """A number, a blank and a word, "2 mmm": meant as a unit, not as a formula."""
+    number, _, word = text.strip().partition(" ")
+    try:
+        float(number)
+    except ValueError:
+        return False
+    return word.strip().replace("/", "").replace("^", "").isalnum()
+
+
+def components(written: Any, unit: str, *, may_be_free: bool = False) -> tuple[Component, ...]:
+    """Reads a vector of two or three components.
+
+    Raises:
+        InputError: Not a list of two or three, or a component is wrong (its index is named).
+    """
+    if not isinstance(written, list | tuple) or len(written) not in (2, 3):
+        raise InputError(f"{written!r} is not a vector", expected="expected a list of 3 components"
+                         " (2 in a plane), for example [0, 0, -1]")
+    found = []
+    for index, item in enumerate(written):
+        try:
+            found.append(component(item, unit, may_be_free=may_be_free))
+        except InputError as error:
+            raise error.at(f"[{index}]") from None
+    return tuple(found)
+
+
+def depends_on_time(vector: tuple[Component, ...]) -> bool:
+    """True when a component's formula uses t."""
+    return any(isinstance(item, Formula) and "t" in item.names for item in vector)

@@ -1,0 +1,147 @@
+"""Kinematics and stress measures as pure UFL functions.
+
+Every function takes and returns UFL expressions (or anything UFL can make one of), needs no
+mesh, and works in 2D and 3D: tensors are of shape (d, d).  X is a point of the reference
+configuration, x = X + u its place in the current one.
+
+Source: Bonet & Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, 2nd ed.,
+Cambridge 2008, chapters 4 (kinematics) and 5 (stress); equation numbers below are theirs.
+"""
+
+from __future__ import annotations
+
+import ufl
+from ufl.core.expr import Expr
+
+
+def deformation_gradient(u: Expr) -> Expr:
+    """F = I + grad u, grad with respect to X (4.42)."""
+    return ufl.Identity(len(u)) + ufl.grad(u)
+
+
+def jacobian(F: Expr) -> Expr:
+    """J = det F, current over reference volume (4.57)."""
+    return ufl.det(F)
+
+
+def right_cauchy_green(F: Expr) -> Expr:
+    """C = F^T F (4.15)."""
+    return F.T * F
+
+
+def left_cauchy_green(F: Expr) -> Expr:
+    """b = F F^T (4.17)."""
+    return F * F.T
+
+
+def green_strain(F: Expr) -> Expr:
+    """E = (F^T F - I) / 2 (4.18b)."""
+    return (F.T * F - ufl.Identity(F.ufl_shape[0])) / 2
+
+
+def almansi_strain(F: Expr) -> Expr:
+    """e = (I - b^-1) / 2 (4.19b)."""
+    return (ufl.Identity(F.ufl_shape[0]) - ufl.inv(F * F.T)) / 2
+
+
+def infinitesimal_strain(F: Expr) -> Expr:
+    """eps = (grad u + grad u^T) / 2, from F = I + grad u (4.96)."""
+    return ufl.sym(F) - ufl.Identity(F.ufl_shape[0])
+
+
+def invariants(C: Expr) -> tuple[Expr, Expr, Expr]:
+    """I1 = tr C, I2 = ((tr C)^2 - tr C^2) / 2, I3 = det C of a 3D tensor (6.16)."""
+    return ufl.tr(C), (ufl.tr(C) ** 2 - ufl.tr(C * C)) / 2, ufl.det(C)
+
+
+def isochoric_invariants(C: Expr) -> tuple[Expr, Expr]:
+    """I1 J^-2/3 and I2 J^-4/3 of a 3D tensor C (6.51)."""
+    first, second, third = invariants(C)
+    return first * third ** (-1 / 3), second * third ** (-2 / 3)
+
+
+def padded(A: Expr, out_of_plane: float = 0.0) -> Expr:
+    """A 2x2 tensor as a 3x3 one with A33 = out_of_plane; a 3x3 one is returned as it is."""
+    if A.ufl_shape == (3, 3):
+        return A
+    return ufl.as_tensor([[A[0, 0], A[0, 1], 0], [A[1, 0], A[1, 1], 0], [0, 0, out_of_plane]])
+
+
+def embedded(F: Expr) -> Expr:
+    """The 3x3 deformation gradient of plane strain; a 3x3 one is returned as it is."""
+    return padded(F, 1.0)
+
+
+def cofactor(F: Expr) -> Expr:
+    """cof F = J F^-T, which turns area vectors: n da = cof F N dA (Nanson, 4.68)."""
+    return ufl.det(F) * ufl.inv(F).T
+
+
+# Conversions between stress measures.  P first Piola-Kirchhoff (force over reference area),
+# S second Piola-Kirchhoff, tau Kirchhoff, sigma Cauchy (force over current area).
+
+
+def first_from_second(S: Expr, F: Expr) -> Expr:
+    """P = F S (5.45a)."""
+    return F * S
+
+
+def second_from_first(P: Expr, F: Expr) -> Expr:
+    """S = F^-1 P (5.45a)."""
+    return ufl.inv(F) * P
+
+
+def kirchhoff_from_first(P: Expr, F: Expr) -> Expr:
+    """tau = P F^T (5.34)."""
+    return P * F.T
+
+
+def first_from_kirchhoff(tau: Expr, F: Expr) -> Expr:
+    """P = tau F^-T (5.34)."""
+    return tau * ufl.inv(F).T
+
+
+def cauchy_from_first(P: Expr, F: Expr) -> Expr:
+    """sigma = P F^T / J (5.45a)."""
+    return P * F.T / ufl.det(F)
+
+
+def first_from_cauchy(sigma: Expr, F: Expr) -> Expr:
+    """P = J sigma F^-T (5.32)."""
+    return ufl.det(F) * sigma * ufl.inv(F).T
+
+
+def kirchhoff_from_cauchy(sigma: Expr, F: Expr) -> Expr:
+    """tau = J sigma (5.30)."""
+    return ufl.det(F) * sigma
+
+
+def cauchy_from_kirchhoff(tau: Expr, F: Expr) -> Expr:
+    """sigma = tau / J (5.30)."""
+    return tau / ufl.det(F)
+
+
+def kirchhoff_from_second(S: Expr, F: Expr) -> Expr:
+    """tau = F S F^T, the push-forward (5.47b)."""
+    return F * S * F.T
+
+
+def second_from_kirchhoff(tau: Expr, F: Expr) -> Expr:
+    """S = F^-1 tau F^-T, the pull-back (5.47a)."""
+    return ufl.inv(F) * tau * ufl.inv(F).T
+
+
+def cauchy_from_second(S: Expr, F: Expr) -> Expr:
+    """sigma = F S F^T / J (5.45b)."""
+    return F * S * F.T / ufl.det(F)
+
+
+def second_from_cauchy(sigma: Expr, F: Expr) -> Expr:
+    """S = J F^-1 sigma F^-T (5.43)."""
+    return ufl.det(F) * ufl.inv(F) * sigma * ufl.inv(F).T
+
+
+def von_mises(sigma: Expr) -> Expr:
+    """sqrt(3/2 s:s), s the deviator of a 3x3 Cauchy stress (von Mises, 1913)."""
+    s = ufl.dev(sigma)
+    return ufl.sqrt(3 / 2 * ufl.inner(s, s))

@@ -1,0 +1,100 @@
+"""What every material law is: a frozen record with `energy(F)` or `stress(F)`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
+
+import ufl
+from pydantic import AliasChoices, Field
+from ufl.core.expr import Expr
+
+from dolfin_elastic.model import moduli
+from dolfin_elastic.schema import Record
+from dolfin_elastic.units import Density, Number, Stress
+
+
+class Law(Record):
+    """A material: its fields are its constants and the keys of its case-file table.
+
+    A subclass gives `energy(F)`, or `stress(F)` when it has no energy.  In both, F is the
+    deformation gradient, a UFL tensor of shape (3, 3), also in plane strain, and the fields stand
+    for numbers or UFL constants alike: `self.mu` may be either.
+
+    Attributes:
+        law: The law's name in a case file.
+        density: Mass per reference volume [kg/m^3]; needed for gravity and for motion.
+    """
+
+    law: str = ""
+    density: Density | None = Field(
+        default=None, gt=0, validation_alias=AliasChoices("density", "rho"))
+
+    linear: ClassVar[bool] = False
+    """Stress is linear in the displacement gradient."""
+    barrier: ClassVar[bool] = False
+    """The energy grows without bound as J falls to 0, so an inverted state is never finite."""
+    frame_indifferent: ClassVar[bool] = True
+    """Rotating the body rotates its stress and leaves its energy."""
+    warning: ClassVar[str] = ""
+    """Said once in every run that uses the law."""
+
+    @classmethod
+    def name(cls) -> str:
+        """The law's name in case files."""
+        return str(cls.model_fields["law"].default)
+
+    @property
+    def has_energy(self) -> bool:
+        """True when the law derives from a strain energy, so its tangent is symmetric."""
+        return type(self).energy is not Law.energy
+
+    def energy(self, F: Expr) -> Expr:
+        """Strain energy per reference volume, psi(F) [J/m^3]."""
+        raise TypeError(f"{type(self).__name__} has no strain energy")
+
+    def stress(self, F: Expr) -> Expr:
+        """First Piola-Kirchhoff stress P = dpsi/dF [Pa], shape of F."""
+        F = ufl.variable(F)
+        return ufl.diff(self.energy(F), F)
+
+    def constants(self) -> dict[str, float]:
+        """Name and value of every number in the law, also of those that follow from others."""
+        return {name: float(value) for name, value in self.__dict__.items()
+                if isinstance(value, int | float) and name != "density"}
+
+    def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
+        """A twin whose constants are UFL expressions, so that forms do not hold the numbers."""
+        return self.model_copy(update=dict(symbols))
+
+    def quadrature_degree(self, degree: int) -> int:
+        """Degree of exactness that integrates the law on elements of `degree`.
+
+        F is constant on a linear element: one point is exact.  On quadratic ones F is linear and
+        degree 2 (four points on a tetrahedron) keeps the optimal convergence rates.
+        """
+        return 0 if degree == 1 else 2 * (degree - 1)
+
+
+class Isotropic(Law):
+    """A law with the two constants of an isotropic solid: give any two of the five.
+
+    Attributes:
+        E: Young's modulus [Pa].
+        nu: Poisson's ratio.
+        K: Bulk modulus [Pa].
+        lmbda: Lame's first constant [Pa].
+        mu: Shear modulus [Pa].
+    """
+
+    E: Stress = Field(default=None, validate_default=False)  # type: ignore[assignment]
+    nu: Number = Field(default=None)  # type: ignore[assignment]
+    K: Stress = Field(default=None)  # type: ignore[assignment]
+    lmbda: Stress = Field(
+        default=None, validation_alias=AliasChoices("lmbda", "lambda"))  # type: ignore[assignment]
+    mu: Stress = Field(default=None)  # type: ignore[assignment]
+
+    def model_post_init(self, context: Any) -> None:
+        """Fills in the three constants that were not given."""
+        given = {name: getattr(self, name) for name in moduli.NAMES if name in self.model_fields_set}
+        self.__dict__.update(vars(moduli.complete(**given)))

@@ -1,0 +1,1 @@
+"""One material law a file."""

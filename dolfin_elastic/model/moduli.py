@@ -1,0 +1,97 @@
+"""The elastic constants of an isotropic solid, from any two of E, nu, K, lmbda, mu.
+
+Source: L. Malvern, Introduction to the Mechanics of a Continuous Medium, 1969, table 6.2;
+Landau & Lifshitz, Theory of Elasticity, sections 4 and 5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from dolfin_elastic.errors import InputError
+
+NAMES = ("E", "nu", "K", "lmbda", "mu")
+
+
+@dataclass(frozen=True)
+class Moduli:
+    """All five constants: Young's E, Poisson's nu, bulk K, Lame's lmbda, shear mu [Pa, 1]."""
+
+    E: float
+    nu: float
+    K: float
+    lmbda: float
+    mu: float
+
+
+def _from_E_lmbda(E: float, lmbda: float) -> tuple[float, float]:
+    root = math.sqrt(E * E + 9 * lmbda * lmbda + 2 * E * lmbda)
+    return lmbda, (E - 3 * lmbda + root) / 4
+
+
+# Each pair to (lmbda, mu).
+_TO_LAME: dict[tuple[str, str], Callable[[float, float], tuple[float, float]]] = {
+    ("E", "nu"): lambda E, nu: (E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))),
+    ("E", "K"): lambda E, K: (3 * K * (3 * K - E) / (9 * K - E), 3 * K * E / (9 * K - E)),
+    ("E", "lmbda"): _from_E_lmbda,
+    ("E", "mu"): lambda E, mu: (mu * (E - 2 * mu) / (3 * mu - E), mu),
+    ("nu", "K"): lambda nu, K: (3 * K * nu / (1 + nu), 3 * K * (1 - 2 * nu) / (2 * (1 + nu))),
+    ("nu", "lmbda"): lambda nu, lmbda: (lmbda, lmbda * (1 - 2 * nu) / (2 * nu)),
+    ("nu", "mu"): lambda nu, mu: (2 * mu * nu / (1 - 2 * nu), mu),
+    ("K", "lmbda"): lambda K, lmbda: (lmbda, 3 * (K - lmbda) / 2),
+    ("K", "mu"): lambda K, mu: (K - 2 * mu / 3, mu),
+    ("lmbda", "mu"): lambda lmbda, mu: (lmbda, mu),
+}
+
+
+def complete(**given: float) -> Moduli:
+    """All constants of a stable isotropic solid from any two.
+
+    Args:
+        **given: Exactly two of E, nu, K, lmbda, mu (Pa; nu is a pure number).
+
+    Returns:
+        The five constants; the two given ones as they were given.
+
+    Raises:
+        InputError: Not two constants, or such as no stable compressible solid has.
+    """
+    names = tuple(name for name in NAMES if name in given)
+    if len(names) != 2 or len(given) != 2:
+        raise InputError(f"two elastic constants are needed, {len(given)} given"
+                         + (f" ({', '.join(given)})" if given else ""),
+                         expected="give any two of " + ", ".join(NAMES))
+    _check_each(given)
+    try:
+        lmbda, mu = _TO_LAME[names](given[names[0]], given[names[1]])
+    except ZeroDivisionError:
+        raise _unstable(given) from None
+    E, nu, K = _engineering(lmbda, mu, given)
+    if not (mu > 0 and K > 0 and math.isfinite(K)):
+        raise _unstable(given)
+    return Moduli(**{**dict(E=E, nu=nu, K=K, lmbda=lmbda, mu=mu), **given})
+
+
+def _engineering(lmbda: float, mu: float, given: dict[str, float]) -> tuple[float, float, float]:
+    if lmbda + mu == 0:
+        raise _unstable(given)
+    return (mu * (3 * lmbda + 2 * mu) / (lmbda + mu), lmbda / (2 * (lmbda + mu)),
+            lmbda + 2 * mu / 3)
+
+
+def _check_each(given: dict[str, float]) -> None:
+    for name in ("E", "K", "mu"):
+        if name in given and not given[name] > 0:
+            raise InputError(f"{given[name]:g} is not a possible {name}", where=name,
+                             expected=f"{name} must be positive")
+    if "nu" in given and not -1 < given["nu"] < 0.5:
+        raise InputError(f"{given['nu']:g} is not a possible Poisson's ratio", where="nu",
+                         expected="nu must lie above -1 and below 0.5 (rubber: 0.49 to 0.4999)")
+
+
+def _unstable(given: dict[str, float]) -> InputError:
+    pair = ", ".join(f"{name} = {value:g}" for name, value in given.items())
+    return InputError(f"no stable elastic solid has {pair}",
+                      expected="shear modulus mu and bulk modulus K must come out positive")

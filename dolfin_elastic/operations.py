@@ -1,0 +1,112 @@
+"""The operations of the formula language: each once for numpy and once for UFL."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any
+
+import numpy as np
+import ufl
+from ufl.core.expr import Expr
+
+
+@dataclass(frozen=True)
+class Operation:
+    """One operation twice: on numbers and arrays, and on UFL expressions."""
+
+    numeric: Callable[..., Any]
+    symbolic: Callable[..., Any]
+    fewest: int
+    most: float
+
+
+def _op(numeric: Callable[..., Any], symbolic: Callable[..., Any], fewest: int = 1,
+        most: float | None = None) -> Operation:
+    return Operation(numeric, symbolic, fewest, fewest if most is None else most)
+
+
+def _fold(function: Callable[[Any, Any], Any]) -> Callable[..., Any]:
+    return lambda *args: reduce(function, args)
+
+
+def _choose(condition: Any, then: Any, otherwise: Any) -> Any:
+    if isinstance(condition, bool | np.bool_):
+        return then if condition else otherwise
+    return ufl.conditional(condition, then, otherwise)
+
+
+def _sign(a: Expr) -> Expr:
+    return ufl.conditional(ufl.gt(a, 0), 1, ufl.conditional(ufl.lt(a, 0), -1, 0))
+
+
+def _ramp(a: Expr) -> Expr:
+    return ufl.max_value(0, ufl.min_value(1, a))
+
+
+def _smooth(a: Any) -> Any:
+    return a * a * (3 - 2 * a)
+
+
+OPERATORS: dict[str, Operation] = {
+    "+": _op(np.add, operator.add, 2),
+    "-": _op(np.subtract, operator.sub, 2),
+    "*": _op(np.multiply, operator.mul, 2),
+    "/": _op(np.divide, operator.truediv, 2),
+    "^": _op(np.power, operator.pow, 2),
+    "+u": _op(np.positive, operator.pos),
+    "-u": _op(np.negative, operator.neg),
+    "<": _op(np.less, ufl.lt, 2),
+    "<=": _op(np.less_equal, ufl.le, 2),
+    ">": _op(np.greater, ufl.gt, 2),
+    ">=": _op(np.greater_equal, ufl.ge, 2),
+}
+FUNCTIONS: dict[str, Operation] = {
+    "sin": _op(np.sin, ufl.sin), "cos": _op(np.cos, ufl.cos), "tan": _op(np.tan, ufl.tan),
+    "asin": _op(np.arcsin, ufl.asin), "acos": _op(np.arccos, ufl.acos),
+    "atan": _op(np.arctan, ufl.atan), "atan2": _op(np.arctan2, ufl.atan2, 2),
+    "sinh": _op(np.sinh, ufl.sinh), "cosh": _op(np.cosh, ufl.cosh),
+    "tanh": _op(np.tanh, ufl.tanh),
+    "exp": _op(np.exp, ufl.exp), "ln": _op(np.log, ufl.ln), "log": _op(np.log, ufl.ln),
+    "log10": _op(np.log10, lambda a: ufl.ln(a) / math.log(10.0)),
+    "sqrt": _op(np.sqrt, ufl.sqrt), "abs": _op(np.abs, abs), "sign": _op(np.sign, _sign),
+    "min": _op(_fold(np.minimum), _fold(ufl.min_value), 2, math.inf),
+    "max": _op(_fold(np.maximum), _fold(ufl.max_value), 2, math.inf),
+    "heaviside": _op(lambda a: np.heaviside(a, 1.0),
+                     lambda a: ufl.conditional(ufl.ge(a, 0), 1, 0)),
+    "ramp": _op(lambda a: np.clip(a, 0.0, 1.0), _ramp),
+    "smoothstep": _op(lambda a: _smooth(np.clip(a, 0.0, 1.0)), lambda a: _smooth(_ramp(a))),
+    "where": _op(np.where, _choose, 3),
+}
+CONSTANTS = {"pi": math.pi, "e": math.e}
+COMPARISONS = frozenset({"<", "<=", ">", ">="})
+OPERATIONS = OPERATORS | FUNCTIONS
+
+
+def numeric(operation: Operation, args: list[Any]) -> Any:
+    """On numbers and arrays."""
+    return operation.numeric(*args)
+
+
+def symbolic(operation: Operation, args: list[Any]) -> Any:
+    """UFL where an expression takes part, plain numbers where none does."""
+    if any(isinstance(arg, Expr) for arg in args):
+        if operation.symbolic is not _choose or isinstance(args[0], Expr):
+            args = [arg if isinstance(arg, Expr) else _literal(arg) for arg in args]
+        return operation.symbolic(*args)
+    with np.errstate(all="ignore"):
+        result = operation.numeric(*args)
+    return bool(result) if isinstance(result, np.bool_) else float(result)
+
+
+_SMALL = 1e6
+
+
+def _literal(value: float) -> float | int:
+    # Whole numbers as integers: UFL then sees that x^2 is a polynomial of degree 2.
+    if not math.isfinite(value):
+        raise ArithmeticError
+    return int(value) if float(value).is_integer() and abs(value) < _SMALL else float(value)

@@ -1,0 +1,181 @@
+"""From a state to the numbers of its fields."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from ufl.core.expr import Expr
+
+from dolfin_elastic.compiler import compile_forms
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.model.kinematics import deformation_gradient, embedded
+from dolfin_elastic.results.fields import FIELDS, known
+from dolfin_elastic.results.grid import Grid, to_nodes
+from dolfin_elastic.state import State
+from dolfin_elastic.timing import stage
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem import Part, Problem
+
+Array = npt.NDArray[Any]
+
+
+class Evaluator:
+    """Evaluates fields of a problem's states.
+
+    Everything is compiled here, once: one kernel per material that gives all cell fields asked for
+    in one pass, so that what they share is computed once.  Collective.
+
+    Args:
+        problem: The problem that is solved.
+        names: Names of fields.
+
+    Raises:
+        InputError: An unknown field, or an energy density without an energy.
+    """
+
+    def __init__(self, problem: Problem, names: Iterable[str]) -> None:
+        self.problem, self.names = problem, known(names)
+        self.grid = Grid(problem.V)
+        self.u = fem.Function(problem.V)
+        needed = (other for name in self.names for other in (name, *FIELDS[name].needs))
+        self.cell_names = tuple(name for name in known(needed) if FIELDS[name].formula)
+        self._kernels = [self._kernel(part) for part in problem.parts] if self.cell_names else []
+        if "reaction" in self.names:
+            _ = self.residual
+
+    def _kernel(self, part: Part) -> fem.Expression:
+        law, F = part.law, embedded(deformation_gradient(self.u))
+        if "energy_density" in self.cell_names and not law.has_energy:
+            raise InputError(f"the law of '{part.name}' has no strain energy",
+                             expected="leave the field 'energy_density' out")
+        tensors = [FIELDS[name].formula(law, F) for name in self.cell_names]  # type: ignore[misc]
+        dim = self.problem.body.dim
+        barycentre = np.full((1, dim), 1 / (dim + 1))
+        with stage("compile"):
+            return fem.Expression(ufl.as_vector([c for t in tensors for c in _components(t)]),
+                                  barycentre, jit_options=self.problem.jit)
+
+    @cached_property
+    def residual(self) -> fem.Form:
+        """Compiled residual at this evaluator's own displacement; the same kernel as a solver's."""
+        form = ufl.replace(self.problem.residual, {self.problem.u: self.u})
+        return self._compiled(form)
+
+    def _compiled(self, form: ufl.Form) -> fem.Form:
+        return compile_forms(self.problem.body.comm, [form], self.problem.jit)[0]
+
+    @cached_property
+    def inertia(self) -> tuple[fem.Function, fem.Form]:
+        """An acceleration and the compiled virtual work of its inertia forces."""
+        a = fem.Function(self.problem.V)
+        return a, self._compiled(self.problem.inertia(a, self.problem.v))
+
+    def __call__(self, state: State, more: Iterable[str] = ()) -> dict[str, Array]:
+        """Name to this rank's rows of each field. Collective.
+
+        Args:
+            state: The state that is looked at.
+            more: Further fields, of the kind that needs no kernel.
+
+        Returns:
+            Rows of the owned points or cells: floats of shape (rows, 1, 3 or 9), or integers of
+            shape (rows, 1).
+
+        Raises:
+            InputError: A field of motion is asked for in statics.
+        """
+        self.u.x.array[:] = state.u.x.array
+        source = Source(self, state, self._cells())
+        return {name: source.get(name) for name in (*self.names, *more)}
+
+    def _cells(self) -> dict[str, Array]:
+        widths = [FIELDS[name].columns for name in self.cell_names]
+        table = np.zeros((self.grid.own_cells, sum(widths)))
+        for kernel, part in zip(self._kernels, self.problem.parts, strict=False):
+            if len(part.cells):
+                table[part.cells] = kernel.eval(self.grid.mesh, part.cells)
+        ends = np.cumsum(widths)
+        return {name: table[:, end - width:end]
+                for name, width, end in zip(self.cell_names, widths, ends, strict=True)}
+
+
+def _components(tensor: Expr) -> list[Expr]:
+    return [tensor[i, j] for i in range(3) for j in range(3)] if tensor.ufl_shape else [tensor]
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a field's values are taken from.
+
+    Attributes:
+        evaluator: Holds problem and grid.
+        state: The state that is looked at.
+        cells: Cell fields that are known already.
+    """
+
+    evaluator: Evaluator
+    state: State
+    cells: dict[str, Array]
+
+    def get(self, name: str) -> Array:
+        """This rank's rows of a field. Collective."""
+        field = FIELDS[name]
+        return field.values(self) if field.values else self.cells[name]
+
+    def nodal(self, name: str) -> Array:
+        """A vector of the state at the owned points, with three components."""
+        function = getattr(self.state, name)
+        if function is None:
+            raise InputError(f"the state of step {self.state.step} has no '{name}'",
+                             expected="velocity and acceleration exist in motion only")
+        return self._padded(function.x.array)
+
+    def _padded(self, array: Array) -> Array:
+        grid = self.evaluator.grid
+        dim = grid.mesh.geometry.dim
+        values = np.zeros((grid.own_points, 3))
+        values[:, :dim] = array[:grid.own_points * dim].reshape(-1, dim)
+        return values
+
+    def reaction(self) -> Array:
+        """Residual of the state, with the inertia forces in motion (without damping)."""
+        force = fem.assemble_vector(self.evaluator.residual)
+        if self.state.a is not None:
+            a, form = self.evaluator.inertia
+            a.x.array[:] = self.state.a.x.array
+            fem.assemble_vector(force.array, form)
+        force.scatter_reverse(la.InsertMode.add)
+        return self._padded(force.array)
+
+    def averaged(self, name: str) -> Array:
+        """A cell field, averaged at the owned points."""
+        grid = self.evaluator.grid
+        return to_nodes(grid.V, self.cells[name])[:grid.own_points]
+
+    def region(self) -> Array:
+        """Number of the region of each owned cell; the last one where they overlap."""
+        body = self.evaluator.problem.body
+        numbers = np.full((self.evaluator.grid.own_cells, 1), -1, dtype=np.int32)
+        for i, name in enumerate(sorted(body.regions)):
+            numbers[body.owned_cells(name)] = i
+        return numbers
+
+    def material(self) -> Array:
+        """Number of the material of each owned cell."""
+        numbers = np.zeros((self.evaluator.grid.own_cells, 1), dtype=np.int32)
+        for i, part in enumerate(self.evaluator.problem.parts):
+            numbers[part.cells] = i
+        return numbers
+
+    def rank(self) -> Array:
+        """This rank, for each owned cell."""
+        grid = self.evaluator.grid
+        return np.full((grid.own_cells, 1), grid.mesh.comm.rank, dtype=np.int32)

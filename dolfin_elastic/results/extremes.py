@@ -1,0 +1,98 @@
+"""The largest and smallest values of a state, and where they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh
+
+from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.state import State
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem import Problem
+
+Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Extreme:
+    """A value and its place.
+
+    Attributes:
+        value: In the field's SI unit.
+        place: Point of the reference configuration [m], as many components as the body has: a
+            node, or the middle of a cell.
+        part: Material's name; empty for values of nodes.
+    """
+
+    value: float
+    place: tuple[float, ...]
+    part: str = ""
+
+
+class Extremes:
+    """Finds the extremes of states; compiles once. Collective.
+
+    Args:
+        problem: The problem that is solved.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.evaluate = Evaluator(problem, ("displacement", "von_mises", "jacobian"))
+
+    def of(self, state: State) -> dict[str, Extreme]:
+        """Largest ``von_mises`` and ``displacement``, ``min_jacobian``, ``max_jacobian``.
+
+        Collective.
+        """
+        values = self.evaluate(state)
+        J = values["jacobian"][:, 0]
+        lengths = np.linalg.norm(values["displacement"], axis=1)
+        return {"von_mises": self._in_cells(values["von_mises"][:, 0]),
+                "displacement": self._at_nodes(lengths),
+                "min_jacobian": self._in_cells(J, sign=-1), "max_jacobian": self._in_cells(J)}
+
+    def _in_cells(self, values: Array, *, sign: int = 1) -> Extreme:
+        cell, value = _first_largest(sign * values)
+        middle = _middle(self.evaluate.grid.mesh, cell) if cell >= 0 else np.zeros(0)
+        part = next((p.name for p in self.problem.parts if cell in p.cells), "")
+        return self._largest(Extreme(sign * value, _numbers(middle), part), sign)
+
+    def _at_nodes(self, values: Array) -> Extreme:
+        node, value = _first_largest(values)
+        dim = self.problem.body.dim
+        place = self.evaluate.grid.points()[node, :dim] if node >= 0 else np.zeros(0)
+        return self._largest(Extreme(value, _numbers(place)), 1)
+
+    def _largest(self, own: Extreme, sign: int) -> Extreme:
+        found: list[Extreme] = [e for e in self.problem.body.comm.allgather(own) if e.place]
+        return max(found, key=lambda e: sign * e.value)
+
+
+def _first_largest(values: Array) -> tuple[int, float]:
+    """Index and value of the largest number; -1 where there is none."""
+    finite = np.where(np.isfinite(values), values, -np.inf)
+    if not len(finite):
+        return -1, -np.inf
+    index = int(np.argmax(finite))
+    return index, float(values[index])
+
+
+def _numbers(place: Array) -> tuple[float, ...]:
+    return tuple(float(x) for x in place)
+
+
+def _middle(mesh: Mesh, cell: int) -> Array:
+    dim = mesh.geometry.dim
+    corners = mesh.geometry.dofmap[cell][:mesh.topology.dim + 1]
+    return np.asarray(mesh.geometry.x[corners].mean(axis=0)[:dim])
+
+
+def extremes(problem: Problem, state: State) -> dict[str, Extreme]:
+    """Extremes of one state, see `Extremes.of`. Collective."""
+    return Extremes(problem).of(state)

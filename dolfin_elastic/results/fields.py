@@ -1,0 +1,119 @@
+"""What can be written and drawn: the table `FIELDS`.
+
+Stress and strain are of the cell: constant on linear elements, taken at the barycentre of
+quadratic ones.  They are evaluated where they belong, so nothing is solved or smoothed; the one
+field that is averaged says so in its name.  In plane strain, tensors are those of the whole body,
+3x3 with the stress across the plane.  A law that is linear in the displacement gradient does not
+tell the configurations apart: its Cauchy stress is its only stress.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.errors import InputError, nearest
+from dolfin_elastic.model import kinematics
+from dolfin_elastic.model.law import Law
+
+if TYPE_CHECKING:
+    from dolfin_elastic.results.evaluate import Source
+
+SHAPES = {"scalar": 1, "vector": 3, "tensor": 9}
+
+
+@dataclass(frozen=True)
+class Field:
+    """One row of `FIELDS`; exactly one of `formula` and `values` is given.
+
+    Attributes:
+        shape: Scalar, vector (3 components also in 2D) or tensor (9, row by row).
+        centre: Where the values belong.
+        unit: SI unit.
+        description: One line for listings.
+        formula: For a cell: law and 3x3 deformation gradient to a UFL expression.
+        values: For anything else: from a `Source` to this rank's rows.
+        needs: Other fields that `values` looks at.
+        motion: Exists in motion only.
+        fixed: The same at every step: written once.
+    """
+
+    shape: Literal["scalar", "vector", "tensor"]
+    centre: Literal["node", "cell"]
+    unit: str
+    description: str
+    formula: Callable[[Law, Expr], Expr] | None = None
+    values: Callable[[Source], Any] | None = None
+    needs: tuple[str, ...] = ()
+    motion: bool = False
+    fixed: bool = False
+
+    @property
+    def columns(self) -> int:
+        """Numbers per node or cell."""
+        return SHAPES[self.shape]
+
+
+def cauchy_stress(law: Law, F: Expr) -> Expr:
+    """Force over current area [Pa]; of a linear law its only stress."""
+    P = law.stress(F)
+    return P if law.linear else kinematics.cauchy_from_first(P, F)
+
+
+def _pressure(law: Law, F: Expr) -> Expr:
+    return -ufl.tr(cauchy_stress(law, F)) / 3
+
+
+FIELDS: dict[str, Field] = {
+    "displacement": Field("vector", "node", "m", "displacement",
+                          values=lambda source: source.nodal("u")),
+    "velocity": Field("vector", "node", "m/s", "velocity", motion=True,
+                      values=lambda source: source.nodal("v")),
+    "acceleration": Field("vector", "node", "m/s^2", "acceleration", motion=True,
+                          values=lambda source: source.nodal("a")),
+    "reaction": Field("vector", "node", "N", "nodal force of the supports on the body, from the "
+                      "residual; zero at free nodes", values=lambda source: source.reaction()),
+    "von_mises": Field("scalar", "cell", "Pa", "von Mises stress, from the Cauchy stress",
+                       lambda law, F: kinematics.von_mises(cauchy_stress(law, F))),
+    "von_mises_nodal": Field("scalar", "node", "Pa", "von Mises stress, averaged at the nodes",
+                             values=lambda source: source.averaged("von_mises"),
+                             needs=("von_mises",)),
+    "cauchy_stress": Field("tensor", "cell", "Pa", "Cauchy stress: force over current area",
+                           cauchy_stress),
+    "first_piola": Field("tensor", "cell", "Pa",
+                         "first Piola-Kirchhoff stress: force over reference area",
+                         lambda law, F: law.stress(F)),
+    "pressure": Field("scalar", "cell", "Pa", "pressure: minus the mean Cauchy stress", _pressure),
+    "green_strain": Field("tensor", "cell", "", "Green strain",
+                          lambda law, F: kinematics.green_strain(F)),
+    "jacobian": Field("scalar", "cell", "", "current over reference volume, det F",
+                      lambda law, F: kinematics.jacobian(F)),
+    "energy_density": Field("scalar", "cell", "J/m^3", "strain energy per reference volume",
+                            lambda law, F: law.energy(F)),
+    "region": Field("scalar", "cell", "", "number of the named region, in alphabetical order; "
+                    "-1: none", values=lambda source: source.region(), fixed=True),
+    "material": Field("scalar", "cell", "", "number of the material, in the order of the case",
+                      values=lambda source: source.material(), fixed=True),
+    "rank": Field("scalar", "cell", "", "MPI rank that owns the cell",
+                  values=lambda source: source.rank(), fixed=True),
+}
+
+DEFAULT = ("displacement", "von_mises", "cauchy_stress")
+IN_MOTION = ("velocity",)
+
+
+def known(names: Iterable[str]) -> tuple[str, ...]:
+    """The names, each once, in their order.
+
+    Raises:
+        InputError: There is no such field.
+    """
+    unique = tuple(dict.fromkeys(names))
+    for name in unique:
+        if name not in FIELDS:
+            raise InputError(f"there is no field '{name}'", expected=nearest(name, FIELDS))
+    return unique

@@ -1,0 +1,119 @@
+"""The body as results show it: points at the displacement's nodes, cells between them.
+
+A quadratic displacement is shown on quadratic cells, so nothing is interpolated.  Points and cells
+are numbered over all ranks, rank after rank; each rank holds those it owns.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import cpp, fem, la
+from dolfinx.mesh import CellType, Mesh
+
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.results.heavy import Rows
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[Any]
+
+# Cell and number of its nodes -> XDMF's name.
+_KINDS = {(CellType.triangle, 3): "Triangle", (CellType.triangle, 6): "Triangle_6",
+          (CellType.tetrahedron, 4): "Tetrahedron", (CellType.tetrahedron, 10): "Tetrahedron_10"}
+# VTK's nodes of a cell whose first two corners are exchanged.
+_MIRRORED = {3: [1, 0, 2], 6: [1, 0, 2, 3, 5, 4], 4: [1, 0, 2, 3],
+             10: [1, 0, 2, 3, 4, 6, 5, 8, 7, 9]}
+
+
+class Grid:
+    """Points and cells of a displacement space.
+
+    Args:
+        V: Vector-valued Lagrange space of degree 1 or 2 on triangles or tetrahedra.
+
+    Attributes:
+        kind: XDMF's name of the cell.
+
+    Raises:
+        InputError: The space is of another kind.
+    """
+
+    def __init__(self, V: fem.FunctionSpace) -> None:
+        self.V, self.mesh = V, V.mesh
+        self.nodes_per_cell = int(V.dofmap.list.shape[1])
+        key = (self.mesh.topology.cell_type, self.nodes_per_cell)
+        if key not in _KINDS:
+            raise InputError(f"results cannot show {key[1]} nodes on a {key[0].name}",
+                             where="mesh.degree", expected="1 or 2")
+        self.kind = _KINDS[key]
+
+    @property
+    def own_points(self) -> int:
+        """Points this rank owns."""
+        return int(self.V.dofmap.index_map.size_local)
+
+    @property
+    def own_cells(self) -> int:
+        """Cells this rank owns."""
+        return int(self.mesh.topology.index_map(self.mesh.topology.dim).size_local)
+
+    def points(self) -> Array:
+        """Places [m] of the owned points in the reference configuration, shape (n, 3)."""
+        return np.asarray(self.V.tabulate_dof_coordinates()[:self.own_points])
+
+    def cells(self) -> Integers:
+        """Points of each owned cell, in VTK's order, numbered over all ranks.
+
+        Cells that the mesh holds mirrored are turned, so that all have a positive volume.
+        """
+        order = np.argsort(cpp.io.perm_vtk(self.mesh.topology.cell_type, self.nodes_per_cell))
+        local = self.V.dofmap.list[:self.own_cells][:, order]
+        mirrored = signed_volumes(self.mesh)[:self.own_cells] < 0
+        local[mirrored] = local[mirrored][:, _MIRRORED[self.nodes_per_cell]]
+        index_map = self.V.dofmap.index_map
+        kind = np.int32 if index_map.size_global < np.iinfo(np.int32).max else np.int64
+        numbers = index_map.local_to_global(local.ravel().astype(np.int32))
+        return np.asarray(numbers, dtype=kind).reshape(local.shape)
+
+    def rows(self, centre: str, values: Integers) -> Rows:
+        """Values of this rank's points (`"node"`) or cells as rows of the whole array."""
+        topology = self.mesh.topology
+        index_map = self.V.dofmap.index_map if centre == "node" else topology.index_map(
+            topology.dim)
+        return Rows(values.reshape(len(values), -1), int(index_map.local_range[0]),
+                    int(index_map.size_global))
+
+
+def signed_volumes(mesh: Mesh) -> Array:
+    """Volume (3D) or area (2D) of each local cell between its corners; negative if mirrored."""
+    dim = mesh.topology.dim
+    corners = mesh.geometry.x[mesh.geometry.dofmap[:, :dim + 1]][:, :, :dim]
+    edges = corners[:, 1:] - corners[:, :1]
+    return np.asarray(np.linalg.det(edges) / (2 if dim == 2 else 6))  # noqa: PLR2004
+
+
+def to_nodes(V: fem.FunctionSpace, values: Array) -> Array:
+    """Values of cells, averaged at each node with the cells' volumes as weights. Collective.
+
+    This is the projection with a lumped mass matrix: smooth, no overshoots, nothing to solve.
+
+    Args:
+        V: The space whose nodes are meant.
+        values: Shape (owned cells, columns).
+
+    Returns:
+        Shape (local nodes, columns), ghosts up to date.
+    """
+    weights = np.abs(signed_volumes(V.mesh)[:len(values)])
+    columns = np.column_stack([values * weights[:, None], weights])
+    work = la.vector(V.dofmap.index_map, columns.shape[1])
+    nodes = V.dofmap.list[:len(values)]
+    sums = work.array.reshape(-1, columns.shape[1])
+    for j in range(columns.shape[1]):
+        share = np.repeat(columns[:, j], nodes.shape[1])
+        sums[:, j] = np.bincount(nodes.ravel(), share, minlength=len(sums))
+    work.scatter_reverse(la.InsertMode.add)
+    work.scatter_forward()
+    return np.asarray(sums[:, :-1] / sums[:, -1:])

@@ -1,0 +1,108 @@
+"""`history.csv`: one row a step, for plots and tables."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+from dolfin_elastic.parallel import on_root
+from dolfin_elastic.results.files import make_folder, writing
+from dolfin_elastic.state import State
+from dolfin_elastic.timing import stage
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem import Problem
+
+Number = float | int
+_AXES = ("x", "y", "z")
+
+
+class HistoryWriter:
+    """Writes a row per step (RFC 4180, first row names the columns).  All of it is collective.
+
+    Columns, always in this order, in SI units:
+
+    * ``step``, ``t`` [s; in statics the load parameter], ``load_factor``, ``newton`` and
+      ``krylov`` iterations, ``max_displacement`` [m],
+    * ``strain_energy`` [J] if the material has one; in motion ``kinetic_energy``,
+      ``external_energy`` (work of the loads so far), ``total_energy``,
+    * ``reaction_<support>_x``, ``_y``, ``_z`` [N] for each support,
+    * in motion ``momentum_x`` ... [kg m/s] and ``angular_momentum_x`` ... [kg m^2/s].
+
+    A row is on disk when `write` returns.
+
+    Args:
+        problem: The problem that is solved.
+        path: The file; an old one is overwritten.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+
+    def __init__(self, problem: Problem, path: Path) -> None:
+        self.comm, self.path = problem.body.comm, path
+        self._file: BinaryIO | None = None
+        self._columns: list[str] = []
+        on_root(self.comm, self._open)
+
+    def _open(self) -> None:
+        make_folder(self.path.parent)
+        with writing(self.path):
+            self._file = self.path.open("wb", buffering=0)
+
+    def write(self, state: State) -> None:
+        """Appends one row."""
+        with stage("output"):
+            on_root(self.comm, lambda: self._append(row(state)))
+
+    def _append(self, values: dict[str, Number]) -> None:
+        text = ""
+        if not self._columns:
+            self._columns = list(values)
+            text = _line(self._columns)
+        text += _line([values.get(name, "") for name in self._columns])
+        with writing(self.path):
+            assert self._file is not None
+            if self._file.write(text.encode()) != len(text.encode()):
+                raise OSError(errno.ENOSPC, "only a part was written")
+
+    def close(self, status: str = "completed", error: object = None) -> None:
+        """Closes the file."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+
+def row(state: State) -> dict[str, Number]:
+    """Column to value of one step, in the columns' order."""
+    values: dict[str, Number] = {
+        "step": state.step, "t": state.t, "load_factor": state.load_factor,
+        "newton": state.newton, "krylov": state.krylov,
+        "max_displacement": state.max_displacement}
+    energies = [name for name in ("strain", "kinetic", "external", "total")
+                if name in state.energies]
+    energies += [name for name in state.energies if name not in energies]
+    values.update({f"{name}_energy": state.energies[name] for name in energies})
+    for support, force in state.reactions.items():
+        values.update(_components(f"reaction_{support}", force))
+    for name, column in (("linear", "momentum"), ("angular", "angular_momentum")):
+        if name in state.momenta:
+            values.update(_components(column, state.momenta[name]))
+    return {name: v if isinstance(v, int) else float(v) for name, v in values.items()}
+
+
+def _components(name: str, vector: Iterable[float]) -> dict[str, Number]:
+    numbers = [float(v) for v in vector]
+    # In the plane angular momentum has one component, about z.
+    axes = ("z",) if len(numbers) == 1 else _AXES
+    return {f"{name}_{axis}": v for axis, v in zip(axes, numbers, strict=False)}
+
+
+def _line(cells: Sequence[object]) -> str:
+    text = io.StringIO(newline="")
+    csv.writer(text).writerow(cells)
+    return text.getvalue()

@@ -1,0 +1,140 @@
+"""The table of outputs: what a user may ask for, and with which keys.
+
+A new output is one record with `open`, one writer, and one row here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field, field_validator
+
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.results.fields import known
+from dolfin_elastic.results.history import HistoryWriter
+from dolfin_elastic.results.pictures import PictureWriter, View, drawable
+from dolfin_elastic.results.summary import SummaryWriter
+from dolfin_elastic.results.writer import Writer
+from dolfin_elastic.results.xdmf import XdmfWriter
+from dolfin_elastic.schema import Record
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem import Problem
+
+
+class Output(Record):
+    """One kind of result.
+
+    Attributes:
+        file: Name of the file inside the results' folder.
+    """
+
+    file: str = Field(default="", min_length=1)
+
+    def open(self, problem: Problem, folder: Path) -> Writer:
+        """Opens the output in a folder, which is made if need be. Collective.
+
+        Raises:
+            InputError: A field that the problem does not have.
+            OutputError: The folder cannot be written to.
+        """
+        raise NotImplementedError
+
+
+def _suffix(file: str, suffix: str) -> str:
+    if not file.endswith(suffix) or file == suffix:
+        raise InputError(f"'{file}' does not end in {suffix}", expected=f'for example "a{suffix}"')
+    return file
+
+
+class Xdmf(Output):
+    """Fields of each step for ParaView.
+
+    Attributes:
+        file: The file to open; the numbers go to a folder of the same name beside it.
+        fields: Names from `FIELDS`; by default displacement, von Mises and Cauchy stress, and in
+            motion velocity.
+        every: Writes each n-th step; the last one is always written.
+    """
+
+    file: str = "results.xdmf"
+    fields: tuple[str, ...] | None = None
+    every: int = Field(default=1, ge=1)
+
+    _check_file = field_validator("file")(lambda file: _suffix(file, ".xdmf"))
+
+    @field_validator("fields")
+    @classmethod
+    def _check_fields(cls, fields: Iterable[str] | None) -> tuple[str, ...] | None:
+        return fields if fields is None else known(fields)
+
+    def open(self, problem: Problem, folder: Path) -> XdmfWriter:
+        """See `Output.open`."""
+        return XdmfWriter(problem, folder / self.file, fields=self.fields, every=self.every)
+
+
+class History(Output):
+    """One row of numbers a step, as a table.
+
+    Attributes:
+        file: The CSV file.
+    """
+
+    file: str = "history.csv"
+
+    def open(self, problem: Problem, folder: Path) -> HistoryWriter:
+        """See `Output.open`."""
+        return HistoryWriter(problem, folder / self.file)
+
+
+class Summary(Output):
+    """The run in numbers.
+
+    Attributes:
+        file: The JSON file.
+    """
+
+    file: str = "summary.json"
+
+    def open(self, problem: Problem, folder: Path) -> SummaryWriter:
+        """See `Output.open`."""
+        return SummaryWriter(problem, folder / self.file)
+
+
+class Picture(Output):
+    """A picture of the deformed body.
+
+    Attributes:
+        file: The PNG file; with numbers in front of the suffix where `every` is one.
+        field: Name from `FIELDS` that colours the surface; of a vector or tensor its length.
+        view: Where it is looked at from.
+        scale: Magnification of the displacement.
+        every: "last", or n for each n-th step.
+    """
+
+    file: str = "picture.png"
+    field: str = "von_mises"
+    view: View = "isometric"
+    scale: float = 1.0
+    every: Literal["last"] | int = "last"
+
+    _check_file = field_validator("file")(lambda file: _suffix(file, ".png"))
+    _check_field = field_validator("field")(staticmethod(drawable))
+
+    @field_validator("every")
+    @classmethod
+    def _check_every(cls, every: str | int) -> str | int:
+        if isinstance(every, int) and every < 1:
+            raise InputError(f"{every} is wrong", expected='"last", 1, 2, 3, ...')
+        return every
+
+    def open(self, problem: Problem, folder: Path) -> PictureWriter:
+        """See `Output.open`."""
+        return PictureWriter(problem, folder / self.file, field=self.field, view=self.view,
+                             scale=self.scale, every=None if self.every == "last" else self.every)
+
+
+OUTPUTS: dict[str, type[Output]] = {
+    "xdmf": Xdmf, "history": History, "summary": Summary, "pictures": Picture}

@@ -1,0 +1,148 @@
+"""`summary.json`: a run in numbers, for scripts and for a first look."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import dolfinx
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfin_elastic import __version__, timing
+from dolfin_elastic.parallel import on_root
+from dolfin_elastic.results.extremes import Extremes
+from dolfin_elastic.results.files import make_folder, replace_text
+from dolfin_elastic.results.writer import Kept
+from dolfin_elastic.state import State
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem import Problem
+
+_INTERVAL = 1.0
+_STAGES = (*timing.STAGES, "total")
+UNITS = {"t": "s (in statics the load parameter)", "max_displacement": "m", "energies": "J",
+         "strain_energy": "J", "reactions": "N", "place": "m", "von_mises": "Pa",
+         "timings": "s", "peak_memory": "byte"}
+
+
+class SummaryWriter:
+    """Keeps `summary.json` up to date, about once a second.  All of it is collective.
+
+    The file is complete at every moment.  Its ``status`` is "running", then "completed" or
+    "failed" with the ``reason``; a run that was killed stays "running".  The numbers are those of
+    the last converged step.  ``extremes`` come at the end.
+
+    Args:
+        problem: The problem that is solved.
+        path: The file; an old one is overwritten.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+
+    def __init__(self, problem: Problem, path: Path) -> None:
+        self.problem, self.path, self.comm = problem, path, problem.body.comm
+        self._begin = self._written = time.monotonic()
+        self._started = _now()
+        self._steps = self._newton = self._krylov = 0
+        self._kept = Kept()
+        with timing.stage("output"):
+            self._extremes = Extremes(problem)
+            on_root(self.comm, lambda: make_folder(path.parent))
+            self._save("running")
+
+    def write(self, state: State) -> None:
+        """Takes in one step; writes the file if it is older than a second."""
+        with timing.stage("output"):
+            self._steps += state.step > 0
+            self._newton += state.newton
+            self._krylov += state.krylov
+            self._kept.keep(state)
+            # Clocks differ between ranks: the first one decides for all.
+            if self.comm.bcast(time.monotonic() - self._written > _INTERVAL):
+                self._save("running")
+
+    def close(self, status: str = "completed", error: object = None) -> None:
+        """Writes the file for the last time, with the extremes of the last converged step."""
+        with timing.stage("output"):
+            state = self._kept.state
+            found = self._extremes.of(state) if state else {}
+            extra = {"finished": _now(), "extremes": {k: asdict(e) for k, e in found.items()}}
+            self._save(status, str(error) if error else "", extra)
+
+    def _save(self, status: str, reason: str = "", extra: Mapping[str, Any] | None = None) -> None:
+        content = {"status": status, "reason": reason, **self._sizes(), **self._numbers(),
+                   "extremes": {}, "timings": self._timings(),
+                   "peak_memory": peak_memory(self.comm), "versions": versions(),
+                   "units": UNITS, "started": self._started, **(extra or {})}
+        text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        on_root(self.comm, lambda: replace_text(self.path, text))
+        self._written = time.monotonic()
+
+    def _sizes(self) -> dict[str, Any]:
+        return {"dofs": self.problem.num_dofs, "cells": self.problem.body.num_cells,
+                "ranks": self.comm.size, "degree": self.problem.degree}
+
+    def _numbers(self) -> dict[str, Any]:
+        state = self._kept.state
+        return {"steps": self._steps, "t": state.t if state else None,
+                "load_factor": state.load_factor if state else None,
+                "newton_iterations": self._newton, "krylov_iterations": self._krylov,
+                "max_displacement": state.max_displacement if state else None,
+                "strain_energy": state.energies.get("strain") if state else None,
+                "energies": dict(state.energies) if state else {},
+                "reactions": dict(state.reactions) if state else {}}
+
+    def _timings(self) -> dict[str, float]:
+        measured = {"total": time.monotonic() - self._begin, **timing.totals()}
+        names = dict.fromkeys((*_STAGES, *measured))
+        return {name: round(measured.get(name, 0.0), 4) for name in names}
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def peak_memory(comm: MPI.Comm) -> dict[str, int]:
+    """Largest memory in use so far [byte]: of all ranks together, and of the largest. Collective.
+
+    Each rank's own peak (Linux VmHWM); the sum counts shared pages once per rank.
+    """
+    own = _high_water()
+    return {"sum": comm.allreduce(own), "largest_rank": comm.allreduce(own, op=MPI.MAX)}
+
+
+def _high_water() -> int:
+    try:
+        status = Path("/proc/self/status").read_text(encoding="ascii")
+    except OSError:
+        return 0
+    line = next((x for x in status.splitlines() if x.startswith("VmHWM")), "VmHWM: 0 kB")
+    return int(line.split()[1]) * 1024
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of what its numbers depend on. Not collective."""
+    petsc = ".".join(str(number) for number in PETSc.Sys.getVersion())  # type: ignore[attr-defined]
+    return {"dolfin_elastic": __version__, "petsc": petsc,
+            "dolfinx": dolfinx.__version__,  # type: ignore[attr-defined]
+            "numpy": np.__version__}
+
+
+def _plain(value: Any) -> Any:
+    """JSON's own types; what is not finite becomes null, for JSON has no word for it."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,121 @@
+"""The surface of a body on rank 0, for pictures.  Only the surface travels, never the mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from dolfinx.mesh import Mesh, exterior_facet_indices
+from mpi4py import MPI
+
+from dolfin_elastic.results.grid import Grid
+
+Array = npt.NDArray[Any]
+
+# A triangle whose nodes are corners a, b, c and the middles of bc, ac, ab, as four triangles.
+_QUARTERS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2], [5, 3, 4]])
+_CORNERS = 3
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Triangles and values at their corners.
+
+    Attributes:
+        triangles: Rows of `points`, shape (n, 3), seen from outside counter-clockwise.
+        points: Reference configuration [m], shape (m, 3).
+        values: Name to values at the points, shape (m, columns).
+    """
+
+    triangles: Array
+    points: Array
+    values: dict[str, Array]
+
+
+def gather(grid: Grid, values: dict[str, Array]) -> Surface | None:
+    """The body's surface on rank 0, None on the others; of a plane body all cells. Collective.
+
+    Args:
+        grid: The body's points and cells.
+        values: Name to values at the local points (ghosts included), shape (points, columns).
+    """
+    triangles = _triangles(grid)
+    used, local = np.unique(triangles, return_inverse=True)
+    numbers = grid.V.dofmap.index_map.local_to_global(used.astype(np.int32))
+    points = grid.V.tabulate_dof_coordinates()[used]
+    own = (local.reshape(-1, 3), numbers, points, {k: v[used] for k, v in values.items()})
+    parts = _to_root(grid.mesh.comm, own)
+    return _joined(parts) if grid.mesh.comm.rank == 0 else None
+
+
+def _to_root(comm: MPI.Comm, own: Any) -> list[Any]:
+    return comm.gather(own) or []
+
+
+def _joined(parts: list[Any]) -> Surface:
+    """One surface from the ranks' shares; points that several ranks have become one."""
+    numbers = np.concatenate([part[1] for part in parts])
+    _, first, new = np.unique(numbers, return_index=True, return_inverse=True)
+    starts = np.cumsum([0, *(len(part[1]) for part in parts)])
+    triangles = np.concatenate([new[part[0] + start]
+                                for part, start in zip(parts, starts, strict=False)])
+    points = np.concatenate([part[2] for part in parts])[first]
+    names = parts[0][3]
+    values = {k: np.concatenate([part[3][k] for part in parts])[first] for k in names}
+    return Surface(triangles, points, values)
+
+
+def _triangles(grid: Grid) -> Array:
+    """Local points of this rank's share of the surface, shape (n, 3)."""
+    if grid.mesh.topology.dim == 2:  # noqa: PLR2004
+        return _split(_upward(grid.V, grid.V.dofmap.list[:grid.own_cells]))
+    cells, sides = _outer_sides(grid.mesh)
+    nodes = np.array([sorted(grid.V.dofmap.dof_layout.entity_closure_dofs(2, i))
+                      for i in range(4)])
+    faces = np.take_along_axis(grid.V.dofmap.list[cells], nodes[sides], axis=1)
+    return _split(_outward(grid.V, faces, grid.V.dofmap.list[cells, sides]))
+
+
+def _split(faces: Array) -> Array:
+    if faces.shape[1] == _CORNERS:
+        return faces
+    return faces[:, _QUARTERS].reshape(-1, 3)
+
+
+def _outward(V: fem.FunctionSpace, faces: Array, opposite: Array) -> Array:
+    """Turns faces so that the corner of the cell that is not theirs lies behind them."""
+    x = V.tabulate_dof_coordinates()
+    behind = x[faces[:, 0]] - x[opposite]
+    return _turned(faces, np.einsum("ij,ij->i", _normals(x, faces), behind) < 0)
+
+
+def _upward(V: fem.FunctionSpace, faces: Array) -> Array:
+    """Turns the cells of a plane body so that they are seen from above."""
+    return _turned(faces, _normals(V.tabulate_dof_coordinates(), faces)[:, 2] < 0)
+
+
+def _normals(x: Array, faces: Array) -> Array:
+    a, b, c = (x[faces[:, i]] for i in range(3))
+    return np.asarray(np.cross(b - a, c - a))
+
+
+def _turned(faces: Array, which: Array) -> Array:
+    # Exchanging corners b and c exchanges the middles of ac and ab.
+    order = [0, 2, 1] if faces.shape[1] == _CORNERS else [0, 2, 1, 3, 5, 4]
+    faces = faces.copy()
+    faces[which] = faces[which][:, order]
+    return faces
+
+
+def _outer_sides(mesh: Mesh) -> tuple[Array, Array]:
+    """Owned boundary facets as cells and the facets' numbers in them. Collective."""
+    mesh.topology.create_connectivity(2, 3)
+    mesh.topology.create_connectivity(3, 2)
+    facets = exterior_facet_indices(mesh.topology)
+    around = mesh.topology.connectivity(2, 3)
+    cells = around.array[around.offsets[facets]]
+    sides = mesh.topology.connectivity(3, 2).array.reshape(-1, 4)[cells]
+    return cells, np.argmax(sides == facets[:, None], axis=1)

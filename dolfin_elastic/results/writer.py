@@ -1,0 +1,49 @@
+"""What every output is once it is open, and how a state is kept for later."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+from dolfinx import fem
+
+from dolfin_elastic.state import State
+
+
+class Writer(Protocol):
+    """An open output.  All of it is collective."""
+
+    def write(self, state: State) -> None:
+        """Takes one converged step."""
+
+    def close(self, status: str = "completed", error: object = None) -> None:
+        """Ends the output.
+
+        Args:
+            status: "completed" or "failed".
+            error: Why it failed.
+        """
+
+
+class Kept:
+    """Copies of the last state's fields, which the solver overwrites in its next step.
+
+    Attributes:
+        state: The last state with fields of its own, or None before the first.
+    """
+
+    def __init__(self) -> None:
+        self.state: State | None = None
+        self._copies: dict[str, fem.Function] = {}
+
+    def keep(self, state: State) -> None:
+        """Copies a state. Not collective."""
+        self.state = replace(state, **{name: self._copy(name, function) for name in ("u", "v", "a")
+                                       if (function := getattr(state, name)) is not None})
+
+    def _copy(self, name: str, function: fem.Function) -> fem.Function:
+        if name not in self._copies:
+            self._copies[name] = fem.Function(function.function_space)
+        copy = self._copies[name]
+        copy.x.array[:] = function.x.array
+        return copy

@@ -1,0 +1,150 @@
+"""XDMF for ParaView: every field of a step in one grid.
+
+What is on disk:
+
+    results.xdmf              light data: which array of which file is what
+    results_data/mesh.h5      points, cells, and fields that never change
+    results_data/000000.h5    the fields of the first written step
+    results_data/000001.h5    ... one file for each further one
+
+One HDF5 file per step, because a run may be killed at any moment.  A file that is open while the
+program dies is lost, also the older steps in it if it is one that grows; here it is only ever the
+step being written, which no `.xdmf` names yet.  The light data are written after the step's file
+is closed, under another name, and renamed: what `results.xdmf` names is complete at every moment.
+The price is a file per step, a few milliseconds and 2 kB each, all in one folder; a run with ten
+thousand steps thins them with `every`.  A user opens, copies or deletes two things.
+
+The mesh is repeated in every grid as a plain reference, without xi:include: ParaView's default
+reader cannot follow one and crashes.  A new run into the same folder removes the old results
+first, the `.xdmf` before what it names.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.sax.saxutils import escape, quoteattr
+
+from dolfin_elastic.parallel import on_root
+from dolfin_elastic.results import heavy
+from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.results.fields import DEFAULT, FIELDS, IN_MOTION
+from dolfin_elastic.results.files import make_folder, replace_text, writing
+from dolfin_elastic.results.grid import Grid
+from dolfin_elastic.results.heavy import Rows
+from dolfin_elastic.results.writer import Kept
+from dolfin_elastic.state import State
+from dolfin_elastic.timing import stage
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem import Problem
+
+_OURS = re.compile(r"mesh\.h5|\d{6,}\.h5")
+
+
+class XdmfWriter:
+    """Writes states of a problem as XDMF.  All of it is collective.
+
+    Args:
+        problem: The problem that is solved.
+        path: The `.xdmf` file; the heavy data go to a folder beside it.
+        fields: Names from `FIELDS`; None: displacement and stresses, in motion also velocity.
+        every: Writes each n-th step, and always the last one.
+
+    Raises:
+        InputError: An unknown field.
+        OutputError: The folder cannot be written to.
+    """
+
+    def __init__(self, problem: Problem, path: Path, *, fields: tuple[str, ...] | None = None,
+                 every: int = 1) -> None:
+        self.problem, self.path, self.fields, self.every = problem, path, fields, every
+        self.comm = problem.body.comm
+        self.data = path.with_name(f"{path.stem}_data")
+        self._frames: list[str] = []
+        self._kept = Kept()
+        self._pending = False
+        with stage("output"):
+            self._evaluate = Evaluator(problem, fields or DEFAULT)
+            on_root(self.comm, self._clear)
+
+    def _clear(self) -> None:
+        """Removes the results of an earlier run: first what names them, then themselves."""
+        make_folder(self.data)
+        with writing(self.path):
+            self.path.unlink(missing_ok=True)
+            for file in self.data.iterdir():
+                if _OURS.fullmatch(file.name):
+                    file.unlink()
+
+    def write(self, state: State) -> None:
+        """Writes one step; on return it can be opened, whatever happens next."""
+        with stage("output"):
+            self._pending = state.step % self.every != 0
+            if self._pending:
+                self._kept.keep(state)
+            else:
+                self._write(state)
+
+    def _write(self, state: State) -> None:
+        grid = self._evaluate.grid
+        default_in_motion = self.fields is None and state.v is not None
+        values = self._evaluate(state, more=IN_MOTION if default_in_motion else ())
+        rows = {name: grid.rows(FIELDS[name].centre, v) for name, v in values.items()}
+        moving = {name: r for name, r in rows.items() if not FIELDS[name].fixed}
+        if not self._frames:
+            fixed = {name: r for name, r in rows.items() if FIELDS[name].fixed}
+            heavy.write(self.comm, self.data / "mesh.h5", {**_mesh(grid), **fixed})
+            self._mesh_xml = _mesh_xml(grid, f"{self.data.name}/mesh.h5")
+        file = f"{len(self._frames):06d}.h5"
+        heavy.write(self.comm, self.data / file, moving)
+        self._frames.append(self._frame(state, file, rows))
+        on_root(self.comm, lambda: replace_text(self.path, self._light()))
+
+    def _frame(self, state: State, file: str, rows: Mapping[str, Rows]) -> str:
+        files = {name: "mesh.h5" if FIELDS[name].fixed else file for name in rows}
+        attributes = "".join(_attribute(name, r, f"{self.data.name}/{files[name]}")
+                             for name, r in rows.items())
+        return (f'<Grid Name="step {state.step}" GridType="Uniform">\n{self._mesh_xml}'
+                f'<Time Value="{state.t!r}"/>\n{attributes}</Grid>\n')
+
+    def _light(self) -> str:
+        return ('<?xml version="1.0" encoding="utf-8"?>\n<Xdmf Version="3.0">\n<Domain>\n'
+                '<Grid Name="results" GridType="Collection" CollectionType="Temporal">\n'
+                f'{"".join(self._frames)}</Grid>\n</Domain>\n</Xdmf>\n')
+
+    def close(self, status: str = "completed", error: object = None) -> None:
+        """Writes the last step if `every` has left it out."""
+        if self._pending and self._kept.state:
+            with stage("output"):
+                self._write(self._kept.state)
+            self._pending = False
+
+
+def _mesh(grid: Grid) -> dict[str, Rows]:
+    return {"points": grid.rows("node", grid.points()), "cells": grid.rows("cell", grid.cells())}
+
+
+def _mesh_xml(grid: Grid, file: str) -> str:
+    mesh = _mesh(grid)
+    count, nodes = mesh["cells"].shape
+    return (f'<Topology TopologyType="{grid.kind}" NumberOfElements="{count}" '
+            f'NodesPerElement="{nodes}">{_item(mesh["cells"], f"{file}:/cells")}</Topology>\n'
+            f'<Geometry GeometryType="XYZ">{_item(mesh["points"], f"{file}:/points")}'
+            '</Geometry>\n')
+
+
+def _attribute(name: str, rows: Rows, file: str) -> str:
+    field = FIELDS[name]
+    return (f'<Attribute Name={quoteattr(name)} AttributeType="{field.shape.capitalize()}" '
+            f'Center="{field.centre.capitalize()}">{_item(rows, f"{file}:/{name}")}'
+            '</Attribute>\n')
+
+
+def _item(rows: Rows, place: str) -> str:
+    count, columns = rows.shape
+    kind = "Float" if rows.values.dtype.kind == "f" else "Int"
+    return (f'<DataItem Dimensions="{count} {columns}" NumberType="{kind}" '
+            f'Precision="{rows.values.itemsize}" Format="HDF">{escape(place)}</DataItem>')

@@ -1,0 +1,229 @@
+"""What the command line shows: progress, tables, log lines.  Only rank 0 shows anything."""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+import sys
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from dolfin_elastic.check import PartSize, Report
+    from dolfin_elastic.state import State
+
+WIDTH = 100
+FIRST_LINES = 20
+"""Steps that get a line of their own in any case; later ones at most one a second."""
+
+
+def console(*, stderr: bool = False) -> Console:
+    """A console that is as wide as the terminal, or 100 columns in a file."""
+    stream = sys.stderr if stderr else sys.stdout
+    width = None if stream.isatty() else WIDTH
+    return Console(stderr=stderr, width=width, highlight=False, markup=False, emoji=False)
+
+
+# --- progress ---
+
+
+class Meter(Protocol):
+    """Shows states as they come."""
+
+    def show(self, state: State) -> None:
+        """Takes one step."""
+
+    def close(self) -> None:
+        """Ends the display."""
+
+
+class Silent:
+    """Shows nothing: on other ranks, or when asked to be quiet."""
+
+    def show(self, state: State) -> None:
+        """Takes one step."""
+
+    def close(self) -> None:
+        """Ends the display."""
+
+
+class Lines:
+    """One line a step, for files and pipes."""
+
+    def __init__(self, motion: bool) -> None:
+        self.motion, self._begin, self._shown, self._count = motion, time.monotonic(), 0.0, 0
+
+    def show(self, state: State) -> None:
+        """Takes one step."""
+        now = time.monotonic()
+        due = self._count < FIRST_LINES or now - self._shown > 1.0 or state.done >= 1.0
+        if state.step and due:
+            self._shown, self._count = now, self._count + 1
+            left = time_left(now - self._begin, state.done)
+            print(f"{step_text(state, motion=self.motion)}  {left}", flush=True)
+
+    def close(self) -> None:
+        """Ends the display."""
+
+
+class Bar:
+    """A bar that moves, for terminals."""
+
+    def __init__(self, motion: bool, screen: Console) -> None:
+        self.motion, self._begin = motion, time.monotonic()
+        self._progress = Progress(BarColumn(bar_width=24), TextColumn("{task.percentage:>3.0f} %"),
+                                  TextColumn("{task.description}", markup=False), console=screen)
+        self._task = self._progress.add_task("starting", total=1.0)
+        self._progress.start()
+
+    def show(self, state: State) -> None:
+        """Takes one step."""
+        left = time_left(time.monotonic() - self._begin, state.done)
+        text = re.sub("  +", "  ", f"{step_text(state, motion=self.motion)}  {left}")
+        self._progress.update(self._task, completed=state.done, description=text)
+
+    def close(self) -> None:
+        """Ends the display."""
+        self._progress.stop()
+
+
+def step_text(state: State, *, motion: bool) -> str:
+    """Step, time or load factor, iterations, largest displacement."""
+    place = f"t {state.t:.5g} s" if motion else f"load {100 * state.load_factor:.4g} %"
+    work = f"{state.newton} Newton" + (f", {state.krylov} linear" if state.krylov else "")
+    return (f"step {state.step:>4}   {place:<14} {work:<22} "
+            f"max |u| {state.max_displacement:.4g} m")
+
+
+def time_left(spent: float, done: float) -> str:
+    """Rough time to the end, nothing where it cannot be said."""
+    if not 0.0 < done < 1.0:
+        return ""
+    seconds = round(spent * (1.0 - done) / done)
+    minutes, seconds = divmod(seconds, 60)
+    hours, minutes = divmod(minutes, 60)
+    text = f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
+    return f"  {text} left"
+
+
+# --- log ---
+
+
+class Handler(logging.Handler):
+    """Shows log records of rank 0; warnings are called so."""
+
+    def __init__(self, rank: int, screen: Console) -> None:
+        super().__init__()
+        self.addFilter(lambda record: rank == 0)
+        self.screen = screen
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Shows one record."""
+        mark = "warning: " if record.levelno >= logging.WARNING else ""
+        self.screen.print(f"{mark}{record.getMessage()}", soft_wrap=True)
+
+
+# --- tables ---
+
+
+def show_check(report: Report) -> None:
+    """The report of a check."""
+    screen = console()
+    screen.print(f"{report.case}: {report.title}" if report.title else report.case, style="bold")
+    screen.print(f"  mesh       {report.mesh}, {report.dim}D, {report.cells} cells")
+    screen.print(f"  analysis   {report.analysis}, {report.unknowns} unknowns")
+    screen.print(f"  equations  {report.linear_solver}")
+    units = ("area [m^2]", "volume [m^3]") if report.dim == 3 else ("length [m]", "area [m^2]")  # noqa: PLR2004
+    screen.print(_parts("surface", "facets", units[0], report.surfaces))
+    screen.print(_parts("region", "cells", units[1], report.regions))
+    for note in report.notes:
+        screen.print(f"note: {note}", soft_wrap=True)
+    screen.print("nothing is wrong")
+
+
+def _parts(kind: str, count: str, unit: str, parts: Sequence[PartSize]) -> Table:
+    table = Table(kind, box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column(count, justify="right")
+    table.add_column(unit, justify="right")
+    table.add_column("used by")
+    for part in parts:
+        table.add_row(part.name, str(part.count), f"{part.measure:.4g}", part.use)
+    return table
+
+
+def show_end(state: State, *, motion: bool, seconds: Mapping[str, float], newton: int) -> None:
+    """The run in a few lines."""
+    screen = console()
+    table = Table(box=None, show_header=False, pad_edge=True)
+    for name, value in _end_rows(state, motion):
+        table.add_row(name, value)
+    table.add_row("time", _times(seconds))
+    screen.print(f"done: {_count(state.step, 'step')}, {_count(newton, 'Newton iteration')}")
+    screen.print(table)
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" + ("" if number == 1 else "s")
+
+
+def _end_rows(state: State, motion: bool) -> list[tuple[str, str]]:
+    rows = [("largest displacement", f"{state.max_displacement:.5g} m")]
+    for name in ("strain", "kinetic", "external", "total"):
+        known = math.isfinite(state.energies.get(name, math.nan))
+        if known and (motion or name == "strain"):
+            label = "work of the loads" if name == "external" else f"{name} energy"
+            rows.append((label, f"{state.energies[name]:.5g} J"))
+    for name, force in state.reactions.items():
+        rows.append((f"reaction of {name}", vector_text(force) + " N"))
+    return rows
+
+
+def vector_text(vector: Iterable[float]) -> str:
+    """Components with five digits; round-off of the others is shown as 0."""
+    parts = [float(v) for v in vector]
+    limit = 1e-9 * max(map(abs, parts), default=0.0)
+    return "(" + ", ".join(f"{v:.5g}" if abs(v) > limit else "0" for v in parts) + ")"
+
+
+def _times(seconds: Mapping[str, float]) -> str:
+    total = seconds.get("total", 0.0)
+    stages = [f"{name} {value:.2g}" for name, value in seconds.items()
+              if name != "total" and value >= 0.005]  # noqa: PLR2004
+    return f"{total:.3g} s" + (f" ({', '.join(stages)})" if stages else "")
+
+
+def show_profile(rows: Sequence[tuple[str, float, float]], memory: Mapping[str, int]) -> None:
+    """Where the time went, with the fastest and the slowest rank, and the memory used."""
+    table = Table("stage", box=SIMPLE_HEAD, pad_edge=False)
+    for head in ("fastest rank [s]", "slowest rank [s]", "share"):
+        table.add_column(head, justify="right")
+    total = max((most for name, _, most in rows if name == "total"), default=0.0) or 1.0
+    for name, least, most in rows:
+        table.add_row(name, f"{least:.3f}", f"{most:.3f}", f"{100 * most / total:.0f} %")
+    screen = console()
+    screen.print(table)
+    screen.print(f"peak memory {memory['sum'] / 1e6:.0f} MB together, "
+                 f"{memory['largest_rank'] / 1e6:.0f} MB on the largest rank")
+
+
+def show_files(folder: Path) -> None:
+    """What is in the results' folder."""
+    hidden = (".", "_data")
+    names = sorted(path.name for path in folder.iterdir()
+                   if not path.name.startswith(hidden[0]) and not path.stem.endswith(hidden[1]))
+    print(f"results in {folder}: {', '.join(names)}")
+
+
+def show_versions(found: Mapping[str, Any]) -> None:
+    """Name and value, one a line."""
+    width = max(map(len, found))
+    for name, value in found.items():
+        print(f"{name:<{width}}  {value}")

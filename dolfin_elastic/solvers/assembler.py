@@ -1,0 +1,202 @@
+"""From forms to vectors and matrices: the only place that knows lifting and ghost updates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from dolfinx.fem import petsc as fem_petsc
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfin_elastic.compiler import compile_forms
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.timing import stage
+
+Vector = npt.NDArray[np.float64]
+
+
+class Assembler:
+    """Residual and tangent of a problem, with its prescribed displacements.
+
+    The residual's rows at prescribed entries are replaced by (x - g), and the columns of the
+    tangent there by zero; what the replaced columns would have done is added to the residual
+    (lifting).  So the first Newton step moves the boundary and the inside together, and a line
+    search can shorten both.  All methods are collective.
+
+    Args:
+        problem: Whose residual and tangent; its `u` is changed by every evaluation.
+        extra: Terms added to the residual, for example inertia.
+        extra_tangent: Their contribution to the tangent.
+
+    Attributes:
+        matrix: The tangent; owned here.
+        balance: Residual without any boundary condition: out-of-balance nodal forces [N], whose
+            entries at prescribed dofs are the reactions.
+        free: Norm of the free entries of the last residual [N].
+        held: Norm of its prescribed entries (reactions) [N].
+        gap: Largest |x - g| over prescribed entries at the last residual [m].
+    """
+
+    def __init__(self, problem: Problem, *, extra: ufl.Form | None = None,
+                 extra_tangent: ufl.Form | None = None) -> None:
+        self.problem, self.comm = problem, problem.body.comm
+        residual = problem.residual if extra is None else problem.residual + extra
+        tangent = (problem.tangent if extra_tangent is None
+                   else problem.tangent + extra_tangent)
+        forms = [residual, tangent]
+        if problem.external is not None:
+            forms.append(problem.external)
+        compiled = compile_forms(self.comm, forms, problem.jit)
+        self._residual, self._tangent = compiled[:2]
+        self._external = compiled[2] if problem.external is not None else None
+        self._map, self._bs = problem.V.dofmap.index_map, problem.V.dofmap.index_map_bs
+        self.size = self._map.size_local * self._bs
+        self.balance, self._lift = self._vector(), self._vector()
+        self._fixed = problem.prescribed.owned
+        self._is_free = np.ones(self.size, dtype=bool)
+        self._is_free[self._fixed] = False
+        self.free = self.held = self.gap = 0.0
+        with stage("assemble"):
+            self.matrix = fem_petsc.create_matrix(self._tangent)
+        if problem.has_energy:
+            self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+
+    def _vector(self) -> la.Vector:
+        return la.vector(self._map, self._bs)
+
+    def create_vector(self) -> PETSc.Vec:
+        """A distributed vector of the unknowns, without ghosts; the caller destroys it."""
+        vec = PETSc.Vec().createMPI((self.size, None), bsize=self._bs, comm=self.comm)
+        vec.set(0.0)
+        return vec
+
+    # --- displacement in and out ---
+
+    def get(self, x: PETSc.Vec) -> None:
+        """Copies the problem's displacement into a vector."""
+        x.array_w[:] = self.problem.u.x.array[: self.size]
+
+    def put(self, x: PETSc.Vec) -> None:
+        """Copies a vector into the problem's displacement, ghosts included."""
+        self.problem.u.x.array[: self.size] = x.array_r
+        self.problem.u.x.scatter_forward()
+
+    # --- residual and tangent ---
+
+    def residual(self, x: PETSc.Vec, f: PETSc.Vec, *, target: Vector | None = None) -> None:
+        """Evaluates the residual.
+
+        Args:
+            x: Displacement.
+            f: Receives the residual.
+            target: Prescribed values at the owned prescribed entries, if not those of the problem.
+        """
+        with stage("assemble"):
+            self.put(x)
+            self.assemble_balance()
+            wanted = self.problem.prescribed.values.x.array[self._fixed]
+            difference = self.problem.u.x.array[self._fixed] - (wanted if target is None else target)
+            out = self.balance.array[: self.size]
+            self._measure(out, difference)
+            if self.gap > 0.0 and np.isfinite(self.free):
+                out = out + self._lifted(difference)
+            f.array_w[:] = out
+            f.array_w[self._fixed] = difference
+
+    def assemble_balance(self) -> None:
+        """Out-of-balance nodal forces at the problem's displacement into `balance`."""
+        self.balance.array[:] = 0.0
+        fem.assemble_vector(self.balance.array, self._residual)
+        self.balance.scatter_reverse(la.InsertMode.add)
+
+    def _measure(self, out: Vector, difference: Vector) -> None:
+        with np.errstate(over="ignore"):
+            squares = [np.sum(np.square(out[self._is_free])), np.sum(np.square(out[self._fixed]))]
+        sums = self.comm.allreduce(np.array(squares), op=MPI.SUM)
+        self.free, self.held = (float(value) for value in np.sqrt(sums))
+        gap = float(np.max(np.abs(difference), initial=0.0))
+        self.gap = float(self.comm.allreduce(gap, op=MPI.MAX))
+
+    def _lifted(self, difference: Vector) -> Vector:
+        """K (g - x) of the prescribed columns, for the free rows."""
+        u = self.problem.u.x.array
+        values = self.problem.prescribed.values
+        kept = values.x.array.copy()
+        values.x.array[:] = u
+        values.x.array[self._fixed] -= difference
+        values.x.scatter_forward()
+        self._lift.array[:] = 0.0
+        bcs = self.problem.prescribed.bcs
+        fem.apply_lifting(self._lift.array, [self._tangent], [bcs], [u], -1.0)
+        self._lift.scatter_reverse(la.InsertMode.add)
+        values.x.array[:] = kept
+        return self._lift.array[: self.size]
+
+    def tangent(self, x: PETSc.Vec, matrix: PETSc.Mat) -> None:
+        """Assembles the tangent at x, with ones on the diagonal of prescribed rows."""
+        with stage("assemble"):
+            self.put(x)
+            matrix.zeroEntries()
+            fem_petsc.assemble_matrix(matrix, self._tangent, self.problem.prescribed.bcs)
+            matrix.assemble()
+
+    def external_norm(self) -> float:
+        """Norm of the applied nodal forces at the present time [N]."""
+        if self._external is None:
+            return 0.0
+        force = self._vector()
+        fem.assemble_vector(force.array, self._external)
+        force.scatter_reverse(la.InsertMode.add)
+        return float(la.norm(force))
+
+    def external_forces(self) -> Vector:
+        """Applied nodal forces at the present time, owned entries [N]."""
+        force = self._vector()
+        if self._external is not None:
+            fem.assemble_vector(force.array, self._external)
+            force.scatter_reverse(la.InsertMode.add)
+        return force.array[: self.size]
+
+    # --- what is known of the solution ---
+
+    def reactions(self) -> dict[str, Vector]:
+        """Force of each support on the body [N], from `balance` as it stands."""
+        held = self.problem.prescribed.moving
+        local = np.zeros((len(held), self._bs))
+        for row, dofs in zip(local, held.values(), strict=True):
+            np.add.at(row, dofs % self._bs, self.balance.array[dofs])
+        sums = self.comm.allreduce(local, op=MPI.SUM)
+        return dict(zip(held, sums, strict=True))
+
+    def max_displacement(self) -> float:
+        """Largest length of a nodal displacement [m]."""
+        lengths = np.linalg.norm(self.problem.u.x.array[: self.size].reshape(-1, self._bs), axis=1)
+        return float(self.comm.allreduce(float(np.max(lengths, initial=0.0)), op=MPI.MAX))
+
+    def largest_unbalance(self) -> tuple[float, Vector]:
+        """Largest free nodal force of the last residual [N] and the node's place X [m]."""
+        forces = np.where(self._is_free, self.balance.array[: self.size], 0.0)
+        norms = np.linalg.norm(forces.reshape(-1, self._bs), axis=1)
+        norms = np.where(np.isfinite(norms), norms, np.inf)
+        node = int(np.argmax(norms)) if len(norms) else -1
+        places = self.problem.V.tabulate_dof_coordinates()
+        mine = (float(norms[node]), places[node]) if node >= 0 else (-1.0, np.zeros(3))
+        return max(self.comm.allgather(mine), key=lambda pair: pair[0])
+
+    def destroy(self) -> None:
+        """Frees the matrix. Collective."""
+        self.matrix.destroy()
+
+
+def scalars(problem: Problem, forms: Sequence[ufl.Form]) -> list[fem.Form]:
+    """Compiles scalar forms with the problem's options. Collective."""
+    return compile_forms(problem.body.comm, list(forms), problem.jit)
+
+
+def integral(problem: Problem, form: fem.Form) -> float:
+    """Value of a compiled scalar form over all ranks. Collective."""
+    return float(problem.body.comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM))

@@ -1,0 +1,237 @@
+"""Newton's method by PETSc SNES, judged on the forces that are out of balance.
+
+Used by statics directly and by implicit dynamics through TS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfin_elastic.meshes.body import Body
+from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.linear import Choice, QuadraticMultigrid, rigid_body_modes
+from dolfin_elastic.solvers.options import PREFIX, Options, ksp_reason, snes_reason
+from dolfin_elastic.timing import stage
+
+FORCING = 1e-3
+"""Relative tolerance of a linear solve inside Newton: tighter ones cost more than they save."""
+
+
+@dataclass
+class Progress:
+    """What one Newton solve went through.
+
+    Attributes:
+        residuals: Norm of the free residual at each iterate [N].
+        reference: Force the residual is measured against [N].
+        newton: Iterations.
+        krylov: Linear iterations.
+        reason: PETSc's name of why it ended.
+        converged: Whether equilibrium was found.
+    """
+
+    residuals: list[float] = field(default_factory=list)
+    reference: float = 0.0
+    newton: int = 0
+    krylov: int = 0
+    reason: str = ""
+    converged: bool = False
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """When equilibrium counts as found.
+
+    Attributes:
+        rtol: Free residual over the larger of applied forces and reactions.
+        atol: Free residual [N].
+        max_iterations: Newton iterations after which a step is given up.
+    """
+
+    rtol: float = 1e-8
+    atol: float = 0.0
+    max_iterations: int = 30
+
+
+class Newton:
+    """A SNES for one assembler.
+
+    The free residual is compared with the larger of the applied forces and the reactions, so a
+    mixed norm of forces and displacements decides nothing; prescribed values must hold exactly.
+
+    Args:
+        assembler: Residual and tangent.
+        choice: Linear solver.
+        tolerance: When equilibrium counts as found.
+        defaults: More PETSc options, for example the line search.
+        users: The user's PETSc options; they win.
+        snes: A SNES made elsewhere (by TS); its functions are then set elsewhere too.
+    """
+
+    def __init__(self, assembler: Assembler, choice: Choice, tolerance: Tolerance, *,
+                 defaults: Mapping[str, Any] | None = None, users: Mapping[str, Any] | None = None,
+                 snes: PETSc.SNES | None = None) -> None:
+        self.assembler, self.choice, self.tolerance = assembler, choice, tolerance
+        self.progress = Progress()
+        self._external = 0.0
+        self._floor = 0.0
+        body = assembler.problem.body
+        self._span = _diagonal(body)
+        self._cell_size = self._span / body.num_cells ** (1 / body.dim)
+        self._multigrid: QuadraticMultigrid | None = None
+        self._error: Exception | None = None
+        self._owns = snes is None
+        self.options = Options({**_SNES, **choice.options, **(defaults or {})}, users or {})
+        self.snes = PETSc.SNES().create(assembler.comm) if snes is None else snes
+        self._x, self._f = assembler.create_vector(), assembler.create_vector()
+        if self._owns:
+            self.snes.setFunction(self._residual, self._f)
+            self.snes.setJacobian(self._tangent, assembler.matrix)
+        self._configure()
+
+    def _configure(self) -> None:
+        self.snes.setOptionsPrefix(PREFIX)
+        self.snes.setTolerances(rtol=0.0, atol=0.0, stol=0.0, max_it=self.tolerance.max_iterations)
+        if not self.choice.direct:
+            self._attach_modes()
+        with self.options.in_force():
+            self.snes.setFromOptions()
+            if self.snes.ksp.getPC().getType() == "python":
+                self._multigrid = QuadraticMultigrid(self.assembler.problem)
+                self.snes.ksp.getPC().setPythonContext(self._multigrid)
+            self.snes.ksp.setFromOptions()
+            self.snes.ksp.getPC().setFromOptions()
+        self.snes.setConvergenceTest(self._test)
+
+    def _attach_modes(self) -> None:
+        """Rigid-body modes of the current places, which multigrid must keep."""
+        problem = self.assembler.problem
+        if problem.degree == 1:
+            modes = rigid_body_modes(problem.V, problem.u.x.array)
+            self.assembler.matrix.setNearNullSpace(modes)
+            modes.destroy()
+
+    def refresh(self) -> None:
+        """Throws the preconditioner away and takes the rigid-body modes anew. Collective."""
+        if not self.choice.direct:
+            self._attach_modes()
+            self.snes.ksp.getPC().reset()
+
+    # --- one solve ---
+
+    def begin(self, reference: float = 0.0) -> None:
+        """Forgets the last solve.
+
+        Args:
+            reference: Further force to measure the residual against [N].
+        """
+        self.progress = Progress(reference=reference)
+        self._external = self.assembler.external_norm()
+        self._error = None
+
+    def ladder(self) -> tuple[str, ...]:
+        """Line searches to try in turn, by PETSc's names.
+
+        Full Newton steps come first: in bending, the residual has to rise before it falls, and a
+        line search that forbids it takes several times the iterations.  What full steps cannot
+        do, for want of a finite residual above all, backtracking may.
+        """
+        chosen = self.options.users.get("snes_linesearch_type")
+        return (str(chosen),) if chosen else ("basic", "bt")
+
+    def solve(self, line_search: str) -> Progress:
+        """Finds equilibrium from the problem's present displacement. Collective.
+
+        The problem's displacement is the last iterate afterwards, converged or not.
+
+        Args:
+            line_search: PETSc's name of it.
+        """
+        with stage("solve"), self.options.in_force(snes_linesearch_type=line_search):
+            self.snes.setFromOptions()
+            self.begin()
+            self.assembler.get(self._x)
+            self.snes.solve(None, self._x)
+            self.finish()
+            self.assembler.put(self._x)
+            self.options.report_unused()
+        return self.progress
+
+    def finish(self) -> None:
+        """Notes how the solve ended."""
+        p, number = self.progress, self.snes.getConvergedReason()
+        p.newton, p.krylov = self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
+        p.converged, p.reason = number > 0, snes_reason(number)
+        if number == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
+            p.reason += f" ({ksp_reason(self.snes.ksp.getConvergedReason())})"
+        if self.choice.direct:
+            p.krylov = 0
+
+    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        self.assembler.residual(x, f)
+
+    def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
+        self.assembler.tangent(x, P)
+        self.note_tangent(P)
+
+    def note_tangent(self, P: PETSc.Mat) -> None:
+        """Sets the linear tolerance and the round-off floor from a fresh tangent. Collective."""
+        a = self.assembler
+        if self._floor == 0.0:
+            diagonal = P.getDiagonal()
+            self._floor = 4 * np.finfo(float).eps * diagonal.norm() * self._cell_size
+            diagonal.destroy()
+        if not self.choice.direct:
+            needed = 0.5 * self._target() / a.free if a.free > 0 else FORCING
+            self.snes.ksp.setTolerances(rtol=min(0.1, max(FORCING, needed)))
+
+    def _target(self) -> float:
+        a, p = self.assembler, self.progress
+        reference = max(self._external, a.held, p.reference)
+        return max(self.tolerance.rtol * reference, self.tolerance.atol, self._floor)
+
+    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float],
+              ) -> int:
+        a = self.assembler
+        self.progress.residuals.append(a.free)
+        if not np.isfinite(norms[2]) or self._hopeless():
+            return int(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
+        held = a.gap <= 1e-12 * self._span  # noqa: PLR2004
+        if held and a.free <= self._target():
+            return int(PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE)
+        if iteration >= self.tolerance.max_iterations:
+            return int(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
+        return 0
+
+    def _hopeless(self) -> bool:
+        """The residual has grown beyond recovery."""
+        return self.progress.residuals[-1] > 1e6 * max(self.progress.residuals[0], self._target())
+
+    def destroy(self) -> None:
+        """Frees what it owns. Collective."""
+        if self._multigrid is not None:
+            self._multigrid.destroy()
+        if self._owns:
+            self.snes.destroy()
+        self._x.destroy()
+        self._f.destroy()
+
+
+def _diagonal(body: Body) -> float:
+    """Diagonal of the body's bounding box [m]. Collective."""
+    x = body.mesh.geometry.x
+    corners = np.concatenate([x.max(axis=0, initial=-np.inf), -x.min(axis=0, initial=np.inf)])
+    everywhere = np.empty_like(corners)
+    body.comm.Allreduce(corners, everywhere, op=MPI.MAX)
+    return float(np.linalg.norm(everywhere[:3] + everywhere[3:]))
+
+
+_SNES: dict[str, Any] = {
+    "snes_type": "newtonls",
+}

@@ -1,0 +1,83 @@
+"""PETSc options under one prefix, in force for one solver only."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from petsc4py import PETSc
+
+PREFIX = "elastic_"
+log = logging.getLogger("dolfin_elastic")
+
+
+class Options:
+    """PETSc options that are in the database only while a solver works.
+
+    Configure objects with `setOptionsPrefix(PREFIX)` and call `setFromOptions()` and everything
+    that sets solvers up inside `in_force`: multigrid reads its levels' options when it is set up.
+
+    Args:
+        defaults: Option to value; True and None stand for options without a value.
+        users: The same, from the user, with or without the prefix; they win.
+    """
+
+    def __init__(self, defaults: Mapping[str, Any], users: Mapping[str, Any]) -> None:
+        self.users = {name.lstrip("-").removeprefix(PREFIX): value
+                      for name, value in users.items()}
+        self._all = {**defaults, **self.users}
+        self._reported = False
+
+    @contextmanager
+    def in_force(self, **more: Any) -> Iterator[None]:
+        """Puts the options, and more for this once, into PETSc's database and takes them out."""
+        database = PETSc.Options()
+        merged = {**self._all, **more, **self.users}
+        for name, value in merged.items():
+            database[PREFIX + name] = "" if value is None or value is True else value
+        try:
+            yield
+        finally:
+            for name in merged:
+                database.delValue(PREFIX + name)
+
+    def report_unused(self) -> None:
+        """Warns once of options of the user that nothing asked for: mistyped ones. Inside."""
+        for name in () if self._reported else self.users:
+            if not _was_used(PREFIX + name):
+                log.warning("PETSc option '-%s' was not used by any solver", name)
+        self._reported = True
+
+
+def _was_used(name: str) -> bool:
+    """PetscOptionsUsed, which petsc4py does not offer; True where it cannot be asked."""
+    try:
+        ask = ctypes.CDLL(PETSc.__file__).PetscOptionsUsed
+    except (OSError, AttributeError):
+        return True
+    used = ctypes.c_int(1)
+    ask(None, ctypes.c_char_p(f"-{name}".encode()), ctypes.byref(used))
+    return bool(used.value)
+
+
+def _names(enumeration: type) -> dict[int, str]:
+    return {value: name for name, value in vars(enumeration).items()
+            if isinstance(value, int) and not name.startswith("_")}
+
+
+def snes_reason(number: int) -> str:
+    """Name of a SNESConvergedReason."""
+    return _names(PETSc.SNES.ConvergedReason).get(number, str(number))
+
+
+def ksp_reason(number: int) -> str:
+    """Name of a KSPConvergedReason."""
+    return _names(PETSc.KSP.ConvergedReason).get(number, str(number))
+
+
+def ts_reason(number: int) -> str:
+    """Name of a TSConvergedReason."""
+    return _names(PETSc.TS.ConvergedReason).get(number, str(number))

@@ -1,0 +1,55 @@
+"""`State`: what a solver yields, one converged step at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+Vector = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class State:
+    """One converged step: plain data, the same on every rank but for the fields.
+
+    The fields are the solver's own and change with the next step: copy what must be kept.
+
+    Attributes:
+        step: 0 for the initial state, then 1, 2, ...
+        t: Time [s] in motion; the load parameter from 0 to 1 in statics.
+        u: Displacement [m], reference configuration.
+        v: Velocity [m/s], in motion only.
+        a: Acceleration [m/s^2], in motion only.
+        load_factor: Share of the load that is on, in statics; 1 in motion.
+        newton: Newton iterations of this step.
+        krylov: Linear iterations of this step (0 with a direct solver).
+        reason: Why the step counts as converged, PETSc's name.
+        residuals: Norm of the free residual before each Newton iteration and after the last [N].
+        energies: "strain" [J]; in motion also "kinetic", "external" (work of the loads so far),
+            "total".
+        reactions: Support's name to the force it exerts on the body [N], from the residual
+            (virtual work).
+        momenta: In motion "linear" [kg m/s] and "angular" [kg m^2/s] about the origin.
+        max_displacement: Largest length of u over the body's nodes [m].
+        done: Share of the whole run that is done, 0 to 1.
+    """
+
+    step: int
+    t: float
+    u: fem.Function
+    v: fem.Function | None = None
+    a: fem.Function | None = None
+    load_factor: float = 1.0
+    newton: int = 0
+    krylov: int = 0
+    reason: str = ""
+    residuals: tuple[float, ...] = ()
+    energies: Mapping[str, float] = field(default_factory=dict)
+    reactions: Mapping[str, Vector] = field(default_factory=dict)
+    momenta: Mapping[str, Vector] = field(default_factory=dict)
+    max_displacement: float = 0.0
+    done: float = 0.0

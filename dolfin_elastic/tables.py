@@ -1,0 +1,273 @@
+"""The tables of a case file, and how they are read.
+
+`Case` (case.py) puts them together.  A fault found here says where it is inside its table;
+whoever reads the table puts its own key in front.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from mpi4py import MPI
+from pydantic import Field, field_validator, model_validator
+
+from dolfin_elastic.errors import ElasticError, InputError, UnitError, nearest
+from dolfin_elastic.meshes import Body, Selector, box_body, read_body, rectangle_body
+from dolfin_elastic.meshes.selectors import MeshLength
+from dolfin_elastic.model.law import Law
+from dolfin_elastic.model.materials import MATERIALS
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.outputs import History, Picture, Summary, Xdmf
+from dolfin_elastic.results.outputs import Output as File
+from dolfin_elastic.results.writer import Writer
+from dolfin_elastic.schema import Record, shown, within
+from dolfin_elastic.toml_text import key_text
+from dolfin_elastic.units import to_si
+
+T = TypeVar("T")
+Count = Annotated[int, Field(gt=0)]
+
+
+class Box(Record):
+    """A box of tetrahedra with surfaces left, right (x), front, back (y), bottom, top (z).
+
+    Attributes:
+        size: Lengths of the three edges.
+        cells: Number of little cubes along each edge; each makes six tetrahedra.
+        origin: The corner with the smallest coordinates.
+    """
+
+    size: Annotated[list[MeshLength], Field(min_length=3, max_length=3)]
+    cells: Annotated[list[Count], Field(min_length=3, max_length=3)]
+    origin: Annotated[list[MeshLength], Field(min_length=3, max_length=3)] = [0, 0, 0]
+
+
+class Rectangle(Record):
+    """A rectangle of triangles (plane strain) with surfaces left, right (x), bottom, top (y).
+
+    Attributes:
+        size: Lengths of the two edges.
+        cells: Number of little squares along each edge; each makes two triangles.
+        origin: The corner with the smallest coordinates.
+    """
+
+    size: Annotated[list[MeshLength], Field(min_length=2, max_length=2)]
+    cells: Annotated[list[Count], Field(min_length=2, max_length=2)]
+    origin: Annotated[list[MeshLength], Field(min_length=2, max_length=2)] = [0, 0]
+
+
+class MeshTable(Record):
+    """The table [mesh]: exactly one of `file`, `box` and `rectangle`.
+
+    Attributes:
+        file: Mesh or CAD file, relative to the case file's folder.
+        box: A box made on the spot.
+        rectangle: A rectangle made on the spot.
+        size: Size of the elements, for CAD files only.
+        unit: Unit of length of the mesh and of bare numbers about it.
+        degree: Degree of the displacement in the elements, 1 or 2.
+        quadrature_degree: Overrides the degree of exactness of the internal forces' integral.
+    """
+
+    file: str | None = None
+    box: Box | None = None
+    rectangle: Rectangle | None = None
+    size: MeshLength | None = None
+    unit: str = "m"
+    degree: Literal[1, 2] = 1
+    quadrature_degree: Annotated[int, Field(ge=0, le=20)] | None = None
+
+    @field_validator("unit")
+    @classmethod
+    def _is_length(cls, unit: str) -> str:
+        try:
+            to_si(f"1 {unit}", "m")
+        except UnitError:
+            raise UnitError(f"'{unit}' is no unit of length",
+                            expected="expected for example \"mm\"") from None
+        return unit
+
+    @model_validator(mode="after")
+    def _one_mesh(self) -> Self:
+        kinds = ("file", "box", "rectangle")
+        given = [key for key in kinds if getattr(self, key) is not None]
+        if len(given) != 1:
+            what = f"{' and '.join(given)} given together" if given else "no mesh is given"
+            raise InputError(what, expected=f"expected exactly one of {', '.join(kinds)}")
+        if self.size is not None and not self.file:
+            raise InputError(f"a {given[0]} takes no element size", where="size",
+                             expected=f"use {given[0]}.cells")
+        return self
+
+    @property
+    def scale(self) -> float:
+        """Metres per unit of length of the mesh."""
+        return to_si(f"1 {self.unit}", "m")
+
+    def _in_unit(self, length: float | str) -> float:
+        return to_si(length, "m") / self.scale if isinstance(length, str) else float(length)
+
+    def body(self, folder: Path, comm: MPI.Comm) -> Body:
+        """Reads or makes the mesh. Collective."""
+        if self.file is not None:
+            size = None if self.size is None else self._in_unit(self.size)
+            return read_body(folder / self.file, comm=comm, scale=self.scale, size=size)
+        made = self.box or self.rectangle
+        assert made is not None
+        make = box_body if self.box else rectangle_body
+        return make(size=[self._in_unit(s) for s in made.size], cells=made.cells,
+                    origin=[self._in_unit(s) for s in made.origin], comm=comm, scale=self.scale)
+
+
+class Material(Record):
+    """A table [materials.NAME]: a law with its constants, and where it holds.
+
+    Attributes:
+        law: The law; in a case file its name, with its constants beside it.
+        on: Region or regions it fills; None: everything no other material names.
+    """
+
+    law: Law
+    on: str | list[str] | None = None
+
+    @property
+    def regions(self) -> tuple[str, ...]:
+        """Names of its regions."""
+        return () if self.on is None else (self.on,) if isinstance(self.on, str) else (*self.on,)
+
+    @classmethod
+    def read(cls, table: Any) -> Material:
+        """From a case file's table, or from a law."""
+        if isinstance(table, Material):
+            return table
+        if isinstance(table, Law):
+            return cls(law=table)
+        if not isinstance(table, Mapping):
+            raise InputError(f"{shown(table)} is no material",
+                             expected="write its table as [materials.NAME]")
+        law = pick(MATERIALS, table, "law")
+        return cls(law=law(**{key: value for key, value in table.items() if key != "on"}),
+                   on=table.get("on"))
+
+    def table(self) -> dict[str, Any]:
+        """Back to a case file's table."""
+        law = {"law": self.law.name(), **written(self.law)}
+        return law if self.on is None else {**law, "on": self.on}
+
+
+class Output(Record):
+    """The table [output]: what is written, where, and how often.
+
+    Attributes:
+        folder: Folder of the results, relative to the case file's; by default the case file's
+            name with "_results", in the folder where the run is started.
+        fields: Fields for ParaView; by default displacement and stresses.
+        every: Fields are written every so many steps, and at the end.
+        pictures: Pictures of the deformed body.
+    """
+
+    folder: str | None = None
+    fields: tuple[str, ...] | None = None
+    every: Count = 1
+    pictures: list[Picture] = []
+
+    @field_validator("fields")
+    @classmethod
+    def _known(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        for index, name in enumerate(names or ()):
+            if name not in FIELDS:
+                raise InputError(f"unknown field '{name}'", where=f"[{index}]",
+                                 expected=nearest(name, FIELDS))
+        return names
+
+    def files(self) -> list[File]:
+        """Everything that is written."""
+        return [Xdmf(fields=self.fields, every=self.every), History(), *self.pictures, Summary()]
+
+    @contextmanager
+    def opened(self, problem: Problem, folder: Path) -> Iterator[list[Writer]]:
+        """Opens all files and closes them with how it ended: completed, failed or stopped."""
+        writers: list[Writer] = []
+        ending: tuple[str, object] = ("completed", None)
+        try:
+            writers.extend(file.open(problem, folder) for file in self.files())
+            yield writers
+        except ElasticError as error:
+            ending = ("failed", error)
+            raise
+        except GeneratorExit:
+            ending = ("stopped", "on request")
+            raise
+        except BaseException:
+            writers.clear()  # perhaps on this rank alone: closing together would wait for ever
+            raise
+        finally:
+            for writer in writers:
+                writer.close(*ending)
+
+
+# --- reading ---
+
+
+def as_table(value: Any) -> dict[str, Any]:
+    """A table, or a record as one.
+
+    Raises:
+        InputError: It is neither.
+    """
+    if isinstance(value, Record):
+        return written(value)
+    if not isinstance(value, Mapping):
+        raise InputError(f"{shown(value)} is wrong", expected="expected a table")
+    return dict(value)
+
+
+def pick(kinds: Mapping[str, type[T]], table: Any, key: str) -> type[T]:
+    """The class that a table's `law` or `kind` names.
+
+    Raises:
+        InputError: It names none, or an unknown one.
+    """
+    name = as_table(table).get(key)
+    if name is None:
+        raise InputError("this key is missing", where=key, expected=f"known: {', '.join(kinds)}")
+    if name not in kinds:
+        raise InputError(f"unknown {key} '{name}'", where=key,
+                         expected=nearest(str(name), kinds))
+    return kinds[name]
+
+
+def named(tables: Any, read: Callable[[Any], T]) -> dict[str, T]:
+    """Reads each entry of a table of tables; faults get its name."""
+    return {name: _at(key_text(name), read, table) for name, table in as_table(tables).items()}
+
+
+def listed(rows: Any, read: Callable[[Any], T]) -> list[T]:
+    """Reads each entry of a list of tables; faults get its index."""
+    return [_at(f"[{index}]", read, row) for index, row in enumerate(rows)]
+
+
+def _at(key: str, read: Callable[[Any], T], table: Any) -> T:
+    try:
+        return read(table)
+    except InputError as error:
+        raise within(key, error) from None
+
+
+def selectors(value: Any) -> list[Selector]:
+    """One selector, or several whose parts are joined."""
+    return listed(value, selector) if isinstance(value, list | tuple) else [selector(value)]
+
+
+def selector(value: Any) -> Selector:
+    """One selector."""
+    return value if isinstance(value, Selector) else Selector(**as_table(value))
+
+
+def written(record: Record) -> dict[str, Any]:
+    """A record as the table it was read from, without what was left out."""
+    return record.model_dump(exclude_unset=True, exclude_none=True)

@@ -1,0 +1,74 @@
+"""Where the time of a run goes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+STAGES = ("mesh", "compile", "assemble", "solve", "output")
+
+
+class Stopwatch:
+    """Seconds per stage.  A stage inside another is taken off the outer one."""
+
+    def __init__(self) -> None:
+        self.start = time.perf_counter()
+        self.seconds: dict[str, float] = dict.fromkeys(STAGES, 0.0)
+        self._inner: list[float] = []
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Adds the time spent inside to a stage."""
+        begin = time.perf_counter()
+        self._inner.append(0.0)
+        try:
+            yield
+        finally:
+            spent = time.perf_counter() - begin
+            self.seconds[name] = self.seconds.get(name, 0.0) + spent - self._inner.pop()
+            if self._inner:
+                self._inner[-1] += spent
+
+    def totals(self) -> dict[str, float]:
+        """Seconds per stage on this rank, and "total" since the watch was made."""
+        return {**self.seconds, "total": time.perf_counter() - self.start}
+
+
+_watch: ContextVar[Stopwatch | None] = ContextVar("stopwatch", default=None)
+
+
+@contextmanager
+def timed() -> Iterator[Stopwatch]:
+    """Measures everything inside with a fresh watch."""
+    watch = Stopwatch()
+    token = _watch.set(watch)
+    try:
+        yield watch
+    finally:
+        _watch.reset(token)
+
+
+def begin() -> Stopwatch:
+    """Starts a fresh watch for the rest of this context, for example a whole run."""
+    watch = Stopwatch()
+    _watch.set(watch)
+    return watch
+
+
+@contextmanager
+def stage(name: str) -> Iterator[None]:
+    """Adds the time spent inside to a stage of the current watch, if there is one."""
+    watch = _watch.get()
+    if watch is None:
+        yield
+        return
+    with watch.stage(name):
+        yield
+
+
+def totals() -> dict[str, float]:
+    """Seconds per stage of the current watch (empty without one)."""
+    watch = _watch.get()
+    return watch.totals() if watch else {}

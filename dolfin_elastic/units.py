@@ -1,0 +1,121 @@
+"""Numbers with units: ``"1.2 MPa"`` becomes 1.2e6.
+
+Inside the program everything is in SI units (m, kg, s, N, Pa).  A bare number is taken as it
+stands, so a case written without any unit works in any consistent system.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BeforeValidator
+
+from dolfin_elastic.errors import UnitError
+
+if TYPE_CHECKING:
+    import pint
+
+_NUMBER = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"  # the number
+    r"\s*((?:[^\W\d_]|[%°]).*?)?\s*", re.ASCII | re.DOTALL)  # a unit begins with a letter
+
+
+
+@lru_cache(maxsize=1)
+def _registry() -> pint.UnitRegistry:
+    import pint  # noqa: PLC0415  0.15 s: only where a case uses units
+
+    return pint.UnitRegistry()
+
+
+def is_quantity(text: str) -> bool:
+    """True for a number, bare or followed by a known unit: ``"2"``, ``"2 mm"``; no formula."""
+    match = _NUMBER.fullmatch(text)
+    if not match:
+        return False
+    return not match[2] or _known(match[2])
+
+
+def _known(unit: str) -> bool:
+    try:
+        _registry().parse_units(unit)
+    except Exception:  # noqa: BLE001  pint raises many kinds for text that is no unit
+        return False
+    return True
+
+
+def to_si(value: float | str, unit: str) -> float:
+    """A number, or a text with a number and a unit, in SI units.
+
+    Args:
+        value: ``210e9``, ``"210e9"`` or ``"210 GPa"``.
+        unit: SI unit of what is expected, for example ``"Pa"`` (``""``: a pure number).
+
+    Returns:
+        The value in `unit`.
+
+    Raises:
+        UnitError: Not a finite number, an unknown unit, or one that measures something else.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise UnitError(f"{value!r} is not a number", expected=_expected(unit))
+    if isinstance(value, str):
+        return _finite(_from_text(value, unit), value)
+    return _finite(float(value), value)
+
+
+def _from_text(text: str, unit: str) -> float:
+    match = _NUMBER.fullmatch(text)
+    if not match:
+        raise UnitError(f"'{text}' is not a number", expected=_expected(unit))
+    number, name = float(match[1]), match[2]
+    if not name:
+        return number
+    if not _known(name):
+        raise UnitError(f"unknown unit '{name}' in '{text}'", expected=_expected(unit))
+    quantity = _registry().Quantity(1.0, name)
+    if not quantity.is_compatible_with(unit or "dimensionless"):
+        raise UnitError(f"'{text}' has the wrong unit", expected=_expected(unit))
+    return float(number * quantity.to(unit or "dimensionless").magnitude)
+
+
+def _finite(number: float, written: object) -> float:
+    if not math.isfinite(number):
+        raise UnitError(f"{written!r} is not a finite number")
+    return number
+
+
+_EXAMPLES = {"Pa": "210 GPa", "m": "2 mm", "kg/m^3": "1100 kg/m^3", "m/s^2": "9.81 m/s^2",
+             "m/s": "3 m/s", "s": "0.1 s", "N/m^3": "10 kN/m^3", "N": "5 kN"}
+
+
+def _expected(unit: str) -> str:
+    example = _EXAMPLES.get(unit)
+    if not unit:
+        return "expected a pure number"
+    return f"expected a number in {unit}" + (f", for example \"{example}\"" if example else "")
+
+
+def quantity(unit: str) -> Any:
+    """A pydantic field type: a float in `unit` that may be written with any compatible unit."""
+
+    def read(value: Any) -> float:
+        return to_si(value, unit)
+
+    return Annotated[float, BeforeValidator(read)]
+
+
+if TYPE_CHECKING:
+    Number = Length = Stress = Density = Acceleration = Velocity = Time = ForceDensity = float
+else:
+    Number = quantity("")
+    Length = quantity("m")
+    Stress = quantity("Pa")
+    Density = quantity("kg/m^3")
+    Acceleration = quantity("m/s^2")
+    Velocity = quantity("m/s")
+    Time = quantity("s")
+    ForceDensity = quantity("N/m^3")

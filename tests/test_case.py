@@ -1,0 +1,625 @@
+"""Case files: what is read, written back, checked, and how every mistake is told."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+import tempfile
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from mpi4py import MPI
+
+from dolfin_elastic.case import Case, read_case
+from dolfin_elastic.check import free_motions, report
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.starter import starter
+
+COMM = MPI.COMM_WORLD
+GOOD = """\
+title = "Block"
+[mesh]
+box = {size = [2, 1, 1], cells = [2, 1, 1]}
+unit = "mm"
+[surfaces]
+foot = {plane = "z", at = "min"}
+[regions]
+core = {box = [[0, 0, 0], ["1 mm", 1, 1]]}
+[materials.steel]
+law = "linear-elastic"
+E = "210 GPa"
+nu = 0.3
+[[support]]
+on = "left"
+displacement = [0, 0, 0]
+[[load]]
+kind = "traction"
+on = "right"
+value = [0, 0, "1 MPa"]
+[statics]
+steps = 2
+[solver]
+method = "direct"
+[output]
+fields = ["displacement"]
+"""
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """One folder for all ranks."""
+    made = COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else "")
+    yield Path(made)
+    COMM.barrier()
+    if COMM.rank == 0:
+        shutil.rmtree(made)
+
+
+def case_of(folder: Path, text: str) -> Case:
+    """Writes a case file on one rank and reads it on all. Collective."""
+    if COMM.rank == 0:
+        (folder / "case.toml").write_bytes(text.encode("utf-8", "surrogateescape"))
+    return read_case(folder / "case.toml")
+
+
+def complaint(folder: Path, text: str) -> str:
+    """What a check says about a case that is wrong, the same on every rank. Collective."""
+    with pytest.raises(InputError) as caught:
+        report(case_of(folder, text))
+    messages = COMM.allgather(str(caught.value).replace(f"{folder}/", ""))
+    assert len(set(messages)) == 1
+    assert caught.value.exit_code == 2
+    assert not list(folder.glob("*_results"))
+    return messages[0]
+
+
+# Text to replace, its replacement, and the message about it.
+MISTAKES = {
+    "table": (
+        "[solver]",
+        "[sovler]",
+        "unknown key 'sovler'; did you mean 'solver'?"),
+    "key": (
+        "unit =",
+        "units =",
+        "mesh: unknown key 'units'; did you mean 'unit'?"),
+    "selector key": (
+        "plane =",
+        "plain =",
+        "surfaces.foot: unknown key 'plain'; did you mean 'plane'?"),
+    "law const": (
+        "nu = 0.3",
+        "nuu = 0.3",
+        "materials.steel: unknown key 'nuu'; did you mean 'nu'?"),
+    "settings key": (
+        "steps = 2",
+        "step = 2",
+        "statics: unknown key 'step'; did you mean 'steps'?"),
+    "load key": (
+        "value = [",
+        "vaule = [",
+        "load[0]: unknown key 'vaule'; did you mean 'value'?"),
+    "support key": (
+        "displacement = [",
+        "dispacement = [",
+        "support[0]: unknown key 'dispacement'; did you mean 'displacement'?"),
+    "output key": (
+        "fields =",
+        "field =",
+        "output: unknown key 'field'; did you mean 'fields'?"),
+    "law": (
+        '"linear-elastic"',
+        '"linear-elastik"',
+        "materials.steel.law: unknown law 'linear-elastik'; did you mean 'linear-elastic'?"),
+    "law missing": (
+        'law = "linear-elastic"\n',
+        "",
+        "materials.steel.law: this key is missing; known: linear-elastic, "
+        "st-venant-kirchhoff, neo-hookean, textbook"),
+    "kind": (
+        '"traction"',
+        '"tracktion"',
+        "load[0].kind: unknown kind 'tracktion'; did you mean 'traction'?"),
+    "kind missing": (
+        'kind = "traction"\n',
+        "",
+        "load[0].kind: this key is missing; known: traction, body-force, gravity"),
+    "unit of E": (
+        '"210 GPa"',
+        '"210 mm"',
+        "materials.steel.E: '210 mm' has the wrong unit; expected a number in Pa, for "
+        'example "210 GPa"'),
+    "unit unknown": (
+        '"210 GPa"',
+        '"210 GPaa"',
+        "materials.steel.E: unknown unit 'GPaa' in '210 GPaa'; expected a number in Pa, "
+        'for example "210 GPa"'),
+    "E no number": (
+        '"210 GPa"',
+        '"stiff"',
+        "materials.steel.E: 'stiff' is not a number; expected a number in Pa, for "
+        'example "210 GPa"'),
+    "E list": (
+        '"210 GPa"',
+        "[1]",
+        'materials.steel.E: [1] is not a number; expected a number in Pa, for example "210 GPa"'),
+    "E neg": (
+        '"210 GPa"',
+        "-1",
+        "materials.steel.E: -1 is not a possible E; E must be positive"),
+    "E bool": (
+        '"210 GPa"',
+        "true",
+        "materials.steel.E: True is not a number; expected a number in Pa, for example "
+        '"210 GPa"'),
+    "nu 0.5": (
+        "nu = 0.3",
+        "nu = 0.5",
+        "materials.steel.nu: 0.5 is not a possible Poisson's ratio; nu must lie above -1 "
+        "and below 0.5 (rubber: 0.49 to 0.4999)"),
+    "one const": (
+        "nu = 0.3\n",
+        "",
+        "materials.steel: two elastic constants are needed, 1 given (E); give any two of "
+        "E, nu, K, lmbda, mu"),
+    "three const": (
+        "nu = 0.3\n",
+        "nu = 0.3\n"
+        "mu = 1\n",
+        "materials.steel: two elastic constants are needed, 3 given (E, nu, mu); give "
+        "any two of E, nu, K, lmbda, mu"),
+    "no surface": (
+        'on = "left"',
+        'on = "lft"',
+        "support[0].on: there is no surface 'lft'; did you mean 'left'?"),
+    "no surface 2": (
+        'on = "right"',
+        'on = ["right", "tip"]',
+        "load[0].on[1]: there is no surface 'tip'; did you mean 'top'?"),
+    "region as surface": (
+        'on = "left"',
+        'on = "core"',
+        "support[0].on: 'core' is a region; a support holds surfaces"),
+    "no region": (
+        "nu = 0.3",
+        "nu = 0.3\n"
+        'on = "cor"',
+        "materials.steel.on: there is no region 'cor'; did you mean 'core'?"),
+    "surface as region": (
+        "nu = 0.3",
+        "nu = 0.3\n"
+        'on = "left"',
+        "materials.steel.on: 'left' is a surface; a material fills regions"),
+    "on type": (
+        'on = "left"',
+        "on = 3",
+        "support[0].on: 3 is wrong; expected a text or a list"),
+    "on missing": (
+        'on = "left"\n',
+        "",
+        "support[0].on: this key is missing"),
+    "components": (
+        'on = "left"\n'
+        "displacement = [0, 0, 0]",
+        'on = "left"\n'
+        "displacement = [0, 0]",
+        "support[0].displacement: 2 components; the body is 3-dimensional, expected 3"),
+    "components4": (
+        'on = "left"\n'
+        "displacement = [0, 0, 0]",
+        'on = "left"\n'
+        "displacement = [0, 0, 0, 0]",
+        "support[0]: [0, 0, 0, 0] is not a vector; expected a list of 3 components (2 in "
+        "a plane), for example [0, 0, -1]"),
+    "load comps": (
+        '[0, 0, "1 MPa"]',
+        '[0, "1 MPa"]',
+        "load[0].value: 2 components; the body is 3-dimensional, expected 3"),
+    "vec no list": (
+        '[0, 0, "1 MPa"]',
+        '"1 MPa"',
+        'load[0].value: "1 MPa" is wrong; expected a list'),
+    "load unit": (
+        '"1 MPa"',
+        '"1 mm"',
+        "load[0].value[2]: '1 mm' has the wrong unit; expected a number in Pa, for "
+        'example "210 GPa"'),
+    "free in load": (
+        '"1 MPa"',
+        '"free"',
+        "load[0].value[2]: unknown name 'free'; known: e, pi, t, x, y, z\n"
+        "    free\n"
+        "    ^"),
+    "formula name": (
+        '"1 MPa"',
+        '"2*xx"',
+        "load[0].value[2]: unknown name 'xx'; did you mean 'x'?\n"
+        "    2*xx\n"
+        "      ^"),
+    "formula syntax": (
+        '"1 MPa"',
+        '"2*x +"',
+        "load[0].value[2]: a value is missing at the end\n"
+        "    2*x +\n"
+        "         ^"),
+    "formula nest": (
+        "displacement = [0, 0, 0]",
+        'displacement = [0, "0.1*(x", 0]',
+        "support[0].displacement[1]: this parenthesis is never closed\n"
+        "    0.1*(x\n"
+        "        ^"),
+    "curve word": (
+        'on = "right"',
+        'on = "right"\n'
+        'curve = "rmap"',
+        'load[0].curve: unknown curve \'rmap\'; did you mean \'ramp\'? expected "ramp", '
+        '"constant", a formula in t, or a table [[t, value], ...]'),
+    "curve table": (
+        'on = "right"',
+        'on = "right"\n'
+        "curve = [[0, 0], [0, 1]]",
+        "load[0].curve: the times of a curve's table must increase"),
+    "two meshes": (
+        'unit = "mm"',
+        'unit = "mm"\n'
+        'file = "a.msh"',
+        "mesh: file and box given together; expected exactly one of file, box, rectangle"),
+    "no mesh": (
+        "box = {size = [2, 1, 1], cells = [2, 1, 1]}\n",
+        "",
+        "mesh: no mesh is given; expected exactly one of file, box, rectangle"),
+    "mesh table missing": (
+        "[mesh]\n"
+        "box = {size = [2, 1, 1], cells = [2, 1, 1]}\n"
+        'unit = "mm"\n',
+        "",
+        "mesh: this key is missing"),
+    "size w box": (
+        'unit = "mm"',
+        'unit = "mm"\n'
+        "size = 2",
+        "mesh.size: a box takes no element size; use box.cells"),
+    "unit no length": (
+        'unit = "mm"',
+        'unit = "kg"',
+        'mesh.unit: \'kg\' is no unit of length; expected for example "mm"'),
+    "unit nonsense": (
+        'unit = "mm"',
+        'unit = "qq"',
+        'mesh.unit: \'qq\' is no unit of length; expected for example "mm"'),
+    "degree": (
+        'unit = "mm"',
+        'unit = "mm"\n'
+        "degree = 3",
+        "mesh.degree: 3 is wrong; expected 1 or 2"),
+    "degree text": (
+        'unit = "mm"',
+        'unit = "mm"\n'
+        'degree = "two"',
+        'mesh.degree: "two" is wrong; expected 1 or 2'),
+    "box 2 sizes": (
+        "size = [2, 1, 1]",
+        "size = [2, 1]",
+        "mesh.box.size: [2, 1] is wrong; expected a list of 3"),
+    "box unit": (
+        "size = [2, 1, 1]",
+        'size = [2, 1, "1 kg"]',
+        "mesh.box.size[2]: '1 kg' has the wrong unit; expected a number in m, for "
+        'example "2 mm"'),
+    "cells float": (
+        "cells = [2, 1, 1]",
+        "cells = [2, 1.5, 1]",
+        "mesh.box.cells[1]: 1.5 is wrong; expected a whole number"),
+    "cells neg": (
+        "cells = [2, 1, 1]",
+        "cells = [2, -1, 1]",
+        "mesh.box.cells[1]: -1 is wrong; expected a number above 0"),
+    "selector at": (
+        ', at = "min"',
+        "",
+        'surfaces.foot: plane and at belong together, as in {plane = "z", at = "min"}'),
+    "selector word": (
+        'at = "min"',
+        'at = "mni"',
+        'surfaces.foot.at: should be "min", "max", a number, or a length such as "2 mm"'),
+    "selector axis": (
+        'plane = "z"',
+        'plane = "w"',
+        'surfaces.foot.plane: "w" is wrong; known: x, y, z'),
+    "selector empty": (
+        '{plane = "z", at = "min"}',
+        "{}",
+        "surfaces.foot: say where: plane and at, box, sphere, cylinder, normal, of, or all"),
+    "selector str": (
+        '{plane = "z", at = "min"}',
+        '"z"',
+        'surfaces.foot: "z" is wrong; expected a table'),
+    "region unit": (
+        '"1 mm"',
+        '"1 s"',
+        "regions.core.box[1][0]: '1 s' has the wrong unit; expected a number in m, for "
+        'example "2 mm"'),
+    "both": (
+        "[solver]",
+        "[dynamics]\n"
+        "dt = 0.1\n"
+        "end = 1.0\n"
+        "[solver]",
+        "[statics] and [dynamics] given together; a case has one analysis; leave one of "
+        "them out"),
+    "density dyn": (
+        "[statics]\n"
+        "steps = 2",
+        "[dynamics]\n"
+        "dt = 0.1\n"
+        "end = 1.0",
+        "materials.steel.density: this key is missing; [dynamics] needs it, for example "
+        '"1100 kg/m^3"'),
+    "steps 0": (
+        "steps = 2",
+        "steps = 0",
+        "statics.steps: 0 is wrong; expected a number of at least 1"),
+    "steps text": (
+        "steps = 2",
+        'steps = "many"',
+        'statics.steps: "many" is wrong; expected a whole number'),
+    "method": (
+        '"direct"',
+        '"dircet"',
+        'solver.method: "dircet" is wrong; did you mean \'direct\'?'),
+    "field": (
+        '["displacement"]',
+        '["displacment"]',
+        "output.fields[0]: unknown field 'displacment'; did you mean 'displacement'?"),
+    "field motion": (
+        '["displacement"]',
+        '["displacement", "velocity"]',
+        "output.fields[1]: there is no 'velocity' in statics; leave it out, or use [dynamics]"),
+    "fields str": (
+        '["displacement"]',
+        '"displacement"',
+        'output.fields: "displacement" is wrong; expected a list'),
+    "single bracket": (
+        "[[support]]",
+        "[support]",
+        "support: a single table cannot be a support; write [[support]] with double brackets"),
+    "material flat": (
+        "[materials.steel]",
+        "[materials]",
+        'materials.law: "linear-elastic" is no material; write its table as [materials.NAME]'),
+    "no material": (
+        "[materials.steel]\n"
+        'law = "linear-elastic"\n'
+        'E = "210 GPa"\n'
+        "nu = 0.3\n",
+        "",
+        "materials: this key is missing"),
+    "two everywhere": (
+        "[[support]]",
+        "[materials.alu]\n"
+        'law = "linear-elastic"\n'
+        "E = 1\n"
+        "nu = 0.1\n"
+        "[[support]]",
+        "materials.alu: 'steel' and 'alu' both have no `on`; only one material can fill "
+        "what the others leave"),
+    "overlap": (
+        "nu = 0.3",
+        "nu = 0.3\n"
+        'on = "core"\n'
+        "[materials.alu]\n"
+        'law = "linear-elastic"\n'
+        "E = 1\n"
+        "nu = 0.1\n"
+        'on = "core"',
+        "materials.alu.on: 6 cells are in 'steel' too; every cell needs exactly one material"),
+    "uncovered": (
+        "nu = 0.3",
+        "nu = 0.3\n"
+        'on = "core"',
+        "materials: 6 of 12 cells have no material; a material without `on` fills what "
+        "the others leave"),
+    "no support": (
+        "[[support]]\n"
+        'on = "left"\n'
+        "displacement = [0, 0, 0]\n",
+        "",
+        "support: there is no support: as a rigid body it can move and turn freely; "
+        "statics needs supports that hold it; [dynamics] does not"),
+    "slides": (
+        'on = "left"\n'
+        "displacement = [0, 0, 0]",
+        'on = "left"\n'
+        'displacement = [0, "free", 0]',
+        "support: the supports leave the body free: as a rigid body it can move along y; "
+        "statics needs supports that hold it; [dynamics] does not"),
+    "rolls": (
+        'on = "left"\n'
+        "displacement = [0, 0, 0]",
+        'on = "left"\n'
+        'displacement = [0, "free", "free"]',
+        "support: the supports leave the body free: as a rigid body it can move along y, "
+        "move along z, turn about x; statics needs supports that hold it; [dynamics] does not"),
+    "toml": (
+        "steps = 2",
+        "steps 2",
+        "line 21: expected '=' after a key in a key/value pair\n"
+        "    steps 2\n"
+        "          ^"),
+    "toml twice": (
+        "steps = 2",
+        "steps = 2\n"
+        "steps = 3",
+        "line 22: this key stands here for the second time\n"
+        "    steps = 3\n"
+        "             ^"),
+    "toml string": (
+        'title = "Block"',
+        'title = "Block',
+        "line 1: the closing quote is missing\n"
+        '    title = "Block\n'
+        "                  ^"),
+    "title": (
+        'title = "Block"',
+        "title = 3",
+        "title: 3 is wrong; expected a text"),
+    "pictures": (
+        "fields =",
+        'pictures = [{feild = "x"}]\n'
+        "fields =",
+        "output.pictures[0]: unknown key 'feild'; did you mean 'field'?"),
+    "curve const": (
+        'on = "right"',
+        'on = "right"\n'
+        'curve = "1/0"',
+        "load[0].curve: '1/0' is infinite"),
+    "toml twice t": (
+        "[solver]",
+        "[mesh]\n"
+        "[solver]",
+        "line 22: [mesh] stands here for the second time\n"
+        "    [mesh]\n"
+        "         ^"),
+    "density": (
+        "[statics]",
+        "[[load]]\n"
+        'kind = "gravity"\n'
+        "[statics]",
+        "materials.steel.density: this key is missing; load[1] (gravity) needs it, for "
+        'example "1100 kg/m^3"'),
+    "toml closing bracket": (
+        'fields = ["displacement"]',
+        'fields = ["displacement"',
+        "unclosed array (at end of document)"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_mistake(folder: Path, name: str) -> None:
+    """File, dotted key, what is wrong, what is expected: in one message."""
+    old, new, message = MISTAKES[name]
+    assert old in GOOD
+    assert complaint(folder, GOOD.replace(old, new, 1)) == f"case.toml: {message}"
+
+
+def test_other_mistakes(folder: Path) -> None:
+    """Those that are not a change of the text of one case."""
+    assert complaint(folder, GOOD.replace("Block", "\udcff")) == \
+        "case.toml: this is no text file in UTF-8"
+    text = GOOD.replace("box = {size = [2, 1, 1], cells = [2, 1, 1]}", 'file = "part.msh"')
+    assert complaint(folder, text).startswith(
+        "case.toml: mesh.file: there is no mesh file 'part.msh'")
+    text = GOOD.replace("at = \"min\"", "at = 5")
+    assert complaint(folder, text).startswith("case.toml: surfaces.foot: found 0 of 20 facets")
+    text = GOOD.replace("[materials.steel]", '[materials."my steel"]\nnuu = 3')
+    assert complaint(folder, text) == \
+        "case.toml: materials.\"my steel\": unknown key 'nuu'; did you mean 'nu'?"
+
+
+def test_missing_case_file(folder: Path) -> None:
+    """The nearest file is named; a folder is no file."""
+    case_of(folder, GOOD)
+    with pytest.raises(InputError) as caught:
+        read_case(folder / "cas.toml")
+    assert str(caught.value) == (f"{folder}/cas.toml: there is no such case file; "
+                                 f"did you mean '{folder}/case.toml'?")
+    with pytest.raises(InputError, match="cannot be read: Is a directory"):
+        read_case(folder)
+
+
+def test_good_case(folder: Path) -> None:
+    """What a report says about it."""
+    found = report(case_of(folder, GOOD))
+    assert (found.dim, found.cells, found.unknowns, found.analysis) == (3, 12, 36, "statics")
+    assert found.title == "Block"
+    assert found.notes == ()
+    surfaces = {part.name: part for part in found.surfaces}
+    assert surfaces["foot"].measure == pytest.approx(2e-6)
+    assert surfaces["left"].use == "support"
+    assert surfaces["right"].use == "traction"
+    regions = {part.name: part for part in found.regions}
+    assert regions["core"].measure == pytest.approx(1e-9)
+    assert regions["(whole body)"].count == 12
+
+
+def test_notes(folder: Path) -> None:
+    """What is not wrong but should be known."""
+    text = GOOD.replace("linear-elastic", "textbook")
+    assert report(case_of(folder, text)).notes[0].startswith(
+        "materials.steel: the law 'textbook' has no energy")
+    text = GOOD[:GOOD.index("[[load]]")]
+    assert report(case_of(folder, text)).notes == (
+        "there is no load and every support is at rest: nothing will move",)
+
+
+def test_round_trip(folder: Path) -> None:
+    """A case written back and read again is equal, also after pickling."""
+    more = ("[materials.rubber]\nlaw = \"neo-hookean\"\nK = 1e6\nlambda = 9e5\non = [\"core\"]\n"
+            "[[support]]\non = [\"right\"]\ndisplacement = [\"free\", \"2 mm\", \"x*t^2\"]\n"
+            "curve = [[0, 0], [1, 2.5]]\n[[load]]\nkind = \"body-force\"\nvalue = [0, 0, 1]\n"
+            "[output]\nfolder = \"a \\\"b\\\"\"\nevery = 3\n[solver]\n"
+            "petsc = {ksp_type = \"cg\", ksp_rtol = 1e-6}\n")
+    case = case_of(folder, GOOD[:GOOD.index("[solver]")] + more)
+    again = Case.from_dict(tomllib.loads(case.to_toml()), case.folder, file=case.file)
+    assert again == case
+    assert again.to_toml() == case.to_toml()
+    assert pickle.loads(pickle.dumps(case)) == case
+    assert case.materials["rubber"].law.nu == again.materials["rubber"].law.nu
+
+
+def test_case_in_python() -> None:
+    """The same records without a file; errors name the key alone."""
+    case = Case(mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}},
+                materials={"m": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3}},
+                support=[{"on": "left"}])
+    assert case.results_folder() == Path("case_results")
+    assert report(case).unknowns == 24
+    with pytest.raises(InputError) as caught:
+        Case(mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}}, materials={"m": 3})
+    assert str(caught.value) == "materials.m: 3 is no material; write its table as [materials.NAME]"
+
+
+def test_starter(folder: Path) -> None:
+    """The case that `new` writes has nothing wrong with it."""
+    found = report(case_of(folder, starter("case.toml")))
+    assert found.notes == ()
+
+
+def test_support_without_displacement_in_the_plane(folder: Path) -> None:
+    """It holds as many components as the body has."""
+    text = ('[mesh]\nrectangle = {size = [2, 1], cells = [2, 1]}\n[materials.m]\n'
+            'law = "neo-hookean"\nE = 1\nnu = 0.3\n[[support]]\non = "left"\n')
+    case = case_of(folder, text)
+    assert report(case).dim == 2
+    problem = case.make_problem(case.read_body())
+    assert problem.supports[0].values == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("supports", "free"), [
+    ([], ["move and turn freely"]),
+    ([{"on": "left"}], []),
+    ([{"on": "left", "displacement": [0, "free", "free"]}],
+     ["move along y", "move along z", "turn about x"]),
+    ([{"on": "left", "displacement": [0, "free", "free"]},
+      {"on": "bottom", "displacement": ["free", "free", 0]}], ["move along y"]),
+    ([{"on": "left", "displacement": [0, "free", "free"]},
+      {"on": "front", "displacement": ["free", 0, "free"]},
+      {"on": "bottom", "displacement": ["free", "free", 0]}], []),
+])
+def test_free_motions(supports: list[dict[str, object]], free: list[str]) -> None:
+    """Rigid motions are found from the supports' rank, not from a guess."""
+    tables = {**tomllib.loads(GOOD), "support": supports}
+    case = Case.from_dict(tables)
+    assert free_motions(case, case.read_body()) == free
+
+
+def test_materials_fill_what_others_leave() -> None:
+    """Each material gets a region; without `on` it is the rest."""
+    tables = tomllib.loads(GOOD)
+    tables["materials"]["rubber"] = {"law": "neo-hookean", "E": 1, "nu": 0.3, "on": "core"}
+    case = Case.from_dict(tables)
+    problem = case.make_problem(case.read_body())
+    cells = {part.name: COMM.allreduce(len(part.cells)) for part in problem.parts}
+    assert cells == {"steel": 6, "rubber": 6}

@@ -1,0 +1,257 @@
+"""The command line as a user meets it: what it prints, exit codes, on one rank and on several."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from mpi4py import MPI
+
+from dolfin_elastic import __version__
+from dolfin_elastic.cli import petsc_options
+from dolfin_elastic.errors import CaseError
+
+pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1,
+                                reason="starts mpirun itself, which cannot be nested")
+CASE = """\
+[mesh]
+box = {size = [2, 1, 1], cells = [4, 2, 2]}
+[materials.rubber]
+law = "neo-hookean"
+E = "1 MPa"
+nu = 0.3
+[[support]]
+on = "left"
+[[load]]
+kind = "traction"
+on = "right"
+value = [0, 0, "10 kPa"]
+[statics]
+steps = 2
+"""
+PROGRAM = [sys.executable, "-m", "dolfin_elastic"]
+CRASH = """\
+import sys
+from mpi4py import MPI
+import dolfin_elastic.run, dolfin_elastic.cli
+def broken(*args, **kwargs):
+    if MPI.COMM_WORLD.rank == {rank} or {rank} < 0:
+        raise RuntimeError("a fault of ours")
+    MPI.COMM_WORLD.barrier()
+    yield
+dolfin_elastic.run.run = broken
+sys.argv = ["dolfin-elastic", "run", "case.toml"]
+dolfin_elastic.cli.main()
+"""
+
+
+def started(command: list[str], folder: Path, ranks: int) -> subprocess.Popen[str]:
+    """Starts a program in a folder, with mpirun for more than one rank."""
+    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
+    clean = {key: value for key, value in os.environ.items()
+             if not re.match(r"PMIX|PRTE_(?!MCA)|OMPI_(?!MCA|ALLOW)", key)}
+    return subprocess.Popen([*launcher, *command], cwd=folder, env=clean, text=True,
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def cli(*words: str, folder: Path, ranks: int = 1) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of a command."""
+    with started([*PROGRAM, *words], folder, ranks) as process:
+        out, err = process.communicate(timeout=240)
+    return process.returncode, out, err
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with a case."""
+    (tmp_path / "case.toml").write_text(CASE)
+    return tmp_path
+
+
+def test_help_is_quick_and_teaches(tmp_path: Path) -> None:
+    """Nothing heavy is imported for it."""
+    code, out, err = cli("--help", folder=tmp_path)
+    assert (code, err) == (0, "")
+    assert "mpirun -n 4 dolfin-elastic run beam.toml" in out
+    assert "Exit codes:" in out
+    modules = ("numpy", "mpi4py", "dolfinx", "pint", "matplotlib", "pydantic", "ufl")
+    probe = f"import sys, dolfin_elastic.cli; sys.exit(any(m in sys.modules for m in {modules}))"
+    assert subprocess.run([sys.executable, "-c", probe], check=False).returncode == 0
+
+
+def test_version(tmp_path: Path) -> None:
+    """One line."""
+    assert cli("--version", folder=tmp_path) == (0, f"dolfin-elastic {__version__}\n", "")
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_wrong_usage(tmp_path: Path, ranks: int) -> None:
+    """Said once, exit code 2."""
+    code, _, err = cli("run", "case.toml", "--ouptut", "x", folder=tmp_path, ranks=ranks)
+    assert code == 2
+    assert err.count("No such option: --ouptut") == 1
+
+
+def test_new_check_and_refuse(tmp_path: Path) -> None:
+    """The first case is written, right, and not overwritten."""
+    assert cli("new", "first.toml", folder=tmp_path)[:2] == (
+        0, "first.toml written; compute it with: dolfin-elastic run first.toml\n")
+    code, out, _ = cli("check", "first.toml", folder=tmp_path)
+    assert code == 0
+    assert out.startswith("first.toml: Cantilever\n")
+    assert out.endswith("nothing is wrong\n")
+    code, _, err = cli("new", "first.toml", folder=tmp_path)
+    assert code == 2
+    assert err == ("error: first.toml: this file exists already; choose another name, "
+                   "or --force to overwrite it\n")
+
+
+def test_check_as_json(folder: Path) -> None:
+    """Scripts get numbers."""
+    code, out, _ = cli("check", "case.toml", "--json", folder=folder, ranks=2)
+    found = json.loads(out)
+    assert code == 0
+    assert (found["cells"], found["unknowns"]) == (96, 135)
+    assert {part["name"] for part in found["surfaces"]} >= {"left", "right"}
+
+
+def test_info(tmp_path: Path) -> None:
+    """Versions of what the numbers depend on."""
+    code, out, _ = cli("info", folder=tmp_path, ranks=2)
+    assert code == 0
+    assert re.search(r"^ranks +2$", out, re.MULTILINE)
+    assert all(name in out for name in ("dolfinx", "petsc", "blas"))
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_run(folder: Path, ranks: int) -> None:
+    """A line a step, a summary, the files, and each of them once."""
+    code, out, err = cli("run", "case.toml", "--profile", folder=folder, ranks=ranks)
+    assert code == 0, err
+    assert re.findall(r"^step +(\d)   load (\d+) %", out, re.MULTILINE) == [
+        ("1", "50"), ("2", "100")]
+    assert out.count("done: 2 steps") == 1
+    assert "reaction of left" in out
+    assert "slowest rank" in out
+    assert out.endswith("results in case_results: history.csv, results.xdmf, summary.json\n")
+    summary = json.loads((folder / "case_results/summary.json").read_text())
+    assert summary["status"] == "completed"
+    assert summary["ranks"] == ranks
+    assert summary["reactions"]["left"][2] == pytest.approx(-1e4, rel=1e-6)
+
+
+def test_quiet_and_folder(folder: Path) -> None:
+    """Nothing to say, results where they are wanted."""
+    assert cli("run", "case.toml", "-q", "-o", "deep/er", folder=folder) == (0, "", "")
+    assert (folder / "deep/er/summary.json").exists()
+    assert not (folder / "case_results").exists()
+
+
+@pytest.mark.parametrize("ranks", [1, 2, 3])
+def test_wrong_case(folder: Path, ranks: int) -> None:
+    """One message, exit code 2, no folder, on any number of ranks."""
+    (folder / "case.toml").write_text(CASE.replace('on = "left"', 'on = "lft"'))
+    code, out, err = cli("run", "case.toml", folder=folder, ranks=ranks)
+    message = "error: case.toml: support[0].on: there is no surface 'lft'; did you mean 'left'?\n"
+    assert code == 2
+    assert out == ""
+    assert err.count(message) == 1
+    assert "Traceback" not in err
+    assert [path.name for path in folder.iterdir()] == ["case.toml"]
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_no_solution(folder: Path, ranks: int) -> None:
+    """Exit code 3, the reason on screen and in the summary, results so far complete."""
+    text = CASE.replace('[0, 0, "10 kPa"]', '["-9 MPa", 0, 0]').replace(
+        "steps = 2", "steps = 2\nmin_step = 0.5\nmax_iterations = 4")
+    (folder / "case.toml").write_text(text)
+    code, _, err = cli("run", "case.toml", folder=folder, ranks=ranks)
+    assert code == 3
+    assert len(re.findall(r"^error: no equilibrium beyond load factor", err, re.MULTILINE)) == 1
+    assert "results so far are in case_results" in err
+    summary = json.loads((folder / "case_results/summary.json").read_text())
+    assert summary["status"] == "failed"
+    assert "no equilibrium" in summary["reason"]
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_no_place_for_results(folder: Path, ranks: int) -> None:
+    """Exit code 4 with the file and the cause."""
+    code, _, err = cli("run", "case.toml", "-o", "case.toml/results", folder=folder, ranks=ranks)
+    assert code == 4
+    assert err.count("error: cannot write case.toml/results") == 1
+
+
+@pytest.mark.parametrize(("ranks", "broken"), [(1, 0), (2, 1), (3, 2), (2, -1)])
+def test_fault_of_the_program(folder: Path, ranks: int, broken: int) -> None:
+    """One traceback, and no rank waits for ever."""
+    with started([sys.executable, "-c", CRASH.format(rank=broken)], folder, ranks) as process:
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert err.count("RuntimeError: a fault of ours") == 1
+    if ranks > 1:
+        assert f"rank {max(broken, 0)} of {ranks}:" in err
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_interrupted(folder: Path, ranks: int) -> None:
+    """Ctrl-C ends the run after the current step; what is written can be read."""
+    (folder / "case.toml").write_text(CASE.replace("steps = 2", "steps = 5000"))
+    with started([*PROGRAM, "run", "case.toml"], folder, ranks) as process:
+        history = folder / "case_results/history.csv"
+        until = time.monotonic() + 120
+        while not (history.exists() and len(history.read_text().splitlines()) > 5):
+            assert time.monotonic() < until
+            assert process.poll() is None
+            time.sleep(0.05)
+        for child in _ranks_of(process) if ranks > 1 else [process.pid]:
+            os.kill(child, signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert err.count("stopping after this step") == 1
+    rows = list(csv.DictReader(history.read_text().splitlines()))
+    assert 0 < float(rows[-1]["load_factor"]) < 1
+    assert json.loads((folder / "case_results/summary.json").read_text())["status"] == "stopped"
+    assert "results in case_results" in out
+
+
+def _ranks_of(launcher: subprocess.Popen[str]) -> list[int]:
+    """Processes that a launcher has started."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parent = int(status.read_text().rsplit(")", 1)[1].split()[1])
+        except OSError:
+            continue
+        if parent == launcher.pid:
+            found.append(int(status.parent.name))
+    return found
+
+
+def test_petsc_options(folder: Path) -> None:
+    """They reach the solver; what no solver asks for is said."""
+    code, _, err = cli("run", "case.toml", "--", "-ksp_type", "gmres", "-ksp_tpye", "cg",
+                       folder=folder)
+    assert code == 0
+    assert err.count("warning: PETSc option '-ksp_tpye' was not used by any solver") == 1
+    code, out, _ = cli("run", "case.toml", "--", "-log_view", folder=folder)
+    assert code == 0
+    assert "PETSc Performance Summary" in out
+
+
+def test_reading_petsc_options() -> None:
+    """Words after two dashes; negative numbers are values."""
+    assert petsc_options(["-a", "-b", "3", "-c", "-1e-3", "--d", "x"]) == (
+        {"a": None, "b": "3", "c": "-1e-3", "d": "x"}, [])
+    assert petsc_options(["-log_view", ":f.txt", "-info"]) == ({}, ["-log_view", ":f.txt", "-info"])
+    with pytest.raises(CaseError, match="'cg' is no PETSc option"):
+        petsc_options(["cg"])

@@ -1,0 +1,500 @@
+"""Reading meshes of every format: volumes, names and faults, on any number of ranks."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from dolfin_elastic.errors import MeshError
+from dolfin_elastic.meshes import Body, box_body, measures, read_body, rectangle_body
+from dolfin_elastic.parallel import on_root
+
+COMM = MPI.COMM_WORLD
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "meshes"
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """A folder that all ranks see."""
+    path = Path(on_root(COMM, tempfile.mkdtemp))
+    yield path
+    COMM.barrier()
+    if COMM.rank == 0:
+        shutil.rmtree(path)
+
+
+def made(action: Callable[[], object]) -> None:
+    """Makes a file on rank 0 while the others wait."""
+    on_root(COMM, lambda: action() and None)
+
+
+def cells_of(body: Body, name: str) -> int:
+    """Number of cells of a region on all ranks."""
+    return int(COMM.allreduce(len(body.owned_cells(name))))
+
+
+@contextmanager
+def drawing() -> Iterator[Any]:
+    """Gmsh, closed again whatever happens."""
+    import gmsh
+
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    try:
+        yield gmsh
+    finally:
+        gmsh.finalize()
+
+
+def gmsh_cube(path: Path, *, version: float = 4.1, binary: bool = False, order: int = 1,
+              overlap: bool = False) -> None:
+    """Two boxes side by side, 2 x 1 x 1, that share the face 'joint'."""
+    with drawing() as gmsh:
+        _gmsh_cube(gmsh, path, version, binary, order, overlap)
+
+
+def _gmsh_cube(gmsh: Any, path: Path, version: float, binary: bool, order: int,
+               overlap: bool) -> None:
+    occ = gmsh.model.occ
+    one, two = occ.addBox(0, 0, 0, 1, 1, 1), occ.addBox(1, 0, 0, 1, 1, 1)
+    occ.fragment([(3, one)], [(3, two)])
+    occ.synchronize()
+
+    def face(x: float) -> list[int]:
+        near = gmsh.model.getEntitiesInBoundingBox(x - .01, -1, -1, x + .01, 2, 2, 2)
+        return [tag for _, tag in near]
+
+    gmsh.model.addPhysicalGroup(3, [one], 7, "soft part")
+    gmsh.model.addPhysicalGroup(3, [two], 8, "hard")
+    for tag, (name, x) in enumerate({"left": 0, "joint": 1, "right": 2}.items(), start=20):
+        gmsh.model.addPhysicalGroup(2, face(x), tag, name)
+    gmsh.model.addPhysicalGroup(2, face(0), 30)
+    if overlap:
+        gmsh.model.addPhysicalGroup(3, [one, two], 9, "all")
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
+    gmsh.model.mesh.generate(3)
+    gmsh.model.mesh.setOrder(order)
+    gmsh.option.setNumber("Mesh.MshFileVersion", version)
+    gmsh.option.setNumber("Mesh.Binary", binary)
+    gmsh.write(str(path))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize(("version", "binary"), [
+    (2.2, False), (2.2, True), (4.0, False), (4.1, False), (4.1, True)])
+def test_gmsh_files_keep_volume_and_names(folder: Path, version: float, binary: bool,
+                                          order: int) -> None:
+    path = folder / "two.msh"
+    made(lambda: gmsh_cube(path, version=version, binary=binary, order=order))
+    body = read_body(path, scale=1e-3)
+    size = measures(body)
+    assert body.dim == 3 and body.mesh.geometry.cmap.degree == order
+    assert size.volume == pytest.approx(2e-9, rel=1e-12)
+    assert size.boundary == pytest.approx(10e-6, rel=1e-12)
+    assert size.regions == pytest.approx({"soft part": 1e-9, "hard": 1e-9})
+    # A group without a name goes by its number; 'joint' lies inside the body.
+    assert size.surfaces == pytest.approx(dict.fromkeys(["left", "joint", "right", "30"], 1e-6))
+    assert cells_of(body, "soft part") + cells_of(body, "hard") == body.num_cells
+
+
+@pytest.mark.parametrize("version", [2.2, 4.1])
+def test_entities_in_two_groups(folder: Path, version: float) -> None:
+    path = folder / "overlap.msh"
+    made(lambda: gmsh_cube(path, version=version, overlap=True))
+    size = measures(body := read_body(path))
+    assert size.regions == pytest.approx({"soft part": 1, "hard": 1, "all": 2})
+    assert size.volume == pytest.approx(2)
+    assert cells_of(body, "all") == body.num_cells
+
+
+def ball(path: Path) -> None:
+    """An eighth of the unit ball with curved quadratic cells."""
+    with drawing() as gmsh:
+        gmsh.model.occ.addSphere(0, 0, 0, 1, angle1=0, angle2=np.pi / 2, angle3=np.pi / 2)
+        gmsh.model.occ.synchronize()
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.35)
+        gmsh.model.mesh.generate(3)
+        gmsh.model.mesh.setOrder(2)
+        gmsh.write(str(path))
+        gmsh.option.setNumber("Mesh.SaveAll", 1)
+        gmsh.write(str(path.with_suffix(".inp")))
+
+
+@pytest.mark.parametrize("suffix", [".msh", ".vtu", ".vtk", ".med", ".xdmf", ".inp"])
+def test_curved_cells_keep_their_shape(folder: Path, suffix: str) -> None:
+    import meshio
+
+    made(lambda: ball(folder / "ball.msh"))
+    path = folder / f"ball{suffix}"
+    if suffix not in (".msh", ".inp"):
+        def convert() -> None:
+            mesh = meshio.read(folder / "ball.msh")
+            meshio.Mesh(mesh.points, {"tetra10": mesh.cells_dict["tetra10"]}).write(path)
+        made(convert)
+    size = measures(read_body(path))
+    # Straight cells of this size lose 3 % of the volume.
+    assert size.volume == pytest.approx(np.pi / 6, rel=2e-3)
+    assert size.boundary == pytest.approx(np.pi / 2 + 3 * np.pi / 4, rel=2e-3)
+
+
+POINTS = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
+CUBE = np.array([[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7],
+                 [0, 4, 6, 7]])
+BOTTOM = np.array([[0, 1, 3], [0, 2, 3]])
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".mesh", ".med", ".bdf", ".vtk"])
+def test_numbered_parts_of_other_formats(folder: Path, suffix: str) -> None:
+    import meshio
+
+    key = {".mesh": "medit:ref", ".bdf": "nastran:ref", ".med": "cell_tags"}.get(suffix, "part")
+    mesh = meshio.Mesh(POINTS, [("tetra", CUBE), ("triangle", BOTTOM)],
+                       cell_data={key: [np.array([1, 1, 1, 2, 2, 2]), np.array([5, 5])]})
+    if suffix == ".med":
+        mesh.cell_tags = {1: ["core", "body"], 2: ["body"], 5: ["foot"]}
+    path = folder / f"cube{suffix}"
+    made(lambda: mesh.write(path))
+    size = measures(read_body(path))
+    names = {"core": 0.5, "body": 1.0}, {"foot": 1.0}
+    if suffix in (".mesh", ".bdf"):
+        names = {"1": 0.5, "2": 0.5}, {"5": 1.0}
+    elif suffix != ".med":
+        names = {"part_1": 0.5, "part_2": 0.5}, {"part_5": 1.0}
+    assert size.volume == pytest.approx(1)
+    assert (size.regions, size.surfaces) == (pytest.approx(names[0]), pytest.approx(names[1]))
+
+
+INP = """*HEADING
+a unit cube
+*Part, name=Part-1
+*NODE, NSET=everything
+{nodes}
+*Element, type=C3D4H, elset=Soft
+1, 1, 2, 4, 8
+2, 1, 2, 6, 8
+*ELEMENT, TYPE=C3D4, ELSET=hard
+** a comment
+13, 1, 3, 4, 8
+14, 1, 3, 7, 8
+*ELEMENT, TYPE=C3D4, ELSET=SOFT
+15, 1, 5, 6, 8
+16, 1, 5, 7, 8
+*ELSET, ELSET=pair, GENERATE
+13, 16, 3
+*ELSET, ELSET=joined
+soft, hard
+*NSET, NSET=foot
+1, 2, 3,
+4
+*SURFACE, NAME=under, TYPE=ELEMENT
+1, S1
+13, S1
+*SURFACE, NAME=skin
+Part-1.Soft,
+*SURFACE, NAME=foot-again, TYPE=NODE
+foot
+*END PART
+*Assembly, name=a
+*INSTANCE, NAME=i, PART=Part-1
+*END INSTANCE
+*END ASSEMBLY
+*STEP
+*STATIC
+"""
+
+
+def write_inp(path: Path, text: str = INP) -> None:
+    nodes = "\n".join(f"{i}, {x}, {y}, {z}" for i, (x, y, z) in enumerate(POINTS, start=1))
+    path.write_text(text.format(nodes=nodes))
+
+
+def test_abaqus_sets_and_surfaces(folder: Path) -> None:
+    made(lambda: write_inp(folder / "cube.inp"))
+    body = read_body(folder / "cube.inp")
+    size = measures(body)
+    sixth = 1 / 6
+    assert size.regions == pytest.approx({"Soft": 4 * sixth, "hard": 2 * sixth,
+                                          "pair": 2 * sixth, "joined": 1.0})
+    assert size.surfaces["foot"] == size.surfaces["under"] == pytest.approx(1)
+    assert size.surfaces["foot-again"] == pytest.approx(1)
+    assert size.surfaces["everything"] == pytest.approx(6)
+    # The free faces of four cells: three lie between them, two between them and the others.
+    assert body.count("skin") == 4 * 4 - 2 * 3 - 2
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_plane_mesh(folder: Path, order: int) -> None:
+    def plate() -> None:
+        with drawing() as gmsh:
+            gmsh.model.occ.addDisk(0, 0, 2.0, 1, 1)
+            gmsh.model.occ.synchronize()
+            gmsh.model.addPhysicalGroup(1, [1], name="rim")
+            gmsh.model.addPhysicalGroup(2, [1], name="disk")
+            gmsh.option.setNumber("Mesh.MeshSizeMax", 0.3)
+            gmsh.model.mesh.generate(2)
+            gmsh.model.mesh.setOrder(order)
+            gmsh.write(str(folder / "disk.msh"))
+
+    made(plate)
+    size = measures(body := read_body(folder / "disk.msh"))
+    assert body.dim == 2
+    near = 1e-4 if order == 2 else 2e-2
+    assert size.regions == {"disk": pytest.approx(np.pi, rel=near)}
+    assert size.surfaces == {"rim": pytest.approx(2 * np.pi, rel=near)}
+    assert size.boundary == pytest.approx(size.surfaces["rim"])
+
+
+@pytest.mark.parametrize("suffix", [".step", ".brep", ".geo"])
+def test_cad_is_meshed_with_a_size(folder: Path, suffix: str) -> None:
+    def draw() -> None:
+        if suffix == ".geo":
+            (folder / "box.geo").write_text(
+                'SetFactory("OpenCASCADE"); Box(1) = {0, 0, 0, 1, 2, 3};\n'
+                'Physical Volume("body") = {1}; Physical Surface("foot") = {5};\n')
+            return
+        with drawing() as gmsh:
+            gmsh.model.occ.addBox(0, 0, 0, 1, 2, 3)
+            gmsh.model.occ.synchronize()
+            gmsh.write(str(folder / f"box{suffix}"))
+
+    made(draw)
+    coarse, fine = (measures(read_body(folder / f"box{suffix}", size=s, scale=1e-3))
+                    for s in (2.0, 0.6))
+    assert coarse.volume == pytest.approx(6e-9) and fine.volume == pytest.approx(6e-9)
+    assert coarse.cells < fine.cells and fine.longest < 1.2e-3
+    if suffix == ".geo":
+        assert fine.regions == pytest.approx({"body": 6e-9})
+        assert fine.surfaces == pytest.approx({"foot": 2e-6})
+
+
+def test_xdmf_of_dolfinx_with_tags(folder: Path) -> None:
+    from dolfinx.io import XDMFFile
+    from dolfinx.mesh import meshtags
+
+    box = box_body(size=(1, 1, 1), cells=(3, 3, 3))
+    foot = box.owned_facets("bottom")
+    tags = meshtags(box.mesh, 2, foot, np.full(len(foot), 4, dtype=np.int32))
+    tags.name = "facets"
+    cells = box.owned_cells()
+    half = meshtags(box.mesh, 3, cells, (cells % 2).astype(np.int32))
+    half.name = "cells"
+    with XDMFFile(COMM, str(folder / "box.xdmf"), "w") as file:
+        file.write_mesh(box.mesh)
+        file.write_meshtags(tags, box.mesh.geometry)
+        file.write_meshtags(half, box.mesh.geometry)
+    COMM.barrier()
+    body = read_body(folder / "box.xdmf", scale=2.0)
+    size = measures(body)
+    assert size.volume == pytest.approx(8)
+    assert body.count("facets_4") == 18 and size.surfaces == pytest.approx({"facets_4": 4})
+    assert sum(cells_of(body, f"cells_{i}") for i in (0, 1)) == body.num_cells == 162
+
+
+@pytest.mark.parametrize("keep", ["HDF", "XML", "Binary"])
+def test_xdmf_of_meshio(folder: Path, keep: str) -> None:
+    import meshio
+
+    mesh = meshio.Mesh(POINTS, [("tetra", CUBE)], cell_data={"part": [np.array([1] * 3 + [2] * 3)]})
+    made(lambda: meshio.xdmf.write(folder / "cube.xdmf", mesh, data_format=keep))
+    size = measures(read_body(folder / "cube.xdmf"))
+    assert size.regions == pytest.approx({"part_1": 0.5, "part_2": 0.5})
+
+
+def test_mixed_xdmf_of_meshio_gives_both_kinds_of_parts(folder: Path) -> None:
+    import meshio
+
+    mesh = meshio.Mesh(POINTS, [("tetra", CUBE), ("triangle", BOTTOM)],
+                       cell_data={"part": [np.ones(6, dtype=int), np.array([5, 5])]})
+    made(lambda: mesh.write(folder / "cube.xdmf"))
+    size = measures(read_body(folder / "cube.xdmf"))
+    assert (size.regions, size.surfaces) == ({"part_1": pytest.approx(1)},
+                                             {"part_5": pytest.approx(1)})
+
+
+def test_box_and_rectangle() -> None:
+    body = box_body(size=(1, 2, 3), cells=(2, 3, 4), origin=(-1, 0, 0), scale=1e-2)
+    size = measures(body)
+    assert size.volume == pytest.approx(6e-6) and size.low == pytest.approx((-0.01, 0, 0))
+    assert {name: body.count(name) for name in body.surfaces} == {
+        "left": 24, "right": 24, "front": 16, "back": 16, "bottom": 12, "top": 12}
+    assert size.surfaces["left"] == pytest.approx(6e-4)
+    plate = rectangle_body(size=(2, 1), cells=(4, 3))
+    assert {n: plate.count(n) for n in plate.surfaces} == {
+        "left": 3, "right": 3, "bottom": 4, "top": 4}
+    assert measures(plate).volume == pytest.approx(2)
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    ({"size": (1, 0, 1)}, "sizes must be positive"), ({"cells": (1, 1)}, "3 sizes"),
+    ({"cells": (1, 1, 0)}, "whole and positive"), ({"size": (1,)}, "three sizes"),
+    ({"origin": (0,)}, "origin")])
+def test_impossible_boxes(change: dict[str, tuple[float, ...]], said: str) -> None:
+    with pytest.raises(MeshError, match=said):
+        box_body(**{"size": (1, 1, 1), "cells": (1, 1, 1), **change})  # type: ignore[arg-type]
+
+
+def write_cube(path: Path, points: np.ndarray = POINTS, cells: np.ndarray = CUBE,
+               others: list[tuple[str, np.ndarray]] | None = None) -> None:
+    import meshio
+
+    meshio.Mesh(points, [("tetra", cells), *(others or [])]).write(path)
+
+
+def test_unused_points_duplicates_and_reversed_cells_are_noted(folder: Path) -> None:
+    points = np.vstack([[9, 9, np.nan], POINTS])
+    cells = np.vstack([CUBE, CUBE[:1, [1, 2, 0, 3]]]) + 1
+    made(lambda: write_cube(folder / "cube.vtu", points, cells))
+    body = read_body(folder / "cube.vtu", scale=0.5)
+    notes = " | ".join(body.notes)
+    assert measures(body).volume == pytest.approx(1 / 8)
+    assert "1 of 9 points belong to no cell" in notes
+    assert "1 cells stood twice (kept once) near (0.75, 0.5, 0.25)" in notes
+    assert "3 of 6 cells list their points the other way round (harmless" in notes
+
+
+FAULTS: dict[str, tuple[Callable[[], dict[str, object]], str]] = {
+    "flat": (lambda: {"points": np.vstack([POINTS, [.5, .5, 0]]),
+                      "cells": np.vstack([CUBE, [0, 1, 3, 8]])},
+             r"1 of 7 cells have no volume, near \(0\.625, 0\.375, 0\)"),
+    "nan": (lambda: {"points": np.where(POINTS == [1, 1, 1], np.nan, POINTS)}, "not numbers"),
+    "range": (lambda: {"cells": np.vstack([CUBE, [0, 1, 3, 99]])}, "point 99"),
+    "twice": (lambda: {"cells": np.vstack([CUBE, [0, 1, 3, 3]])}, "same point twice"),
+    "overlap": (lambda: {"points": np.vstack([POINTS, [2, .4, .3]]),
+                         "cells": np.vstack([CUBE, [0, 1, 7, 8]])}, "three or more cells"),
+    "inside out": (lambda: {"points": np.where((POINTS == 1).all(axis=1)[:, None],
+                                               [[0.5, 0.4, -0.3]], POINTS)}, "inside out"),
+    "hexahedra": (lambda: {"others": [("hexahedron", np.array([[0, 1, 3, 2, 4, 5, 7, 6]]))]},
+                  "6 tetrahedra, 1 hexahedra; 4- or 10-node tetrahedra are needed"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_errors_on_all_ranks(folder: Path, fault: str) -> None:
+    make, said = FAULTS[fault]
+    made(lambda: write_cube(folder / "cube.vtu", **make()))  # type: ignore[arg-type]
+    with pytest.raises(MeshError, match=said) as caught:
+        read_body(folder / "cube.vtu")
+    assert str(caught.value).startswith("cube.vtu: ")
+
+
+def test_a_surface_in_space_is_refused(folder: Path) -> None:
+    import meshio
+
+    made(lambda: meshio.Mesh(POINTS, [("triangle", CUBE[:, :3])]).write(folder / "shell.vtu"))
+    with pytest.raises(MeshError, match="shells are not supported"):
+        read_body(folder / "shell.vtu")
+
+
+def test_pieces_are_counted(folder: Path) -> None:
+    points = np.vstack([POINTS, POINTS + 3])
+    made(lambda: write_cube(folder / "two.vtu", points, np.vstack([CUBE, CUBE + 8])))
+    assert "2 unconnected pieces of 6, 6 cells" in " ".join(read_body(folder / "two.vtu").notes)
+
+
+def test_only_facets_named_and_names_without_elements(folder: Path) -> None:
+    text = ("$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$PhysicalNames\n2\n2 3 \"foot\"\n3 9 \"none\"\n"
+            "$EndPhysicalNames\n$Nodes\n8\n"
+            + "".join(f"{i * 10} {x} {y} {z}\n" for i, (x, y, z) in enumerate(POINTS, start=1))
+            + "$EndNodes\n$Elements\n8\n"
+            + "".join(f"{i} 2 2 3 1 {a}0 {b}0 {c}0\n" for i, (a, b, c)
+                      in enumerate(BOTTOM + 1, start=1))
+            + "".join(f"{i} 4 2 0 1 {a}0 {b}0 {c}0 {d}0\n" for i, (a, b, c, d)
+                      in enumerate(CUBE + 1, start=3)) + "$EndElements\n")
+    made(lambda: (folder / "cube.msh").write_text(text))
+    body = read_body(folder / "cube.msh")
+    assert body.count("foot") == 2 and not body.regions
+    assert any("no elements carry the name none" in note for note in body.notes)
+    with pytest.raises(MeshError, match="did you mean 'foot'"):
+        body.surface("foto")
+
+
+def test_a_facet_outside_the_body_is_noted(folder: Path) -> None:
+    import meshio
+
+    mesh = meshio.Mesh(POINTS, [("tetra", CUBE), ("triangle", np.array([[0, 1, 3], [1, 2, 4]]))],
+                       cell_data={"part": [np.zeros(6, dtype=int), np.array([5, 5])]})
+    made(lambda: mesh.write(folder / "cube.vtu"))
+    body = read_body(folder / "cube.vtu")
+    assert body.count("part_5") == 1
+    assert any("1 of 2 facets of 'part_5' are no facets of a cell" in n for n in body.notes)
+
+
+@pytest.mark.parametrize("version", [2.2, 4.1])
+@pytest.mark.parametrize("binary", [False, True])
+def test_damaged_gmsh_files_are_errors(folder: Path, version: float, binary: bool) -> None:
+    """Cut at many places, and with bytes changed: read, or a MeshError, never anything else."""
+    from dolfin_elastic.meshes.msh import OtherVersion, read_msh
+    from dolfin_elastic.meshes.raw import assemble
+
+    def attempt() -> int:
+        gmsh_cube(folder / "two.msh", version=version, binary=binary)
+        whole = (folder / "two.msh").read_bytes()
+        random, refused = np.random.default_rng(1), 0
+        bad = folder / "bad.msh"
+        for i in range(120):
+            data = bytearray(whole)
+            if i % 2:
+                data = data[: len(whole) * i // 120]
+            else:
+                at = int(random.integers(len(data) - 8))
+                data[at : at + 8] = random.bytes(8)
+            bad.write_bytes(bytes(data))
+            try:
+                found = read_msh(bad)
+                assemble(found.points, found.blocks, source="bad.msh")
+            except (MeshError, OtherVersion):
+                refused += 1
+        return refused
+
+    assert on_root(COMM, attempt) >= 60
+
+
+@pytest.mark.parametrize(("name", "text", "said"), [
+    ("a.msh", "", "the file is empty"), ("a.msh", "hello", "not a Gmsh mesh"),
+    ("a.vtu", "hello", "meshio cannot read it"), ("a.mesh", "hello", "meshio cannot read it"),
+    ("a.med", "hello", "meshio cannot read it"), ("a.inp", "hello", r"no \*NODE"),
+    ("a.xyz", "hello", "unknown suffix '.xyz'"), ("a.xdmf", "hello", "no XML"),
+    ("a.xdmf", "<Xdmf/>", "no mesh"), ("a.geo", "Box(1) = {", "Gmsh cannot read"),
+    ("a.step", "hello", "Gmsh cannot read|neither volumes"), ("a.geo", "x = 1;", "neither volumes"),
+    ("a.msh", "$MeshFormat\n1.0 0 8\n$EndMeshFormat\n", "")])
+def test_files_that_are_no_meshes(folder: Path, name: str, text: str, said: str) -> None:
+    made(lambda: (folder / name).write_text(text))
+    with pytest.raises(MeshError, match=said):
+        read_body(folder / name)
+
+
+def test_missing_files_and_sizes_out_of_place(folder: Path) -> None:
+    made(lambda: write_cube(folder / "bracket.vtu"))
+    with pytest.raises(MeshError, match=r"did you mean 'bracket\.vtu'"):
+        read_body(folder / "braket.vtu")
+    with pytest.raises(MeshError, match="finished mesh"):
+        read_body(folder / "bracket.vtu", size=1.0)
+    with pytest.raises(MeshError, match="folder"):
+        read_body(folder)
+
+
+shared = pytest.mark.skipif(not SHARED.is_dir(), reason="the folder ../shared/meshes is absent")
+
+
+@shared
+def test_real_meshes() -> None:
+    bunny = measures(read_body(SHARED / "bunny.msh"))
+    assert (bunny.cells, bunny.volume) == (19379, pytest.approx(6.01039822, rel=1e-8))
+    body = read_body(SHARED / "two_regions_named_v41.msh")
+    assert {n: body.count(n) for n in body.surfaces} == {"side_a": 1, "side_b": 1, "interface": 1}
+    assert {n: cells_of(body, n) for n in body.regions} == {"upper": 1, "lower": 1}
+
+
+@shared
+def test_inside_out_cells_are_told_from_reversed_ones() -> None:
+    notes = read_body(SHARED / "microstructure.msh").notes
+    assert any("8 of 6414 cells are inside out" in note and "0.7074" in note for note in notes)
+    assert not any("other way round" in note for note in notes)

@@ -1,0 +1,452 @@
+"""Files that are written: round trips, kills, full disks, pictures."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+import pytest
+from dolfinx import fem
+from dolfinx.mesh import create_box, create_rectangle
+from mpi4py import MPI
+
+from dolfin_elastic import timing
+from dolfin_elastic.errors import InputError, OutputError
+from dolfin_elastic.meshes.body import Body
+from dolfin_elastic.model.materials import NeoHookean
+from dolfin_elastic.parallel import on_root
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.results import files, heavy
+from dolfin_elastic.results.heavy import Rows
+from dolfin_elastic.results.outputs import OUTPUTS, History, Picture, Summary, Xdmf
+from dolfin_elastic.results.pictures import picture
+from dolfin_elastic.state import State
+
+Array = npt.NDArray[Any]
+COMM = MPI.COMM_WORLD
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """A folder that all ranks see, removed at the end."""
+    keeper = tempfile.TemporaryDirectory() if COMM.rank == 0 else None
+    yield Path(COMM.bcast(keeper.name if keeper else ""))
+    COMM.barrier()
+    if keeper:
+        keeper.cleanup()
+
+
+def make_problem(dim: int = 3, degree: int = 1, *, cells: int = 3) -> Problem:
+    """A beam or a strip of rubber."""
+    mesh = (create_box(COMM, [[0, 0, 0], [2, 1, 1]], [2 * cells, cells, cells]) if dim == 3
+            else create_rectangle(COMM, [[0, 0], [2, 1]], [2 * cells, cells]))
+    return Problem(Body(mesh), NeoHookean(E=1e6, nu=0.3, density=1e3), degree=degree)
+
+
+def displacement(x: Array, t: float = 1.0) -> Array:
+    """A bent and stretched shape, quadratic in x; x of shape (3, n)."""
+    return t * np.stack([0.1 * x[0] - 0.05 * x[0] * x[1], 0.2 * x[0] ** 2, 0.03 * x[0] * x[1]])
+
+
+def make_state(problem: Problem, step: int = 1, t: float = 1.0, **more: Any) -> State:
+    """The state with the displacement above."""
+    problem.u.interpolate(lambda x: displacement(x, t)[:problem.body.dim])
+    return State(step, t, problem.u, **more)
+
+
+def grids(path: Path) -> list[ET.Element]:
+    """The time steps of an XDMF file."""
+    return ET.parse(path).getroot().findall("./Domain/Grid/Grid")
+
+
+def item(path: Path, element: ET.Element | None) -> Array:
+    """What a reader gets for the `DataItem` below an element, checked against its description."""
+    data = element.find("DataItem") if element is not None else None
+    assert data is not None and data.text
+    file, name = data.text.split(":")
+    with h5py.File(path.parent / file, "r") as h5:
+        values = h5[name][:]
+    assert values.shape == tuple(int(n) for n in data.attrib["Dimensions"].split())
+    assert values.dtype.kind == {"Float": "f", "Int": "i"}[data.attrib["NumberType"]]
+    assert values.dtype.itemsize == int(data.attrib["Precision"])
+    return np.asarray(values)
+
+
+def attributes(path: Path, grid: ET.Element) -> dict[str, Array]:
+    """Name to values of a time step."""
+    return {a.attrib["Name"]: item(path, a) for a in grid.findall("Attribute")}
+
+
+# --- XDMF ---
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_xdmf_round_trip(folder: Path, dim: int, degree: int) -> None:
+    problem = make_problem(dim, degree)
+    writer = Xdmf(fields=("displacement", "von_mises", "cauchy_stress", "rank")).open(
+        problem, folder)
+    for step in (1, 2):
+        writer.write(make_state(problem, step, step / 2))
+    writer.close()
+    on_root(COMM, lambda: check_round_trip(problem, folder / "results.xdmf", dim, degree))
+
+
+def check_round_trip(problem: Problem, path: Path, dim: int, degree: int) -> None:
+    text = path.read_text()
+    assert "include" not in text and "xpointer" not in text
+    steps = grids(path)
+    assert [float(g.find("Time").attrib["Value"]) for g in steps] == [0.5, 1.0]  # type: ignore[union-attr]
+    points, cells = (item(path, steps[1].find(name)) for name in ("Geometry", "Topology"))
+    assert len(points) == problem.V.dofmap.index_map.size_global
+    assert len(cells) == problem.body.num_cells
+    assert len(np.unique(points.round(12), axis=0)) == len(points)
+    assert sorted(np.unique(cells)) == list(range(len(points)))
+    check_shape(points[cells], dim, degree)
+    values = attributes(path, steps[1])
+    inside = np.where(np.arange(3) < dim, displacement(points.T).T, 0.0)
+    error = np.abs(values["displacement"] - inside)
+    assert error.max() < 1e-14, "the displacement is written as it is, also at mid-edges"
+    assert len(values["von_mises"]) == len(values["cauchy_stress"]) == len(cells)
+    deviator = values["cauchy_stress"].reshape(-1, 3, 3)
+    deviator = deviator - np.trace(deviator, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
+    mises = np.sqrt(1.5 * np.sum(deviator**2, axis=(1, 2)))
+    assert np.allclose(mises, values["von_mises"][:, 0], rtol=1e-10)
+    assert set(np.unique(values["rank"])) == set(range(COMM.size))
+
+
+def check_shape(x: Array, dim: int, degree: int) -> None:
+    """Cells of the right total and sign of volume, with nodes in VTK's order."""
+    corners = x[:, :dim + 1]
+    edges = (corners[:, 1:] - corners[:, :1])[:, :, :dim]
+    volumes = np.linalg.det(edges) / (2 if dim == 2 else 6)
+    assert volumes.min() > 0
+    assert volumes.sum() == pytest.approx(2.0)
+    if degree == 2:
+        pairs = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)][:3 if dim == 2 else 6]
+        for i, (a, b) in enumerate(pairs):
+            assert np.allclose(x[:, dim + 1 + i], (x[:, a] + x[:, b]) / 2, atol=1e-14)
+    assert x.shape[1] == {(2, 1): 3, (2, 2): 6, (3, 1): 4, (3, 2): 10}[dim, degree]
+
+
+def test_stress_belongs_to_its_cell(folder: Path) -> None:
+    problem = make_problem()
+    Xdmf().open(problem, folder).write(make_state(problem))
+    on_root(COMM, lambda: check_stress(folder / "results.xdmf"))
+
+
+def check_stress(path: Path) -> None:
+    """Recomputes F and the stress of each cell from what is in the file alone."""
+    grid = grids(path)[0]
+    points, cells = (item(path, grid.find(name)) for name in ("Geometry", "Topology"))
+    values = attributes(path, grid)
+    x, u = points[cells], values["displacement"][cells]
+    gradient = np.linalg.solve(x[:, 1:] - x[:, :1], u[:, 1:] - u[:, :1]).transpose(0, 2, 1)
+    F = np.eye(3) + gradient
+    J = np.linalg.det(F)[:, None, None]
+    mu, lmbda = 1e6 / 2.6, 1e6 * 0.3 / (1.3 * 0.4)
+    sigma = (mu * (F @ F.transpose(0, 2, 1) - np.eye(3)) + lmbda * np.log(J) * np.eye(3)) / J
+    assert np.allclose(values["cauchy_stress"].reshape(-1, 3, 3), sigma, rtol=1e-9, atol=1e-4)
+
+
+def test_default_fields_in_statics_and_motion(folder: Path) -> None:
+    problem = make_problem(2)
+    v = fem.Function(problem.V)
+    for name, more in (("still", {}), ("moving", {"v": v, "a": v})):
+        Xdmf(file=f"{name}.xdmf").open(problem, folder).write(make_state(problem, **more))
+    found = on_root(COMM, lambda: {
+        name: set(attributes(p := folder / f"{name}.xdmf", grids(p)[0]))
+        for name in ("still", "moving")})
+    assert found["still"] == {"displacement", "von_mises", "cauchy_stress"}
+    assert found["moving"] == {*found["still"], "velocity"}
+
+
+def test_every_third_step_and_always_the_last(folder: Path) -> None:
+    problem = make_problem(2)
+    writer = Xdmf(every=3).open(problem, folder)
+    for step in range(8):
+        writer.write(make_state(problem, step, step / 7))
+    problem.u.x.array[:] = np.nan  # as after a failed step
+    writer.close("failed", "no convergence")
+    names, last = on_root(COMM, lambda: last_step(folder / "results.xdmf"))
+    assert names == ["step 0", "step 3", "step 6", "step 7"]
+    assert np.isfinite(last).all()
+
+
+def last_step(path: Path) -> tuple[list[str], Array]:
+    steps = grids(path)
+    return [g.attrib["Name"] for g in steps], attributes(path, steps[-1])["displacement"]
+
+
+def test_a_new_run_replaces_the_old_one(folder: Path) -> None:
+    problem = make_problem(2)
+    for count in (3, 1):
+        writer = Xdmf().open(problem, folder)
+        for step in range(count):
+            writer.write(make_state(problem, step))
+        writer.close()
+    found = on_root(COMM, lambda: sorted(p.name for p in (folder / "results_data").iterdir()))
+    assert found == ["000000.h5", "mesh.h5"]
+
+
+KILLED = """
+import sys
+from pathlib import Path
+from tests.test_results import Xdmf, make_problem, make_state
+problem = make_problem(3, 1, cells=6)
+writer = Xdmf().open(problem, Path(sys.argv[1]))
+for step in range(1, 100000):
+    writer.write(make_state(problem, step, float(step)))
+"""
+
+
+@pytest.mark.skipif(COMM.size > 1, reason="starts a program of its own")
+@pytest.mark.parametrize("delay", [0.0, 0.013, 0.029])
+def test_every_named_step_survives_a_kill(folder: Path, delay: float) -> None:
+    root = Path(__file__).parents[1]
+    # Under mpirun the program must not take this one's place in the run.
+    mine = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_", "PMI_"))}
+    mine["PYTHONPATH"] = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])
+    run = subprocess.Popen([sys.executable, "-c", KILLED, str(folder)], cwd=root, env=mine)
+    path = folder / "results.xdmf"
+    end = time.monotonic() + 120
+    while not (path.exists() and len(grids(path)) > 5) and time.monotonic() < end:
+        assert run.poll() is None, "the program ended by itself"
+        time.sleep(0.01)
+    time.sleep(delay)
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+    steps = grids(path)
+    assert len(steps) > 5
+    for number, grid in enumerate(steps, start=1):
+        points = item(path, grid.find("Geometry"))
+        u = attributes(path, grid)["displacement"]
+        assert np.allclose(u, displacement(points.T, float(number)).T, rtol=1e-13)
+
+
+# --- heavy data ---
+
+
+def test_rows_of_all_ranks_meet_in_one_array(folder: Path) -> None:
+    first, own = COMM.rank * (COMM.rank + 1) // 2, COMM.rank + 1  # 1, 2, 3 ... rows
+    count = COMM.size * (COMM.size + 1) // 2
+    numbers = np.arange(first, first + own)[:, None]
+    arrays = {"a": Rows(numbers * [1.0, 0.5], first, count),
+              "b": Rows(numbers.astype(np.int32), first, count),
+              "none": Rows(np.zeros((0, 3)), 0, 0)}
+    heavy.write(COMM, folder / "x.h5", arrays)
+    a, b, none = on_root(COMM, lambda: read_all(folder / "x.h5"))
+    assert np.array_equal(a, np.arange(count)[:, None] * [1.0, 0.5])
+    assert np.array_equal(b, np.arange(count)[:, None])
+    assert none.shape == (0, 3)
+
+
+def read_all(path: Path) -> tuple[Array, Array, Array]:
+    with h5py.File(path, "r") as file:
+        return file["a"][:], file["b"][:], file["none"][:]
+
+
+def test_a_full_disk_is_said_on_all_ranks(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = make_problem(2)
+    writer = Xdmf().open(problem, folder)
+    writer.write(make_state(problem, 1))
+
+    def full(size: Path) -> Any:
+        return type("Usage", (), {"free": 1000})
+
+    monkeypatch.setattr(files.shutil, "disk_usage", full)
+    with pytest.raises(OutputError, match="no space left.*make room"):
+        writer.write(make_state(problem, 2))
+    names, _ = on_root(COMM, lambda: last_step(folder / "results.xdmf"))
+    assert names == ["step 1"]
+
+
+@pytest.mark.parametrize("moment", ["before", "between"])
+def test_a_file_size_limit_is_said_on_all_ranks(
+        folder: Path, monkeypatch: pytest.MonkeyPatch, moment: str) -> None:
+    """The system refuses to write: to rank 0 that lays the file out, or to all that fill it."""
+    resource = pytest.importorskip("resource")
+    old, opened = resource.getrlimit(resource.RLIMIT_FSIZE), heavy._open
+    rows = Rows(np.ones((100_000, 3)), COMM.rank * 100_000, COMM.size * 100_000)
+
+    def limit(*arguments: Any) -> Any:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, old[1]))
+        return opened(*arguments) if arguments else None
+
+    if moment == "before":
+        limit()
+    else:
+        monkeypatch.setattr(heavy, "_open", limit)
+    try:
+        with pytest.raises(OutputError, match="cannot write"):
+            heavy.write(COMM, folder / "big.h5", {"a": rows, "b": rows})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+    COMM.barrier()
+
+
+@pytest.mark.parametrize("name", ["xdmf", "history", "summary", "pictures"])
+def test_a_folder_that_cannot_be_made(folder: Path, name: str) -> None:
+    on_root(COMM, lambda: (folder / "taken").write_text("a file"))
+    with pytest.raises(OutputError, match="cannot write .*taken"):
+        OUTPUTS[name]().open(make_problem(2), folder / "taken")
+
+
+# --- tables ---
+
+
+def moving_state(problem: Problem, step: int) -> State:
+    v = fem.Function(problem.V)
+    return make_state(
+        problem, step, 0.1 * step, v=v, a=v, newton=3, krylov=7, max_displacement=0.25,
+        energies={"total": 3.0, "strain": 1.0, "kinetic": 2.0, "external": 4.0},
+        reactions={"foot, left": np.array([1.0, 2.0, 3.0])},
+        momenta={"linear": np.array([4.0, 5.0, 6.0]), "angular": np.array([7.0, 8.0, 9.0])})
+
+
+def test_history(folder: Path) -> None:
+    problem = make_problem()
+    writer = History().open(problem, folder)
+    for step in (0, 1):
+        writer.write(moving_state(problem, step))
+        count = on_root(COMM, lambda: (folder / "history.csv").read_bytes().count(b"\r\n"))
+        assert count == step + 2, "each row is on disk at once"
+    writer.close()
+    rows = on_root(COMM, lambda: read_csv(folder / "history.csv"))
+    assert list(rows[0]) == [
+        "step", "t", "load_factor", "newton", "krylov", "max_displacement", "strain_energy",
+        "kinetic_energy", "external_energy", "total_energy", "reaction_foot, left_x",
+        "reaction_foot, left_y", "reaction_foot, left_z", "momentum_x", "momentum_y",
+        "momentum_z", "angular_momentum_x", "angular_momentum_y", "angular_momentum_z"]
+    assert [float(v) for v in rows[1].values()] == [
+        1, 0.1, 1, 3, 7, 0.25, 1, 2, 4, 3, 1, 2, 3, 4, 5, 6, 7, 8, 9]
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_history_of_statics_in_the_plane(folder: Path) -> None:
+    problem = make_problem(2)
+    writer = History().open(problem, folder)
+    writer.write(make_state(problem, reactions={"foot": np.array([1.0, 2.0])}))
+    writer.close()
+    (row,) = on_root(COMM, lambda: read_csv(folder / "history.csv"))
+    assert list(row)[-2:] == ["reaction_foot_x", "reaction_foot_y"]
+
+
+def test_summary(folder: Path) -> None:
+    problem = make_problem(degree=2)
+    path = folder / "summary.json"
+    with timing.timed():
+        writer = Summary().open(problem, folder)
+        assert on_root(COMM, lambda: json.loads(path.read_text()))["status"] == "running"
+        for step in range(3):
+            writer.write(moving_state(problem, step))
+        problem.u.x.array[:] = np.nan
+        writer.close("failed", InputError("too steep", where="here"))
+    found = on_root(COMM, lambda: json.loads(path.read_text()))
+    assert found["status"] == "failed" and found["reason"] == "here: too steep"
+    sizes = {"dofs": problem.num_dofs, "cells": problem.body.num_cells, "ranks": COMM.size,
+             "steps": 2, "newton_iterations": 9, "krylov_iterations": 21,
+             "max_displacement": 0.25, "strain_energy": 1.0}
+    assert {name: found[name] for name in sizes} == sizes
+    assert found["reactions"] == {"foot, left": [1.0, 2.0, 3.0]}
+    assert {"mesh", "compile", "assemble", "solve", "output", "total"} <= set(found["timings"])
+    assert 0 < found["timings"]["output"] <= found["timings"]["total"]
+    memory = found["peak_memory"]
+    assert 1e7 < memory["largest_rank"] <= memory["sum"] <= memory["largest_rank"] * COMM.size
+    assert found["extremes"]["von_mises"]["value"] > 0
+    assert len(found["extremes"]["von_mises"]["place"]) == 3
+    assert {"dolfin_elastic", "dolfinx", "petsc"} <= set(found["versions"])
+
+
+def test_summary_is_kept_up_to_date(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from dolfin_elastic.results import summary
+
+    monkeypatch.setattr(summary, "_INTERVAL", -1.0)
+    problem = make_problem(2)
+    writer = Summary().open(problem, folder)
+    writer.write(make_state(problem, max_displacement=float("nan")))
+    found = on_root(COMM, lambda: json.loads((folder / "summary.json").read_text()))
+    assert found["steps"] == 1 and found["status"] == "running"
+    assert found["max_displacement"] is None, "JSON has no word for NaN"
+
+
+# --- records ---
+
+
+def test_unknown_fields_and_files_are_refused() -> None:
+    with pytest.raises(InputError, match="did you mean 'von_mises'"):
+        Xdmf(fields=["von_mise"])  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="does not end in .xdmf"):
+        Xdmf(file="results.vtu")
+    with pytest.raises(InputError, match="cannot show 'rank'"):
+        Picture(field="rank")
+    with pytest.raises(InputError, match="every"):
+        Picture(every=0)
+    assert Xdmf(fields=["displacement"]).fields == ("displacement",)  # type: ignore[arg-type]
+
+
+# --- pictures ---
+
+
+@pytest.mark.parametrize(("dim", "degree"), [(2, 1), (3, 1), (3, 2)])
+def test_pictures(folder: Path, dim: int, degree: int) -> None:
+    problem = make_problem(dim, degree)
+    picture(problem, make_state(problem), folder / "a.png")
+    on_root(COMM, lambda: check_picture(folder / "a.png"))
+
+
+def check_picture(path: Path) -> None:
+    """Neither empty nor black: many colours on a light ground."""
+    import pyvista
+
+    image = np.asarray(pyvista.read(str(path)).point_data.active_scalars)[:, :3]
+    assert len(image) > 1e6
+    assert len(np.unique(image, axis=0)) > 200
+    assert image[0].min() > 200
+
+
+def test_pictures_during_a_run(folder: Path) -> None:
+    problem = make_problem(2)
+    writers = [Picture(every=2, field="displacement").open(problem, folder),
+               Picture(file="last.png").open(problem, folder)]
+    for step in (1, 2):
+        for writer in writers:
+            writer.write(make_state(problem, step, step / 2))
+    for writer in writers:
+        writer.close()
+    names = on_root(COMM, lambda: sorted(p.name for p in folder.iterdir()))
+    assert names == ["last.png", "picture_0002.png"]
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_the_surface_is_closed_and_looks_outwards(degree: int) -> None:
+    from dolfin_elastic.results.grid import Grid
+    from dolfin_elastic.results.surface import gather
+
+    problem = make_problem(3, degree)
+    x = problem.V.tabulate_dof_coordinates()
+    surface = gather(Grid(problem.V), {"x": x})
+    assert (surface is None) == (COMM.rank > 0)
+    if surface:
+        a, b, c = (surface.points[surface.triangles[:, i]] for i in range(3))
+        normals = np.cross(b - a, c - a) / 2
+        assert np.linalg.norm(normals, axis=1).sum() == pytest.approx(10.0)
+        assert np.einsum("ij,ij->", normals, a) / 3 == pytest.approx(2.0)  # divergence theorem
+        assert np.array_equal(surface.values["x"], surface.points)
