@@ -1,3 +1,67 @@
-"""dolfin_elastic: an MPI-parallel solver for deformable elastic bodies on DOLFINx and PETSc."""
+"""dolfin_elastic: an MPI-parallel solver for deformable elastic bodies on DOLFINx and PETSc.
+
+The parts, in the order of the work; each is imported when it is first used::
+
+    from dolfin_elastic import NeoHookean, Problem, Statics, Support, Traction, box_body
+
+    body = box_body(size=[1, 0.1, 0.1], cells=[20, 2, 2])
+    problem = Problem(body, NeoHookean(E=1e6, nu=0.45),
+                      supports=[Support(on="left")],
+                      loads=[Traction(on="right", value=[0, 0, -100])])
+    for state in Statics(problem, steps=5).steps():
+        print(state.load_factor, state.max_displacement)
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dolfin_elastic.case import Case as Case
+    from dolfin_elastic.case import read_case as read_case
+    from dolfin_elastic.meshes import Body as Body
+    from dolfin_elastic.meshes import Selector as Selector
+    from dolfin_elastic.meshes import box_body as box_body
+    from dolfin_elastic.meshes import name_parts as name_parts
+    from dolfin_elastic.meshes import read_body as read_body
+    from dolfin_elastic.meshes import rectangle_body as rectangle_body
+    from dolfin_elastic.model.loads import BodyForce as BodyForce
+    from dolfin_elastic.model.loads import Gravity as Gravity
+    from dolfin_elastic.model.loads import Traction as Traction
+    from dolfin_elastic.model.materials import LinearElastic as LinearElastic
+    from dolfin_elastic.model.materials import NeoHookean as NeoHookean
+    from dolfin_elastic.model.materials import StVenantKirchhoff as StVenantKirchhoff
+    from dolfin_elastic.model.materials import Textbook as Textbook
+    from dolfin_elastic.model.supports import Support as Support
+    from dolfin_elastic.problem import Problem as Problem
+    from dolfin_elastic.results.outputs import History as History
+    from dolfin_elastic.results.outputs import Picture as Picture
+    from dolfin_elastic.results.outputs import Summary as Summary
+    from dolfin_elastic.results.outputs import Xdmf as Xdmf
+    from dolfin_elastic.run import run as run
+    from dolfin_elastic.solvers.dynamics import Dynamics as Dynamics
+    from dolfin_elastic.solvers.statics import Statics as Statics
 
 __version__ = "0.1.0"
+
+_PLACES = {
+    "case": ("Case", "read_case"),
+    "run": ("run",),
+    "meshes": ("Body", "Selector", "box_body", "name_parts", "read_body", "rectangle_body"),
+    "model.materials": ("LinearElastic", "NeoHookean", "StVenantKirchhoff", "Textbook"),
+    "model.supports": ("Support",),
+    "model.loads": ("BodyForce", "Gravity", "Traction"),
+    "problem": ("Problem",),
+    "solvers.statics": ("Statics",),
+    "solvers.dynamics": ("Dynamics",),
+    "results.outputs": ("History", "Picture", "Summary", "Xdmf"),
+}
+_WHERE = {name: place for place, names in _PLACES.items() for name in names}
+__all__ = sorted(_WHERE)  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'dolfin_elastic' has no attribute '{name}'")
+    return getattr(import_module(f"dolfin_elastic.{_WHERE[name]}"), name)

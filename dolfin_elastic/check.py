@@ -87,7 +87,8 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     return Report(
         case=case.file, title=case.title, mesh=body.source, dim=body.dim, cells=body.num_cells,
         unknowns=problem.num_dofs, analysis="dynamics" if case.dynamics else "statics",
-        linear_solver=choose(problem, case.solver).why, surfaces=_surface_sizes(case, body),
+        linear_solver="none: explicit scheme" if explicit(case)
+        else choose(problem, case.solver).why, surfaces=_surface_sizes(case, body),
         regions=_region_sizes(case, body), notes=(*body.notes, *notes))
 
 
@@ -110,7 +111,15 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_fields(case)
         if case.dynamics is None:
             _check_held(case, body)
+        elif explicit(case) and case.mesh.degree > 1:
+            raise CaseError("symplectic-euler has a lumped mass, for linear elements only",
+                            where="mesh.degree", expected="use degree = 1 or generalized-alpha")
     return tuple(_notes(case))
+
+
+def explicit(case: Case) -> bool:
+    """The scheme solves no equations."""
+    return case.dynamics is not None and case.dynamics.scheme == "symplectic-euler"
 
 
 # --- names ---
@@ -164,6 +173,9 @@ def _check_components(case: Case, body: Body) -> None:
     vectors = [(f"support[{i}].displacement", s.values) for i, s in enumerate(case.support)
                if "displacement" in s.model_fields_set]
     vectors += [(f"load[{i}].value", load.values) for i, load in enumerate(case.load)]
+    if case.dynamics is not None:
+        vectors += [("dynamics.initial_displacement", case.dynamics.displacement),
+                    ("dynamics.initial_velocity", case.dynamics.velocity)]
     for where, values in vectors:
         if values and len(values) != body.dim:
             raise CaseError(f"{len(values)} components", where=where,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Generator, Mapping
 from contextlib import closing
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
@@ -12,7 +13,7 @@ from typing import Any, cast
 from mpi4py import MPI
 
 from dolfin_elastic import timing
-from dolfin_elastic.case import Case
+from dolfin_elastic.case import Case, located
 from dolfin_elastic.check import check
 from dolfin_elastic.state import State
 
@@ -46,8 +47,10 @@ def run(case: Case, *, output: str | PathLike[str] | None = None,
     solver = case.make_solver(problem, petsc=petsc)
     folder = Path(output) if output is not None else case.results_folder()
     steps = cast(States, solver.steps())
-    with case.output.opened(problem, folder) as writers, closing(steps):
-        for state in steps:
-            for writer in writers:
-                writer.write(state)
-            yield state
+    with located(case.file), closing(steps):
+        first = next(steps)  # a fault that only shows at the start leaves no folder behind
+        with case.output.opened(problem, folder) as writers:
+            for state in chain([first], steps):
+                for writer in writers:
+                    writer.write(state)
+                yield state

@@ -35,8 +35,7 @@ class Record(BaseModel, metaclass=_Raising):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True,
-                              populate_by_name=True, validate_default=False,
-                              defer_build=True)
+                              populate_by_name=True, validate_default=False)
 
     @model_validator(mode="before")
     @classmethod

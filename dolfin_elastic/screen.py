@@ -98,8 +98,9 @@ class Bar:
 def step_text(state: State, *, motion: bool) -> str:
     """Step, time or load factor, iterations, largest displacement."""
     place = f"t {state.t:.5g} s" if motion else f"load {100 * state.load_factor:.4g} %"
-    work = f"{state.newton} Newton" + (f", {state.krylov} linear" if state.krylov else "")
-    return (f"step {state.step:>4}   {place:<14} {work:<22} "
+    counts = {"Newton": state.newton, "linear": state.krylov}
+    work = ", ".join(f"{number} {name}" for name, number in counts.items() if number)
+    return (f"step {state.step:>4}   {place:<15} {work:<20} "
             f"max |u| {state.max_displacement:.4g} m")
 
 
@@ -166,7 +167,8 @@ def show_end(state: State, *, motion: bool, seconds: Mapping[str, float], newton
     for name, value in _end_rows(state, motion):
         table.add_row(name, value)
     table.add_row("time", _times(seconds))
-    screen.print(f"done: {_count(state.step, 'step')}, {_count(newton, 'Newton iteration')}")
+    iterations = f", {_count(newton, 'Newton iteration')}" if newton else ""
+    screen.print(f"done: {_count(state.step, 'step')}{iterations}")
     screen.print(table)
 
 

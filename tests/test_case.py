@@ -504,6 +504,40 @@ def test_mistake(folder: Path, name: str) -> None:
     assert complaint(folder, GOOD.replace(old, new, 1)) == f"case.toml: {message}"
 
 
+MOTION = GOOD.replace("nu = 0.3", "nu = 0.3\ndensity = 7850").replace(
+    "[statics]\nsteps = 2", "[dynamics]\ndt = 0.1\nend = 1")
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("dt = 0.1\n", "", "dynamics: 'generalized-alpha' needs a time step dt"),
+    ("dt = 0.1", "dt = \"1 mm\"", "dynamics.dt: '1 mm' has the wrong unit; "
+                                "expected a number in s, for example \"0.1 s\""),
+    ("dt = 0.1", "dt = 0", "dynamics.dt: 0.0 is wrong; expected a number above 0"),
+    ("end = 1", "", "dynamics.end: this key is missing"),
+    ("end = 1", "end = 1\nscheme = \"newmark\"", "dynamics.scheme: \"newmark\" is wrong; "
+                                                "known: generalized-alpha, symplectic-euler"),
+    ("end = 1", "end = 1\ninitial_velocity = [0, 3]",
+     "dynamics.initial_velocity: 2 components; the body is 3-dimensional, expected 3"),
+    ("unit = \"mm\"", "degree = 2\n[dynamics]\nscheme = \"symplectic-euler\"\nend = 1",
+     "mesh.degree: symplectic-euler has a lumped mass, for linear elements only; "
+     "use degree = 1 or generalized-alpha"),
+])
+def test_mistake_in_motion(folder: Path, old: str, new: str, message: str) -> None:
+    """The same for [dynamics]."""
+    text = MOTION
+    if "[dynamics]" in new:
+        text = text.replace("[dynamics]\ndt = 0.1\nend = 1", "")
+    assert complaint(folder, text.replace(old, new, 1)) == f"case.toml: {message}"
+
+
+def test_good_motion(folder: Path) -> None:
+    """Motion needs no support; the explicit scheme no equations."""
+    text = MOTION[:MOTION.index("[[support]]")] + MOTION[MOTION.index("[[load]]"):]
+    assert report(case_of(folder, text)).analysis == "dynamics"
+    text = text.replace("dt = 0.1", "scheme = \"symplectic-euler\"")
+    assert report(case_of(folder, text)).linear_solver == "none: explicit scheme"
+
+
 def test_other_mistakes(folder: Path) -> None:
     """Those that are not a change of the text of one case."""
     assert complaint(folder, GOOD.replace("Block", "\udcff")) == \

@@ -168,6 +168,22 @@ def test_wrong_case(folder: Path, ranks: int) -> None:
     assert [path.name for path in folder.iterdir()] == ["case.toml"]
 
 
+def test_motion(folder: Path) -> None:
+    """Time instead of load; a step above the stable one is refused before anything is written."""
+    text = CASE.replace("nu = 0.3", "nu = 0.3\ndensity = 1000").replace(
+        "[statics]\nsteps = 2", "[dynamics]\nscheme = \"symplectic-euler\"\nend = \"50 ms\"")
+    (folder / "case.toml").write_text(text)
+    code, out, _ = cli("run", "case.toml", "-o", "good", folder=folder)
+    assert code == 0
+    assert re.search(r"^step +1   t 0.00\d+ s +max", out, re.MULTILINE)
+    assert "kinetic energy" in out
+    (folder / "case.toml").write_text(text + "dt = 1\n")
+    code, _, err = cli("run", "case.toml", folder=folder)
+    assert code == 2
+    assert err.startswith("error: case.toml: dynamics.dt: 1 s is above the stable step")
+    assert not (folder / "case_results").exists()
+
+
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_no_solution(folder: Path, ranks: int) -> None:
     """Exit code 3, the reason on screen and in the summary, results so far complete."""

@@ -385,6 +385,29 @@ def test_faults_are_errors_on_all_ranks(folder: Path, fault: str) -> None:
     assert str(caught.value).startswith("cube.vtu: ")
 
 
+XDMF_FAULTS = {"nan": "not numbers", "range": "point 99, but there are 8", "twice": "point twice",
+               "duplicate": "1 cells stand twice", "overlap": "three or more cells",
+               "flat": "no volume", "inside out": "inside out"}
+
+
+@pytest.mark.parametrize("fault", XDMF_FAULTS)
+def test_faults_of_files_read_in_shares(folder: Path, fault: str) -> None:
+    """XDMF never stands on one rank as a whole."""
+    faults = {**{name: make for name, (make, _) in FAULTS.items()},
+              "duplicate": lambda: {"cells": np.vstack([CUBE, CUBE[:1]])}}
+    made(lambda: write_cube(folder / "cube.xdmf", **faults[fault]()))  # type: ignore[arg-type]
+    with pytest.raises(MeshError, match=XDMF_FAULTS[fault]) as caught:
+        read_body(folder / "cube.xdmf")
+    assert str(caught.value).startswith("cube.xdmf: ")
+
+
+def test_one_cell_on_any_number_of_ranks(folder: Path) -> None:
+    made(lambda: write_cube(folder / "one.vtu", cells=CUBE[:1]))
+    size = measures(body := read_body(folder / "one.vtu"))
+    assert (body.num_cells, size.volume) == (1, pytest.approx(1 / 6))
+    assert "4 of 8 points belong to no cell" in " ".join(body.notes)
+
+
 def test_a_surface_in_space_is_refused(folder: Path) -> None:
     import meshio
 

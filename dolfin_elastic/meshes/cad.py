@@ -28,8 +28,8 @@ def meshed(path: Path, *, size: float | None, dim: int | None) -> MshFile:
         MeshError: Gmsh cannot read or mesh the file.
     """
     with _gmsh(path) as gmsh:
-        gmsh.model.mesh.clear()
         if size is not None:
+            gmsh.model.mesh.clear()
             gmsh.option.setNumber("Mesh.MeshSizeMax", size)
             # Without a lower limit Gmsh makes no cells above a tenth of the diagonal.
             if not _has_sizes(gmsh):
@@ -38,7 +38,8 @@ def meshed(path: Path, *, size: float | None, dim: int | None) -> MshFile:
         if not gmsh.model.getEntities(dim):
             raise MeshError("the file has neither volumes nor surfaces to mesh" if dim == 2
                             else "the file has no volumes to mesh", where=path.name)
-        gmsh.model.mesh.generate(dim)
+        if not len(gmsh.model.mesh.getElements(dim)[0]):  # a .geo file may mesh by itself
+            gmsh.model.mesh.generate(dim)
         found = _saved(gmsh)
     said = "size as in the file" if size is None else f"size {size:g}"
     return MshFile(found.points, found.blocks, [*found.notes, f"meshed by Gmsh, {said}"])

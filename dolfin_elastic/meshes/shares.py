@@ -28,6 +28,9 @@ def check_shares(comm: MPI.Comm, cells: Ints, points: int, dim: int) -> None:
     """
     agree(comm, _out_of_range(cells, int(total(comm, points))))
     corners = np.sort(cells[:, : dim + 1], axis=1)
+    collapsed = int(total(comm, int((corners[:, 1:] == corners[:, :-1]).any(axis=1).sum())))
+    if collapsed:
+        raise MeshError(f"{collapsed} cells use the same point twice", expected="remesh")
     twice = int(total(comm, _repeated(comm, corners, 1)))
     if twice:
         raise MeshError(f"{twice} cells stand twice", expected="save each cell once")

@@ -72,13 +72,15 @@ class Newton:
         defaults: More PETSc options, for example the line search.
         users: The user's PETSc options; they win.
         snes: A SNES made elsewhere (by TS); its functions are then set elsewhere too.
+        to_first: Measure the residual against the first one of each solve too: what motion needs,
+            where inertia may balance everything without loads or reactions.
     """
 
     def __init__(self, assembler: Assembler, choice: Choice, tolerance: Tolerance, *,
                  defaults: Mapping[str, Any] | None = None, users: Mapping[str, Any] | None = None,
-                 snes: PETSc.SNES | None = None) -> None:
+                 snes: PETSc.SNES | None = None, to_first: bool = False) -> None:
         self.assembler, self.choice, self.tolerance = assembler, choice, tolerance
-        self.progress = Progress()
+        self.progress, self._to_first = Progress(), to_first
         self._external = 0.0
         self._floor = 0.0
         body = assembler.problem.body
@@ -97,7 +99,6 @@ class Newton:
 
     def _configure(self) -> None:
         self.snes.setOptionsPrefix(PREFIX)
-        self.snes.setTolerances(rtol=0.0, atol=0.0, stol=0.0, max_it=self.tolerance.max_iterations)
         if not self.choice.direct:
             self._attach_modes()
         with self.options.in_force():
@@ -107,6 +108,11 @@ class Newton:
                 self.snes.ksp.getPC().setPythonContext(self._multigrid)
             self.snes.ksp.setFromOptions()
             self.snes.ksp.getPC().setFromOptions()
+        self.judge()
+
+    def judge(self) -> None:
+        """Makes the SNES use our test of convergence."""
+        self.snes.setTolerances(rtol=0.0, atol=0.0, stol=0.0, max_it=self.tolerance.max_iterations)
         self.snes.setConvergenceTest(self._test)
 
     def _attach_modes(self) -> None:
@@ -194,11 +200,15 @@ class Newton:
     def _target(self) -> float:
         a, p = self.assembler, self.progress
         reference = max(self._external, a.held, p.reference)
+        if self._to_first and p.residuals:
+            reference = max(reference, p.residuals[0])
         return max(self.tolerance.rtol * reference, self.tolerance.atol, self._floor)
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float],
               ) -> int:
         a = self.assembler
+        if iteration == 0:
+            self.progress.residuals.clear()
         self.progress.residuals.append(a.free)
         if not np.isfinite(norms[2]) or self._hopeless():
             return int(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)

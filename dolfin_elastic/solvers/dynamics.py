@@ -1,0 +1,293 @@
+"""Motion: settings of all schemes, and implicit dynamics by PETSc TS in second-order form."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+from pydantic import Field, model_validator
+
+from dolfin_elastic.errors import ConvergenceError
+from dolfin_elastic.model.components import Component, components
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.schema import Record
+from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.explicit import SymplecticEuler
+from dolfin_elastic.solvers.initial import set_initial
+from dolfin_elastic.solvers.linear import LinearSettings, choose
+from dolfin_elastic.solvers.motion import ConsistentMass, Strain, work
+from dolfin_elastic.solvers.newton import Newton, Tolerance
+from dolfin_elastic.solvers.options import PREFIX, Options, ts_reason
+from dolfin_elastic.state import State
+from dolfin_elastic.timing import stage
+from dolfin_elastic.units import Time
+
+log = logging.getLogger("dolfin_elastic")
+
+
+class DynamicsSettings(Record):
+    """How motion is followed through time.
+
+    Attributes:
+        scheme: "generalized-alpha" (implicit, PETSc's TSALPHA2) or "symplectic-euler" (explicit,
+            v += dt f/m, then x += dt v, lumped mass, linear elements).
+        end: When it ends [s]; it starts at 0.
+        dt: Time step [s].  Implicit: needed; the first step if adaptive.  Explicit: the stable
+            step times `safety` if not given; a larger one than the stable one is refused.
+        adaptive: Let the error estimate choose the implicit step.
+        tolerance: Relative error a step may make in displacement and velocity, if adaptive.
+        spectral_radius: Of the generalized-alpha scheme at infinite frequency: 1 keeps the
+            energy of a linear body, less damps what the step cannot resolve.
+        initial_displacement: Components [m] or formulas in x, y, z.
+        initial_velocity: Components [m/s] or formulas in x, y, z.
+        rtol: Newton's tolerance, relative to the forces of the step.
+        atol: Free residual that always is small enough [N].
+        max_iterations: Newton iterations after which a step is made smaller.
+        safety: Share of the stable step that the explicit scheme takes.
+        every: Steps from one yielded state to the next.
+    """
+
+    scheme: Literal["generalized-alpha", "symplectic-euler"] = "generalized-alpha"
+    end: Time = Field(gt=0)
+    dt: Time | None = Field(default=None, gt=0)
+    adaptive: bool = False
+    tolerance: float = Field(default=1e-3, gt=0, lt=1)
+    spectral_radius: float = Field(default=0.9, ge=0, le=1)
+    initial_displacement: list[Any] = Field(default=[])
+    initial_velocity: list[Any] = Field(default=[])
+    rtol: float = Field(default=1e-8, gt=0, lt=1)
+    atol: float = Field(default=0.0, ge=0)
+    max_iterations: int = Field(default=20, ge=1)
+    safety: float = Field(default=0.9, gt=0, le=1)
+    every: int = Field(default=1, ge=1)
+
+    @model_validator(mode="after")
+    def _read(self) -> DynamicsSettings:
+        _ = self.displacement, self.velocity
+        if self.dt is None and self.scheme != "symplectic-euler":
+            raise ValueError(f"'{self.scheme}' needs a time step dt")
+        if self.adaptive and self.scheme == "symplectic-euler":
+            raise ValueError("an adaptive step needs the scheme 'generalized-alpha'")
+        return self
+
+    @cached_property
+    def displacement(self) -> tuple[Component, ...]:
+        """Initial displacement as numbers and formulas."""
+        return components(self.initial_displacement, "m") if self.initial_displacement else ()
+
+    @cached_property
+    def velocity(self) -> tuple[Component, ...]:
+        """Initial velocity as numbers and formulas."""
+        return components(self.initial_velocity, "m/s") if self.initial_velocity else ()
+
+
+class Dynamics:
+    """Follows the motion of a problem, with every load and support it has.
+
+    Args:
+        problem: What moves; every material needs a density.
+        settings: See `DynamicsSettings`; keyword arguments are its fields.
+        linear: How linear systems are solved (implicit scheme).
+        petsc: PETSc options, which win over everything.
+    """
+
+    def __init__(self, problem: Problem, settings: DynamicsSettings | None = None, *,
+                 linear: LinearSettings | None = None, petsc: Mapping[str, Any] | None = None,
+                 **fields: Any) -> None:
+        self.problem = problem
+        self.settings = settings or DynamicsSettings(**fields)
+        self.linear = linear or LinearSettings()
+        self.petsc = {**self.linear.petsc, **(petsc or {})}
+        self.velocity = fem.Function(problem.V, name="velocity")
+
+    def steps(self) -> Iterator[State]:
+        """Yields the initial state and then every state asked for. Collective.
+
+        Raises:
+            ConvergenceError: A step found no equilibrium however small it was made.
+            StabilityError: The explicit step became larger than the stable one.
+        """
+        s = self.settings
+        set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
+        if s.scheme == "symplectic-euler":
+            yield from SymplecticEuler(self.problem, self.velocity, end=s.end, dt=s.dt,
+                                       safety=s.safety, every=s.every).steps()
+        else:
+            yield from self._implicit()
+
+    def _implicit(self) -> Iterator[State]:
+        march = _Alpha(self)
+        try:
+            yield from march.run()
+        finally:
+            march.destroy()
+
+
+class _Alpha:
+    """TSALPHA2 for one problem.
+
+    The scheme asks for the residual at a stage between two times.  Prescribed values there are
+    blended between the two times, so that the end of the step is prescribed exactly.
+    """
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        self.settings, self.problem = dynamics.settings, dynamics.problem
+        problem, self.v = self.problem, dynamics.velocity
+        self.a = fem.Function(problem.V, name="acceleration")
+        self.shift = problem.constant(0.0)
+        inertia = problem.inertia(self.a, problem.v)
+        mass = problem.inertia(ufl.TrialFunction(problem.V), problem.v)
+        self.assembler = Assembler(problem, extra=inertia, extra_tangent=self.shift * mass)
+        self.measure = ConsistentMass(problem, self.v)
+        self.strain = Strain(problem)
+        choice = choose(problem, dynamics.linear)
+        log.info("%s", choice.why)
+        self.ts = PETSc.TS().create(problem.body.comm)
+        self._F = self.assembler.create_vector()
+        self._U, self._V = self.assembler.create_vector(), self.assembler.create_vector()
+        s = self.settings
+        self.newton = Newton(self.assembler, choice, Tolerance(s.rtol, s.atol, s.max_iterations),
+                             defaults={"snes_linesearch_type": "bt"}, users=dynamics.petsc,
+                             snes=self.ts.getSNES(), to_first=True)
+        self.options = Options(self._defaults(), dynamics.petsc)
+        self._configure()
+        self._from = self._to = problem.prescribed.values.x.array[problem.prescribed.owned]
+        self._external_work = 0.0
+
+    def _defaults(self) -> dict[str, Any]:
+        s = self.settings
+        adapt: dict[str, Any] = {"ts_adapt_type": "basic" if s.adaptive else "none"}
+        if s.adaptive:
+            adapt |= {"ts_rtol": s.tolerance, "ts_atol": s.tolerance * 1e-3}
+        return {"ts_alpha_radius": s.spectral_radius, "ts_max_snes_failures": 8, **adapt,
+                "snes_linesearch_type": "bt", **self.newton.choice.options}
+
+    def _configure(self) -> None:
+        ts = self.ts
+        ts.setOptionsPrefix(PREFIX)
+        ts.setType("alpha2")
+        ts.setProblemType(PETSc.TS.ProblemType.NONLINEAR)
+        ts.setI2Function(self._function, self._F)
+        ts.setI2Jacobian(self._jacobian, self.assembler.matrix, self.assembler.matrix)
+        ts.setTime(0.0)
+        ts.setTimeStep(self.settings.dt)
+        ts.setMaxTime(self.settings.end)
+        ts.setMaxSteps(10**9)
+        ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
+        with self.options.in_force():
+            ts.setFromOptions()
+        self.newton.judge()
+        self.assembler.get(self._U)
+        self._V.array_w[:] = self.v.x.array[: self.assembler.size]
+        ts.setSolution2(self._U, self._V)
+
+    # --- what TS asks for ---
+
+    def _function(self, ts: PETSc.TS, t: float, U: PETSc.Vec, V: PETSc.Vec, A: PETSc.Vec,
+                  F: PETSc.Vec) -> None:
+        self.problem.set_time(t)
+        self.a.x.array[: self.assembler.size] = A.array_r
+        self.a.x.scatter_forward()
+        share = (t - self._start) / self._dt()
+        self.assembler.residual(U, F, target=(1 - share) * self._from + share * self._to)
+
+    def _jacobian(self, ts: PETSc.TS, t: float, U: PETSc.Vec, V: PETSc.Vec, A: PETSc.Vec,
+                  shift_v: float, shift_a: float, J: PETSc.Mat, P: PETSc.Mat) -> None:
+        self.shift.value = shift_a
+        self.assembler.tangent(U, P)
+        self.newton.note_tangent(P)
+
+    def _dt(self) -> float:
+        dt = self.ts.getTimeStep()
+        if dt != self._known_dt:  # TS has made the step smaller: its end has moved
+            self._known_dt = dt
+            self._to = self._prescribed_at(self._start + dt)
+        return float(dt)
+
+    def _prescribed_at(self, t: float) -> Any:
+        held, now = self.problem.prescribed, float(self.problem.t.value)
+        self.problem.set_time(t)
+        values = held.values.x.array[held.owned].copy()
+        self.problem.set_time(now)
+        return values
+
+    # --- the loop ---
+
+    def run(self) -> Iterator[State]:
+        s, step = self.settings, 0
+        yield self._state(0, 0.0)
+        t = 0.0
+        while t < s.end * (1 - 1e-12):
+            before = self.problem.u.x.array[: self.assembler.size].copy()
+            t, step = self._step(t), step + 1
+            self._add_work(before)
+            if step % s.every == 0 or t >= s.end * (1 - 1e-12):
+                yield self._state(step, t)
+
+    def _step(self, t: float) -> float:
+        """One step of TS from time t; returns the time reached."""
+        s, ts = self.settings, self.ts
+        if not s.adaptive:
+            assert s.dt is not None
+            remaining = s.end - t
+            ts.setTimeStep(remaining if remaining < s.dt * (1 + 1e-9) else s.dt)
+        self._start, self._known_dt = t, 0.0
+        self._from = self._prescribed_at(t)
+        with stage("solve"), self.options.in_force():
+            self.problem.set_time(t)
+            self.newton.begin()
+            linear, newton = ts.getKSPIterations(), ts.getSNESIterations()
+            ts.step()
+            self.newton.options.report_unused()
+        self._newton = ts.getSNESIterations() - newton
+        self._krylov = 0 if self.newton.choice.direct else ts.getKSPIterations() - linear
+        reason = ts.getConvergedReason()
+        if reason < 0:
+            raise ConvergenceError(
+                f"no solution for the step from t = {t:.6g} s: {ts_reason(reason)}",
+                advice="a smaller dt, or a spectral_radius below 1")
+        U, V = ts.getSolution2()
+        self.assembler.put(U)
+        self.v.x.array[: self.assembler.size] = V.array_r
+        self.v.x.scatter_forward()
+        return float(ts.getTime())
+
+    def _add_work(self, before: Any) -> None:
+        """Work of loads and supports, with the forces of the stage within the step."""
+        du = self.problem.u.x.array[: self.assembler.size] - before
+        forces = self.assembler.external_forces().copy()
+        held = self.problem.prescribed.owned
+        forces[held] += self.assembler.balance.array[held]
+        self._external_work += work(self.problem, forces, du)
+
+    def _energies(self) -> dict[str, float]:
+        kinetic, self._linear, self._angular = self.measure.measure()
+        strain = self.strain.energy()
+        return {"strain": strain, "kinetic": kinetic, "total": strain + kinetic,
+                "external": self._external_work}
+
+    def _state(self, step: int, t: float) -> State:
+        energies = self._energies()
+        first = step == 0
+        return State(
+            step=step, t=t, u=self.problem.u, v=self.v,
+            newton=0 if first else self._newton, krylov=0 if first else self._krylov,
+            reason="initial state" if first else "converged",
+            residuals=tuple(self.newton.progress.residuals), energies=energies,
+            reactions=self.assembler.reactions(),
+            momenta={"linear": self._linear, "angular": self._angular},
+            max_displacement=self.assembler.max_displacement(), done=t / self.settings.end)
+
+    def destroy(self) -> None:
+        """Frees what it owns. Collective."""
+        self.newton.destroy()
+        self.ts.destroy()
+        self.assembler.destroy()
+        for vector in (self._F, self._U, self._V):
+            vector.destroy()

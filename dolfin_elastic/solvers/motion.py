@@ -1,0 +1,95 @@
+"""What is measured of a moving body: energies, momenta, work."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.assembler import integral, scalars
+
+Vector = npt.NDArray[np.float64]
+
+
+def _cross(r: ufl.core.expr.Expr, w: ufl.core.expr.Expr) -> list[ufl.core.expr.Expr]:
+    if len(r) == 2:  # noqa: PLR2004
+        return [r[0] * w[1] - r[1] * w[0]]
+    c = ufl.cross(r, w)
+    return [c[0], c[1], c[2]]
+
+
+class Strain:
+    """Stored energy; not a number for a law that has none. Collective to make.
+
+    Args:
+        problem: Whose energy.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        form = problem.strain_energy
+        self._problem = problem
+        self._form = scalars(problem, [form])[0] if form is not None else None
+
+    def energy(self) -> float:
+        """Strain energy of the present displacement [J]. Collective."""
+        return float("nan") if self._form is None else integral(self._problem, self._form)
+
+
+class ConsistentMass:
+    """Kinetic energy and momenta as integrals over the body.
+
+    Args:
+        problem: The body; its displacement gives the current places.
+        v: Velocity.
+    """
+
+    def __init__(self, problem: Problem, v: fem.Function) -> None:
+        x = ufl.SpatialCoordinate(problem.body.mesh) + problem.u
+        terms = [ufl.inner(v, v) / 2, *v, *_cross(x, v)]
+        degree = 2 * problem.degree + 1
+        forms = [sum(problem.density(part) * term * problem.volume(part, degree)
+                     for part in problem.parts) for term in terms]
+        self._problem, self._forms = problem, scalars(problem, forms)
+
+    def measure(self) -> tuple[float, Vector, Vector]:
+        """Kinetic energy [J], linear [kg m/s] and angular [kg m^2/s] momentum. Collective."""
+        local = np.array([fem.assemble_scalar(form) for form in self._forms])
+        sums = self._problem.body.comm.allreduce(local, op=MPI.SUM)
+        dim = self._problem.body.dim
+        return float(sums[0]), sums[1 : 1 + dim], sums[1 + dim :]
+
+
+class LumpedMass:
+    """The same sums for a mass lumped at the nodes, as the explicit schemes see it.
+
+    Args:
+        problem: The body; its displacement gives the current places.
+        v: Velocity.
+        mass: Mass at every owned entry, unrolled [kg].
+    """
+
+    def __init__(self, problem: Problem, v: fem.Function, mass: Vector) -> None:
+        self._problem, self._v = problem, v
+        self._mass = mass.reshape(-1, problem.V.dofmap.index_map_bs)
+        self._X = problem.V.tabulate_dof_coordinates()[: len(self._mass)]
+
+    def measure(self) -> tuple[float, Vector, Vector]:
+        """Kinetic energy [J], linear [kg m/s] and angular [kg m^2/s] momentum. Collective."""
+        shape = self._mass.shape
+        u = self._problem.u.x.array[: self._mass.size].reshape(shape)
+        v = self._v.x.array[: self._mass.size].reshape(shape)
+        p = self._mass * v
+        x = self._X[:, : shape[1]] + u
+        spin = np.atleast_2d(np.cross(x, p).T).sum(axis=1) if shape[1] == 3 else (  # noqa: PLR2004
+            np.array([np.sum(x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0])]))
+        local = np.concatenate([[0.5 * np.sum(p * v)], p.sum(axis=0), spin])
+        sums = self._problem.body.comm.allreduce(local, op=MPI.SUM)
+        return float(sums[0]), sums[1 : 1 + shape[1]], sums[1 + shape[1] :]
+
+
+def work(problem: Problem, forces: Vector, du: Vector) -> float:
+    """Work of owned nodal forces over owned nodal displacements [J]. Collective."""
+    return float(problem.body.comm.allreduce(float(np.dot(forces, du)), op=MPI.SUM))

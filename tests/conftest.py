@@ -1,0 +1,51 @@
+"""What all tests share.
+
+`pytest` alone runs everything: the tests here on one rank, then the same tests again under
+`mpirun -n 2` and `-n 3`, started by test_ranks.py.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import tempfile
+from pathlib import Path
+
+import pytest
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT", "1")
+os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")
+
+from mpi4py import MPI
+
+ROOT = Path(__file__).resolve().parent.parent
+SHARED = ROOT.parent / "shared"
+
+
+@pytest.fixture
+def comm() -> MPI.Comm:
+    return MPI.COMM_WORLD
+
+
+@pytest.fixture
+def folder(comm: MPI.Comm, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A fresh folder that all ranks share."""
+    name = tempfile.mkdtemp(dir=tmp_path_factory.getbasetemp()) if comm.rank == 0 else ""
+    return Path(comm.bcast(name))
+
+
+@pytest.fixture(autouse=True)
+def _together():
+    """PETSc objects are freed together, and no rank runs ahead into the next test."""
+    yield
+    gc.collect()
+    MPI.COMM_WORLD.barrier()
+
+
+@pytest.fixture
+def serial_only(comm: MPI.Comm) -> None:
+    """For tests that start processes of their own."""
+    if comm.size > 1:
+        pytest.skip("starts its own processes: runs in the serial session")
