@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-READERS = ("XDMFReader", "Xdmf3ReaderS", "Xdmf3ReaderT")
+# The readers, and what each calls the file.
+READERS = {"XDMFReader": "FileNames", "Xdmf3ReaderS": "FileName", "Xdmf3ReaderT": "FileName"}
 SECONDS = 300
 # Sums differ in the last digits by the order of the points.
 CLOSE = {"rtol": 1e-9, "atol": 1e-12}
@@ -57,9 +58,7 @@ def check(name: str, results: Path, expected: dict[str, Any]) -> int:
     """Read the file with one reader, inside pvbatch."""
     from paraview import servermanager, simple
 
-    proxy = getattr(simple, name)
-    keyword = "FileNames" if hasattr(proxy(), "FileNames") else "FileName"
-    reader = proxy(**{keyword: [str(results)]})
+    reader = getattr(simple, name)(**{READERS[name]: [str(results)]})
     reader.UpdatePipelineInformation()
     times = np.atleast_1d(np.asarray(reader.TimestepValues, dtype=float))
     if len(times) != len(expected["times"]) or not np.allclose(times, expected["times"], **CLOSE):

@@ -22,7 +22,7 @@ from typing import Any, Self
 
 import numpy as np
 from mpi4py import MPI
-from pydantic import PrivateAttr, ValidationInfo, field_validator, model_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from dolfin_elastic.errors import CaseError, InputError, nearest
 from dolfin_elastic.meshes import Body, Selector, name_parts
@@ -68,11 +68,11 @@ class Case(Record):
 
     title: str = ""
     mesh: MeshTable
-    surfaces: dict[str, list[Selector]] = {}
-    regions: dict[str, list[Selector]] = {}
+    surfaces: dict[str, list[Selector]] = Field(default={})
+    regions: dict[str, list[Selector]] = Field(default={})
     materials: dict[str, Material]
-    support: list[Support] = []
-    load: list[Load] = []
+    support: list[Support] = Field(default=[])
+    load: list[Load] = Field(default=[])
     statics: StaticsSettings | None = None
     dynamics: DynamicsSettings | None = None
     solver: LinearSettings = LinearSettings()
@@ -273,15 +273,12 @@ def located(file: str, key: str = "", *, exact: bool = True) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if exact:
-            error = within(key, error)
-        elif error.where in ("size", "cells", "origin"):
-            error = within(key, error)
+        if exact or error.where in ("size", "cells", "origin"):
+            where = [file, within(key, error).where]
         else:
-            error = type(error)(error.what, where=": ".join(filter(None, (key, error.where))),
-                                expected=error.expected)
-        where = ": ".join(filter(None, (file, error.where)))
-        raise type(error)(error.what, where=where, expected=error.expected) from None
+            where = [file, key, error.where]
+        raise type(error)(error.what, where=": ".join(filter(None, where)),
+                          expected=error.expected) from None
 
 
 # --- rows of lists ---

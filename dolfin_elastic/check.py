@@ -148,6 +148,8 @@ def _keys(key: str, on: str | Sequence[str] | None) -> Iterator[tuple[str, str]]
     if isinstance(on, str):
         yield key, on
         return
+    if on is not None and not on:
+        raise CaseError("no name is given", where=key, expected="leave `on` out or name a part")
     for index, name in enumerate(on or ()):
         yield f"{key}[{index}]", name
 
@@ -309,7 +311,7 @@ def _rigid(x: Floats) -> Floats:
 
 def _said(null: Floats, dim: int) -> list[str]:
     names = ([f"move along {axis}" for axis in "xyz"[:dim]]
-             + [f"turn about {axis}" for axis in ("xyz" if len(null) > 3 else "z")])  # noqa: PLR2004
+             + [f"turn about {axis}" for axis in ("xyz" if len(null) > 3 else "z")])
     share = np.linalg.norm(null, axis=1)
     if null.shape[1] == len(null):
         return ["move and turn freely"]

@@ -2,7 +2,7 @@
 
 Everything heavy is imported where it is needed, so that --help comes at once.
 """
-# ruff: noqa: D301, PLC0415
+# ruff: noqa: D301
 
 from __future__ import annotations
 
@@ -209,13 +209,13 @@ def _compute(case: Case, folder: Path, petsc: dict[str, Any], stop: Stop, *, lou
 
     from mpi4py import MPI
 
-    from dolfin_elastic import run as pipe
     from dolfin_elastic import screen, timing
+    from dolfin_elastic.run import run as solved
 
     meter = _meter(case.dynamics is not None, loud)
     state, newton = None, 0
     try:
-        with closing(pipe.run(case, output=folder, petsc=petsc)) as states:
+        with closing(solved(case, output=folder, petsc=petsc)) as states:
             for state in states:
                 newton += state.newton
                 meter.show(state)

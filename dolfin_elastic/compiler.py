@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import dolfinx
 import ufl
@@ -46,6 +48,37 @@ def options(comm: MPI.Comm) -> dict[str, Any]:
     return {"cffi_extra_compile_args": list(FLAGS), "timeout": 600, "cache_dir": folder}
 
 
+@contextmanager
+def compiling(comm: MPI.Comm, jit_options: dict[str, Any]) -> Iterator[None]:
+    """Everything that may compile happens inside: one run at a time works on a cache.
+
+    Collective.  A compilation that was killed leaves a C file that makes every later run wait for
+    its end in vain; while no other run compiles, such files are known to be dead and are removed.
+    """
+    with stage("compile"):
+        lock = _lock(Path(jit_options["cache_dir"])) if comm.rank == 0 else None
+        comm.barrier()
+        try:
+            yield
+        finally:
+            if lock is not None:
+                lock.close()
+
+
+def _lock(folder: Path) -> IO[str] | None:
+    """Waits for the cache's lock and clears what killed compilations left; None without locks."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / "lock").open("w")
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        for source in folder.glob("*.c"):
+            if not source.with_suffix(".c.cached").exists():
+                source.unlink(missing_ok=True)
+    except OSError:  # a file system without locks: as safe as DOLFINx itself
+        return None
+    return lock
+
+
 def compile_forms(comm: MPI.Comm, forms: Sequence[ufl.Form], jit_options: dict[str, Any],
                   ) -> list[fem.Form]:
     """Compiles UFL forms, shared out among the ranks, and makes DOLFINx forms of them.
@@ -63,10 +96,17 @@ def compile_forms(comm: MPI.Comm, forms: Sequence[ufl.Form], jit_options: dict[s
     Raises:
         Exception: What the form compiler raised on any rank.
     """
-    with stage("compile"):
+    with compiling(comm, jit_options):
         if comm.size > 1:
             _share_out(comm, forms, jit_options)
         return [fem.form(form, jit_options=jit_options) for form in forms]
+
+
+def compile_expression(comm: MPI.Comm, expression: Any, points: Any, jit_options: dict[str, Any],
+                       ) -> fem.Expression:
+    """Compiles a UFL expression at reference points of a cell. Collective."""
+    with compiling(comm, jit_options):
+        return fem.Expression(expression, points, jit_options=jit_options)
 
 
 def _share_out(comm: MPI.Comm, forms: Sequence[ufl.Form], jit_options: dict[str, Any]) -> None:

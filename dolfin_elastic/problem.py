@@ -7,6 +7,7 @@ same sum.  Source: Bonet & Wood (2008), (5.41).
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,6 +33,7 @@ from dolfin_elastic.model.supports import Support
 from dolfin_elastic.parallel import total
 from dolfin_elastic.prescribed import Prescribed
 
+log = logging.getLogger("dolfin_elastic")
 Vector = npt.NDArray[np.float64]
 WHOLE = "body"
 
@@ -100,6 +102,8 @@ class Problem:
         whole = name == WHOLE and name not in self.body.regions
         cells = self.body.owned_cells(None if whole else name)
         symbols = {key: self.constant(value) for key, value in law.constants().items()}
+        if law.warning:
+            log.warning("%s", law.warning)
         density = None if law.density is None else self.constant(law.density)
         return Part(name, law.with_symbols(symbols), cells, index + 1, density)
 

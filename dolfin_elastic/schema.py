@@ -20,7 +20,7 @@ from dolfin_elastic.errors import InputError, nearest
 class _Raising(ModelMetaclass):
     """Turns pydantic's error into ours, at the outermost constructor only."""
 
-    def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+    def __call__(cls, *args: Any, **kwargs: Any) -> Any:  # noqa: N805  of a metaclass
         try:
             return super().__call__(*args, **kwargs)
         except ValidationError as error:

@@ -142,7 +142,7 @@ def show_check(report: Report) -> None:
     screen.print(f"  mesh       {report.mesh}, {report.dim}D, {report.cells} cells")
     screen.print(f"  analysis   {report.analysis}, {report.unknowns} unknowns")
     screen.print(f"  equations  {report.linear_solver}")
-    units = ("area [m^2]", "volume [m^3]") if report.dim == 3 else ("length [m]", "area [m^2]")  # noqa: PLR2004
+    units = ("area [m^2]", "volume [m^3]") if report.dim == 3 else ("length [m]", "area [m^2]")
     screen.print(_parts("surface", "facets", units[0], report.surfaces))
     screen.print(_parts("region", "cells", units[1], report.regions))
     for note in report.notes:
@@ -198,7 +198,7 @@ def vector_text(vector: Iterable[float]) -> str:
 def _times(seconds: Mapping[str, float]) -> str:
     total = seconds.get("total", 0.0)
     stages = [f"{name} {value:.2g}" for name, value in seconds.items()
-              if name != "total" and value >= 0.005]  # noqa: PLR2004
+              if name != "total" and value >= 0.005]
     return f"{total:.3g} s" + (f" ({', '.join(stages)})" if stages else "")
 
 

@@ -43,7 +43,8 @@ class Box(Record):
 
     size: Annotated[list[MeshLength], Field(min_length=3, max_length=3)]
     cells: Annotated[list[Count], Field(min_length=3, max_length=3)]
-    origin: Annotated[list[MeshLength], Field(min_length=3, max_length=3)] = [0, 0, 0]
+    origin: Annotated[list[MeshLength], Field(min_length=3, max_length=3)] = Field(
+        default=[0, 0, 0])
 
 
 class Rectangle(Record):
@@ -57,7 +58,7 @@ class Rectangle(Record):
 
     size: Annotated[list[MeshLength], Field(min_length=2, max_length=2)]
     cells: Annotated[list[Count], Field(min_length=2, max_length=2)]
-    origin: Annotated[list[MeshLength], Field(min_length=2, max_length=2)] = [0, 0]
+    origin: Annotated[list[MeshLength], Field(min_length=2, max_length=2)] = Field(default=[0, 0])
 
 
 class MeshTable(Record):
@@ -173,7 +174,7 @@ class Output(Record):
     folder: str | None = None
     fields: tuple[str, ...] | None = None
     every: Count = 1
-    pictures: list[Picture] = []
+    pictures: list[Picture] = Field(default=[])
 
     @field_validator("fields")
     @classmethod
@@ -235,9 +236,11 @@ def pick(kinds: Mapping[str, type[T]], table: Any, key: str) -> type[T]:
     name = as_table(table).get(key)
     if name is None:
         raise InputError("this key is missing", where=key, expected=f"known: {', '.join(kinds)}")
+    if not isinstance(name, str):
+        raise InputError(f"{shown(name)} is wrong", where=key, expected="expected a text")
     if name not in kinds:
         raise InputError(f"unknown {key} '{name}'", where=key,
-                         expected=nearest(str(name), kinds))
+                         expected=nearest(name, kinds))
     return kinds[name]
 
 

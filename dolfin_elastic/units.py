@@ -35,7 +35,7 @@ COMMON = {
 
 @lru_cache(maxsize=1)
 def _registry() -> pint.UnitRegistry:
-    import pint  # noqa: PLC0415  0.3 s: only where a case needs it
+    import pint  # 0.3 s: only where a case needs it
 
     return pint.UnitRegistry()
 
@@ -53,7 +53,7 @@ def _known(unit: str) -> bool:
         return True
     try:
         _registry().parse_units(unit)
-    except Exception:  # noqa: BLE001  pint raises many kinds for text that is no unit
+    except Exception:  # pint raises many kinds for text that is no unit
         return False
     return True
 
@@ -75,7 +75,10 @@ def to_si(value: float | str, unit: str) -> float:
         raise UnitError(f"{value!r} is not a number", expected=_expected(unit))
     if isinstance(value, str):
         return _finite(_from_text(value, unit), value)
-    return _finite(float(value), value)
+    try:
+        return _finite(float(value), value)
+    except OverflowError:  # a whole number of more than 308 digits
+        return _finite(math.inf, math.inf)
 
 
 def _from_text(text: str, unit: str) -> float:

@@ -8,6 +8,7 @@ import tempfile
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mpi4py import MPI
@@ -512,13 +513,13 @@ MOTION = GOOD.replace("nu = 0.3", "nu = 0.3\ndensity = 7850").replace(
     ("dt = 0.1\n", "", "dynamics: 'generalized-alpha' needs a time step dt"),
     ("dt = 0.1", "dt = \"1 mm\"", "dynamics.dt: '1 mm' has the wrong unit; "
                                 "expected a number in s, for example \"0.1 s\""),
-    ("dt = 0.1", "dt = 0", "dynamics.dt: 0.0 is wrong; expected a number above 0"),
+    ("dt = 0.1", "dt = 0", "dynamics.dt: 0 is wrong; expected a number above 0"),
     ("end = 1", "", "dynamics.end: this key is missing"),
     ("end = 1", "end = 1\nscheme = \"newmark\"", "dynamics.scheme: \"newmark\" is wrong; "
                                                 "known: generalized-alpha, symplectic-euler"),
     ("end = 1", "end = 1\ninitial_velocity = [0, 3]",
      "dynamics.initial_velocity: 2 components; the body is 3-dimensional, expected 3"),
-    ("unit = \"mm\"", "degree = 2\n[dynamics]\nscheme = \"symplectic-euler\"\nend = 1",
+    ("[surfaces]", "degree = 2\n[dynamics]\nscheme = \"symplectic-euler\"\nend = 1\n[surfaces]",
      "mesh.degree: symplectic-euler has a lumped mass, for linear elements only; "
      "use degree = 1 or generalized-alpha"),
 ])
@@ -540,6 +541,8 @@ def test_good_motion(folder: Path) -> None:
 
 def test_other_mistakes(folder: Path) -> None:
     """Those that are not a change of the text of one case."""
+    assert complaint(folder, GOOD.replace('on = "left"', "on = []")) == \
+        "case.toml: support[0].on: no name is given; leave `on` out or name a part"
     assert complaint(folder, GOOD.replace("Block", "\udcff")) == \
         "case.toml: this is no text file in UTF-8"
     text = GOOD.replace("box = {size = [2, 1, 1], cells = [2, 1, 1]}", 'file = "part.msh"')
@@ -550,6 +553,34 @@ def test_other_mistakes(folder: Path) -> None:
     text = GOOD.replace("[materials.steel]", '[materials."my steel"]\nnuu = 3')
     assert complaint(folder, text) == \
         "case.toml: materials.\"my steel\": unknown key 'nuu'; did you mean 'nu'?"
+
+
+ODD = (None, True, -1, 10**400, float("nan"), "", "x" * 3000, "1 mm", "1/0", [], [[]], {},
+       {"kind": []}, [{"on": "left"}], [None])
+
+
+def _places(value: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    if place:
+        yield place
+    entries = value.items() if isinstance(value, dict) else (
+        enumerate(value) if isinstance(value, list) else ())
+    for key, inner in entries:
+        yield from _places(inner, (*place, key))
+
+
+@pytest.mark.parametrize("text", [GOOD, MOTION])
+def test_any_value_anywhere(text: str) -> None:
+    """Whatever stands at any place of a case, it is read or refused as an InputError."""
+    for place in _places(tomllib.loads(text)):
+        for odd in ODD:
+            tables = inner = tomllib.loads(text)
+            for key in place[:-1]:
+                inner = inner[key]
+            inner[place[-1]] = odd
+            try:
+                Case.from_dict(tables, file="case.toml").to_toml()
+            except InputError as error:
+                assert str(error).startswith("case.toml: ")
 
 
 def test_missing_case_file(folder: Path) -> None:

@@ -180,8 +180,8 @@ def test_numpy_and_ufl_agree(text: str, x: float, y: float) -> None:
 @pytest.mark.parametrize("name", sorted(FUNCTIONS))
 def test_compiled_code_agrees(name: str) -> None:
     """What DOLFINx makes of each function, at points that sit on the corners too."""
-    from dolfinx import fem, mesh  # noqa: PLC0415
-    from mpi4py import MPI  # noqa: PLC0415
+    from dolfinx import fem, mesh
+    from mpi4py import MPI
 
     calls = {"where": "where(x < 0.5, x, y - 2)", "atan2": "atan2(y - 0.5, x - 0.25)",
              "min": "min(x, y, 0.3)", "max": "max(x, y, 0.3)", "asin": "asin(x/2)",

@@ -75,7 +75,8 @@ def grids(path: Path) -> list[ET.Element]:
 def item(path: Path, element: ET.Element | None) -> Array:
     """What a reader gets for the `DataItem` below an element, checked against its description."""
     data = element.find("DataItem") if element is not None else None
-    assert data is not None and data.text
+    assert data is not None
+    assert data.text
     file, name = data.text.split(":")
     with h5py.File(path.parent / file, "r") as h5:
         values = h5[name][:]
@@ -107,7 +108,8 @@ def test_xdmf_round_trip(folder: Path, dim: int, degree: int) -> None:
 
 def check_round_trip(problem: Problem, path: Path, dim: int, degree: int) -> None:
     text = path.read_text()
-    assert "include" not in text and "xpointer" not in text
+    assert "include" not in text
+    assert "xpointer" not in text
     steps = grids(path)
     assert [float(g.find("Time").attrib["Value"]) for g in steps] == [0.5, 1.0]  # type: ignore[union-attr]
     points, cells = (item(path, steps[1].find(name)) for name in ("Geometry", "Topology"))
@@ -268,7 +270,7 @@ def test_a_full_disk_is_said_on_all_ranks(folder: Path, monkeypatch: pytest.Monk
         return type("Usage", (), {"free": 1000})
 
     monkeypatch.setattr(files.shutil, "disk_usage", full)
-    with pytest.raises(OutputError, match="no space left.*make room"):
+    with pytest.raises(OutputError, match=r"no space left.*make room"):
         writer.write(make_state(problem, 2))
     names, _ = on_root(COMM, lambda: last_step(folder / "results.xdmf"))
     assert names == ["step 1"]
@@ -301,7 +303,7 @@ def test_a_file_size_limit_is_said_on_all_ranks(
 @pytest.mark.parametrize("name", ["xdmf", "history", "summary", "pictures"])
 def test_a_folder_that_cannot_be_made(folder: Path, name: str) -> None:
     on_root(COMM, lambda: (folder / "taken").write_text("a file"))
-    with pytest.raises(OutputError, match="cannot write .*taken"):
+    with pytest.raises(OutputError, match=r"cannot write .*taken"):
         OUTPUTS[name]().open(make_problem(2), folder / "taken")
 
 
@@ -360,7 +362,7 @@ def test_summary(folder: Path) -> None:
         problem.u.x.array[:] = np.nan
         writer.close("failed", InputError("too steep", where="here"))
     found = on_root(COMM, lambda: json.loads(path.read_text()))
-    assert found["status"] == "failed" and found["reason"] == "here: too steep"
+    assert (found["status"], found["reason"]) == ("failed", "here: too steep")
     sizes = {"dofs": problem.num_dofs, "cells": problem.body.num_cells, "ranks": COMM.size,
              "steps": 2, "newton_iterations": 9, "krylov_iterations": 21,
              "max_displacement": 0.25, "strain_energy": 1.0}
@@ -383,7 +385,7 @@ def test_summary_is_kept_up_to_date(folder: Path, monkeypatch: pytest.MonkeyPatc
     writer = Summary().open(problem, folder)
     writer.write(make_state(problem, max_displacement=float("nan")))
     found = on_root(COMM, lambda: json.loads((folder / "summary.json").read_text()))
-    assert found["steps"] == 1 and found["status"] == "running"
+    assert (found["steps"], found["status"]) == (1, "running")
     assert found["max_displacement"] is None, "JSON has no word for NaN"
 
 
@@ -393,7 +395,7 @@ def test_summary_is_kept_up_to_date(folder: Path, monkeypatch: pytest.MonkeyPatc
 def test_unknown_fields_and_files_are_refused() -> None:
     with pytest.raises(InputError, match="did you mean 'von_mises'"):
         Xdmf(fields=["von_mise"])  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="does not end in .xdmf"):
+    with pytest.raises(InputError, match=r"does not end in \.xdmf"):
         Xdmf(file="results.vtu")
     with pytest.raises(InputError, match="cannot show 'rank'"):
         Picture(field="rank")

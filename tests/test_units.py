@@ -57,8 +57,15 @@ def test_quantity_or_formula(text: str, expected: bool) -> None:
     assert is_quantity(text) is expected
 
 
-def test_bare_numbers_do_not_load_the_unit_library() -> None:
+@pytest.mark.parametrize(("si", "name"), [(si, name) for si in COMMON for name in COMMON[si]])
+def test_common_units(si: str, name: str) -> None:
+    """The short table says what pint says."""
+    assert COMMON[si][name] == pytest.approx(_registry().Quantity(1.0, name).to(si).magnitude)
+
+
+def test_common_units_do_not_load_the_unit_library() -> None:
     """Its import takes as long as a small solve."""
-    code = ("import sys; from dolfin_elastic.units import COMMON, _registry, is_quantity, to_si; to_si('2e3', 'm'); "
-            "is_quantity('0.1*x'); sys.exit('pint' in sys.modules)")
+    code = ("import sys; from dolfin_elastic.units import is_quantity, to_si; to_si('2e3', 'm'); "
+            "is_quantity('0.1*x'); is_quantity('2 mm'); to_si('2 MPa', 'Pa'); "
+            "sys.exit('pint' in sys.modules)")
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -39,7 +39,8 @@ class Body:
     @property
     def comm(self) -> MPI.Comm:
         """The communicator the mesh lives on."""
-        return self.mesh.comm  # type: ignore[no-any-return]
+        comm: MPI.Comm = self.mesh.comm
+        return comm
 
     @property
     def dim(self) -> int:

@@ -39,11 +39,11 @@ def inspect(body: Body, *, scale: float = 1.0) -> list[str]:
     """
     mesh, where = body.mesh, body.source
     corners = cell_corners(mesh)
-    shape = qualities(corners)
     middle = corners.mean(axis=1) / scale
     count, near = _places(mesh, ~np.isfinite(middle).all(axis=1), middle)
     if count:
         raise MeshError(f"{count} cells have points whose coordinates are not numbers", where=where)
+    shape = qualities(corners)
     count, near = _places(mesh, shape < FLAT, middle)
     if count:
         raise MeshError(f"{count} of {body.num_cells} cells have no volume, {near}", where=where,

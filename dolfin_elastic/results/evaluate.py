@@ -13,13 +13,12 @@ import ufl
 from dolfinx import fem, la
 from ufl.core.expr import Expr
 
-from dolfin_elastic.compiler import compile_forms
+from dolfin_elastic.compiler import compile_expression, compile_forms
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.model.kinematics import deformation_gradient, embedded
 from dolfin_elastic.results.fields import FIELDS, known
 from dolfin_elastic.results.grid import Grid, to_nodes
 from dolfin_elastic.state import State
-from dolfin_elastic.timing import stage
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem import Part, Problem
@@ -59,9 +58,9 @@ class Evaluator:
         tensors = [FIELDS[name].formula(law, F) for name in self.cell_names]  # type: ignore[misc]
         dim = self.problem.body.dim
         barycentre = np.full((1, dim), 1 / (dim + 1))
-        with stage("compile"):
-            return fem.Expression(ufl.as_vector([c for t in tensors for c in _components(t)]),
-                                  barycentre, jit_options=self.problem.jit)
+        components = ufl.as_vector([c for t in tensors for c in _components(t)])
+        return compile_expression(self.problem.body.comm, components, barycentre,
+                                  self.problem.jit)
 
     @cached_property
     def residual(self) -> fem.Form:

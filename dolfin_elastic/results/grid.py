@@ -91,7 +91,7 @@ def signed_volumes(mesh: Mesh) -> Array:
     dim = mesh.topology.dim
     corners = mesh.geometry.x[mesh.geometry.dofmap[:, :dim + 1]][:, :, :dim]
     edges = corners[:, 1:] - corners[:, :1]
-    return np.asarray(np.linalg.det(edges) / (2 if dim == 2 else 6))  # noqa: PLR2004
+    return np.asarray(np.linalg.det(edges) / (2 if dim == 2 else 6))
 
 
 def to_nodes(V: fem.FunctionSpace, values: Array) -> Array:

@@ -78,7 +78,7 @@ def write(comm: MPI.Comm, path: Path, arrays: Mapping[str, Rows]) -> None:
 
 def _lay_out(path: Path, arrays: Mapping[str, Rows]) -> dict[str, int]:
     """Makes the file with every array in its place but unwritten: name to byte offset."""
-    import h5py  # noqa: PLC0415  0.2 s: only where results are written
+    import h5py
 
     need_space(path.parent, sum(rows.size for rows in arrays.values()))
     try:

@@ -126,8 +126,8 @@ class _Painter:
         grid = self._evaluate.grid
         u = state.u.x.array.reshape(-1, self.dim)
         surface = gather(grid, {"u": np.pad(u, ((0, 0), (0, 3 - self.dim))), "value": values})
-        settings = {"scale": scale, "view": "z" if self.dim == 2 else view,  # noqa: PLR2004
-                    "title": title, "plane": self.dim == 2}  # noqa: PLR2004
+        settings = {"scale": scale, "view": "z" if self.dim == 2 else view,
+                    "title": title, "plane": self.dim == 2}
         _on_root_alone(self.comm, lambda: self._draw(surface, file, settings))
 
     def _at_local_nodes(self, values: Array) -> Array:
@@ -192,7 +192,7 @@ def _run(data: Path, drawn: Path) -> None:
     script = Path(__file__).with_name("_draw.py")
     with _display() as environment:
         try:
-            done = subprocess.run([sys.executable, "-s", str(script), str(data), str(drawn)],
+            done = subprocess.run([sys.executable, "-P", str(script), str(data), str(drawn)],
                                   env=environment, capture_output=True, text=True,
                                   timeout=_TIMEOUT, check=False)
         except subprocess.TimeoutExpired:
@@ -222,7 +222,8 @@ def _start_xvfb() -> tuple[subprocess.Popen[bytes], int]:
     """Starts a server on a display number that it finds free itself."""
     read, write = os.pipe()
     server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1200x24", "-nolisten", "tcp"],
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1200x24", "-nolisten", "tcp",
+         "-terminate"],
         pass_fds=[write], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     os.close(write)
     with os.fdopen(read) as answer:

@@ -131,9 +131,8 @@ def _high_water() -> int:
 
 def versions() -> dict[str, str]:
     """Versions of this package and of what its numbers depend on. Not collective."""
-    petsc = ".".join(str(number) for number in PETSc.Sys.getVersion())  # type: ignore[attr-defined]
-    return {"dolfin_elastic": __version__, "petsc": petsc,
-            "dolfinx": dolfinx.__version__,  # type: ignore[attr-defined]
+    petsc = ".".join(str(number) for number in PETSc.Sys.getVersion())
+    return {"dolfin_elastic": __version__, "dolfinx": dolfinx.__version__, "petsc": petsc,
             "numpy": np.__version__}
 
 

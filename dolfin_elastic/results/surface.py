@@ -70,7 +70,7 @@ def _joined(parts: list[Any]) -> Surface:
 
 def _triangles(grid: Grid) -> Array:
     """Local points of this rank's share of the surface, shape (n, 3)."""
-    if grid.mesh.topology.dim == 2:  # noqa: PLR2004
+    if grid.mesh.topology.dim == 2:
         return _split(_upward(grid.V, grid.V.dofmap.list[:grid.own_cells]))
     cells, sides = _outer_sides(grid.mesh)
     nodes = np.array([sorted(grid.V.dofmap.dof_layout.entity_closure_dofs(2, i))

@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
-from dolfinx.fem import petsc as fem_petsc
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.compiler import compile_forms
 from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.matrix import TangentMatrix
 from dolfin_elastic.timing import stage
 
 Vector = npt.NDArray[np.float64]
@@ -61,7 +61,8 @@ class Assembler:
         self._is_free[self._fixed] = False
         self.free = self.held = self.gap = 0.0
         with stage("assemble"):
-            self.matrix = fem_petsc.create_matrix(self._tangent)
+            self._filled = TangentMatrix(self._tangent)
+        self.matrix = self._filled.petsc
         if problem.has_energy:
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
 
@@ -136,13 +137,11 @@ class Assembler:
         values.x.array[:] = kept
         return self._lift.array[: self.size]
 
-    def tangent(self, x: PETSc.Vec, matrix: PETSc.Mat) -> None:
-        """Assembles the tangent at x, with ones on the diagonal of prescribed rows."""
+    def tangent(self, x: PETSc.Vec) -> None:
+        """Assembles the tangent at x into `matrix`, with ones on prescribed diagonals."""
         with stage("assemble"):
             self.put(x)
-            matrix.zeroEntries()
-            fem_petsc.assemble_matrix(matrix, self._tangent, self.problem.prescribed.bcs)
-            matrix.assemble()
+            self._filled.assemble(self.problem.prescribed.bcs)
 
     def external_norm(self) -> float:
         """Norm of the applied nodal forces at the present time [N]."""
@@ -189,11 +188,11 @@ class Assembler:
 
     def destroy(self) -> None:
         """Frees the matrix. Collective."""
-        self.matrix.destroy()
+        self._filled.destroy()
 
 
-def scalars(problem: Problem, forms: Sequence[ufl.Form]) -> list[fem.Form]:
-    """Compiles scalar forms with the problem's options. Collective."""
+def compiled(problem: Problem, forms: Sequence[ufl.Form]) -> list[fem.Form]:
+    """Compiles forms with the problem's options. Collective."""
     return compile_forms(problem.body.comm, list(forms), problem.jit)
 
 

@@ -200,7 +200,7 @@ class _Alpha:
     def _jacobian(self, ts: PETSc.TS, t: float, U: PETSc.Vec, V: PETSc.Vec, A: PETSc.Vec,
                   shift_v: float, shift_a: float, J: PETSc.Mat, P: PETSc.Mat) -> None:
         self.shift.value = shift_a
-        self.assembler.tangent(U, P)
+        self.assembler.tangent(U)
         self.newton.note_tangent(P)
 
     def _dt(self) -> float:

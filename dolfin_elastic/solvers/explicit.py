@@ -18,7 +18,7 @@ from slepc4py import SLEPc
 
 from dolfin_elastic.errors import InputError, StabilityError
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.assembler import Assembler, compiled
 from dolfin_elastic.solvers.motion import LumpedMass, Strain, work
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
@@ -65,7 +65,7 @@ class SymplecticEuler:
         """Row sums of the mass matrix, owned entries [kg]. Collective."""
         bs = self.problem.body.dim
         ones = ufl.as_vector([self.problem.constant(1.0)] * bs)
-        form = fem.form(self.problem.inertia(ones, self.problem.v), jit_options=self.problem.jit)
+        form = compiled(self.problem, [self.problem.inertia(ones, self.problem.v)])[0]
         mass = la.vector(self.problem.V.dofmap.index_map, bs)
         fem.assemble_vector(mass.array, form)
         mass.scatter_reverse(la.InsertMode.add)
@@ -81,7 +81,7 @@ class SymplecticEuler:
         with stage("solve"):
             x, scale = self.assembler.create_vector(), self.assembler.create_vector()
             self.assembler.get(x)
-            self.assembler.tangent(x, self.assembler.matrix)
+            self.assembler.tangent(x)
             scale.array_w[:] = 1 / np.sqrt(self.mass)
             scale.array_w[self.problem.prescribed.owned] = 0.0
             self.assembler.matrix.diagonalScale(scale, scale)

@@ -6,8 +6,8 @@ import basix
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
 
+from dolfin_elastic.compiler import compile_expression
 from dolfin_elastic.model.kinematics import deformation_gradient
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.timing import stage
@@ -25,8 +25,7 @@ class JacobianWatch:
         kind = getattr(basix.CellType, mesh.topology.cell_name())
         points, _ = basix.make_quadrature(kind, 2 * (problem.degree - 1))
         J = ufl.det(deformation_gradient(problem.u))
-        with stage("compile"):
-            self._J = fem.Expression(J, points, jit_options=problem.jit)
+        self._J = compile_expression(mesh.comm, J, points, problem.jit)
         self._problem, self._points = problem, points
         self._cells = problem.body.owned_cells()
 

@@ -88,11 +88,13 @@ def _iterative(problem: Problem, symmetric: bool) -> dict[str, Any]:
         "ksp_rtol": 1e-8,
     }
     if not symmetric:
-        krylov.update({"ksp_gmres_restart": 100, "ksp_pc_side": "right"})
+        krylov |= GMRES
     if problem.degree == 1:
         return {**krylov, "pc_type": "gamg", **GAMG}
     return {**krylov, "pc_type": "python", **QUADRATIC}
 
+
+GMRES = {"ksp_type": "gmres", "ksp_gmres_restart": 100, "ksp_pc_side": "right"}
 
 GAMG: dict[str, Any] = {
     "pc_gamg_threshold": 0.01,
@@ -105,7 +107,7 @@ GAMG: dict[str, Any] = {
 
 QUADRATIC: dict[str, Any] = {
     "two_mg_levels_ksp_type": "chebyshev",
-    "two_mg_levels_ksp_max_it": 3,
+    "two_mg_levels_ksp_max_it": 1,
     "two_mg_levels_pc_type": "pbjacobi",
     **{f"two_mg_coarse_{name}": value for name, value in GAMG.items()},
 }

@@ -9,7 +9,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.solvers.assembler import integral, scalars
+from dolfin_elastic.solvers.assembler import compiled, integral
 
 Vector = npt.NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class Strain:
     def __init__(self, problem: Problem) -> None:
         form = problem.strain_energy
         self._problem = problem
-        self._form = scalars(problem, [form])[0] if form is not None else None
+        self._form = compiled(problem, [form])[0] if form is not None else None
 
     def energy(self) -> float:
         """Strain energy of the present displacement [J]. Collective."""
@@ -52,7 +52,7 @@ class ConsistentMass:
         degree = 2 * problem.degree + 1
         forms = [sum(problem.density(part) * term * problem.volume(part, degree)
                      for part in problem.parts) for term in terms]
-        self._problem, self._forms = problem, scalars(problem, forms)
+        self._problem, self._forms = problem, compiled(problem, forms)
 
     def measure(self) -> tuple[float, Vector, Vector]:
         """Kinetic energy [J], linear [kg m/s] and angular [kg m^2/s] momentum. Collective."""

@@ -5,6 +5,7 @@ Used by statics directly and by implicit dynamics through TS.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,9 +16,11 @@ from petsc4py import PETSc
 
 from dolfin_elastic.meshes.body import Body
 from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.linear import Choice, QuadraticMultigrid, rigid_body_modes
+from dolfin_elastic.solvers.linear import GMRES, Choice, QuadraticMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.options import PREFIX, Options, ksp_reason, snes_reason
 from dolfin_elastic.timing import stage
+
+log = logging.getLogger("dolfin_elastic")
 
 FORCING = 1e-3
 """Relative tolerance of a linear solve inside Newton: tighter ones cost more than they save."""
@@ -129,6 +132,19 @@ class Newton:
             self._attach_modes()
             self.snes.ksp.getPC().reset()
 
+    def fall_back(self) -> bool:
+        """Goes from conjugate gradients, which an indefinite tangent breaks, to GMRES. Collective.
+
+        Returns:
+            False if there is nothing left to fall back to.
+        """
+        if self.snes.ksp.getType() != "cg" or "ksp_type" in self.options.users:
+            return False
+        log.info("conjugate gradients failed (%s): GMRES from here on", self.progress.reason)
+        self.options.change(GMRES)
+        self.refresh()
+        return True
+
     # --- one solve ---
 
     def begin(self, reference: float = 0.0) -> None:
@@ -183,7 +199,7 @@ class Newton:
         self.assembler.residual(x, f)
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        self.assembler.tangent(x, P)
+        self.assembler.tangent(x)
         self.note_tangent(P)
 
     def note_tangent(self, P: PETSc.Mat) -> None:

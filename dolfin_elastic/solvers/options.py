@@ -44,6 +44,10 @@ class Options:
             for name in merged:
                 database.delValue(PREFIX + name)
 
+    def change(self, defaults: Mapping[str, Any]) -> None:
+        """Changes defaults for all later uses."""
+        self._all = {**self._all, **defaults, **self.users}
+
     def report_unused(self) -> None:
         """Warns once of options of the user that nothing asked for: mistyped ones. Inside."""
         for name in () if self._reported else self.users:
@@ -53,13 +57,13 @@ class Options:
 
 
 def _was_used(name: str) -> bool:
-    """PetscOptionsUsed, which petsc4py does not offer; True where it cannot be asked."""
+    """PetscOptionsUsed (name without dash), which petsc4py does not offer; True where it cannot be asked."""
     try:
         ask = ctypes.CDLL(PETSc.__file__).PetscOptionsUsed
     except (OSError, AttributeError):
         return True
     used = ctypes.c_int(1)
-    ask(None, ctypes.c_char_p(f"-{name}".encode()), ctypes.byref(used))
+    ask(None, ctypes.c_char_p(name.encode()), ctypes.byref(used))
     return bool(used.value)
 
 

@@ -14,7 +14,7 @@ from dolfin_elastic.errors import ConvergenceError
 from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
-from dolfin_elastic.solvers.assembler import Assembler, integral, scalars
+from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton, Progress, Tolerance
@@ -91,7 +91,7 @@ class _Stepping:
         self.settings, self.problem = statics.settings, statics.problem
         self.assembler, self.newton = assembler, newton
         energy = self.problem.strain_energy
-        self._energy = scalars(self.problem, [energy])[0] if energy is not None else None
+        self._energy = compiled(self.problem, [energy])[0] if energy is not None else None
         self._watch = JacobianWatch(self.problem)
         self._count = 0
 
@@ -124,6 +124,9 @@ class _Stepping:
                 self.newton.refresh()
             u[:] = start
             progress = self.newton.solve(line_search)
+            if "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
+                u[:] = start
+                progress = self.newton.solve(line_search)
             self._refuse_inverted(progress)
             if progress.converged:
                 return progress
