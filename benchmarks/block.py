@@ -48,8 +48,13 @@ def timed(ranks: int, command: list[str]) -> tuple[float, str]:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(HERE.parent)}
     launch = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
     begin = time.perf_counter()
-    done = subprocess.run([*launch, sys.executable, *command], env=environment, text=True,
-                          capture_output=True, check=False)
+    done = subprocess.run(
+        [*launch, sys.executable, *command],
+        env=environment,
+        text=True,
+        capture_output=True,
+        check=False,
+    )
     if done.returncode:
         raise SystemExit(done.stdout + done.stderr)
     return time.perf_counter() - begin, done.stdout
@@ -66,8 +71,10 @@ def ours(ranks: int, degree: int, n: int, profile: bool = False) -> tuple[float,
     with tempfile.TemporaryDirectory() as folder:
         case = Path(folder) / "block.toml"
         case.write_text(CASE.format(twice=2 * n, n=n, degree=degree))
-        seconds, _ = timed(ranks, ["-m", "dolfin_elastic", "run", str(case), "--quiet",
-                                   "--output", f"{folder}/results"])
+        seconds, _ = timed(
+            ranks,
+            ["-m", "dolfin_elastic", "run", str(case), "--quiet", "--output", f"{folder}/results"],
+        )
         summary = json.loads((Path(folder) / "results" / "summary.json").read_text())
     return seconds, summary
 
@@ -82,10 +89,19 @@ def compare(degree: int, n: int, ranks: int, repeat: int, script: str) -> dict:
         seconds, tip = experts(ranks, script, degree, n)
         theirs.append(seconds)
     a, b = statistics.median(mine), statistics.median(theirs)
-    return {"degree": degree, "N": n, "ranks": ranks, "dofs": summary["dofs"], "ours": round(a, 2),
-            "expert": round(b, 2), "ratio": round(a / b, 2), "uz": tip,
-            "newton": summary["newton_iterations"],
-            "max_displacement": summary["max_displacement"], "timings": summary["timings"]}
+    return {
+        "degree": degree,
+        "N": n,
+        "ranks": ranks,
+        "dofs": summary["dofs"],
+        "ours": round(a, 2),
+        "expert": round(b, 2),
+        "ratio": round(a / b, 2),
+        "uz": tip,
+        "newton": summary["newton_iterations"],
+        "max_displacement": summary["max_displacement"],
+        "timings": summary["timings"],
+    }
 
 
 def main() -> None:
@@ -101,8 +117,11 @@ def main() -> None:
         degree, n = (int(part) for part in size.split(":"))
         for ranks in (int(part) for part in args.ranks.split(",")):
             row = compare(degree, n, ranks, args.repeat, args.expert)
-            print(f"| P{degree} | {n} | {row['dofs']} | {ranks} | {row['ours']} | {row['expert']} "
-                  f"| {row['ratio']} |", flush=True)
+            print(
+                f"| P{degree} | {n} | {row['dofs']} | {ranks} | {row['ours']} | {row['expert']} "
+                f"| {row['ratio']} |",
+                flush=True,
+            )
             print(json.dumps(row), file=sys.stderr, flush=True)
 
 

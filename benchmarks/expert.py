@@ -24,21 +24,40 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 SOLVER = {
-    "snes_type": "newtonls", "snes_linesearch_type": "basic", "snes_rtol": 1e-8, "snes_atol": 0,
-    "snes_stol": 0, "snes_lag_preconditioner": 20, "snes_ksp_ew": True, "snes_ksp_ew_rtol0": 1e-3,
-    "snes_ksp_ew_rtolmax": 1e-3, "ksp_type": "cg", "ksp_max_it": 500, "pc_type": "gamg",
-    "pc_gamg_threshold": 0.01, "pc_gamg_coarse_eq_limit": 500,
-    "mg_levels_ksp_type": "chebyshev", "mg_levels_ksp_max_it": 1, "mg_levels_pc_type": "pbjacobi",
+    "snes_type": "newtonls",
+    "snes_linesearch_type": "basic",
+    "snes_rtol": 1e-8,
+    "snes_atol": 0,
+    "snes_stol": 0,
+    "snes_lag_preconditioner": 20,
+    "snes_ksp_ew": True,
+    "snes_ksp_ew_rtol0": 1e-3,
+    "snes_ksp_ew_rtolmax": 1e-3,
+    "ksp_type": "cg",
+    "ksp_max_it": 500,
+    "pc_type": "gamg",
+    "pc_gamg_threshold": 0.01,
+    "pc_gamg_coarse_eq_limit": 500,
+    "mg_levels_ksp_type": "chebyshev",
+    "mg_levels_ksp_max_it": 1,
+    "mg_levels_pc_type": "pbjacobi",
 }
 FLAGS = ["-O3", "-march=native", "-ffast-math"]
 
 
 def block(n: int) -> tuple[mesh.Mesh, np.ndarray, np.ndarray]:
     """The mesh and its facets at x = 0 and x = 2."""
-    body = mesh.create_box(MPI.COMM_WORLD, [[0, 0, 0], [2, 1, 1]], [2 * n, n, n],
-                           mesh.CellType.tetrahedron, ghost_mode=mesh.GhostMode.none)
-    ends = [mesh.locate_entities_boundary(body, 2, lambda x, at=at: np.isclose(x[0], at))
-            for at in (0.0, 2.0)]
+    body = mesh.create_box(
+        MPI.COMM_WORLD,
+        [[0, 0, 0], [2, 1, 1]],
+        [2 * n, n, n],
+        mesh.CellType.tetrahedron,
+        ghost_mode=mesh.GhostMode.none,
+    )
+    ends = [
+        mesh.locate_entities_boundary(body, 2, lambda x, at=at: np.isclose(x[0], at))
+        for at in (0.0, 2.0)
+    ]
     return body, ends[0], ends[1]
 
 
@@ -55,9 +74,13 @@ def rigid_modes(V: fem.FunctionSpace) -> PETSc.NullSpace:
             i, j = [(0, 1), (1, 2), (2, 0)][k - 3]
             rows[:, i], rows[:, j] = -x[:, j], x[:, i]
     la.orthonormalize(vectors)
-    return PETSc.NullSpace().create(comm=V.mesh.comm, vectors=[
-        PETSc.Vec().createWithArray(v.array[: 3 * size], bsize=3, comm=V.mesh.comm)
-        for v in vectors])
+    return PETSc.NullSpace().create(
+        comm=V.mesh.comm,
+        vectors=[
+            PETSc.Vec().createWithArray(v.array[: 3 * size], bsize=3, comm=V.mesh.comm)
+            for v in vectors
+        ],
+    )
 
 
 def main(degree: int, n: int) -> None:
@@ -105,10 +128,18 @@ def main(degree: int, n: int) -> None:
     u.x.scatter_forward()
     tip = body.comm.allreduce(fem.assemble_scalar(fem.form(u[2] * ds(1))))
     if body.comm.rank == 0:
-        print(json.dumps({
-            "dofs": 3 * V.dofmap.index_map.size_global, "uz": tip,
-            "newton": snes.getIterationNumber(), "krylov": snes.getLinearSolveIterations(),
-            "reason": snes.getConvergedReason(), "seconds": time.time() - BEGIN}))
+        print(
+            json.dumps(
+                {
+                    "dofs": 3 * V.dofmap.index_map.size_global,
+                    "uz": tip,
+                    "newton": snes.getIterationNumber(),
+                    "krylov": snes.getLinearSolveIterations(),
+                    "reason": snes.getConvergedReason(),
+                    "seconds": time.time() - BEGIN,
+                }
+            )
+        )
 
 
 if __name__ == "__main__":

@@ -17,6 +17,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from dolfin_elastic.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from dolfin_elastic.case import Case as Case
     from dolfin_elastic.case import read_case as read_case
@@ -43,8 +45,6 @@ if TYPE_CHECKING:
     from dolfin_elastic.solvers.dynamics import Dynamics as Dynamics
     from dolfin_elastic.solvers.statics import Statics as Statics
 
-__version__ = "0.1.0"
-
 _PLACES = {
     "case": ("Case", "read_case"),
     "run": ("run",),
@@ -64,4 +64,6 @@ __all__ = sorted(_WHERE)  # noqa: PLE0605
 def __getattr__(name: str) -> Any:
     if name not in _WHERE:
         raise AttributeError(f"module 'dolfin_elastic' has no attribute '{name}'")
-    return getattr(import_module(f"dolfin_elastic.{_WHERE[name]}"), name)
+    value = getattr(import_module(f"dolfin_elastic.{_WHERE[name]}"), name)
+    globals()[name] = value  # `run` is a module, too: the function is meant
+    return value

@@ -99,15 +99,19 @@ class Case(Record):
     def _rows(cls, rows: Any, info: ValidationInfo) -> list[Support | Load]:
         key = str(info.field_name)
         if not isinstance(rows, list | tuple):
-            raise InputError(f"a single table cannot be a {key}",
-                             expected=f"write [[{key}]] with double brackets")
+            raise InputError(
+                f"a single table cannot be a {key}",
+                expected=f"write [[{key}]] with double brackets",
+            )
         return listed(rows, _support if key == "support" else _load)
 
     @model_validator(mode="after")
     def _one_analysis(self) -> Self:
         if self.statics is not None and self.dynamics is not None:
-            raise InputError("[statics] and [dynamics] given together",
-                             expected="a case has one analysis; leave one of them out")
+            raise InputError(
+                "[statics] and [dynamics] given together",
+                expected="a case has one analysis; leave one of them out",
+            )
         return self
 
     # --- where it came from ---
@@ -128,8 +132,9 @@ class Case(Record):
         return self._folder
 
     @classmethod
-    def from_dict(cls, tables: Mapping[str, Any], folder: str | PathLike[str] = ".", *,
-                  file: str = "") -> Case:
+    def from_dict(
+        cls, tables: Mapping[str, Any], folder: str | PathLike[str] = ".", *, file: str = ""
+    ) -> Case:
         """A case from nested dictionaries, as TOML gives them.
 
         Args:
@@ -160,8 +165,9 @@ class Case(Record):
         for key in ("statics", "dynamics", "solver", "output"):
             if key in self.model_fields_set and getattr(self, key) is not None:
                 tables[key] = written(getattr(self, key))
-        return {key: value for key, value in tables.items()
-                if value or key in ("statics", "dynamics")}
+        return {
+            key: value for key, value in tables.items() if value or key in ("statics", "dynamics")
+        }
 
     def to_toml(self) -> str:
         """The case as the text of a case file that reads back to an equal case."""
@@ -175,19 +181,26 @@ class Case(Record):
         with located(self.file, f"mesh.{key}", exact=False):
             body = self.mesh.body(self.folder, comm)
         with located(self.file):
-            return name_parts(body, surfaces=self.surfaces, regions=self.regions,
-                              scale=self.mesh.scale)
+            return name_parts(
+                body, surfaces=self.surfaces, regions=self.regions, scale=self.mesh.scale
+            )
 
     def make_problem(self, body: Body) -> Problem:
         """The boundary value problem. Collective."""
         with located(self.file):
             body, laws = _fill(body, self.materials)
-            return Problem(body, laws, supports=self._supports(body.dim), loads=self.load,
-                           degree=self.mesh.degree,
-                           quadrature_degree=self.mesh.quadrature_degree)
+            return Problem(
+                body,
+                laws,
+                supports=self._supports(body.dim),
+                loads=self.load,
+                degree=self.mesh.degree,
+                quadrature_degree=self.mesh.quadrature_degree,
+            )
 
-    def make_solver(self, problem: Problem, *,
-                    petsc: Mapping[str, Any] | None = None) -> Statics | Dynamics:
+    def make_solver(
+        self, problem: Problem, *, petsc: Mapping[str, Any] | None = None
+    ) -> Statics | Dynamics:
         """The solver of the case's analysis.
 
         Args:
@@ -206,8 +219,12 @@ class Case(Record):
 
     def _supports(self, dim: int) -> list[Support]:
         """Those that name no displacement hold all components of the body's dimension."""
-        return [s if "displacement" in s.model_fields_set
-                else Support(**written(s), displacement=[0] * dim) for s in self.support]
+        return [
+            s
+            if "displacement" in s.model_fields_set
+            else Support(**written(s), displacement=[0] * dim)
+            for s in self.support
+        ]
 
 
 def read_case(path: str | PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD) -> Case:
@@ -243,8 +260,10 @@ def _read_file(file: str) -> dict[str, Any]:
         raise CaseError(f"cannot be read: {error.strerror}", where=file) from None
 
 
-_SAID = {"Illegal character '\\n'": "the closing quote is missing",
-         "Cannot overwrite a value": "this key stands here for the second time"}
+_SAID = {
+    "Illegal character '\\n'": "the closing quote is missing",
+    "Cannot overwrite a value": "this key stands here for the second time",
+}
 
 
 def _syntax(message: str, text: str) -> str:
@@ -277,8 +296,9 @@ def located(file: str, key: str = "", *, exact: bool = True) -> Iterator[None]:
             where = [file, within(key, error).where]
         else:
             where = [file, key, error.where]
-        raise type(error)(error.what, where=": ".join(filter(None, where)),
-                          expected=error.expected) from None
+        raise type(error)(
+            error.what, where=": ".join(filter(None, where)), expected=error.expected
+        ) from None
 
 
 # --- rows of lists ---

@@ -85,11 +85,20 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     notes = check(case, body)
     problem = case.make_problem(body)
     return Report(
-        case=case.file, title=case.title, mesh=body.source, dim=body.dim, cells=body.num_cells,
-        unknowns=problem.num_dofs, analysis="dynamics" if case.dynamics else "statics",
-        linear_solver="none: explicit scheme" if explicit(case)
-        else choose(problem, case.solver).why, surfaces=_surface_sizes(case, body),
-        regions=_region_sizes(case, body), notes=(*body.notes, *notes))
+        case=case.file,
+        title=case.title,
+        mesh=body.source,
+        dim=body.dim,
+        cells=body.num_cells,
+        unknowns=problem.num_dofs,
+        analysis="dynamics" if case.dynamics else "statics",
+        linear_solver="none: explicit scheme"
+        if explicit(case)
+        else choose(problem, case.solver).why,
+        surfaces=_surface_sizes(case, body),
+        regions=_region_sizes(case, body),
+        notes=(*body.notes, *notes),
+    )
 
 
 def check(case: Case, body: Body) -> tuple[str, ...]:
@@ -112,8 +121,11 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         if case.dynamics is None:
             _check_held(case, body)
         elif explicit(case) and case.mesh.degree > 1:
-            raise CaseError("symplectic-euler has a lumped mass, for linear elements only",
-                            where="mesh.degree", expected="use degree = 1 or generalized-alpha")
+            raise CaseError(
+                "symplectic-euler has a lumped mass, for linear elements only",
+                where="mesh.degree",
+                expected="use degree = 1 or generalized-alpha",
+            )
     return tuple(_notes(case))
 
 
@@ -155,8 +167,9 @@ def _keys(key: str, on: str | Sequence[str] | None) -> Iterator[tuple[str, str]]
 
 
 def _check_name(where: str, name: str, kind: str, rule: str, body: Body) -> None:
-    here, there = ((body.surfaces, body.regions) if kind == "surface"
-                   else (body.regions, body.surfaces))
+    here, there = (
+        (body.surfaces, body.regions) if kind == "surface" else (body.regions, body.surfaces)
+    )
     if name not in here and name in there:
         other = "region" if kind == "surface" else "surface"
         raise MeshError(f"'{name}' is a {other}", where=where, expected=rule)
@@ -172,30 +185,43 @@ def _offer(name: str, names: Mapping[str, Indices]) -> str:
 
 
 def _check_components(case: Case, body: Body) -> None:
-    vectors = [(f"support[{i}].displacement", s.values) for i, s in enumerate(case.support)
-               if "displacement" in s.model_fields_set]
+    vectors = [
+        (f"support[{i}].displacement", s.values)
+        for i, s in enumerate(case.support)
+        if "displacement" in s.model_fields_set
+    ]
     vectors += [(f"load[{i}].value", load.values) for i, load in enumerate(case.load)]
     if case.dynamics is not None:
-        vectors += [("dynamics.initial_displacement", case.dynamics.displacement),
-                    ("dynamics.initial_velocity", case.dynamics.velocity)]
+        vectors += [
+            ("dynamics.initial_displacement", case.dynamics.displacement),
+            ("dynamics.initial_velocity", case.dynamics.velocity),
+        ]
     for where, values in vectors:
         if values and len(values) != body.dim:
-            raise CaseError(f"{len(values)} components", where=where,
-                            expected=f"the body is {body.dim}-dimensional, expected {body.dim}")
+            raise CaseError(
+                f"{len(values)} components",
+                where=where,
+                expected=f"the body is {body.dim}-dimensional, expected {body.dim}",
+            )
 
 
 def _check_fields(case: Case) -> None:
     fields = [(f"output.fields[{i}]", name) for i, name in enumerate(case.output.fields or ())]
-    fields += [(f"output.pictures[{i}].field", p.field) for i, p in
-               enumerate(case.output.pictures)]
+    fields += [(f"output.pictures[{i}].field", p.field) for i, p in enumerate(case.output.pictures)]
     powerless = [n for n, m in case.materials.items() if not m.law.has_energy]
     for where, name in fields:
         if FIELDS[name].motion and case.dynamics is None:
-            raise CaseError(f"there is no '{name}' in statics", where=where,
-                            expected="leave it out, or use [dynamics]")
+            raise CaseError(
+                f"there is no '{name}' in statics",
+                where=where,
+                expected="leave it out, or use [dynamics]",
+            )
         if name == "energy_density" and powerless:
-            raise CaseError(f"the law of '{powerless[0]}' has no strain energy", where=where,
-                            expected="leave the field out")
+            raise CaseError(
+                f"the law of '{powerless[0]}' has no strain energy",
+                where=where,
+                expected="leave the field out",
+            )
 
 
 # --- materials ---
@@ -204,22 +230,32 @@ def _check_fields(case: Case) -> None:
 def _check_materials(materials: Mapping[str, Material], body: Body) -> None:
     everywhere = [name for name, material in materials.items() if not material.regions]
     if len(everywhere) > 1:
-        raise CaseError(f"'{everywhere[0]}' and '{everywhere[1]}' both have no `on`",
-                        where=f"materials.{key_text(everywhere[1])}",
-                        expected="only one material can fill what the others leave")
+        raise CaseError(
+            f"'{everywhere[0]}' and '{everywhere[1]}' both have no `on`",
+            where=f"materials.{key_text(everywhere[1])}",
+            expected="only one material can fill what the others leave",
+        )
     own = len(body.owned_cells())
-    filled = {name: _marked(body, material.regions, own)
-              for name, material in materials.items() if material.regions}
+    filled = {
+        name: _marked(body, material.regions, own)
+        for name, material in materials.items()
+        if material.regions
+    }
     for (one, first), (two, second) in combinations(filled.items(), 2):
         if twice := int(total(body.comm, int(np.sum(first & second)))):
-            raise CaseError(f"{twice} cells are in '{one}' too",
-                            where=f"materials.{key_text(two)}.on",
-                            expected="every cell needs exactly one material")
+            raise CaseError(
+                f"{twice} cells are in '{one}' too",
+                where=f"materials.{key_text(two)}.on",
+                expected="every cell needs exactly one material",
+            )
     bare = own - int(np.sum(np.any(list(filled.values()), axis=0))) if filled else own
     missing = int(total(body.comm, bare))
     if missing and not everywhere:
-        raise CaseError(f"{missing} of {body.num_cells} cells have no material", where="materials",
-                        expected="a material without `on` fills what the others leave")
+        raise CaseError(
+            f"{missing} of {body.num_cells} cells have no material",
+            where="materials",
+            expected="a material without `on` fills what the others leave",
+        )
 
 
 def _marked(body: Body, regions: Sequence[str], own: int) -> npt.NDArray[np.bool_]:
@@ -234,8 +270,11 @@ def _check_densities(case: Case) -> None:
     reason = "[dynamics]" if case.dynamics is not None else next(iter(loads), "")
     for name, material in case.materials.items():
         if reason and material.law.density is None:
-            raise CaseError("this key is missing", where=f"materials.{key_text(name)}.density",
-                            expected=f'{reason} needs it, for example "1100 kg/m^3"')
+            raise CaseError(
+                "this key is missing",
+                where=f"materials.{key_text(name)}.density",
+                expected=f'{reason} needs it, for example "1100 kg/m^3"',
+            )
 
 
 # --- what holds the body ---
@@ -246,8 +285,11 @@ def _check_held(case: Case, body: Body) -> None:
     free = free_motions(case, body)
     if free:
         what = "there is no support" if not case.support else "the supports leave the body free"
-        raise CaseError(f"{what}: as a rigid body it can {', '.join(free)}", where="support",
-                        expected="statics needs supports that hold it; [dynamics] does not")
+        raise CaseError(
+            f"{what}: as a rigid body it can {', '.join(free)}",
+            where="support",
+            expected="statics needs supports that hold it; [dynamics] does not",
+        )
 
 
 def free_motions(case: Case, body: Body) -> list[str]:
@@ -259,9 +301,11 @@ def free_motions(case: Case, body: Body) -> list[str]:
     centre, size = _frame(body)
     held = np.zeros((_modes(body.dim),) * 2)
     for support in case.support:
-        prescribed = [i for i in range(body.dim)
-                      if "displacement" not in support.model_fields_set
-                      or support.values[i] is not None]
+        prescribed = [
+            i
+            for i in range(body.dim)
+            if "displacement" not in support.model_fields_set or support.values[i] is not None
+        ]
         for name in support.surfaces:
             nodes = np.unique(facet_nodes(body.mesh, body.owned_facets(name)))
             x = np.asarray((body.mesh.geometry.x[nodes, : body.dim] - centre) / size, dtype=float)
@@ -296,7 +340,7 @@ def _maximum(a: Floats, b: Floats) -> Floats:
 
 def _planes(dim: int) -> list[tuple[int, int]]:
     """The plane of each rotation: about x, y, z; in a plane about z."""
-    return [(1, 2), (2, 0), (0, 1)][dim - _modes(dim):]
+    return [(1, 2), (2, 0), (0, 1)][dim - _modes(dim) :]
 
 
 def _rigid(x: Floats) -> Floats:
@@ -310,8 +354,9 @@ def _rigid(x: Floats) -> Floats:
 
 
 def _said(null: Floats, dim: int) -> list[str]:
-    names = ([f"move along {axis}" for axis in "xyz"[:dim]]
-             + [f"turn about {axis}" for axis in ("xyz" if len(null) > 3 else "z")])
+    names = [f"move along {axis}" for axis in "xyz"[:dim]] + [
+        f"turn about {axis}" for axis in ("xyz" if len(null) > 3 else "z")
+    ]
     share = np.linalg.norm(null, axis=1)
     if null.shape[1] == len(null):
         return ["move and turn freely"]
@@ -334,8 +379,9 @@ def _notes(case: Case) -> Iterator[str]:
 
 
 def _uses(case: Case, name: str, *, surface: bool) -> str:
-    loads = [load.kind for load in case.load
-             if acts_on_surfaces(load) == surface and name in load.parts]
+    loads = [
+        load.kind for load in case.load if acts_on_surfaces(load) == surface and name in load.parts
+    ]
     if surface:
         return ", ".join(["support" for s in case.support if name in s.surfaces] + loads)
     return ", ".join([key for key, m in case.materials.items() if name in m.regions] + loads)

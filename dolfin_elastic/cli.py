@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from click.exceptions import ClickException, Exit
 
-from dolfin_elastic import __version__
 from dolfin_elastic.errors import CaseError, ElasticError, SolveError
+from dolfin_elastic.version import __version__
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -46,9 +46,14 @@ Exit codes:
   130  interrupted; the results so far are complete
 """
 
-app = typer.Typer(help=HELP, no_args_is_help=True, add_completion=False,
-                  rich_markup_mode=None, pretty_exceptions_enable=False,
-                  context_settings={"help_option_names": ["-h", "--help"]})
+app = typer.Typer(
+    help=HELP,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 CaseFile = Annotated[Path, typer.Argument(metavar="CASE", hidden=True)]
 
 
@@ -59,9 +64,14 @@ def _print_version(wanted: bool) -> None:
 
 
 @app.callback()
-def _options(version: Annotated[bool, typer.Option(
-        "--version", callback=_print_version, is_eager=True,
-        help="Show the version and exit.")] = False) -> None:
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None:
     pass
 
 
@@ -69,15 +79,18 @@ def _options(version: Annotated[bool, typer.Option(
 
 
 @app.command()
-def run(case: CaseFile,
-        petsc: Annotated[list[str] | None, typer.Argument(
-            metavar="[-- PETSC...]", hidden=True)] = None, *,
-        output: Annotated[Path | None, typer.Option(
-            "--output", "-o", metavar="DIR", help="Folder of the results.")] = None,
-        profile: Annotated[bool, typer.Option(
-            "--profile", help="Show where time and memory went.")] = False,
-        quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show only problems.")] = False,
-        ) -> None:
+def run(
+    case: CaseFile,
+    petsc: Annotated[list[str] | None, typer.Argument(metavar="[-- PETSC...]", hidden=True)] = None,
+    *,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
+    ] = None,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Show where time and memory went.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show only problems.")] = False,
+) -> None:
     """Compute a case file (TOML).
 
     \b
@@ -113,9 +126,10 @@ def run(case: CaseFile,
 
 
 @app.command()
-def check(case: CaseFile,
-          json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
-          ) -> None:
+def check(
+    case: CaseFile,
+    json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
+) -> None:
     """Say what is wrong with a case, or what it will compute.
 
     \b
@@ -143,10 +157,10 @@ def check(case: CaseFile,
 
 
 @app.command()
-def new(file: Annotated[Path, typer.Argument(metavar="[FILE]", hidden=True)]
-        = Path("case.toml"),
-        force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
-        ) -> None:
+def new(
+    file: Annotated[Path, typer.Argument(metavar="[FILE]", hidden=True)] = Path("case.toml"),
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+) -> None:
     """Write a first case file that runs as it is.
 
     \b
@@ -157,8 +171,11 @@ def new(file: Annotated[Path, typer.Argument(metavar="[FILE]", hidden=True)]
 
     if launched_rank() == 0:
         if file.exists() and not force:
-            raise CaseError("this file exists already", where=str(file),
-                            expected="choose another name, or --force to overwrite it")
+            raise CaseError(
+                "this file exists already",
+                where=str(file),
+                expected="choose another name, or --force to overwrite it",
+            )
         try:
             file.write_text(starter(str(file)), encoding="utf-8")
         except OSError as error:
@@ -227,8 +244,9 @@ def _compute(case: Case, folder: Path, petsc: dict[str, Any], stop: Stop, *, lou
     finally:
         meter.close()
     if loud and state is not None:
-        screen.show_end(state, motion=case.dynamics is not None, seconds=timing.totals(),
-                        newton=newton)
+        screen.show_end(
+            state, motion=case.dynamics is not None, seconds=timing.totals(), newton=newton
+        )
     return 0
 
 
@@ -237,8 +255,14 @@ def _meter(motion: bool, loud: bool) -> Any:
 
     if not loud:
         return screen.Silent()
-    shared = next((handler.screen for handler in logging.getLogger("dolfin_elastic").handlers
-                   if isinstance(handler, screen.Handler)), None)
+    shared = next(
+        (
+            handler.screen
+            for handler in logging.getLogger("dolfin_elastic").handlers
+            if isinstance(handler, screen.Handler)
+        ),
+        None,
+    )
     if shared is not None and shared.is_terminal and sys.stdout.isatty():
         return screen.Bar(motion, shared)
     return screen.Lines(motion)
@@ -251,8 +275,10 @@ def _show_profile(comm: MPI.Comm) -> None:
     from dolfin_elastic.results.summary import peak_memory
 
     seconds = timing.totals()
-    rows = [(name, smallest(comm, seconds[name]), largest(comm, seconds[name]))
-            for name in [n for n in seconds if n != "total"] + ["total"]]
+    rows = [
+        (name, smallest(comm, seconds[name]), largest(comm, seconds[name]))
+        for name in [n for n in seconds if n != "total"] + ["total"]
+    ]
     memory = peak_memory(comm)
     if comm.rank == 0:
         screen.show_profile(rows, memory)
@@ -269,9 +295,21 @@ def _log_to_screen(rank: int, level: int) -> None:
 
 # --- PETSc's options ---
 
-OF_PETSC = ("log_view", "log_trace", "log_all", "info", "options_left", "options_view",
-            "malloc_view", "malloc_debug", "memory_view", "fp_trap", "on_error_abort",
-            "on_error_attach_debugger", "start_in_debugger")
+OF_PETSC = (
+    "log_view",
+    "log_trace",
+    "log_all",
+    "info",
+    "options_left",
+    "options_view",
+    "malloc_view",
+    "malloc_debug",
+    "memory_view",
+    "fp_trap",
+    "on_error_abort",
+    "on_error_attach_debugger",
+    "start_in_debugger",
+)
 """Options that PETSc reads itself when it starts, not the solvers."""
 
 
@@ -290,8 +328,11 @@ def petsc_options(words: list[str]) -> tuple[dict[str, Any], list[str]]:
         elif name:
             options[name], name = word, ""
         else:
-            raise CaseError(f"'{word}' is no PETSc option", where="command line",
-                            expected="after -- write for example -ksp_type gmres")
+            raise CaseError(
+                f"'{word}' is no PETSc option",
+                where="command line",
+                expected="after -- write for example -ksp_type gmres",
+            )
     own = [name for name in options if name in OF_PETSC]
     started = [text for name in own for text in (f"-{name}", options.pop(name)) if text]
     return options, started
@@ -390,8 +431,9 @@ def _crash() -> None:
     if comm is None or comm.size == 1:
         return
     time.sleep(min(0.5 * comm.rank, 5.0))  # rank 0 first; it ends the others before they speak
-    print(f"rank {comm.rank} of {comm.size}:\n{traceback.format_exc()}", file=sys.stderr,
-          flush=True)
+    print(
+        f"rank {comm.rank} of {comm.size}:\n{traceback.format_exc()}", file=sys.stderr, flush=True
+    )
     comm.Abort(CRASHED)
 
 

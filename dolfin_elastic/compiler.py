@@ -79,8 +79,11 @@ def _lock(folder: Path) -> IO[str] | None:
     return lock
 
 
-def compile_forms(comm: MPI.Comm, forms: Sequence[ufl.Form], jit_options: dict[str, Any],
-                  ) -> list[fem.Form]:
+def compile_forms(
+    comm: MPI.Comm,
+    forms: Sequence[ufl.Form],
+    jit_options: dict[str, Any],
+) -> list[fem.Form]:
     """Compiles UFL forms, shared out among the ranks, and makes DOLFINx forms of them.
 
     Collective.
@@ -102,8 +105,12 @@ def compile_forms(comm: MPI.Comm, forms: Sequence[ufl.Form], jit_options: dict[s
         return [fem.form(form, jit_options=jit_options) for form in forms]
 
 
-def compile_expression(comm: MPI.Comm, expression: Any, points: Any, jit_options: dict[str, Any],
-                       ) -> fem.Expression:
+def compile_expression(
+    comm: MPI.Comm,
+    expression: Any,
+    points: Any,
+    jit_options: dict[str, Any],
+) -> fem.Expression:
     """Compiles a UFL expression at reference points of a cell. Collective."""
     with compiling(comm, jit_options):
         return fem.Expression(expression, points, jit_options=jit_options)
@@ -113,9 +120,13 @@ def _share_out(comm: MPI.Comm, forms: Sequence[ufl.Form], jit_options: dict[str,
     """Each rank compiles its share into the cache; DOLFINx would let rank 0 do it all."""
     error: Exception | None = None
     try:
-        for form in forms[comm.rank::comm.size]:
-            jit.ffcx_jit(MPI.COMM_SELF, form, jit_options=jit_options,
-                         form_compiler_options={"scalar_type": dolfinx.default_scalar_type})
+        for form in forms[comm.rank :: comm.size]:
+            jit.ffcx_jit(
+                MPI.COMM_SELF,
+                form,
+                jit_options=jit_options,
+                form_compiler_options={"scalar_type": dolfinx.default_scalar_type},
+            )
     except Exception as caught:  # told to all ranks just below
         error = caught
     agree(comm, error)

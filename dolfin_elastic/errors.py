@@ -50,7 +50,8 @@ class InputError(ElasticError, ValueError):
 
     def at(self, where: str) -> InputError:
         """The same error with `where` put in front of where it already points."""
-        inner = where if not self.where else f"{where}.{self.where}" if where else self.where
+        dot = "." if where and self.where and not self.where.startswith("[") else ""
+        inner = f"{where}{dot}{self.where}"
         return type(self)(self.what, where=inner, expected=self.expected)
 
 
@@ -80,12 +81,13 @@ class SolveError(ElasticError):
     Args:
         what: The cause in plain words.
         advice: What to try.
+        state: The `State` that was reached without being a solution, to be looked at.
     """
 
     exit_code = 3
 
-    def __init__(self, what: str, *, advice: str = "") -> None:
-        self.what, self.advice = what, advice
+    def __init__(self, what: str, *, advice: str = "", state: object | None = None) -> None:
+        self.what, self.advice, self.state = what, advice, state
         super().__init__(what, advice)
 
     def __str__(self) -> str:

@@ -122,8 +122,9 @@ class Formula:
         if math.isfinite(result):
             return result
         where = ", ".join(f"{name} = {float(values[name]):g}" for name in sorted(self.names))
-        raise FormulaError(f"'{self.text}' is {_not_finite(result)}"
-                           + (f" at {where}" if where else ""))
+        raise FormulaError(
+            f"'{self.text}' is {_not_finite(result)}" + (f" at {where}" if where else "")
+        )
 
 
 def _not_finite(result: float) -> str:
@@ -139,15 +140,23 @@ def _walk(tree: Tree, values: dict[str, Any], apply: Callable[[Operation, list[A
     return apply(OPERATIONS[name], [_walk(arg, values, apply) for arg in args])
 
 
-_TOKEN = re.compile(r"""
+_TOKEN = re.compile(
+    r"""
     (?P<space>  \s+ )
   | (?P<number> (?: \d+\.?\d* | \.\d+ ) (?: [eE][+-]?\d+ )? )
   | (?P<name>   [A-Za-z_][A-Za-z_0-9]* )
   | (?P<op>     \*\* | <= | >= | [-+*/^<>] )
   | (?P<open>   \( ) | (?P<close> \) ) | (?P<comma> , )
-""", re.VERBOSE | re.ASCII)
-_HINTS = {"[": "the coordinates are x, y, z", "=": "comparisons are < <= > >=",
-          "%": "write a/100", "!": "comparisons are < <= > >=", "µ": "write mu"}
+""",
+    re.VERBOSE | re.ASCII,
+)
+_HINTS = {
+    "[": "the coordinates are x, y, z",
+    "=": "comparisons are < <= > >=",
+    "%": "write a/100",
+    "!": "comparisons are < <= > >=",
+    "µ": "write mu",
+}
 
 
 @dataclass(frozen=True)
@@ -168,8 +177,10 @@ class _Reader:
 
     def read(self) -> tuple[frozenset[str], Tree]:
         if len(self.text) > MAX_LENGTH:
-            raise FormulaError(f"a formula of {len(self.text)} characters is too long",
-                               expected=f"at most {MAX_LENGTH}")
+            raise FormulaError(
+                f"a formula of {len(self.text)} characters is too long",
+                expected=f"at most {MAX_LENGTH}",
+            )
         tokens = list(self._tokens())
         self._check_order(tokens)
         root = self._parse(tokens)
@@ -183,7 +194,7 @@ class _Reader:
         """An error with the text and a caret under the fault."""
         column = at if isinstance(at, int) else self.at.get(at.col_offset, 0)
         start = max(0, column - 50)
-        shown = "".join(c if c.isprintable() else " " for c in self.text[start:start + 70])
+        shown = "".join(c if c.isprintable() else " " for c in self.text[start : start + 70])
         picture = f"\n    {shown}\n    {' ' * (column - start)}^"
         if expected:
             return FormulaError(what, expected=expected + picture)
@@ -214,8 +225,9 @@ class _Reader:
         if opened:
             raise self._fault("this parenthesis is never closed", opened[-1][0])
 
-    def _follow(self, token: _Token, value_before: bool, call: bool,
-                opened: list[tuple[int, bool]]) -> bool:
+    def _follow(
+        self, token: _Token, value_before: bool, call: bool, opened: list[tuple[int, bool]]
+    ) -> bool:
         """Takes one token; True when a value is complete after it."""
         if token.kind in ("number", "name") or (token.kind == "open" and not call):
             if value_before:
@@ -225,8 +237,11 @@ class _Reader:
         if token.kind == "open":
             opened.append((token.at, call))
         elif token.kind == "comma" and not (opened and opened[-1][1]):
-            raise self._fault("a comma stands only between the arguments of a function", token.at,
-                              "decimals are written 0.5")
+            raise self._fault(
+                "a comma stands only between the arguments of a function",
+                token.at,
+                "decimals are written 0.5",
+            )
         elif token.kind == "close":
             if not opened:
                 raise self._fault("this parenthesis was never opened", token.at)
@@ -258,8 +273,9 @@ class _Reader:
             level = [child for node in level for child in ast.iter_child_nodes(node)]
             if not level:
                 return
-        raise FormulaError("the formula is nested too deeply",
-                           expected=f"at most {MAX_DEPTH} operations deep")
+        raise FormulaError(
+            "the formula is nested too deeply", expected=f"at most {MAX_DEPTH} operations deep"
+        )
 
     def _tree(self, node: ast.expr) -> Tree:
         match node:
@@ -293,8 +309,9 @@ class _Reader:
             return CONSTANTS[name]
         if name in FUNCTIONS:
             raise self._fault(f"'{name}' is a function", node, f"write {name}(...)")
-        raise self._fault(f"unknown name '{name}'", node,
-                          nearest(name, [*self.allowed, *CONSTANTS]))
+        raise self._fault(
+            f"unknown name '{name}'", node, nearest(name, [*self.allowed, *CONSTANTS])
+        )
 
     def _call(self, name: str, node: ast.expr, args: list[ast.expr]) -> Tree:
         if name not in FUNCTIONS:
@@ -305,8 +322,10 @@ class _Reader:
         operation = FUNCTIONS[name]
         if not operation.fewest <= len(args) <= operation.most:
             count = f"{operation.fewest}" + ("" if operation.most < math.inf else " or more")
-            raise self._fault(f"{name} takes {count} argument{'s' * (operation.fewest > 1)}, "
-                              f"{len(args)} given", node)
+            raise self._fault(
+                f"{name} takes {count} argument{'s' * (operation.fewest > 1)}, {len(args)} given",
+                node,
+            )
         if name == "where":
             return (name, self._condition(args[0]), *map(self._value, args[1:]))
         return (name, *map(self._value, args))
@@ -319,5 +338,13 @@ class _Reader:
 
 
 _SYMBOLS: dict[type[ast.AST], str] = {
-    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^",
-    ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.Div: "/",
+    ast.Pow: "^",
+    ast.Lt: "<",
+    ast.LtE: "<=",
+    ast.Gt: ">",
+    ast.GtE: ">=",
+}

@@ -11,8 +11,8 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfin_elastic import __version__
 from dolfin_elastic.compiler import cache_folder
+from dolfin_elastic.version import __version__
 
 _FAST = ("openblas", "mkl", "blis", "atlas", "accelerate")
 
@@ -24,13 +24,17 @@ def describe() -> tuple[dict[str, str], list[str]]:
     if threads != "1" and MPI.COMM_WORLD.size > 1:
         advice.append("set OMP_NUM_THREADS=1, so that ranks do not compete for cores")
     found = {
-        "dolfin-elastic": __version__, "dolfinx": dolfinx.cpp.__version__,
+        "dolfin-elastic": __version__,
+        "dolfinx": dolfinx.cpp.__version__,
         "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
-        "python": platform.python_version(), "numpy": np.__version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
         "mpi": MPI.Get_library_version().split(",")[0].strip(),
-        "ranks": str(MPI.COMM_WORLD.size), "cores": str(len(os.sched_getaffinity(0))),
+        "ranks": str(MPI.COMM_WORLD.size),
+        "cores": str(len(os.sched_getaffinity(0))),
         "threads": threads or "not set (OMP_NUM_THREADS)",
-        "blas": blas, "mumps": "yes" if _has_mumps() else "no",
+        "blas": blas,
+        "mumps": "yes" if _has_mumps() else "no",
         "compiled forms": str(cache_folder()),
     }
     return found, advice
@@ -51,5 +55,7 @@ def _blas() -> tuple[str, list[str]]:
     fast = [f for f in libraries if any(name in f.lower() for name in _FAST)]
     if fast or not libraries:
         return (fast or ["unknown"])[0], []
-    return libraries[0], ["this is the reference BLAS: direct solves take several times as long; "
-                          "install OpenBLAS (Debian: libopenblas0-pthread)"]
+    return libraries[0], [
+        "this is the reference BLAS: direct solves take several times as long; "
+        "install OpenBLAS (Debian: libopenblas0-pthread)"
+    ]

@@ -24,8 +24,12 @@ class Operation:
     most: float
 
 
-def _op(numeric: Callable[..., Any], symbolic: Callable[..., Any], fewest: int = 1,
-        most: float | None = None) -> Operation:
+def _op(
+    numeric: Callable[..., Any],
+    symbolic: Callable[..., Any],
+    fewest: int = 1,
+    most: float | None = None,
+) -> Operation:
     return Operation(numeric, symbolic, fewest, fewest if most is None else most)
 
 
@@ -65,18 +69,26 @@ OPERATORS: dict[str, Operation] = {
     ">=": _op(np.greater_equal, ufl.ge, 2),
 }
 FUNCTIONS: dict[str, Operation] = {
-    "sin": _op(np.sin, ufl.sin), "cos": _op(np.cos, ufl.cos), "tan": _op(np.tan, ufl.tan),
-    "asin": _op(np.arcsin, ufl.asin), "acos": _op(np.arccos, ufl.acos),
-    "atan": _op(np.arctan, ufl.atan), "atan2": _op(np.arctan2, ufl.atan2, 2),
-    "sinh": _op(np.sinh, ufl.sinh), "cosh": _op(np.cosh, ufl.cosh),
+    "sin": _op(np.sin, ufl.sin),
+    "cos": _op(np.cos, ufl.cos),
+    "tan": _op(np.tan, ufl.tan),
+    "asin": _op(np.arcsin, ufl.asin),
+    "acos": _op(np.arccos, ufl.acos),
+    "atan": _op(np.arctan, ufl.atan),
+    "atan2": _op(np.arctan2, ufl.atan2, 2),
+    "sinh": _op(np.sinh, ufl.sinh),
+    "cosh": _op(np.cosh, ufl.cosh),
     "tanh": _op(np.tanh, ufl.tanh),
-    "exp": _op(np.exp, ufl.exp), "ln": _op(np.log, ufl.ln), "log": _op(np.log, ufl.ln),
+    "exp": _op(np.exp, ufl.exp),
+    "ln": _op(np.log, ufl.ln),
+    "log": _op(np.log, ufl.ln),
     "log10": _op(np.log10, lambda a: ufl.ln(a) / math.log(10.0)),
-    "sqrt": _op(np.sqrt, ufl.sqrt), "abs": _op(np.abs, abs), "sign": _op(np.sign, _sign),
+    "sqrt": _op(np.sqrt, ufl.sqrt),
+    "abs": _op(np.abs, abs),
+    "sign": _op(np.sign, _sign),
     "min": _op(_fold(np.minimum), _fold(ufl.min_value), 2, math.inf),
     "max": _op(_fold(np.maximum), _fold(ufl.max_value), 2, math.inf),
-    "heaviside": _op(lambda a: np.heaviside(a, 1.0),
-                     lambda a: ufl.conditional(ufl.ge(a, 0), 1, 0)),
+    "heaviside": _op(lambda a: np.heaviside(a, 1.0), lambda a: ufl.conditional(ufl.ge(a, 0), 1, 0)),
     "ramp": _op(lambda a: np.clip(a, 0.0, 1.0), _ramp),
     "smoothstep": _op(lambda a: _smooth(np.clip(a, 0.0, 1.0)), lambda a: _smooth(_ramp(a))),
     "where": _op(np.where, _choose, 3),

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from mpi4py import MPI
 
 T = TypeVar("T")
+
+# Every rank logs the same: rank 0 says it for all.
+logging.getLogger("dolfin_elastic").addFilter(lambda record: MPI.COMM_WORLD.rank == 0)
 
 
 def agree(comm: MPI.Comm, error: Exception | None) -> None:
@@ -53,7 +57,7 @@ def on_root(comm: MPI.Comm, action: Callable[[], T]) -> T:
     error, result = comm.bcast((error, result))
     if error is not None:
         raise error
-    return result  # type: ignore[return-value]
+    return cast(T, result)
 
 
 def total(comm: MPI.Comm, value: T) -> T:

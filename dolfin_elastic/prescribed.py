@@ -51,18 +51,22 @@ class Prescribed:
     def _of(self, body: Body, support: Support) -> tuple[Support, list[Dofs]]:
         """Unrolled dofs of each prescribed component. Collective."""
         if len(support.values) != self._bs:
-            raise InputError(f"{len(support.values)} components given, the body has {self._bs}",
-                             where=f"support '{support.label}'.displacement")
+            raise InputError(
+                f"{len(support.values)} components given, the body has {self._bs}",
+                where=f"support '{support.label}'.displacement",
+            )
         facets = np.unique(np.concatenate([body.surface(name) for name in support.surfaces]))
         nodes = fem.locate_dofs_topological(self._V, body.mesh.topology.dim - 1, facets)
         nodes = np.sort(nodes).astype(np.int32)
         empty = np.empty(0, dtype=np.int32)
-        return support, [empty if value is None else nodes * self._bs + i
-                         for i, value in enumerate(support.values)]
+        return support, [
+            empty if value is None else nodes * self._bs + i
+            for i, value in enumerate(support.values)
+        ]
 
     def _give_to_the_later(self, body: Body) -> None:
         """Takes from each support the dofs that a later one prescribes too."""
-        taken = np.empty(0, dtype=np.int32)
+        taken: Dofs = np.empty(0, dtype=np.int32)
         for k in reversed(range(len(self._entries))):
             support, parts = self._entries[k]
             kept = [np.setdiff1d(part, taken) for part in parts]
@@ -77,8 +81,11 @@ class Prescribed:
         held: dict[str, list[Dofs]] = {}
         for support, parts in self._entries:
             held.setdefault(support.label, []).extend(parts)
-        return {label: np.sort(dofs[dofs < owned_size]) for label, parts in held.items()
-                for dofs in [np.concatenate(parts)]}
+        return {
+            label: np.sort(dofs[dofs < owned_size])
+            for label, parts in held.items()
+            for dofs in [np.concatenate(parts)]
+        }
 
     def move_to(self, t: float, default: Amplitude) -> None:
         """Sets the values of time t. Not collective.
@@ -101,7 +108,10 @@ class Prescribed:
 
     def check_finite(self) -> None:
         """Raises on all ranks when a formula gave no finite number. Collective."""
-        bad = int(total(self._V.mesh.comm, int(~np.isfinite(self.values.x.array[self.owned]).all())))
+        bad = int(
+            total(self._V.mesh.comm, int(~np.isfinite(self.values.x.array[self.owned]).all()))
+        )
         if bad:
-            raise InputError("a prescribed displacement is not finite at some nodes",
-                             where="support")
+            raise InputError(
+                "a prescribed displacement is not finite at some nodes", where="support"
+            )

@@ -80,9 +80,16 @@ class Problem:
         InputError: A vector with the wrong number of components, a missing density.
     """
 
-    def __init__(self, body: Body, materials: Law | Mapping[str, Law], *,
-                 supports: Sequence[Support] = (), loads: Sequence[Load] = (), degree: int = 1,
-                 quadrature_degree: int | None = None) -> None:
+    def __init__(
+        self,
+        body: Body,
+        materials: Law | Mapping[str, Law],
+        *,
+        supports: Sequence[Support] = (),
+        loads: Sequence[Load] = (),
+        degree: int = 1,
+        quadrature_degree: int | None = None,
+    ) -> None:
         self.body, self.degree = body, degree
         self.supports, self.loads = tuple(supports), tuple(loads)
         self.quadrature_degree = quadrature_degree
@@ -114,11 +121,17 @@ class Problem:
         comm = self.body.comm
         bare, twice = total(comm, np.array([np.sum(times == 0), np.sum(times > 1)]))
         if bare:
-            raise MeshError(f"{bare} of {self.body.num_cells} cells have no material",
-                            where="materials", expected="every cell needs exactly one")
+            raise MeshError(
+                f"{bare} of {self.body.num_cells} cells have no material",
+                where="materials",
+                expected="every cell needs exactly one",
+            )
         if twice:
-            raise MeshError(f"{twice} cells have more than one material", where="materials",
-                            expected="every cell needs exactly one")
+            raise MeshError(
+                f"{twice} cells have more than one material",
+                where="materials",
+                expected="every cell needs exactly one",
+            )
 
     def constant(self, value: float | Sequence[float]) -> Constant:
         """A number that forms refer to by place, so that changing it compiles nothing."""
@@ -128,7 +141,9 @@ class Problem:
 
     @cached_property
     def _region_markers(self) -> dict[str, int]:
-        names = dict.fromkeys(n for load in self.loads for n in load.parts if n in self.body.regions)
+        names = dict.fromkeys(
+            n for load in self.loads for n in load.parts if n in self.body.regions
+        )
         return {name: len(self.parts) + 1 + i for i, name in enumerate(names)}
 
     @cached_property
@@ -160,8 +175,10 @@ class Problem:
         tdim = self.body.mesh.topology.dim
         self.body.mesh.topology.create_connectivity(tdim, tdim - 1)
         self.body.mesh.topology.create_connectivity(tdim - 1, tdim)
-        sides = [(k, integration_entities(self.body.mesh, self.body.owned_facets(name)))
-                 for name, k in self._surface_markers.items()]
+        sides = [
+            (k, integration_entities(self.body.mesh, self.body.owned_facets(name)))
+            for name, k in self._surface_markers.items()
+        ]
         return ufl.Measure("ds", domain=self.body.mesh, subdomain_data=sides)
 
     # --- what loads find on the body (model.loads.Site) ---
@@ -172,15 +189,19 @@ class Problem:
             self.body.region(name)
         if not regions:
             return self.volume(None, 2 * self.degree)
-        return self.dx(tuple(self._region_markers[name] for name in regions),
-                       metadata={"quadrature_degree": 2 * self.degree})
+        return self.dx(
+            tuple(self._region_markers[name] for name in regions),
+            metadata={"quadrature_degree": 2 * self.degree},
+        )
 
     def areas(self, surfaces: Sequence[str]) -> ufl.Measure:
         """Reference area of surfaces."""
         for name in surfaces:
             self.body.surface(name)
-        return self._ds(tuple(self._surface_markers[name] for name in surfaces),
-                        metadata={"quadrature_degree": 2 * self.degree})
+        return self._ds(
+            tuple(self._surface_markers[name] for name in surfaces),
+            metadata={"quadrature_degree": 2 * self.degree},
+        )
 
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
         """Density and reference volume, material by material."""
@@ -195,8 +216,11 @@ class Problem:
             InputError: The material has none.
         """
         if part.density is None:
-            raise InputError("weight and motion need a density", where=f"materials.{part.name}",
-                             expected='for example density = "1100 kg/m^3"')
+            raise InputError(
+                "weight and motion need a density",
+                where=f"materials.{part.name}",
+                expected='for example density = "1100 kg/m^3"',
+            )
         return part.density
 
     @cached_property
@@ -210,8 +234,9 @@ class Problem:
     def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
         """A load's vector, times its amplitude, as a UFL expression."""
         if len(values) != self.body.dim:
-            raise InputError(f"{len(values)} components given, the body has {self.body.dim}",
-                             where="load")
+            raise InputError(
+                f"{len(values)} components given, the body has {self.body.dim}", where="load"
+            )
         factor = self.constant(1.0)
         self._amplitudes.append((factor, amplitude))
         if not any(isinstance(value, Formula) for value in values):
@@ -222,7 +247,7 @@ class Problem:
         if not isinstance(value, Formula):
             return self.constant(float(value or 0.0))
         X = ufl.SpatialCoordinate(self.body.mesh)
-        z = X[2] if self.body.dim == 3 else self.constant(0.0)  # noqa: PLR2004
+        z = X[2] if self.body.dim == 3 else self.constant(0.0)
         return value.ufl(x=X[0], y=X[1], z=z, t=self.t)
 
     # --- the one sum of terms ---
@@ -232,8 +257,10 @@ class Problem:
         """Internal virtual work: the integral of P(F) : grad v."""
         F = embedded(deformation_gradient(self.u))
         grad_v = padded(ufl.grad(self.v))
-        return sum(ufl.inner(part.law.stress(F), grad_v) * self._internal_volume(part)
-                   for part in self.parts)
+        return sum(
+            ufl.inner(part.law.stress(F), grad_v) * self._internal_volume(part)
+            for part in self.parts
+        )
 
     def _internal_volume(self, part: Part) -> ufl.Measure:
         if self.quadrature_degree is not None:
@@ -266,8 +293,10 @@ class Problem:
 
     def inertia(self, a: Expr, v: Expr) -> ufl.Form:
         """Virtual work of the inertia forces, the integral of density a . v (consistent mass)."""
-        return sum(self.density(part) * ufl.inner(a, v) * self.volume(part, 2 * self.degree)
-                   for part in self.parts)
+        return sum(
+            self.density(part) * ufl.inner(a, v) * self.volume(part, 2 * self.degree)
+            for part in self.parts
+        )
 
     # --- what solvers ask ---
 

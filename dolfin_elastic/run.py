@@ -21,8 +21,13 @@ log = logging.getLogger("dolfin_elastic")
 States = Generator[State, None, None]
 
 
-def run(case: Case, *, output: str | PathLike[str] | None = None,
-        petsc: Mapping[str, Any] | None = None, comm: MPI.Comm = MPI.COMM_WORLD) -> States:
+def run(
+    case: Case,
+    *,
+    output: str | PathLike[str] | None = None,
+    petsc: Mapping[str, Any] | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> States:
     """Solves a case and yields its states, each of them written already.  Collective.
 
     Args:

@@ -34,8 +34,13 @@ class Record(BaseModel, metaclass=_Raising):
         InputError: A key is unknown or missing, or a value is of the wrong kind.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True,
-                              populate_by_name=True, validate_default=False)
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        arbitrary_types_allowed=True,
+        populate_by_name=True,
+        validate_default=False,
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -87,15 +92,25 @@ def shown(value: Any) -> str:
 
 
 _WANTED = {
-    "string_type": "a text", "list_type": "a list", "tuple_type": "a list",
-    "dict_type": "a table", "model_type": "a table", "model_attributes_type": "a table",
-    "int_type": "a whole number", "int_parsing": "a whole number",
-    "int_from_float": "a whole number", "float_type": "a number", "float_parsing": "a number",
-    "bool_type": "true or false", "bool_parsing": "true or false",
-    "greater_than": "a number above {gt:g}", "less_than": "a number below {lt:g}",
+    "string_type": "a text",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "a table",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "greater_than": "a number above {gt:g}",
+    "less_than": "a number below {lt:g}",
     "greater_than_equal": "a number of at least {ge:g}",
     "less_than_equal": "a number of at most {le:g}",
-    "too_short": "a list of {min_length}", "too_long": "a list of {max_length}",
+    "too_short": "a list of {min_length}",
+    "too_long": "a list of {max_length}",
 }
 
 

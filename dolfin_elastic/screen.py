@@ -79,8 +79,12 @@ class Bar:
 
     def __init__(self, motion: bool, screen: Console) -> None:
         self.motion, self._begin = motion, time.monotonic()
-        self._progress = Progress(BarColumn(bar_width=24), TextColumn("{task.percentage:>3.0f} %"),
-                                  TextColumn("{task.description}", markup=False), console=screen)
+        self._progress = Progress(
+            BarColumn(bar_width=24),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TextColumn("{task.description}", markup=False),
+            console=screen,
+        )
         self._task = self._progress.add_task("starting", total=1.0)
         self._progress.start()
 
@@ -100,8 +104,7 @@ def step_text(state: State, *, motion: bool) -> str:
     place = f"t {state.t:.5g} s" if motion else f"load {100 * state.load_factor:.4g} %"
     counts = {"Newton": state.newton, "linear": state.krylov}
     work = ", ".join(f"{number} {name}" for name, number in counts.items() if number)
-    return (f"step {state.step:>4}   {place:<15} {work:<20} "
-            f"max |u| {state.max_displacement:.4g} m")
+    return f"step {state.step:>4}   {place:<15} {work:<20} max |u| {state.max_displacement:.4g} m"
 
 
 def time_left(spent: float, done: float) -> str:
@@ -197,8 +200,11 @@ def vector_text(vector: Iterable[float]) -> str:
 
 def _times(seconds: Mapping[str, float]) -> str:
     total = seconds.get("total", 0.0)
-    stages = [f"{name} {value:.2g}" for name, value in seconds.items()
-              if name != "total" and value >= 0.005]
+    stages = [
+        f"{name} {value:.2g}"
+        for name, value in seconds.items()
+        if name != "total" and value >= 0.005
+    ]
     return f"{total:.3g} s" + (f" ({', '.join(stages)})" if stages else "")
 
 
@@ -212,15 +218,20 @@ def show_profile(rows: Sequence[tuple[str, float, float]], memory: Mapping[str, 
         table.add_row(name, f"{least:.3f}", f"{most:.3f}", f"{100 * most / total:.0f} %")
     screen = console()
     screen.print(table)
-    screen.print(f"peak memory {memory['sum'] / 1e6:.0f} MB together, "
-                 f"{memory['largest_rank'] / 1e6:.0f} MB on the largest rank")
+    screen.print(
+        f"peak memory {memory['sum'] / 1e6:.0f} MB together, "
+        f"{memory['largest_rank'] / 1e6:.0f} MB on the largest rank"
+    )
 
 
 def show_files(folder: Path) -> None:
     """What is in the results' folder."""
     hidden = (".", "_data")
-    names = sorted(path.name for path in folder.iterdir()
-                   if not path.name.startswith(hidden[0]) and not path.stem.endswith(hidden[1]))
+    names = sorted(
+        path.name
+        for path in folder.iterdir()
+        if not path.name.startswith(hidden[0]) and not path.stem.endswith(hidden[1])
+    )
     print(f"results in {folder}: {', '.join(names)}")
 
 

@@ -1,6 +1,6 @@
 """The case that `dolfin-elastic new` writes: it runs as it is and says what to change."""
 
-STARTER = '''\
+STARTER = """\
 # A cantilever under its own weight and a load at its tip.
 #
 #   dolfin-elastic check {name}             what will be computed, and what is wrong
@@ -46,7 +46,7 @@ steps = 4                  # loads grow from nothing to all in so many steps
 # [output]
 # folder = "results"       # default: this file's name with "_results"
 # fields = ["displacement", "von_mises"]
-'''
+"""
 
 
 def starter(name: str) -> str:

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from mpi4py import MPI
 from pydantic import Field, field_validator, model_validator
 
-from dolfin_elastic.errors import ElasticError, InputError, UnitError, nearest
+from dolfin_elastic.errors import ElasticError, InputError, SolveError, UnitError, nearest
 from dolfin_elastic.meshes import Body, Selector, box_body, read_body, rectangle_body
 from dolfin_elastic.meshes.selectors import MeshLength
 from dolfin_elastic.model.law import Law
@@ -25,6 +25,7 @@ from dolfin_elastic.results.outputs import History, Picture, Summary, Xdmf
 from dolfin_elastic.results.outputs import Output as File
 from dolfin_elastic.results.writer import Writer
 from dolfin_elastic.schema import Record, shown, within
+from dolfin_elastic.state import State
 from dolfin_elastic.toml_text import key_text
 from dolfin_elastic.units import to_si
 
@@ -44,7 +45,8 @@ class Box(Record):
     size: Annotated[list[MeshLength], Field(min_length=3, max_length=3)]
     cells: Annotated[list[Count], Field(min_length=3, max_length=3)]
     origin: Annotated[list[MeshLength], Field(min_length=3, max_length=3)] = Field(
-        default=[0, 0, 0])
+        default=[0, 0, 0]
+    )
 
 
 class Rectangle(Record):
@@ -88,8 +90,9 @@ class MeshTable(Record):
         try:
             to_si(f"1 {unit}", "m")
         except UnitError:
-            raise UnitError(f"'{unit}' is no unit of length",
-                            expected="expected for example \"mm\"") from None
+            raise UnitError(
+                f"'{unit}' is no unit of length", expected='expected for example "mm"'
+            ) from None
         return unit
 
     @model_validator(mode="after")
@@ -100,8 +103,11 @@ class MeshTable(Record):
             what = f"{' and '.join(given)} given together" if given else "no mesh is given"
             raise InputError(what, expected=f"expected exactly one of {', '.join(kinds)}")
         if self.size is not None and not self.file:
-            raise InputError(f"a {given[0]} takes no element size", where="size",
-                             expected=f"use {given[0]}.cells")
+            raise InputError(
+                f"a {given[0]} takes no element size",
+                where="size",
+                expected=f"use {given[0]}.cells",
+            )
         return self
 
     @property
@@ -120,8 +126,13 @@ class MeshTable(Record):
         made = self.box or self.rectangle
         assert made is not None
         make = box_body if self.box else rectangle_body
-        return make(size=[self._in_unit(s) for s in made.size], cells=made.cells,
-                    origin=[self._in_unit(s) for s in made.origin], comm=comm, scale=self.scale)
+        return make(
+            size=[self._in_unit(s) for s in made.size],
+            cells=made.cells,
+            origin=[self._in_unit(s) for s in made.origin],
+            comm=comm,
+            scale=self.scale,
+        )
 
 
 class Material(Record):
@@ -148,11 +159,14 @@ class Material(Record):
         if isinstance(table, Law):
             return cls(law=table)
         if not isinstance(table, Mapping):
-            raise InputError(f"{shown(table)} is no material",
-                             expected="write its table as [materials.NAME]")
+            raise InputError(
+                f"{shown(table)} is no material", expected="write its table as [materials.NAME]"
+            )
         law = pick(MATERIALS, table, "law")
-        return cls(law=law(**{key: value for key, value in table.items() if key != "on"}),
-                   on=table.get("on"))
+        return cls(
+            law=law(**{key: value for key, value in table.items() if key != "on"}),
+            on=table.get("on"),
+        )
 
     def table(self) -> dict[str, Any]:
         """Back to a case file's table."""
@@ -181,8 +195,9 @@ class Output(Record):
     def _known(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
         for index, name in enumerate(names or ()):
             if name not in FIELDS:
-                raise InputError(f"unknown field '{name}'", where=f"[{index}]",
-                                 expected=nearest(name, FIELDS))
+                raise InputError(
+                    f"unknown field '{name}'", where=f"[{index}]", expected=nearest(name, FIELDS)
+                )
         return names
 
     def files(self) -> list[File]:
@@ -199,6 +214,8 @@ class Output(Record):
             yield writers
         except ElasticError as error:
             ending = ("failed", error)
+            if isinstance(error, SolveError) and isinstance(error.state, State):
+                _write_failed(problem, folder, error.state)
             raise
         except GeneratorExit:
             ending = ("stopped", "on request")
@@ -209,6 +226,15 @@ class Output(Record):
         finally:
             for writer in writers:
                 writer.close(*ending)
+
+
+def _write_failed(problem: Problem, folder: Path, state: State) -> None:
+    """The state that is no solution, in a file of its own. Collective."""
+    fields = ("displacement", "jacobian", "von_mises", "energy_density")
+    known = fields if problem.has_energy else fields[:-1]
+    writer = Xdmf(file="failed_state.xdmf", fields=known).open(problem, folder)
+    writer.write(state)
+    writer.close("failed", None)
 
 
 # --- reading ---
@@ -239,8 +265,7 @@ def pick(kinds: Mapping[str, type[T]], table: Any, key: str) -> type[T]:
     if not isinstance(name, str):
         raise InputError(f"{shown(name)} is wrong", where=key, expected="expected a text")
     if name not in kinds:
-        raise InputError(f"unknown {key} '{name}'", where=key,
-                         expected=nearest(name, kinds))
+        raise InputError(f"unknown {key} '{name}'", where=key, expected=nearest(name, kinds))
     return kinds[name]
 
 

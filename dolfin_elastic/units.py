@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from pydantic import BeforeValidator
 
@@ -20,15 +20,19 @@ if TYPE_CHECKING:
 
 _NUMBER = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"  # the number
-    r"\s*((?:[^\W\d_]|[%°]).*?)?\s*", re.ASCII | re.DOTALL)  # a unit begins with a letter
-
+    r"\s*((?:[^\W\d_]|[%°]).*?)?\s*",
+    re.ASCII | re.DOTALL,
+)  # a unit begins with a letter
 
 
 COMMON = {
     "m": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
     "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "N/m^2": 1.0, "N/mm^2": 1e6},
-    "kg/m^3": {"kg/m^3": 1.0, "g/cm^3": 1e3}, "N/m^3": {"N/m^3": 1.0, "kN/m^3": 1e3},
-    "s": {"s": 1.0, "ms": 1e-3}, "m/s": {"m/s": 1.0, "mm/s": 1e-3}, "m/s^2": {"m/s^2": 1.0},
+    "kg/m^3": {"kg/m^3": 1.0, "g/cm^3": 1e3},
+    "N/m^3": {"N/m^3": 1.0, "kN/m^3": 1e3},
+    "s": {"s": 1.0, "ms": 1e-3},
+    "m/s": {"m/s": 1.0, "mm/s": 1e-3},
+    "m/s^2": {"m/s^2": 1.0},
 }
 """Units that most cases use, so that most cases start without pint's 0.3 s."""
 
@@ -104,15 +108,23 @@ def _finite(number: float, written: object) -> float:
     return number
 
 
-_EXAMPLES = {"Pa": "210 GPa", "m": "2 mm", "kg/m^3": "1100 kg/m^3", "m/s^2": "9.81 m/s^2",
-             "m/s": "3 m/s", "s": "0.1 s", "N/m^3": "10 kN/m^3", "N": "5 kN"}
+_EXAMPLES = {
+    "Pa": "210 GPa",
+    "m": "2 mm",
+    "kg/m^3": "1100 kg/m^3",
+    "m/s^2": "9.81 m/s^2",
+    "m/s": "3 m/s",
+    "s": "0.1 s",
+    "N/m^3": "10 kN/m^3",
+    "N": "5 kN",
+}
 
 
 def _expected(unit: str) -> str:
     example = _EXAMPLES.get(unit)
     if not unit:
         return "expected a pure number"
-    return f"expected a number in {unit}" + (f", for example \"{example}\"" if example else "")
+    return f"expected a number in {unit}" + (f', for example "{example}"' if example else "")
 
 
 def quantity(unit: str) -> Any:
@@ -125,7 +137,14 @@ def quantity(unit: str) -> Any:
 
 
 if TYPE_CHECKING:
-    Number = Length = Stress = Density = Acceleration = Velocity = Time = ForceDensity = float
+    Number: TypeAlias = float
+    Length: TypeAlias = float
+    Stress: TypeAlias = float
+    Density: TypeAlias = float
+    Acceleration: TypeAlias = float
+    Velocity: TypeAlias = float
+    Time: TypeAlias = float
+    ForceDensity: TypeAlias = float
 else:
     Number = quantity("")
     Length = quantity("m")

@@ -132,9 +132,8 @@ def test_stress_is_the_derivative_of_the_energy(name, seed):
 
 
 @LAWS
-@pytest.mark.parametrize("seed", range(2))
-def test_tangent_is_the_derivative_of_the_stress(name, seed):
-    F = random_F(seed)
+def test_tangent_is_the_derivative_of_the_stress(name):
+    F = random_F(0)
     A = point(name).tangent(F)
     numeric = differences(point(name).stress, F)
     np.testing.assert_allclose(A, numeric, rtol=0, atol=1e-9 * np.abs(A).max())

@@ -18,17 +18,27 @@ from dolfin_elastic.meshes.raw import Block, Floats, Ints, boundary, match_rows
 
 # An element type starts with one of these; what follows (H, R, M, T ...) is its formulation.
 _KINDS = {
-    ("tetra", 4): "C3D4 DC3D4 AC3D4", ("tetra10", 10): "C3D10 DC3D10 AC3D10",
+    ("tetra", 4): "C3D4 DC3D4 AC3D4",
+    ("tetra10", 10): "C3D10 DC3D10 AC3D10",
     ("triangle", 3): "CPE3 CPS3 CAX3 S3 M3D3 R3D3 SFM3D3 STRI3 DC2D3",
     ("triangle6", 6): "CPE6 CPS6 CAX6 STRI65 M3D6 SFM3D6 DC2D6 S6",
-    ("quad", 4): "CPE4 CPS4 CAX4 S4 M3D4 R3D4 SFM3D4", ("quad8", 8): "CPE8 CPS8 CAX8 S8 M3D8",
-    ("hexahedron", 8): "C3D8 DC3D8 SC8", ("hexahedron20", 20): "C3D20 DC3D20",
-    ("hexahedron27", 27): "C3D27", ("wedge", 6): "C3D6 DC3D6 SC6", ("wedge15", 15): "C3D15",
-    ("pyramid", 5): "C3D5", ("line", 2): "T3D2 T2D2 B21 B31 B33 R2D2 CONN3D2",
-    ("line3", 3): "T3D3 T2D3 B22 B32", ("vertex", 1): "MASS ROTARYI SPRING1 DASHPOT1"}
+    ("quad", 4): "CPE4 CPS4 CAX4 S4 M3D4 R3D4 SFM3D4",
+    ("quad8", 8): "CPE8 CPS8 CAX8 S8 M3D8",
+    ("hexahedron", 8): "C3D8 DC3D8 SC8",
+    ("hexahedron20", 20): "C3D20 DC3D20",
+    ("hexahedron27", 27): "C3D27",
+    ("wedge", 6): "C3D6 DC3D6 SC6",
+    ("wedge15", 15): "C3D15",
+    ("pyramid", 5): "C3D5",
+    ("line", 2): "T3D2 T2D2 B21 B31 B33 R2D2 CONN3D2",
+    ("line3", 3): "T3D3 T2D3 B22 B32",
+    ("vertex", 1): "MASS ROTARYI SPRING1 DASHPOT1",
+}
 # Vertices of the faces S1, S2 ... in the order of the Abaqus manual.
-_FACES = {"tetra": ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)),
-          "triangle": ((0, 1), (1, 2), (2, 0))}
+_FACES = {
+    "tetra": ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)),
+    "triangle": ((0, 1), (1, 2), (2, 0)),
+}
 _UNREAD = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "NMAP", "SYSTEM")
 
 
@@ -57,8 +67,10 @@ class _Card:
         except ValueError:
             raise MeshError(f"*{self.word} holds something that is no whole number") from None
         if len(numbers) % width:
-            raise MeshError(f"*{self.word}: {len(numbers)} numbers do not make rows of {width}; "
-                            "the file is damaged or cut short")
+            raise MeshError(
+                f"*{self.word}: {len(numbers)} numbers do not make rows of {width}; "
+                "the file is damaged or cut short"
+            )
         return numbers.reshape(-1, width)
 
 
@@ -90,8 +102,11 @@ def read_abaqus(path: Path) -> OtherFile:
     deck = _Deck()
     for card in _cards(path, depth=0):
         if card.word in _UNREAD:
-            raise MeshError(f"*{card.word} is not understood", where=path.name,
-                            expected="write the mesh out in full")
+            raise MeshError(
+                f"*{card.word} is not understood",
+                where=path.name,
+                expected="write the mesh out in full",
+            )
         if card.word in _TAKE:
             _TAKE[card.word](deck, card)
     if not deck.points or not deck.elements:
@@ -99,8 +114,7 @@ def read_abaqus(path: Path) -> OtherFile:
     numbers, order = np.unique(np.concatenate(deck.numbers), return_index=True)
     points = np.concatenate(deck.points)[order]
     blocks = [*_blocks(deck, numbers), *_surfaces(deck, numbers)]
-    sets = {deck.names[key]: _at(numbers, np.concatenate(rows))
-            for key, rows in deck.nsets.items()}
+    sets = {deck.names[key]: _at(numbers, np.concatenate(rows)) for key, rows in deck.nsets.items()}
     return OtherFile(points, blocks, sets, _cautions(deck))
 
 
@@ -127,8 +141,9 @@ def _cards(path: Path, depth: int) -> Iterator[_Card]:
 def _card(line: str) -> _Card:
     word, *options = (part.strip() for part in line.strip().lstrip("*").split(","))
     pairs = (option.partition("=") for option in options)
-    return _Card(word.upper(), {key.strip().upper(): value.strip().strip('"')
-                                for key, _, value in pairs})
+    return _Card(
+        word.upper(), {key.strip().upper(): value.strip().strip('"') for key, _, value in pairs}
+    )
 
 
 def _take_nodes(deck: _Deck, card: _Card) -> None:
@@ -157,11 +172,17 @@ def _take_elements(deck: _Deck, card: _Card) -> None:
 
 
 def _kind(name: str) -> tuple[str, int]:
-    fits = [(len(base), kind) for kind, bases in _KINDS.items() for base in bases.split()
-            if name.startswith(base) and not name[len(base):][:1].isdigit()]
+    fits = [
+        (len(base), kind)
+        for kind, bases in _KINDS.items()
+        for base in bases.split()
+        if name.startswith(base) and not name[len(base) :][:1].isdigit()
+    ]
     if not fits:
-        raise MeshError(f"the element type {name} is unknown",
-                        expected="C3D4 and C3D10 (tetrahedra), CPE3 and CPE6 (plane) are read")
+        raise MeshError(
+            f"the element type {name} is unknown",
+            expected="C3D4 and C3D10 (tetrahedra), CPE3 and CPE6 (plane) are read",
+        )
     return max(fits)[1]
 
 
@@ -206,8 +227,14 @@ def _take_instance(deck: _Deck, card: _Card) -> None:
 
 
 _TAKE: dict[str, Callable[[_Deck, _Card], None]] = {
-    "NODE": _take_nodes, "ELEMENT": _take_elements, "NSET": _take_set, "ELSET": _take_set,
-    "SURFACE": _take_surface, "PART": _take_part, "INSTANCE": _take_instance}
+    "NODE": _take_nodes,
+    "ELEMENT": _take_elements,
+    "NSET": _take_set,
+    "ELSET": _take_set,
+    "SURFACE": _take_surface,
+    "PART": _take_part,
+    "INSTANCE": _take_instance,
+}
 
 
 def _at(numbers: Ints, wanted: Ints) -> Ints:
@@ -215,8 +242,9 @@ def _at(numbers: Ints, wanted: Ints) -> Ints:
     rows = np.minimum(np.searchsorted(numbers, wanted), len(numbers) - 1)
     lost = np.unique(wanted[numbers[rows] != wanted])
     if len(lost):
-        raise MeshError(f"elements or sets refer to {len(lost)} points that do not exist, "
-                        f"for example {lost[0]}")
+        raise MeshError(
+            f"elements or sets refer to {len(lost)} points that do not exist, for example {lost[0]}"
+        )
     return np.asarray(rows)
 
 
@@ -236,13 +264,17 @@ def _surfaces(deck: _Deck, numbers: Ints) -> Iterator[Block]:
             continue
         for line in card.lines:
             words = [w.strip() for w in line.split(",")]
-            members = np.array([int(words[0])]) if words[0].isdigit() else \
-                np.concatenate(_known(deck.elsets, words[0], "ELSET"))
+            members = (
+                np.array([int(words[0])])
+                if words[0].isdigit()
+                else np.concatenate(_known(deck.elsets, words[0], "ELSET"))
+            )
             yield from _faces(deck, numbers, deck.names[key], members, words[1:2])
 
 
-def _faces(deck: _Deck, numbers: Ints, name: str, members: Ints,
-           face: list[str]) -> Iterator[Block]:
+def _faces(
+    deck: _Deck, numbers: Ints, name: str, members: Ints, face: list[str]
+) -> Iterator[Block]:
     free = None if face and face[0] else _free(deck)
     for kind, labels, nodes in deck.elements:
         picked = nodes[np.isin(labels, members)]
@@ -257,19 +289,26 @@ def _faces(deck: _Deck, numbers: Ints, name: str, members: Ints,
             if free is not None:
                 found = found[match_rows(free, np.sort(found, axis=1)) >= 0]
             rows = _at(numbers, found)
-            yield Block("triangle" if rows.shape[1] == 3 else "line", rows,
-                        {name: np.arange(len(rows))})
+            yield Block(
+                "triangle" if rows.shape[1] == 3 else "line", rows, {name: np.arange(len(rows))}
+            )
 
 
 def _free(deck: _Deck) -> Ints:
     """The faces on the boundary of the body, sorted: what a *SURFACE without faces means."""
     solid = any(kind.startswith("tetra") for kind, _, _ in deck.elements)
     start, width = ("tetra", 4) if solid else ("triangle", 3)
-    return boundary([nodes[:, :width] for kind, _, nodes in deck.elements
-                     if kind.startswith(start)] or [np.empty((0, width), dtype=np.int64)])
+    return boundary(
+        [nodes[:, :width] for kind, _, nodes in deck.elements if kind.startswith(start)]
+        or [np.empty((0, width), dtype=np.int64)]
+    )
 
 
 def _cautions(deck: _Deck) -> list[str]:
-    empty = [deck.names[key] for sets in (deck.nsets, deck.elsets) for key, rows in sets.items()
-             if not sum(len(r) for r in rows)]
+    empty = [
+        deck.names[key]
+        for sets in (deck.nsets, deck.elsets)
+        for key, rows in sets.items()
+        if not sum(len(r) for r in rows)
+    ]
     return [f"empty sets (left out): {', '.join(sorted(empty))}"] if empty else []

@@ -59,8 +59,10 @@ class Body:
             MeshError: The name does not exist.
         """
         if name not in self.regions:
-            raise MeshError(f"no region '{name}' in {self.source or 'the mesh'}",
-                            expected=nearest(name, self.regions))
+            raise MeshError(
+                f"no region '{name}' in {self.source or 'the mesh'}",
+                expected=nearest(name, self.regions),
+            )
         return self.regions[name]
 
     def surface(self, name: str) -> Indices:
@@ -70,8 +72,10 @@ class Body:
             MeshError: The name does not exist.
         """
         if name not in self.surfaces:
-            raise MeshError(f"no surface '{name}' in {self.source or 'the mesh'}",
-                            expected=nearest(name, self.surfaces))
+            raise MeshError(
+                f"no surface '{name}' in {self.source or 'the mesh'}",
+                expected=nearest(name, self.surfaces),
+            )
         return self.surfaces[name]
 
     def owned_cells(self, name: str | None = None) -> Indices:
@@ -92,8 +96,15 @@ class Body:
         """Number of facets of a surface on all ranks. Collective."""
         return int(total(self.comm, len(self.owned_facets(name))))
 
-    def named(self, *, regions: Mapping[str, Indices] | None = None,
-              surfaces: Mapping[str, Indices] | None = None) -> Body:
+    def named(
+        self,
+        *,
+        regions: Mapping[str, Indices] | None = None,
+        surfaces: Mapping[str, Indices] | None = None,
+    ) -> Body:
         """The same body with further named parts."""
-        return replace(self, regions={**self.regions, **(regions or {})},
-                       surfaces={**self.surfaces, **(surfaces or {})})
+        return replace(
+            self,
+            regions={**self.regions, **(regions or {})},
+            surfaces={**self.surfaces, **(surfaces or {})},
+        )

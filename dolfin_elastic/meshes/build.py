@@ -21,8 +21,14 @@ from dolfin_elastic.parallel import agree
 Permutation = Callable[[CellType, int], npt.NDArray[np.int32]]
 
 
-def build_body(read: Callable[[], RawMesh], *, comm: MPI.Comm, scale: float, source: str,
-               permutation: Permutation = cpp.io.perm_vtk) -> Body:
+def build_body(
+    read: Callable[[], RawMesh],
+    *,
+    comm: MPI.Comm,
+    scale: float,
+    source: str,
+    permutation: Permutation = cpp.io.perm_vtk,
+) -> Body:
     """Reads on rank 0, cleans, and distributes over all ranks.
 
     Collective.
@@ -55,8 +61,11 @@ def _on_root_only(comm: MPI.Comm, action: Callable[[], RawMesh], source: str) ->
         except MeshError as caught:
             error = caught if caught.where else caught.at(source)
         except MemoryError:
-            error = MeshError("the mesh does not fit into the memory of one process",
-                              where=source, expected="convert it to XDMF, which is read in parts")
+            error = MeshError(
+                "the mesh does not fit into the memory of one process",
+                where=source,
+                expected="convert it to XDMF, which is read in parts",
+            )
         except OSError as caught:
             error = MeshError(f"cannot be read: {caught.strerror or caught}", where=source)
         except Exception as caught:  # raised again on all ranks just below
@@ -65,8 +74,9 @@ def _on_root_only(comm: MPI.Comm, action: Callable[[], RawMesh], source: str) ->
     return raw
 
 
-def _distribute(comm: MPI.Comm, raw: RawMesh | None, scale: float,
-                permutation: Permutation) -> Mesh:
+def _distribute(
+    comm: MPI.Comm, raw: RawMesh | None, scale: float, permutation: Permutation
+) -> Mesh:
     dim, order, width = comm.bcast((raw.dim, raw.order, raw.cells.shape[1]) if raw else None)
     kind = CellType.tetrahedron if dim == 3 else CellType.triangle
     if raw is not None:
@@ -77,8 +87,9 @@ def _distribute(comm: MPI.Comm, raw: RawMesh | None, scale: float,
     return make_mesh(comm, cells, x, order)
 
 
-def make_mesh(comm: MPI.Comm, cells: npt.NDArray[np.int64], x: npt.NDArray[np.float64],
-              order: int) -> Mesh:
+def make_mesh(
+    comm: MPI.Comm, cells: npt.NDArray[np.int64], x: npt.NDArray[np.float64], order: int
+) -> Mesh:
     """Distributes cells without ghosts, and creates the facets. Collective.
 
     Args:
@@ -92,8 +103,9 @@ def make_mesh(comm: MPI.Comm, cells: npt.NDArray[np.int64], x: npt.NDArray[np.fl
     element = basix.ufl.element("Lagrange", kind, order, shape=(dim,))
     # DOLFINx 0.9 may mix up messages of two meshes made in a row (fixed in 0.10, #3512).
     comm.barrier()
-    mesh = create_mesh(comm, cells=cells, x=x, e=element,
-                       partitioner=create_cell_partitioner(GhostMode.none))
+    mesh = create_mesh(
+        comm, cells=cells, x=x, e=element, partitioner=create_cell_partitioner(GhostMode.none)
+    )
     prepare_facets(mesh)
     return mesh
 
@@ -120,8 +132,7 @@ def _surfaces(mesh: Mesh, raw: RawMesh | None) -> tuple[dict[str, Indices], list
     named = comm.bcast(raw.surfaces if raw else None)
     if not named:
         return {}, []
-    facets, keys = _candidates(mesh, np.unique(np.concatenate([f.ravel() for f in
-                                                               named.values()])))
+    facets, keys = _candidates(mesh, np.unique(np.concatenate([f.ravel() for f in named.values()])))
     surfaces, notes = {}, []
     for name, rows in named.items():
         wanted = np.unique(np.sort(rows, axis=1), axis=0)
@@ -132,8 +143,9 @@ def _surfaces(mesh: Mesh, raw: RawMesh | None) -> tuple[dict[str, Indices], list
         if missed < len(wanted):
             surfaces[name] = np.sort(facets[at[at >= 0]]).astype(np.int32)
         if missed:
-            notes.append(f"{missed} of {len(wanted)} facets of '{name}' are no facets of a cell "
-                         "(dropped)")
+            notes.append(
+                f"{missed} of {len(wanted)} facets of '{name}' are no facets of a cell (dropped)"
+            )
     return surfaces, notes
 
 

@@ -37,8 +37,12 @@ def meshed(path: Path, *, size: float | None, dim: int | None) -> MshFile:
                 gmsh.option.setNumber("Mesh.MeshSizeMin", size)
         dim = dim or (3 if gmsh.model.getEntities(3) else 2)
         if not gmsh.model.getEntities(dim):
-            raise MeshError("the file has neither volumes nor surfaces to mesh" if dim == 2
-                            else "the file has no volumes to mesh", where=path.name)
+            raise MeshError(
+                "the file has neither volumes nor surfaces to mesh"
+                if dim == 2
+                else "the file has no volumes to mesh",
+                where=path.name,
+            )
         if not len(gmsh.model.mesh.getElements(dim)[0]):  # a .geo file may mesh by itself
             gmsh.model.mesh.generate(dim)
         found = _saved(gmsh)
@@ -50,15 +54,19 @@ def _check_end(path: Path) -> None:
     """Gmsh 4.13 drops statements of a last line that has several and does not end."""
     last = path.read_bytes().rpartition(b"\n")[2] if path.suffix.lower() == ".geo" else b""
     if last.count(b";") > 1:
-        raise MeshError("the last line has no line break: Gmsh would leave a part of it out",
-                        where=path.name, expected="end the file with an empty line")
+        raise MeshError(
+            "the last line has no line break: Gmsh would leave a part of it out",
+            where=path.name,
+            expected="end the file with an empty line",
+        )
 
 
 def _has_sizes(gmsh: Any) -> bool:
     """True where a .geo file asks for sizes of its own, which may be finer."""
     points = gmsh.model.getEntities(0)
     return len(gmsh.model.mesh.field.list()) > 0 or any(
-        size > 0 for size in (gmsh.model.mesh.getSizes(points) if points else ()))
+        size > 0 for size in (gmsh.model.mesh.getSizes(points) if points else ())
+    )
 
 
 def converted(path: Path) -> MshFile:
@@ -82,8 +90,11 @@ def _gmsh(path: Path) -> Iterator[Any]:
     try:
         import gmsh
     except ImportError:
-        raise MeshError("Gmsh is needed for this file but its Python module is not installed",
-                        where=path.name, expected="install python3-gmsh") from None
+        raise MeshError(
+            "Gmsh is needed for this file but its Python module is not installed",
+            where=path.name,
+            expected="install python3-gmsh",
+        ) from None
     own = not gmsh.isInitialized()
     if own:
         gmsh.initialize(readConfigFiles=False, interruptible=False)
@@ -97,8 +108,9 @@ def _gmsh(path: Path) -> Iterator[Any]:
     except Exception as error:
         if type(error) is not Exception:  # Gmsh raises this base class itself
             raise
-        raise MeshError(f"Gmsh cannot read or mesh it: {_said(gmsh, error)}",
-                        where=path.name) from None
+        raise MeshError(
+            f"Gmsh cannot read or mesh it: {_said(gmsh, error)}", where=path.name
+        ) from None
     finally:
         gmsh.logger.stop()
         if own:
@@ -109,8 +121,9 @@ def _gmsh(path: Path) -> Iterator[Any]:
 
 def _said(gmsh: Any, error: Exception) -> str:
     """Gmsh's own errors, the first three."""
-    lines = [line.split(":", 1)[1].strip() for line in gmsh.logger.get()
-             if line.startswith("Error:")]
+    lines = [
+        line.split(":", 1)[1].strip() for line in gmsh.logger.get() if line.startswith("Error:")
+    ]
     return "; ".join(dict.fromkeys(lines[:3])) or str(error)
 
 

@@ -46,15 +46,20 @@ def inspect(body: Body, *, scale: float = 1.0) -> list[str]:
     shape = qualities(corners)
     count, near = _places(mesh, shape < FLAT, middle)
     if count:
-        raise MeshError(f"{count} of {body.num_cells} cells have no volume, {near}", where=where,
-                        expected="remesh there, or collapse their shortest edges")
+        raise MeshError(
+            f"{count} of {body.num_cells} cells have no volume, {near}",
+            where=where,
+            expected="remesh there, or collapse their shortest edges",
+        )
     notes = _orientation(body, signed_volumes(corners), middle)
     if mesh.geometry.cmap.degree > 1:
         _curved(body, middle)
     count, near = _places(mesh, shape < SLIVER, middle)
     if count:
-        notes.append(f"{count} of {body.num_cells} cells are very thin (quality below "
-                     f"{SLIVER:g}; 1 is regular), {near}")
+        notes.append(
+            f"{count} of {body.num_cells} cells are very thin (quality below "
+            f"{SLIVER:g}; 1 is regular), {near}"
+        )
     return notes
 
 
@@ -73,10 +78,12 @@ def _places(mesh: Mesh, bad: npt.NDArray[np.bool_], middle: Floats) -> tuple[int
 def _curved(body: Body, middle: Floats) -> None:
     count, near = _places(body.mesh, smallest_jacobians(body.mesh) <= 0, middle)
     if count:
-        raise MeshError(f"{count} of {body.num_cells} quadratic cells fold over themselves, "
-                        f"{near}", where=body.source,
-                        expected="optimise the high-order mesh (in Gmsh: Mesh.HighOrderOptimize "
-                                 "= 2), use smaller cells there, or linear cells")
+        raise MeshError(
+            f"{count} of {body.num_cells} quadratic cells fold over themselves, {near}",
+            where=body.source,
+            expected="optimise the high-order mesh (in Gmsh: Mesh.HighOrderOptimize "
+            "= 2), use smaller cells there, or linear cells",
+        )
 
 
 def _orientation(body: Body, volumes: Floats, middle: Floats) -> list[str]:
@@ -92,20 +99,32 @@ def _orientation(body: Body, volumes: Floats, middle: Floats) -> list[str]:
     notes = []
     count, near = _places(body.mesh, against & ~inside_out, middle)
     if count:
-        notes.append(f"{count} of {body.num_cells} cells list their points the other way round "
-                     f"(harmless, taken as they should be), {near}")
+        notes.append(
+            f"{count} of {body.num_cells} cells list their points the other way round "
+            f"(harmless, taken as they should be), {near}"
+        )
     count, near = _places(body.mesh, inside_out, middle)
     if count:
-        notes.append(_inside_out(body, np.abs(volumes), inside_out, f"{count} of {body.num_cells} "
-                                 f"cells are inside out (they overlap their neighbours), {near}"))
+        notes.append(
+            _inside_out(
+                body,
+                np.abs(volumes),
+                inside_out,
+                f"{count} of {body.num_cells} "
+                f"cells are inside out (they overlap their neighbours), {near}",
+            )
+        )
     return notes
 
 
 def _inside_out(body: Body, volumes: Floats, bad: npt.NDArray[np.bool_], said: str) -> str:
     part = total(body.comm, float(volumes[bad].sum())) / total(body.comm, float(volumes.sum()))
     if part > OVERLAP:
-        raise MeshError(f"{said}, with {part:.2g} of the volume", where=body.source,
-                        expected="remesh, or untangle the mesh, there")
+        raise MeshError(
+            f"{said}, with {part:.2g} of the volume",
+            where=body.source,
+            expected="remesh, or untangle the mesh, there",
+        )
     return f"warning: {said}; their volume, {part:.2g} of the body's, counts twice"
 
 

@@ -28,7 +28,15 @@ def cleaned(raw: RawMesh) -> RawMesh:
         MeshError: Something cannot be mended.
     """
     steps: list[Callable[[RawMesh], RawMesh]] = [
-        _indices, _duplicates, _used, _numbers, _planar, _collapsed, _branching, _pieces]
+        _indices,
+        _duplicates,
+        _used,
+        _numbers,
+        _planar,
+        _collapsed,
+        _branching,
+        _pieces,
+    ]
     for step in steps:
         raw = step(raw)
     return raw
@@ -49,8 +57,10 @@ def _midpoints(raw: RawMesh, rows: npt.NDArray[np.bool_] | Ints) -> Floats:
 def _indices(raw: RawMesh) -> RawMesh:
     low, high = raw.cells.min(), raw.cells.max()
     if low < 0 or high >= len(raw.points):
-        raise MeshError(f"elements refer to the point {high if high >= len(raw.points) else low}, "
-                        f"but there are {len(raw.points)} points")
+        raise MeshError(
+            f"elements refer to the point {high if high >= len(raw.points) else low}, "
+            f"but there are {len(raw.points)} points"
+        )
     return raw
 
 
@@ -86,15 +96,18 @@ def _used(raw: RawMesh) -> RawMesh:
         surfaces[name] = new[facets[inside]]
     note = f"{unused} of {len(used)} points belong to no cell (dropped)"
     raw = _noted(raw, note, points=raw.points[used], cells=new[raw.cells], surfaces=surfaces)
-    return _noted(raw, f"facets that belong to no cell (dropped): {', '.join(lost)}") if lost \
-        else raw
+    return (
+        _noted(raw, f"facets that belong to no cell (dropped): {', '.join(lost)}") if lost else raw
+    )
 
 
 def _numbers(raw: RawMesh) -> RawMesh:
     bad = np.flatnonzero(~np.isfinite(raw.points).all(axis=1))
     if len(bad):
-        raise MeshError(f"{len(bad)} points have coordinates that are not numbers",
-                        expected=f"the first is point {bad[0] + 1} of those in use")
+        raise MeshError(
+            f"{len(bad)} points have coordinates that are not numbers",
+            expected=f"the first is point {bad[0] + 1} of those in use",
+        )
     return raw
 
 
@@ -104,10 +117,12 @@ def _planar(raw: RawMesh) -> RawMesh:
         return raw
     spread = np.ptp(raw.points, axis=0)
     if spread[2] > 1e-8 * spread.max():
-        raise MeshError(f"the mesh is a surface in space: {len(raw.cells)} triangles, z from "
-                        f"{raw.points[:, 2].min():.6g} to {raw.points[:, 2].max():.6g}",
-                        expected="shells are not supported: a volume mesh of tetrahedra is "
-                                 "needed, or triangles in a plane z = constant")
+        raise MeshError(
+            f"the mesh is a surface in space: {len(raw.cells)} triangles, z from "
+            f"{raw.points[:, 2].min():.6g} to {raw.points[:, 2].max():.6g}",
+            expected="shells are not supported: a volume mesh of tetrahedra is "
+            "needed, or triangles in a plane z = constant",
+        )
     return replace(raw, points=raw.points[:, :2])
 
 
@@ -116,23 +131,29 @@ def _collapsed(raw: RawMesh) -> RawMesh:
     bad = (nodes[:, 1:] == nodes[:, :-1]).any(axis=1)
     if bad.any():
         count = np.count_nonzero(bad)
-        raise MeshError(f"{count} cells use the same point twice, "
-                        f"{places(_midpoints(raw, bad), count)}", expected="remesh there")
+        raise MeshError(
+            f"{count} cells use the same point twice, {places(_midpoints(raw, bad), count)}",
+            expected="remesh there",
+        )
     return raw
 
 
 def _branching(raw: RawMesh) -> RawMesh:
     """Refuses facets between more than two cells: the body would overlap itself."""
     corners = _corners(raw)
-    facets = np.sort(np.concatenate([np.delete(corners, i, axis=1)
-                                     for i in range(raw.dim + 1)]), axis=1)
+    facets = np.sort(
+        np.concatenate([np.delete(corners, i, axis=1) for i in range(raw.dim + 1)]), axis=1
+    )
     facets = facets[np.lexsort(facets.T)]
     third = (facets[2:] == facets[:-2]).all(axis=1)
     if third.any():
         where = raw.points[facets[2:][third][:5]].mean(axis=1)
         count = np.count_nonzero(third)
-        raise MeshError(f"{count} facets lie between three or more cells: the mesh overlaps "
-                        f"itself, {places(where, count)}", expected="remesh there")
+        raise MeshError(
+            f"{count} facets lie between three or more cells: the mesh overlaps "
+            f"itself, {places(where, count)}",
+            expected="remesh there",
+        )
     return raw
 
 
@@ -149,5 +170,8 @@ def _pieces(raw: RawMesh) -> RawMesh:
     if len(sizes) == 1:
         return raw
     text = ", ".join(str(s) for s in sizes[:5]) + (" ..." if len(sizes) > 5 else "")
-    return _noted(raw, f"the mesh is in {len(sizes)} unconnected pieces of {text} cells: each "
-                       "needs its own support")
+    return _noted(
+        raw,
+        f"the mesh is in {len(sizes)} unconnected pieces of {text} cells: each "
+        "needs its own support",
+    )

@@ -13,14 +13,17 @@ _SHAPES = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.Cell
 
 
 def _element(dim: int, degree: int) -> basix.finite_element.FiniteElement:
-    return basix.create_element(basix.ElementFamily.P, _SHAPES[dim], degree,
-                                basix.LagrangeVariant.equispaced)
+    return basix.create_element(
+        basix.ElementFamily.P, _SHAPES[dim], degree, basix.LagrangeVariant.equispaced
+    )
 
 
 def _rule(dim: int, degree: int) -> tuple[Floats, Floats]:
     points, weights = basix.make_quadrature(_SHAPES[dim], degree)
-    return (np.asarray(points, dtype=np.float64).reshape(-1, dim),
-            np.asarray(weights, dtype=np.float64))
+    return (
+        np.asarray(points, dtype=np.float64).reshape(-1, dim),
+        np.asarray(weights, dtype=np.float64),
+    )
 
 
 def _gradients(nodes: Floats, degree: int, points: Floats) -> Floats:

@@ -12,12 +12,20 @@ from dolfin_elastic.errors import MeshError
 from dolfin_elastic.meshes.body import Body, Indices
 from dolfin_elastic.meshes.shapes import Floats, boundary_facets, facet_corners
 
-_SIDES = {2: ("left", "right", "bottom", "top"),
-          3: ("left", "right", "front", "back", "bottom", "top")}
+_SIDES = {
+    2: ("left", "right", "bottom", "top"),
+    3: ("left", "right", "front", "back", "bottom", "top"),
+}
 
 
-def box_body(*, size: Sequence[float], cells: Sequence[int], origin: Sequence[float] = (0, 0, 0),
-             comm: MPI.Comm = MPI.COMM_WORLD, scale: float = 1.0) -> Body:
+def box_body(
+    *,
+    size: Sequence[float],
+    cells: Sequence[int],
+    origin: Sequence[float] = (0, 0, 0),
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    scale: float = 1.0,
+) -> Body:
     """A box of tetrahedra, six in each little cube; with two sizes a rectangle of triangles.
 
     Collective.  The surfaces are called left and right (x), front and back (y), bottom and top
@@ -39,20 +47,29 @@ def box_body(*, size: Sequence[float], cells: Sequence[int], origin: Sequence[fl
     count = [int(n) for n in cells]
     comm.barrier()  # see build.py
     if dim == 3:
-        mesh = create_box(comm, [low, high], count, CellType.tetrahedron,
-                          ghost_mode=GhostMode.none)
+        mesh = create_box(comm, [low, high], count, CellType.tetrahedron, ghost_mode=GhostMode.none)
     else:
-        mesh = create_rectangle(comm, [low, high], count, CellType.triangle,
-                                ghost_mode=GhostMode.none)
+        mesh = create_rectangle(
+            comm, [low, high], count, CellType.triangle, ghost_mode=GhostMode.none
+        )
     facets = boundary_facets(mesh)
     text = " x ".join(f"{s:g}" for s in size)
-    return Body(mesh, {}, _sides(facets, facet_corners(mesh, facets), low, high),
-                f"{'box' if dim == 3 else 'rectangle'} {text}")
+    return Body(
+        mesh,
+        {},
+        _sides(facets, facet_corners(mesh, facets), low, high),
+        f"{'box' if dim == 3 else 'rectangle'} {text}",
+    )
 
 
-def rectangle_body(*, size: Sequence[float], cells: Sequence[int],
-                   origin: Sequence[float] = (0, 0), comm: MPI.Comm = MPI.COMM_WORLD,
-                   scale: float = 1.0) -> Body:
+def rectangle_body(
+    *,
+    size: Sequence[float],
+    cells: Sequence[int],
+    origin: Sequence[float] = (0, 0),
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    scale: float = 1.0,
+) -> Body:
     """A rectangle of triangles for plane strain: `box_body` with two sizes. Collective."""
     if len(size) != 2:
         raise MeshError(f"a rectangle has two sizes, not {len(size)}", where="size")
@@ -64,13 +81,17 @@ def _check(size: Sequence[float], cells: Sequence[int], origin: Sequence[float])
     if dim not in (2, 3):
         raise MeshError(f"a box has three sizes, a rectangle two, not {dim}", where="size")
     if len(cells) != dim:
-        raise MeshError(f"{len(cells)} numbers of cells for {dim} sizes", where="cells",
-                        expected="one number for each edge")
+        raise MeshError(
+            f"{len(cells)} numbers of cells for {dim} sizes",
+            where="cells",
+            expected="one number for each edge",
+        )
     if not (np.isfinite(size).all() and min(size) > 0):
         raise MeshError(f"sizes must be positive, not {list(size)}", where="size")
     if min(cells) < 1 or any(int(n) != n for n in cells):
-        raise MeshError(f"numbers of cells must be whole and positive, not {list(cells)}",
-                        where="cells")
+        raise MeshError(
+            f"numbers of cells must be whole and positive, not {list(cells)}", where="cells"
+        )
     if len(origin) not in (2, 3) or not np.isfinite(origin).all():
         raise MeshError(f"the origin needs {dim} coordinates, not {list(origin)}", where="origin")
     return dim

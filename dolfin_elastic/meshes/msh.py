@@ -19,15 +19,41 @@ import numpy.typing as npt
 from dolfin_elastic.errors import MeshError
 from dolfin_elastic.meshes.raw import Block, Floats, Ints
 
-_TYPES = {1: ("line", 2), 2: ("triangle", 3), 3: ("quad", 4), 4: ("tetra", 4),
-          5: ("hexahedron", 8), 6: ("wedge", 6), 7: ("pyramid", 5), 8: ("line3", 3),
-          9: ("triangle6", 6), 10: ("quad9", 9), 11: ("tetra10", 10), 12: ("hexahedron27", 27),
-          13: ("wedge18", 18), 14: ("pyramid14", 14), 15: ("vertex", 1), 16: ("quad8", 8),
-          17: ("hexahedron20", 20), 18: ("wedge15", 15), 19: ("pyramid13", 13),
-          20: ("triangle9", 9), 21: ("triangle10", 10), 22: ("triangle12", 12),
-          23: ("triangle15", 15), 24: ("triangle15i", 15), 25: ("triangle21", 21),
-          26: ("line4", 4), 27: ("line5", 5), 28: ("line6", 6), 29: ("tetra20", 20),
-          30: ("tetra35", 35), 31: ("tetra56", 56), 36: ("quad16", 16), 92: ("hexahedron64", 64)}
+_TYPES = {
+    1: ("line", 2),
+    2: ("triangle", 3),
+    3: ("quad", 4),
+    4: ("tetra", 4),
+    5: ("hexahedron", 8),
+    6: ("wedge", 6),
+    7: ("pyramid", 5),
+    8: ("line3", 3),
+    9: ("triangle6", 6),
+    10: ("quad9", 9),
+    11: ("tetra10", 10),
+    12: ("hexahedron27", 27),
+    13: ("wedge18", 18),
+    14: ("pyramid14", 14),
+    15: ("vertex", 1),
+    16: ("quad8", 8),
+    17: ("hexahedron20", 20),
+    18: ("wedge15", 15),
+    19: ("pyramid13", 13),
+    20: ("triangle9", 9),
+    21: ("triangle10", 10),
+    22: ("triangle12", 12),
+    23: ("triangle15", 15),
+    24: ("triangle15i", 15),
+    25: ("triangle21", 21),
+    26: ("line4", 4),
+    27: ("line5", 5),
+    28: ("line6", 6),
+    29: ("tetra20", 20),
+    30: ("tetra35", 35),
+    31: ("tetra56", 56),
+    36: ("quad16", 16),
+    92: ("hexahedron64", 64),
+}
 
 
 @dataclass(frozen=True)
@@ -123,8 +149,9 @@ def read_msh(path: Path) -> MshFile:
     sections = _sections(data)
     names = _names(sections.get("PhysicalNames", b""))
     if "PartitionedEntities" in sections:
-        raise MeshError("the mesh is partitioned",
-                        expected="save it whole (in Gmsh: Mesh > Unpartition)")
+        raise MeshError(
+            "the mesh is partitioned", expected="save it whole (in Gmsh: Mesh > Unpartition)"
+        )
 
     def numbers(name: str) -> _Numbers:
         if name not in sections:
@@ -142,8 +169,9 @@ def read_msh(path: Path) -> MshFile:
 
 
 def _header(data: bytes) -> tuple[float, bool, bool]:
-    head = re.search(rb"\$MeshFormat\s+([\d.]+)\s+([01])\s+(\d+)[^\n]*\n(....)?", data[:4096],
-                     re.DOTALL)
+    head = re.search(
+        rb"\$MeshFormat\s+([\d.]+)\s+([01])\s+(\d+)[^\n]*\n(....)?", data[:4096], re.DOTALL
+    )
     if head is None:
         if data.startswith(b"$NOD"):
             raise OtherVersion("1")
@@ -246,8 +274,9 @@ def _nodes4(numbers: _Numbers) -> tuple[Ints, Floats]:
     return np.concatenate(tags), np.concatenate(points)
 
 
-def _elements4(numbers: _Numbers,
-               entities: dict[tuple[int, int], Ints]) -> Iterator[tuple[int, Ints, Ints]]:
+def _elements4(
+    numbers: _Numbers, entities: dict[tuple[int, int], Ints]
+) -> Iterator[tuple[int, Ints, Ints]]:
     """Yields (type, groups of the whole block, nodes)."""
     for _ in range(numbers.sizes(4)[0]):
         dim, entity, kind = (int(n) for n in numbers.ints(3))
@@ -257,8 +286,12 @@ def _elements4(numbers: _Numbers,
         yield kind, np.broadcast_to(groups, (len(rows), len(groups))), rows[:, 1:]
 
 
-def _named(points: Floats, tags: Ints, found: list[tuple[int, Ints, Ints]],
-           names: dict[tuple[int, int], str]) -> MshFile:
+def _named(
+    points: Floats,
+    tags: Ints,
+    found: list[tuple[int, Ints, Ints]],
+    names: dict[tuple[int, int], str],
+) -> MshFile:
     order = np.argsort(tags)
     blocks, used = [], set()
     for kind, groups, nodes in found:
@@ -271,8 +304,11 @@ def _named(points: Floats, tags: Ints, found: list[tuple[int, Ints, Ints]],
             used.add((block.dim, int(group)))
         blocks.append(Block(block.kind, block.nodes, parts))
     empty = [name for key, name in names.items() if key not in used]
-    notes = [f"no elements carry the name{'s' if len(empty) > 1 else ''} {', '.join(empty)} "
-             "(left out)"] if empty else []
+    notes = (
+        [f"no elements carry the name{'s' if len(empty) > 1 else ''} {', '.join(empty)} (left out)"]
+        if empty
+        else []
+    )
     return MshFile(points, blocks, notes)
 
 
@@ -284,6 +320,7 @@ def _rows(tags: Ints, order: Ints, nodes: Ints) -> Ints:
     rows = order[np.minimum(at, len(tags) - 1)]
     lost = np.unique(nodes[tags[rows] != nodes])
     if len(lost):
-        raise MeshError(f"elements refer to {len(lost)} points that do not exist, "
-                        f"for example {lost[0]}")
+        raise MeshError(
+            f"elements refer to {len(lost)} points that do not exist, for example {lost[0]}"
+        )
     return np.asarray(rows)

@@ -28,8 +28,13 @@ _TOLERANCE = 1e-6  # of the body's diagonal
 _ANGLE = 20.0  # degrees
 
 
-def name_parts(body: Body, *, surfaces: Mapping[str, Choice] | None = None,
-               regions: Mapping[str, Choice] | None = None, scale: float = 1.0) -> Body:
+def name_parts(
+    body: Body,
+    *,
+    surfaces: Mapping[str, Choice] | None = None,
+    regions: Mapping[str, Choice] | None = None,
+    scale: float = 1.0,
+) -> Body:
     """The same body with further parts, picked by geometry.
 
     Collective.  Later selectors may refer (`of`) to the names of earlier ones.
@@ -78,8 +83,12 @@ class _Space:
         return np.array([self.metres(v) for v in values[:dim]])
 
     def __str__(self) -> str:
-        text = [f"{axis} from {low:.6g} to {high:.6g}" for axis, low, high
-                in zip("xyz", self.low / self.scale, self.high / self.scale, strict=False)]
+        text = [
+            f"{axis} from {low:.6g} to {high:.6g}"
+            for axis, low, high in zip(
+                "xyz", self.low / self.scale, self.high / self.scale, strict=False
+            )
+        ]
         return "the body lies in " + ", ".join(text)
 
 
@@ -107,8 +116,11 @@ def bounding_box(mesh: Mesh) -> tuple[Floats, Floats]:
 
 def _named(body: Body, space: _Space, kind: str, name: str, choice: Choice) -> Indices:
     if name in (body.surfaces if kind == "surface" else body.regions):
-        raise MeshError(f"the mesh has a {kind} '{name}' already", where=f"{kind}s.{name}",
-                        expected="choose another name")
+        raise MeshError(
+            f"the mesh has a {kind} '{name}' already",
+            where=f"{kind}s.{name}",
+            expected="choose another name",
+        )
     choices = [choice] if isinstance(choice, Selector) else list(choice)
     found: list[Indices] = []
     for i, selector in enumerate(choices):
@@ -144,8 +156,13 @@ def _pick(body: Body, space: _Space, kind: str, selector: Selector) -> Indices:
     return np.asarray(parts[inside])
 
 
-def _nothing(comm: MPI.Comm, space: _Space, tests: Sequence[_Test],
-             owned: npt.NDArray[np.bool_], searched_in: str) -> MeshError:
+def _nothing(
+    comm: MPI.Comm,
+    space: _Space,
+    tests: Sequence[_Test],
+    owned: npt.NDArray[np.bool_],
+    searched_in: str,
+) -> MeshError:
     """What was searched, how many held, and how near the nearest came. Collective."""
     said = []
     for test in tests:
@@ -156,16 +173,19 @@ def _nothing(comm: MPI.Comm, space: _Space, tests: Sequence[_Test],
             text += _how_near(test, near, space)
         said.append(text)
     searched = int(total(comm, int(np.count_nonzero(owned))))
-    return MeshError("; ".join([f"found 0 of {searched} {searched_in}", *said]),
-                     expected=str(space))
+    return MeshError(
+        "; ".join([f"found 0 of {searched} {searched_in}", *said]), expected=str(space)
+    )
 
 
 def _how_near(test: _Test, near: float, space: _Space) -> str:
-    text = (f" (the nearest is off by {near / test.unit:.3g}, allowed is "
-            f"{test.limit / test.unit:.3g}")
+    text = (
+        f" (the nearest is off by {near / test.unit:.3g}, allowed is {test.limit / test.unit:.3g}"
+    )
     worth = near < (180 if test.knob == "angle" else 0.1 * space.diagonal)
-    return text + (f"; {test.knob} = {_rounded_up(near / test.unit):g} would find it)"
-                   if worth else ")")
+    return text + (
+        f"; {test.knob} = {_rounded_up(near / test.unit):g} would find it)" if worth else ")"
+    )
 
 
 def _rounded_up(value: float) -> float:
@@ -182,8 +202,7 @@ def _limit(selector: Selector, space: _Space) -> float:
     return space.metres(selector.tolerance)
 
 
-def _surface_tests(mesh: Mesh, facets: Indices, selector: Selector,
-                   space: _Space) -> list[_Test]:
+def _surface_tests(mesh: Mesh, facets: Indices, selector: Selector, space: _Space) -> list[_Test]:
     corners = facet_corners(mesh, facets)
     limit = _limit(selector, space)
 
@@ -208,14 +227,15 @@ def _surface_tests(mesh: Mesh, facets: Indices, selector: Selector,
 def _region_tests(mesh: Mesh, cells: Indices, selector: Selector, space: _Space) -> list[_Test]:
     wrong = [key for key in ("plane", "normal") if getattr(selector, key) is not None]
     if wrong:
-        raise MeshError(f"a {wrong[0]} picks surfaces, not regions",
-                        expected="regions are picked by box, sphere, cylinder, of, or all")
+        raise MeshError(
+            f"a {wrong[0]} picks surfaces, not regions",
+            expected="regions are picked by box, sphere, cylinder, of, or all",
+        )
     middle = cell_corners(mesh, cells).mean(axis=1)
     limit = _limit(selector, space)
     tests = []
     if selector.box is not None:
-        tests.append(_Test("in the box", _outside_box(selector, space)(middle), limit,
-                           space.scale))
+        tests.append(_Test("in the box", _outside_box(selector, space)(middle), limit, space.scale))
     for said, apart in _round(selector, space):
         tests.append(_Test(f"in the {said}", np.maximum(apart(middle), 0), limit, space.scale))
     return tests
@@ -224,8 +244,9 @@ def _region_tests(mesh: Mesh, cells: Indices, selector: Selector, space: _Space)
 def _plane(selector: Selector, space: _Space) -> tuple[int, float]:
     axis = "xyz".index(selector.plane or "x")
     if axis >= len(space.low):
-        raise MeshError(f"the body is plane, it has no {selector.plane}", where="plane",
-                        expected="x or y")
+        raise MeshError(
+            f"the body is plane, it has no {selector.plane}", where="plane", expected="x or y"
+        )
     if selector.at == "min":
         return axis, float(space.low[axis])
     if selector.at == "max":
@@ -240,8 +261,7 @@ def _outside_box(selector: Selector, space: _Space) -> Callable[[Floats], Floats
     return lambda x: np.maximum(np.maximum(low - x, x - high).max(axis=1), 0)
 
 
-def _round(selector: Selector,
-           space: _Space) -> list[tuple[str, Callable[[Floats], Floats]]]:
+def _round(selector: Selector, space: _Space) -> list[tuple[str, Callable[[Floats], Floats]]]:
     """Signed distance from the sphere and the cylinder, negative inside."""
     found = []
     if (sphere := selector.sphere) is not None:
@@ -258,8 +278,9 @@ def _off_cylinder(cylinder: Cylinder, space: _Space) -> Callable[[Floats], Float
     along = np.eye(3)["xyz".index(axis)] if isinstance(axis, str) else np.array([*axis, 0.0][:3])
     along = (along / np.linalg.norm(along))[:dim]
     if dim == 2 and along.any():
-        raise MeshError("the body is plane: the axis of a cylinder must be z",
-                        where="cylinder.axis")
+        raise MeshError(
+            "the body is plane: the axis of a cylinder must be z", where="cylinder.axis"
+        )
 
     def apart(x: Floats) -> Floats:
         arm = x - point
@@ -274,8 +295,9 @@ def _normal(mesh: Mesh, facets: Indices, selector: Selector, space: _Space) -> _
     dim = len(space.low)
     wanted = np.array(selector.normal[:dim])
     if len(wanted) < dim or not wanted.any():
-        raise MeshError(f"a direction in {dim}D is needed, not {list(selector.normal)}",
-                        where="normal")
+        raise MeshError(
+            f"a direction in {dim}D is needed, not {list(selector.normal)}", where="normal"
+        )
     cosine = outward_normals(mesh, facets) @ (wanted / np.linalg.norm(wanted))
     angles = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     text = ", ".join(f"{n:g}" for n in wanted)

@@ -41,10 +41,14 @@ def read_other(path: Path) -> OtherFile:
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.ndim != 2 or len(points) == 0:
         raise MeshError("the mesh has no points", where=path.name)
-    blocks = [Block(cells.type, _nodes(cells, path), _parts(mesh, i))
-              for i, cells in enumerate(mesh.cells)]
-    sets: dict[str, Ints] = {str(name): np.asarray(rows, dtype=np.int64).reshape(-1)
-                             for name, rows in (mesh.point_sets or {}).items()}
+    blocks = [
+        Block(cells.type, _nodes(cells, path), _parts(mesh, i))
+        for i, cells in enumerate(mesh.cells)
+    ]
+    sets: dict[str, Ints] = {
+        str(name): np.asarray(rows, dtype=np.int64).reshape(-1)
+        for name, rows in (mesh.point_sets or {}).items()
+    }
     sets.update(_tagged(mesh.point_data.get("point_tags"), getattr(mesh, "point_tags", {})))
     return OtherFile(points, blocks, sets)
 
@@ -58,12 +62,16 @@ def _read(path: Path) -> Any:
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
             return meshio.read(path)
     except SystemExit:
-        raise MeshError(f"meshio cannot read it: {' '.join(said.getvalue().split())[:300]}",
-                        where=path.name) from None
+        raise MeshError(
+            f"meshio cannot read it: {' '.join(said.getvalue().split())[:300]}", where=path.name
+        ) from None
     except Exception as error:  # readers fail in any way on damaged files
-        raise MeshError(f"meshio cannot read it: {_reason(path, error)}", where=path.name,
-                        expected="formats: .msh, .xdmf, .inp, .vtu, .vtk, .med, .mesh, .bdf; "
-                                 ".geo, .step, .brep") from None
+        raise MeshError(
+            f"meshio cannot read it: {_reason(path, error)}",
+            where=path.name,
+            expected="formats: .msh, .xdmf, .inp, .vtu, .vtk, .med, .mesh, .bdf; "
+            ".geo, .step, .brep",
+        ) from None
 
 
 def _reason(path: Path, error: Exception) -> str:
@@ -109,11 +117,13 @@ def _numbered(key: str, mesh: Any, dim: int) -> Mapping[int, Sequence[str]]:
     return {}
 
 
-def by_value(data: npt.NDArray[Any], key: str,
-             names: Mapping[int, Sequence[str]]) -> dict[str, Ints]:
+def by_value(
+    data: npt.NDArray[Any], key: str, names: Mapping[int, Sequence[str]]
+) -> dict[str, Ints]:
     """Splits integer cell data into named rows: "3" for references, else "key_3"."""
     whole = np.issubdtype(data.dtype, np.integer) or (
-        key in _REFERENCES and bool(np.all(data == np.round(data))))
+        key in _REFERENCES and bool(np.all(data == np.round(data)))
+    )
     if data.ndim != 1 or not whole:
         return {}
     values = np.unique(data)

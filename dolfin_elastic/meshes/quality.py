@@ -84,23 +84,33 @@ def measures(body: Body, *, worst: int = 5) -> Measures:
     shape, edges = qualities(corners), longest_edges(corners)
     low, high = bounding_box(mesh)
     regions = {n: total(comm, float(volumes[body.owned_cells(n)].sum())) for n in body.regions}
-    surfaces = {n: total(comm, float(facet_areas(mesh, body.owned_facets(n)).sum()))
-                for n in body.surfaces}
+    surfaces = {
+        n: total(comm, float(facet_areas(mesh, body.owned_facets(n)).sum())) for n in body.surfaces
+    }
     return Measures(
-        cells=body.num_cells, points=int(mesh.geometry.index_map().size_global),
-        low=tuple(map(float, low)), high=tuple(map(float, high)),
+        cells=body.num_cells,
+        points=int(mesh.geometry.index_map().size_global),
+        low=tuple(map(float, low)),
+        high=tuple(map(float, high)),
         volume=total(comm, float(volumes[owned].sum())),
         boundary=total(comm, float(facet_areas(mesh, boundary_facets(mesh)).sum())),
-        regions=regions, surfaces=surfaces,
+        regions=regions,
+        surfaces=surfaces,
         shortest=smallest(comm, float(edges.min(initial=np.inf))),
         longest=largest(comm, float(edges.max(initial=0))),
         quality_min=smallest(comm, float(shape.min(initial=np.inf))),
         quality_mean=total(comm, float(shape.sum())) / body.num_cells,
-        worst=_worst(body, shape, corners.mean(axis=1), volumes[owned], worst))
+        worst=_worst(body, shape, corners.mean(axis=1), volumes[owned], worst),
+    )
 
 
-def _worst(body: Body, shape: npt.NDArray[np.float64], middle: npt.NDArray[np.float64],
-           volumes: npt.NDArray[np.float64], count: int) -> tuple[Cell, ...]:
+def _worst(
+    body: Body,
+    shape: npt.NDArray[np.float64],
+    middle: npt.NDArray[np.float64],
+    volumes: npt.NDArray[np.float64],
+    count: int,
+) -> tuple[Cell, ...]:
     rows = np.argsort(shape)[:count]
     mine = [Cell(float(shape[i]), tuple(map(float, middle[i])), float(volumes[i])) for i in rows]
     everyone = [cell for cells in body.comm.allgather(mine) for cell in cells]

@@ -14,12 +14,31 @@ from dolfin_elastic.errors import MeshError
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 
-_DIMS = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2, "polygon": 2, "tetra": 3,
-         "hexahedron": 3, "wedge": 3, "pyramid": 3, "polyhedron": 3}
+_DIMS = {
+    "vertex": 0,
+    "line": 1,
+    "triangle": 2,
+    "quad": 2,
+    "polygon": 2,
+    "tetra": 3,
+    "hexahedron": 3,
+    "wedge": 3,
+    "pyramid": 3,
+    "polyhedron": 3,
+}
 _CELLS = {2: {"triangle": 1, "triangle6": 2}, 3: {"tetra": 1, "tetra10": 2}}
-_SAID = {"tetra": "tetrahedra", "tetra10": "10-node tetrahedra", "triangle": "triangles",
-         "triangle6": "6-node triangles", "hexahedron": "hexahedra", "quad": "quadrilaterals",
-         "wedge": "wedges (prisms)", "pyramid": "pyramids", "line": "lines", "vertex": "points"}
+_SAID = {
+    "tetra": "tetrahedra",
+    "tetra10": "10-node tetrahedra",
+    "triangle": "triangles",
+    "triangle6": "6-node triangles",
+    "hexahedron": "hexahedra",
+    "quad": "quadrilaterals",
+    "wedge": "wedges (prisms)",
+    "pyramid": "pyramids",
+    "line": "lines",
+    "vertex": "points",
+}
 
 
 @dataclass(frozen=True)
@@ -68,9 +87,15 @@ class RawMesh:
         return {3: 2, 6: 2, 4: 3, 10: 3}[self.cells.shape[1]]
 
 
-def assemble(points: Floats, blocks: Sequence[Block], *, source: str, dim: int | None = None,
-             point_sets: Mapping[str, Ints] | None = None,
-             notes: Iterable[str] = ()) -> RawMesh:
+def assemble(
+    points: Floats,
+    blocks: Sequence[Block],
+    *,
+    source: str,
+    dim: int | None = None,
+    point_sets: Mapping[str, Ints] | None = None,
+    notes: Iterable[str] = (),
+) -> RawMesh:
     """Makes one body of the elements of the highest dimension.
 
     Local.  Elements one dimension below give the named surfaces.
@@ -92,8 +117,13 @@ def assemble(points: Floats, blocks: Sequence[Block], *, source: str, dim: int |
     order = _order(solid, blocks, dim, source)
     below = [b for b in blocks if b.dim == dim - 1]
     surfaces = _gather(below, [b.nodes[:, :dim] for b in below])
-    surfaces.update({name: s for name, s in _from_points(solid, dim, point_sets or {}).items()
-                     if name not in surfaces})
+    surfaces.update(
+        {
+            name: s
+            for name, s in _from_points(solid, dim, point_sets or {}).items()
+            if name not in surfaces
+        }
+    )
     starts = np.cumsum([0] + [len(b.nodes) for b in solid])
     rows = [np.arange(len(b.nodes)) + start for b, start in zip(solid, starts, strict=False)]
     regions = {name: np.unique(r) for name, r in _gather(solid, rows).items()}
@@ -106,23 +136,34 @@ def _order(solid: Sequence[Block], blocks: Sequence[Block], dim: int, source: st
     known = _CELLS.get(dim, {})
     other = sorted({b.kind for b in solid} - set(known))
     if not solid or not known:
-        raise MeshError(f"the mesh has no tetrahedra and no triangles ({_found(blocks)})",
-                        where=source, expected="save the volume (or 2D) elements too")
+        raise MeshError(
+            f"the mesh has no tetrahedra and no triangles ({_found(blocks)})",
+            where=source,
+            expected="save the volume (or 2D) elements too",
+        )
     if other:
-        raise MeshError(f"the mesh has elements other than simplices: {_found(solid)}",
-                        where=source, expected=_advice(dim))
+        raise MeshError(
+            f"the mesh has elements other than simplices: {_found(solid)}",
+            where=source,
+            expected=_advice(dim),
+        )
     orders = {known[b.kind] for b in solid}
     if len(orders) > 1:
-        raise MeshError(f"linear and quadratic elements are mixed: {_found(solid)}",
-                        where=source, expected="mesh the whole body with one order")
+        raise MeshError(
+            f"linear and quadratic elements are mixed: {_found(solid)}",
+            where=source,
+            expected="mesh the whole body with one order",
+        )
     return orders.pop()
 
 
 def _advice(dim: int) -> str:
     if dim == 2:
         return "3- or 6-node triangles are needed (in Gmsh: no 'Recombine')"
-    return ("4- or 10-node tetrahedra are needed (in Gmsh: no 'Recombine', no extruded layers; "
-            "in other tools: mesh with tetrahedra)")
+    return (
+        "4- or 10-node tetrahedra are needed (in Gmsh: no 'Recombine', no extruded layers; "
+        "in other tools: mesh with tetrahedra)"
+    )
 
 
 def _found(blocks: Iterable[Block]) -> str:
@@ -148,8 +189,9 @@ def _left_out(blocks: Sequence[Block], dim: int) -> list[str]:
     return out + ([f"left out, of too high a dimension: {', '.join(high)}"] if high else [])
 
 
-def _from_points(solid: Sequence[Block], dim: int,
-                 point_sets: Mapping[str, Ints]) -> dict[str, Ints]:
+def _from_points(
+    solid: Sequence[Block], dim: int, point_sets: Mapping[str, Ints]
+) -> dict[str, Ints]:
     """The boundary facets all of whose vertices are in a set of points."""
     if not point_sets:
         return {}
@@ -177,4 +219,4 @@ def match_rows(table: Ints, rows: Ints) -> Ints:
     group = group.reshape(-1)
     place = np.full(len(both), -1, dtype=np.int64)
     place[group[: len(table)]] = np.arange(len(table))
-    return np.asarray(place[group[len(table):]])
+    return np.asarray(place[group[len(table) :]])

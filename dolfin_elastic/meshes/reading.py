@@ -20,8 +20,14 @@ from dolfin_elastic.parallel import on_root
 CAD = (".geo", ".geo_unrolled", ".step", ".stp", ".brep", ".iges", ".igs")
 
 
-def read_body(path: str | os.PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD,
-              scale: float = 1.0, size: float | None = None, dim: int | None = None) -> Body:
+def read_body(
+    path: str | os.PathLike[str],
+    *,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    scale: float = 1.0,
+    size: float | None = None,
+    dim: int | None = None,
+) -> Body:
     """Reads a mesh, or meshes a CAD file, and gives it the names the file has.
 
     Collective.  Gmsh physical groups, Abaqus sets, MED groups and integer references of other
@@ -47,8 +53,7 @@ def read_body(path: str | os.PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD,
         body = read_xdmf(path, comm=comm, scale=scale, dim=dim)
     else:
         read, permutation = _reader(path, suffix, size, dim)
-        body = build_body(read, comm=comm, scale=scale, source=path.name,
-                          permutation=permutation)
+        body = build_body(read, comm=comm, scale=scale, source=path.name, permutation=permutation)
     return replace(body, notes=(*body.notes, *inspect(body, scale=scale)))
 
 
@@ -56,22 +61,30 @@ def _check_file(path: Path, size: float | None) -> None:
     if not path.exists():
         folder = path.parent if path.parent.is_dir() else Path()
         known = [p.name for p in folder.iterdir() if p.suffix.lower() == path.suffix.lower()]
-        raise MeshError(f"there is no mesh file '{path}'", expected=nearest(path.name, known)
-                        if known else f"nor any other {path.suffix} file in '{folder}'")
+        raise MeshError(
+            f"there is no mesh file '{path}'",
+            expected=nearest(path.name, known)
+            if known
+            else f"nor any other {path.suffix} file in '{folder}'",
+        )
     if path.is_dir():
         raise MeshError(f"'{path}' is a folder, not a mesh file")
     if path.stat().st_size == 0:
         raise MeshError("the file is empty", where=path.name)
     is_cad = path.suffix.lower() in CAD
     if size is not None and not is_cad:
-        raise MeshError("a size of elements was given, but this file is a finished mesh",
-                        where=path.name, expected=f"size is for {', '.join(CAD)}")
+        raise MeshError(
+            "a size of elements was given, but this file is a finished mesh",
+            where=path.name,
+            expected=f"size is for {', '.join(CAD)}",
+        )
     if size is not None and not size > 0:
         raise MeshError(f"the size of the elements must be positive, not {size}", where=path.name)
 
 
-def _reader(path: Path, suffix: str, size: float | None,
-            dim: int | None) -> tuple[Callable[[], RawMesh], Permutation]:
+def _reader(
+    path: Path, suffix: str, size: float | None, dim: int | None
+) -> tuple[Callable[[], RawMesh], Permutation]:
     if suffix == ".msh":
         return lambda: _msh(path, dim), cpp.io.perm_gmsh
     if suffix in CAD:
@@ -104,13 +117,25 @@ def _abaqus(path: Path, dim: int | None) -> RawMesh:
     from dolfin_elastic.meshes.abaqus import read_abaqus
 
     found = read_abaqus(path)
-    return assemble(found.points, found.blocks, source=path.name, dim=dim, notes=found.notes,
-                    point_sets=found.point_sets)
+    return assemble(
+        found.points,
+        found.blocks,
+        source=path.name,
+        dim=dim,
+        notes=found.notes,
+        point_sets=found.point_sets,
+    )
 
 
 def _meshio(path: Path, dim: int | None) -> RawMesh:
     from dolfin_elastic.meshes.other import read_other
 
     found = read_other(path)
-    return assemble(found.points, found.blocks, source=path.name, dim=dim, notes=found.notes,
-                    point_sets=found.point_sets)
+    return assemble(
+        found.points,
+        found.blocks,
+        source=path.name,
+        dim=dim,
+        notes=found.notes,
+        point_sets=found.point_sets,
+    )

@@ -32,7 +32,7 @@ def metres(value: float | str, scale: float) -> float:
 
 def _no_switch(value: object) -> object:
     if isinstance(value, bool):
-        raise ValueError("a number is needed, or a length such as \"2 mm\"")
+        raise ValueError('a number is needed, or a length such as "2 mm"')
     return value
 
 
@@ -123,5 +123,8 @@ class Selector(Record):
 
     def given(self) -> list[str]:
         """The geometric keys that were given."""
-        return [key for key in ("plane", "box", "sphere", "cylinder", "normal")
-                if getattr(self, key) is not None]
+        return [
+            key
+            for key in ("plane", "box", "sphere", "cylinder", "normal")
+            if getattr(self, key) is not None
+        ]

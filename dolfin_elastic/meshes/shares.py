@@ -37,8 +37,10 @@ def check_shares(comm: MPI.Comm, cells: Ints, points: int, dim: int) -> None:
     facets = np.concatenate([np.delete(corners, i, axis=1) for i in range(dim + 1)])
     branching = int(total(comm, _repeated(comm, facets, 2)))
     if branching:
-        raise MeshError(f"{branching} facets lie between three or more cells: the mesh overlaps "
-                        "itself", expected="remesh")
+        raise MeshError(
+            f"{branching} facets lie between three or more cells: the mesh overlaps itself",
+            expected="remesh",
+        )
 
 
 def _out_of_range(cells: Ints, points: int) -> MeshError | None:

@@ -20,8 +20,16 @@ from dolfin_elastic.meshes.raw import RawMesh, assemble
 from dolfin_elastic.meshes.shares import check_shares
 from dolfin_elastic.parallel import on_root
 
-_DIMS = {"tetrahedron": 3, "tetrahedron_10": 3, "tet_10": 3, "triangle": 2, "triangle_6": 2,
-         "tri_6": 2, "polyline": 1, "polyvertex": 0}
+_DIMS = {
+    "tetrahedron": 3,
+    "tetrahedron_10": 3,
+    "tet_10": 3,
+    "triangle": 2,
+    "triangle_6": 2,
+    "tri_6": 2,
+    "polyline": 1,
+    "polyvertex": 0,
+}
 _MOST = 200  # more distinct values than this are data, not names
 
 
@@ -53,10 +61,12 @@ def read_xdmf(path: Path, *, comm: MPI.Comm, scale: float, dim: int | None) -> B
         MeshError: The file cannot be read.
     """
     contents = on_root(comm, lambda: _contents(path))
-    if not contents.grid or contents.spatial != contents.dim or (dim or contents.dim) != \
-            contents.dim:
-        return build_body(lambda: _by_meshio(path, dim), comm=comm, scale=scale,
-                          source=path.name)
+    if (
+        not contents.grid
+        or contents.spatial != contents.dim
+        or (dim or contents.dim) != contents.dim
+    ):
+        return build_body(lambda: _by_meshio(path, dim), comm=comm, scale=scale, source=path.name)
     try:
         with XDMFFile(comm, str(path), "r") as file:
             body = Body(_mesh(file, contents, scale), source=path.name)
@@ -80,8 +90,11 @@ def _contents(path: Path) -> _Contents:
         root = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
         raise MeshError(f"this is no XML file: {error}", where=path.name) from None
-    grids = [g for g in root.iter("Grid") if g.get("GridType", "Uniform") == "Uniform"
-             and g.find("Topology") is not None]
+    grids = [
+        g
+        for g in root.iter("Grid")
+        if g.get("GridType", "Uniform") == "Uniform" and g.find("Topology") is not None
+    ]
     if not grids:
         raise MeshError("there is no mesh (no Grid with a Topology)", where=path.name)
     _data_files(path, root)
@@ -104,8 +117,7 @@ def _tags(grid: ElementTree.Element) -> list[_Tags]:
         item = attribute.find("DataItem")
         kind = "Float" if item is None else item.get("NumberType", item.get("DataType", "Int"))
         if attribute.get("Center") == "Cell" and kind in ("Int", "UInt", "Char", "UChar"):
-            found.append(_Tags(grid.get("Name", ""), attribute.get("Name", ""),
-                               _DIMS[_kind(grid)]))
+            found.append(_Tags(grid.get("Name", ""), attribute.get("Name", ""), _DIMS[_kind(grid)]))
     return found
 
 
@@ -127,8 +139,11 @@ def _data_files(path: Path, root: ElementTree.Element) -> None:
             name = item.text.strip().rpartition(":")[0] or item.text.strip()
             name = name.split(":")[0]
             if not (path.parent / name).is_file():
-                raise MeshError(f"its data file '{name}' is not beside it", where=path.name,
-                                expected="keep the .xdmf and the .h5 together")
+                raise MeshError(
+                    f"its data file '{name}' is not beside it",
+                    where=path.name,
+                    expected="keep the .xdmf and the .h5 together",
+                )
 
 
 def _by_meshio(path: Path, dim: int | None) -> RawMesh:
@@ -152,8 +167,9 @@ def _parts(mesh: Mesh, file: XDMFFile, tags: _Tags) -> dict[str, Indices]:
     values = np.unique(np.concatenate(mesh.comm.allgather(np.unique(found.values))))
     if len(values) > _MOST:
         return {}
-    return {f"{tags.attribute}_{value}": _shared(mesh, tags.dim, found.find(value))
-            for value in values}
+    return {
+        f"{tags.attribute}_{value}": _shared(mesh, tags.dim, found.find(value)) for value in values
+    }
 
 
 def _shared(mesh: Mesh, dim: int, entities: Indices) -> Indices:

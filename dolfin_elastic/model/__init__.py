@@ -1,0 +1,1 @@
+"""What is simulated: kinematics, laws, supports and loads, in UFL only."""

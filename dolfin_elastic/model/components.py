@@ -50,8 +50,10 @@ def components(written: Any, unit: str, *, may_be_free: bool = False) -> tuple[C
         InputError: Not a list of two or three, or a component is wrong (its index is named).
     """
     if not isinstance(written, list | tuple) or len(written) not in (2, 3):
-        raise InputError(f"{written!r} is not a vector", expected="expected a list of 3 components"
-                         " (2 in a plane), for example [0, 0, -1]")
+        raise InputError(
+            f"{written!r} is not a vector",
+            expected="expected a list of 3 components (2 in a plane), for example [0, 0, -1]",
+        )
     found = []
     for index, item in enumerate(written):
         try:

@@ -28,7 +28,8 @@ class Law(Record):
 
     law: str = ""
     density: Density | None = Field(
-        default=None, gt=0, validation_alias=AliasChoices("density", "rho"))
+        default=None, gt=0, validation_alias=AliasChoices("density", "rho")
+    )
 
     linear: ClassVar[bool] = False
     """Stress is linear in the displacement gradient."""
@@ -60,8 +61,11 @@ class Law(Record):
 
     def constants(self) -> dict[str, float]:
         """Name and value of every number in the law, also of those that follow from others."""
-        return {name: float(value) for name, value in self.__dict__.items()
-                if isinstance(value, int | float) and name != "density"}
+        return {
+            name: float(value)
+            for name, value in self.__dict__.items()
+            if isinstance(value, int | float) and name != "density"
+        }
 
     def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
         """A twin whose constants are UFL expressions, so that forms do not hold the numbers."""
@@ -87,14 +91,15 @@ class Isotropic(Law):
         mu: Shear modulus [Pa].
     """
 
-    E: Stress = Field(default=None, validate_default=False)  # type: ignore[assignment]
-    nu: Number = Field(default=None)  # type: ignore[assignment]
-    K: Stress = Field(default=None)  # type: ignore[assignment]
-    lmbda: Stress = Field(
-        default=None, validation_alias=AliasChoices("lmbda", "lambda"))  # type: ignore[assignment]
-    mu: Stress = Field(default=None)  # type: ignore[assignment]
+    E: Stress = Field(default=None)
+    nu: Number = Field(default=None)
+    K: Stress = Field(default=None)
+    lmbda: Stress = Field(default=None, validation_alias=AliasChoices("lmbda", "lambda"))
+    mu: Stress = Field(default=None)
 
     def model_post_init(self, context: Any) -> None:
         """Fills in the three constants that were not given."""
-        given = {name: getattr(self, name) for name in moduli.NAMES if name in self.model_fields_set}
+        given = {
+            name: getattr(self, name) for name in moduli.NAMES if name in self.model_fields_set
+        }
         self.__dict__.update(vars(moduli.complete(**given)))

@@ -12,5 +12,12 @@ MATERIALS: dict[str, type[Law]] = {
     kind.name(): kind for kind in (LinearElastic, StVenantKirchhoff, NeoHookean, Textbook)
 }
 
-__all__ = ["MATERIALS", "Isotropic", "Law", "LinearElastic", "NeoHookean", "StVenantKirchhoff",
-           "Textbook"]
+__all__ = [
+    "MATERIALS",
+    "Isotropic",
+    "Law",
+    "LinearElastic",
+    "NeoHookean",
+    "StVenantKirchhoff",
+    "Textbook",
+]

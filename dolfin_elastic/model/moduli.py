@@ -60,9 +60,11 @@ def complete(**given: float) -> Moduli:
     """
     names = tuple(name for name in NAMES if name in given)
     if len(names) != 2 or len(given) != 2:
-        raise InputError(f"two elastic constants are needed, {len(given)} given"
-                         + (f" ({', '.join(given)})" if given else ""),
-                         expected="give any two of " + ", ".join(NAMES))
+        raise InputError(
+            f"two elastic constants are needed, {len(given)} given"
+            + (f" ({', '.join(given)})" if given else ""),
+            expected="give any two of " + ", ".join(NAMES),
+        )
     _check_each(given)
     try:
         lmbda, mu = _TO_LAME[names](given[names[0]], given[names[1]])
@@ -77,21 +79,32 @@ def complete(**given: float) -> Moduli:
 def _engineering(lmbda: float, mu: float, given: dict[str, float]) -> tuple[float, float, float]:
     if lmbda + mu == 0:
         raise _unstable(given)
-    return (mu * (3 * lmbda + 2 * mu) / (lmbda + mu), lmbda / (2 * (lmbda + mu)),
-            lmbda + 2 * mu / 3)
+    return (
+        mu * (3 * lmbda + 2 * mu) / (lmbda + mu),
+        lmbda / (2 * (lmbda + mu)),
+        lmbda + 2 * mu / 3,
+    )
 
 
 def _check_each(given: dict[str, float]) -> None:
     for name in ("E", "K", "mu"):
         if name in given and not given[name] > 0:
-            raise InputError(f"{given[name]:g} is not a possible {name}", where=name,
-                             expected=f"{name} must be positive")
+            raise InputError(
+                f"{given[name]:g} is not a possible {name}",
+                where=name,
+                expected=f"{name} must be positive",
+            )
     if "nu" in given and not -1 < given["nu"] < 0.5:
-        raise InputError(f"{given['nu']:g} is not a possible Poisson's ratio", where="nu",
-                         expected="nu must lie above -1 and below 0.5 (rubber: 0.49 to 0.4999)")
+        raise InputError(
+            f"{given['nu']:g} is not a possible Poisson's ratio",
+            where="nu",
+            expected="nu must lie above -1 and below 0.5 (rubber: 0.49 to 0.4999)",
+        )
 
 
 def _unstable(given: dict[str, float]) -> InputError:
     pair = ", ".join(f"{name} = {value:g}" for name, value in given.items())
-    return InputError(f"no stable elastic solid has {pair}",
-                      expected="shear modulus mu and bulk modulus K must come out positive")
+    return InputError(
+        f"no stable elastic solid has {pair}",
+        expected="shear modulus mu and bulk modulus K must come out positive",
+    )

@@ -53,14 +53,15 @@ class Evaluator:
     def _kernel(self, part: Part) -> fem.Expression:
         law, F = part.law, embedded(deformation_gradient(self.u))
         if "energy_density" in self.cell_names and not law.has_energy:
-            raise InputError(f"the law of '{part.name}' has no strain energy",
-                             expected="leave the field 'energy_density' out")
+            raise InputError(
+                f"the law of '{part.name}' has no strain energy",
+                expected="leave the field 'energy_density' out",
+            )
         tensors = [FIELDS[name].formula(law, F) for name in self.cell_names]  # type: ignore[misc]
         dim = self.problem.body.dim
         barycentre = np.full((1, dim), 1 / (dim + 1))
         components = ufl.as_vector([c for t in tensors for c in _components(t)])
-        return compile_expression(self.problem.body.comm, components, barycentre,
-                                  self.problem.jit)
+        return compile_expression(self.problem.body.comm, components, barycentre, self.problem.jit)
 
     @cached_property
     def residual(self) -> fem.Form:
@@ -102,8 +103,10 @@ class Evaluator:
             if len(part.cells):
                 table[part.cells] = kernel.eval(self.grid.mesh, part.cells)
         ends = np.cumsum(widths)
-        return {name: table[:, end - width:end]
-                for name, width, end in zip(self.cell_names, widths, ends, strict=True)}
+        return {
+            name: table[:, end - width : end]
+            for name, width, end in zip(self.cell_names, widths, ends, strict=True)
+        }
 
 
 def _components(tensor: Expr) -> list[Expr]:
@@ -133,15 +136,17 @@ class Source:
         """A vector of the state at the owned points, with three components."""
         function = getattr(self.state, name)
         if function is None:
-            raise InputError(f"the state of step {self.state.step} has no '{name}'",
-                             expected="velocity and acceleration exist in motion only")
+            raise InputError(
+                f"the state of step {self.state.step} has no '{name}'",
+                expected="velocity and acceleration exist in motion only",
+            )
         return self._padded(function.x.array)
 
     def _padded(self, array: Array) -> Array:
         grid = self.evaluator.grid
         dim = grid.mesh.geometry.dim
         values = np.zeros((grid.own_points, 3))
-        values[:, :dim] = array[:grid.own_points * dim].reshape(-1, dim)
+        values[:, :dim] = array[: grid.own_points * dim].reshape(-1, dim)
         return values
 
     def reaction(self) -> Array:
@@ -157,7 +162,7 @@ class Source:
     def averaged(self, name: str) -> Array:
         """A cell field, averaged at the owned points."""
         grid = self.evaluator.grid
-        return to_nodes(grid.V, self.cells[name])[:grid.own_points]
+        return to_nodes(grid.V, self.cells[name])[: grid.own_points]
 
     def region(self) -> Array:
         """Number of the region of each owned cell; the last one where they overlap."""

@@ -53,9 +53,12 @@ class Extremes:
         values = self.evaluate(state)
         J = values["jacobian"][:, 0]
         lengths = np.linalg.norm(values["displacement"], axis=1)
-        return {"von_mises": self._in_cells(values["von_mises"][:, 0]),
-                "displacement": self._at_nodes(lengths),
-                "min_jacobian": self._in_cells(J, sign=-1), "max_jacobian": self._in_cells(J)}
+        return {
+            "von_mises": self._in_cells(values["von_mises"][:, 0]),
+            "displacement": self._at_nodes(lengths),
+            "min_jacobian": self._in_cells(J, sign=-1),
+            "max_jacobian": self._in_cells(J),
+        }
 
     def _in_cells(self, values: Array, *, sign: int = 1) -> Extreme:
         cell, value = _first_largest(sign * values)
@@ -89,7 +92,7 @@ def _numbers(place: Array) -> tuple[float, ...]:
 
 def _middle(mesh: Mesh, cell: int) -> Array:
     dim = mesh.geometry.dim
-    corners = mesh.geometry.dofmap[cell][:mesh.topology.dim + 1]
+    corners = mesh.geometry.dofmap[cell][: mesh.topology.dim + 1]
     return np.asarray(mesh.geometry.x[corners].mean(axis=0)[:dim])
 
 

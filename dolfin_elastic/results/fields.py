@@ -69,37 +69,94 @@ def _pressure(law: Law, F: Expr) -> Expr:
 
 
 FIELDS: dict[str, Field] = {
-    "displacement": Field("vector", "node", "m", "displacement",
-                          values=lambda source: source.nodal("u")),
-    "velocity": Field("vector", "node", "m/s", "velocity", motion=True,
-                      values=lambda source: source.nodal("v")),
-    "acceleration": Field("vector", "node", "m/s^2", "acceleration", motion=True,
-                          values=lambda source: source.nodal("a")),
-    "reaction": Field("vector", "node", "N", "nodal force of the supports on the body, from the "
-                      "residual; zero at free nodes", values=lambda source: source.reaction()),
-    "von_mises": Field("scalar", "cell", "Pa", "von Mises stress, from the Cauchy stress",
-                       lambda law, F: kinematics.von_mises(cauchy_stress(law, F))),
-    "von_mises_nodal": Field("scalar", "node", "Pa", "von Mises stress, averaged at the nodes",
-                             values=lambda source: source.averaged("von_mises"),
-                             needs=("von_mises",)),
-    "cauchy_stress": Field("tensor", "cell", "Pa", "Cauchy stress: force over current area",
-                           cauchy_stress),
-    "first_piola": Field("tensor", "cell", "Pa",
-                         "first Piola-Kirchhoff stress: force over reference area",
-                         lambda law, F: law.stress(F)),
+    "displacement": Field(
+        "vector", "node", "m", "displacement", values=lambda source: source.nodal("u")
+    ),
+    "velocity": Field(
+        "vector", "node", "m/s", "velocity", motion=True, values=lambda source: source.nodal("v")
+    ),
+    "acceleration": Field(
+        "vector",
+        "node",
+        "m/s^2",
+        "acceleration",
+        motion=True,
+        values=lambda source: source.nodal("a"),
+    ),
+    "reaction": Field(
+        "vector",
+        "node",
+        "N",
+        "nodal force of the supports on the body, from the residual; zero at free nodes",
+        values=lambda source: source.reaction(),
+    ),
+    "von_mises": Field(
+        "scalar",
+        "cell",
+        "Pa",
+        "von Mises stress, from the Cauchy stress",
+        lambda law, F: kinematics.von_mises(cauchy_stress(law, F)),
+    ),
+    "von_mises_nodal": Field(
+        "scalar",
+        "node",
+        "Pa",
+        "von Mises stress, averaged at the nodes",
+        values=lambda source: source.averaged("von_mises"),
+        needs=("von_mises",),
+    ),
+    "cauchy_stress": Field(
+        "tensor", "cell", "Pa", "Cauchy stress: force over current area", cauchy_stress
+    ),
+    "first_piola": Field(
+        "tensor",
+        "cell",
+        "Pa",
+        "first Piola-Kirchhoff stress: force over reference area",
+        lambda law, F: law.stress(F),
+    ),
     "pressure": Field("scalar", "cell", "Pa", "pressure: minus the mean Cauchy stress", _pressure),
-    "green_strain": Field("tensor", "cell", "", "Green strain",
-                          lambda law, F: kinematics.green_strain(F)),
-    "jacobian": Field("scalar", "cell", "", "current over reference volume, det F",
-                      lambda law, F: kinematics.jacobian(F)),
-    "energy_density": Field("scalar", "cell", "J/m^3", "strain energy per reference volume",
-                            lambda law, F: law.energy(F)),
-    "region": Field("scalar", "cell", "", "number of the named region, in alphabetical order; "
-                    "-1: none", values=lambda source: source.region(), fixed=True),
-    "material": Field("scalar", "cell", "", "number of the material, in the order of the case",
-                      values=lambda source: source.material(), fixed=True),
-    "rank": Field("scalar", "cell", "", "MPI rank that owns the cell",
-                  values=lambda source: source.rank(), fixed=True),
+    "green_strain": Field(
+        "tensor", "cell", "", "Green strain", lambda law, F: kinematics.green_strain(F)
+    ),
+    "jacobian": Field(
+        "scalar",
+        "cell",
+        "",
+        "current over reference volume, det F",
+        lambda law, F: kinematics.jacobian(F),
+    ),
+    "energy_density": Field(
+        "scalar",
+        "cell",
+        "J/m^3",
+        "strain energy per reference volume",
+        lambda law, F: law.energy(F),
+    ),
+    "region": Field(
+        "scalar",
+        "cell",
+        "",
+        "number of the named region, in alphabetical order; -1: none",
+        values=lambda source: source.region(),
+        fixed=True,
+    ),
+    "material": Field(
+        "scalar",
+        "cell",
+        "",
+        "number of the material, in the order of the case",
+        values=lambda source: source.material(),
+        fixed=True,
+    ),
+    "rank": Field(
+        "scalar",
+        "cell",
+        "",
+        "MPI rank that owns the cell",
+        values=lambda source: source.rank(),
+        fixed=True,
+    ),
 }
 
 DEFAULT = ("displacement", "von_mises", "cauchy_stress")

@@ -35,10 +35,12 @@ def writing(path: Path) -> Iterator[None]:
 
 def _cause(error: OSError) -> str:
     reason = os.strerror(error.errno).lower() if error.errno else str(error)
-    advice = {errno.ENOSPC: "; make room or write fewer steps (every = 10)",
-              errno.EDQUOT: "; your quota is used up",
-              errno.EACCES: "; choose a folder you may write to",
-              errno.EROFS: "; choose a folder you may write to"}
+    advice = {
+        errno.ENOSPC: "; make room or write fewer steps (every = 10)",
+        errno.EDQUOT: "; your quota is used up",
+        errno.EACCES: "; choose a folder you may write to",
+        errno.EROFS: "; choose a folder you may write to",
+    }
     return reason + advice.get(error.errno or 0, "")
 
 

@@ -20,11 +20,19 @@ Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[Any]
 
 # Cell and number of its nodes -> XDMF's name.
-_KINDS = {(CellType.triangle, 3): "Triangle", (CellType.triangle, 6): "Triangle_6",
-          (CellType.tetrahedron, 4): "Tetrahedron", (CellType.tetrahedron, 10): "Tetrahedron_10"}
+_KINDS = {
+    (CellType.triangle, 3): "Triangle",
+    (CellType.triangle, 6): "Triangle_6",
+    (CellType.tetrahedron, 4): "Tetrahedron",
+    (CellType.tetrahedron, 10): "Tetrahedron_10",
+}
 # VTK's nodes of a cell whose first two corners are exchanged.
-_MIRRORED = {3: [1, 0, 2], 6: [1, 0, 2, 3, 5, 4], 4: [1, 0, 2, 3],
-             10: [1, 0, 2, 3, 4, 6, 5, 8, 7, 9]}
+_MIRRORED = {
+    3: [1, 0, 2],
+    6: [1, 0, 2, 3, 5, 4],
+    4: [1, 0, 2, 3],
+    10: [1, 0, 2, 3, 4, 6, 5, 8, 7, 9],
+}
 
 
 class Grid:
@@ -45,8 +53,11 @@ class Grid:
         self.nodes_per_cell = int(V.dofmap.list.shape[1])
         key = (self.mesh.topology.cell_type, self.nodes_per_cell)
         if key not in _KINDS:
-            raise InputError(f"results cannot show {key[1]} nodes on a {key[0].name}",
-                             where="mesh.degree", expected="1 or 2")
+            raise InputError(
+                f"results cannot show {key[1]} nodes on a {key[0].name}",
+                where="mesh.degree",
+                expected="1 or 2",
+            )
         self.kind = _KINDS[key]
 
     @property
@@ -61,7 +72,7 @@ class Grid:
 
     def points(self) -> Array:
         """Places [m] of the owned points in the reference configuration, shape (n, 3)."""
-        return np.asarray(self.V.tabulate_dof_coordinates()[:self.own_points])
+        return np.asarray(self.V.tabulate_dof_coordinates()[: self.own_points])
 
     def cells(self) -> Integers:
         """Points of each owned cell, in VTK's order, numbered over all ranks.
@@ -69,8 +80,8 @@ class Grid:
         Cells that the mesh holds mirrored are turned, so that all have a positive volume.
         """
         order = np.argsort(cpp.io.perm_vtk(self.mesh.topology.cell_type, self.nodes_per_cell))
-        local = self.V.dofmap.list[:self.own_cells][:, order]
-        mirrored = signed_volumes(self.mesh)[:self.own_cells] < 0
+        local = self.V.dofmap.list[: self.own_cells][:, order]
+        mirrored = signed_volumes(self.mesh)[: self.own_cells] < 0
         local[mirrored] = local[mirrored][:, _MIRRORED[self.nodes_per_cell]]
         index_map = self.V.dofmap.index_map
         kind = np.int32 if index_map.size_global < np.iinfo(np.int32).max else np.int64
@@ -80,16 +91,20 @@ class Grid:
     def rows(self, centre: str, values: Integers) -> Rows:
         """Values of this rank's points (`"node"`) or cells as rows of the whole array."""
         topology = self.mesh.topology
-        index_map = self.V.dofmap.index_map if centre == "node" else topology.index_map(
-            topology.dim)
-        return Rows(values.reshape(len(values), -1), int(index_map.local_range[0]),
-                    int(index_map.size_global))
+        index_map = (
+            self.V.dofmap.index_map if centre == "node" else topology.index_map(topology.dim)
+        )
+        return Rows(
+            values.reshape(len(values), -1),
+            int(index_map.local_range[0]),
+            int(index_map.size_global),
+        )
 
 
 def signed_volumes(mesh: Mesh) -> Array:
     """Volume (3D) or area (2D) of each local cell between its corners; negative if mirrored."""
     dim = mesh.topology.dim
-    corners = mesh.geometry.x[mesh.geometry.dofmap[:, :dim + 1]][:, :, :dim]
+    corners = mesh.geometry.x[mesh.geometry.dofmap[:, : dim + 1]][:, :, :dim]
     edges = corners[:, 1:] - corners[:, :1]
     return np.asarray(np.linalg.det(edges) / (2 if dim == 2 else 6))
 
@@ -106,10 +121,10 @@ def to_nodes(V: fem.FunctionSpace, values: Array) -> Array:
     Returns:
         Shape (local nodes, columns), ghosts up to date.
     """
-    weights = np.abs(signed_volumes(V.mesh)[:len(values)])
+    weights = np.abs(signed_volumes(V.mesh)[: len(values)])
     columns = np.column_stack([values * weights[:, None], weights])
     work = la.vector(V.dofmap.index_map, columns.shape[1])
-    nodes = V.dofmap.list[:len(values)]
+    nodes = V.dofmap.list[: len(values)]
     sums = work.array.reshape(-1, columns.shape[1])
     for j in range(columns.shape[1]):
         share = np.repeat(columns[:, j], nodes.shape[1])

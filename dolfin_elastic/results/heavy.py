@@ -5,7 +5,7 @@ Rank 0 lays the file out with h5py: every array is contiguous and has its place 
 an array.  Against h5py's own MPI driver this
 
 * needs no h5py built with MPI: Debian's two builds and the one from PyPI do equally well,
-* is several times faster, for no metadata are agreed on by all ranks,
+* is two to four times faster, for no metadata are agreed on by all ranks,
 * cannot hang: an HDF5 call that fails on one rank leaves the others waiting in the next one.
 
 The calls are independent ones (`Write_at`): each rank has one long run of bytes, so there is

@@ -80,11 +80,16 @@ class HistoryWriter:
 def row(state: State) -> dict[str, Number]:
     """Column to value of one step, in the columns' order."""
     values: dict[str, Number] = {
-        "step": state.step, "t": state.t, "load_factor": state.load_factor,
-        "newton": state.newton, "krylov": state.krylov,
-        "max_displacement": state.max_displacement}
-    energies = [name for name in ("strain", "kinetic", "external", "total")
-                if name in state.energies]
+        "step": state.step,
+        "t": state.t,
+        "load_factor": state.load_factor,
+        "newton": state.newton,
+        "krylov": state.krylov,
+        "max_displacement": state.max_displacement,
+    }
+    energies = [
+        name for name in ("strain", "kinetic", "external", "total") if name in state.energies
+    ]
     energies += [name for name in state.energies if name not in energies]
     values.update({f"{name}_energy": state.energies[name] for name in energies})
     for support, force in state.reactions.items():

@@ -132,9 +132,19 @@ class Picture(Output):
 
     def open(self, problem: Problem, folder: Path) -> PictureWriter:
         """See `Output.open`."""
-        return PictureWriter(problem, folder / self.file, field=self.field, view=self.view,
-                             scale=self.scale, every=None if self.every == "last" else self.every)
+        return PictureWriter(
+            problem,
+            folder / self.file,
+            field=self.field,
+            view=self.view,
+            scale=self.scale,
+            every=None if self.every == "last" else self.every,
+        )
 
 
 OUTPUTS: dict[str, type[Output]] = {
-    "xdmf": Xdmf, "history": History, "summary": Summary, "pictures": Picture}
+    "xdmf": Xdmf,
+    "history": History,
+    "summary": Summary,
+    "pictures": Picture,
+}

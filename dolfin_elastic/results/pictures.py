@@ -56,8 +56,16 @@ def drawable(name: str) -> str:
     return name
 
 
-def picture(problem: Problem, state: State, file: Path | str, *, field: str = "von_mises",
-            scale: float = 1.0, view: View = "isometric", title: str = "") -> None:
+def picture(
+    problem: Problem,
+    state: State,
+    file: Path | str,
+    *,
+    field: str = "von_mises",
+    scale: float = 1.0,
+    view: View = "isometric",
+    title: str = "",
+) -> None:
     """Draws the deformed body, coloured by a field, over its undeformed edges. Collective.
 
     Args:
@@ -88,8 +96,15 @@ class PictureWriter:
         options: `scale`, `view` and `title` of `picture`.
     """
 
-    def __init__(self, problem: Problem, path: Path, *, every: int | None = None,
-                 field: str = "von_mises", **options: Any) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        path: Path,
+        *,
+        every: int | None = None,
+        field: str = "von_mises",
+        **options: Any,
+    ) -> None:
         self.path, self.every, self.options = path, every, options
         self._kept = Kept()
         with stage("output"):
@@ -120,14 +135,25 @@ class _Painter:
         self.dim = problem.body.dim
         self._evaluate = Evaluator(problem, [field])
 
-    def paint(self, state: State, file: Path, *, scale: float = 1.0, view: View = "isometric",
-              title: str = "") -> None:
+    def paint(
+        self,
+        state: State,
+        file: Path,
+        *,
+        scale: float = 1.0,
+        view: View = "isometric",
+        title: str = "",
+    ) -> None:
         values = self._at_local_nodes(self._evaluate(state)[self.field])
         grid = self._evaluate.grid
         u = state.u.x.array.reshape(-1, self.dim)
         surface = gather(grid, {"u": np.pad(u, ((0, 0), (0, 3 - self.dim))), "value": values})
-        settings = {"scale": scale, "view": "z" if self.dim == 2 else view,
-                    "title": title, "plane": self.dim == 2}
+        settings = {
+            "scale": scale,
+            "view": "z" if self.dim == 2 else view,
+            "title": title,
+            "plane": self.dim == 2,
+        }
         _on_root_alone(self.comm, lambda: self._draw(surface, file, settings))
 
     def _at_local_nodes(self, values: Array) -> Array:
@@ -138,14 +164,21 @@ class _Painter:
 
     def _draw(self, surface: Surface | None, file: Path, settings: Mapping[str, Any]) -> None:
         assert surface is not None
-        factor, unit = _prefix(float(np.abs(surface.values["value"]).max()),
-                               FIELDS[self.field].unit)
+        factor, unit = _prefix(
+            float(np.abs(surface.values["value"]).max()), FIELDS[self.field].unit
+        )
         label = self.field.replace("_", " ").replace("von mises", "von Mises stress")
         with writing(file), tempfile.TemporaryDirectory() as scratch:
             data = Path(scratch) / "surface.npz"
-            np.savez(data, points=surface.points, triangles=surface.triangles,
-                     u=surface.values["u"], value=surface.values["value"][:, 0] / factor,
-                     label=f"{label} [{unit}]" if unit else label, **settings)
+            np.savez(
+                data,
+                points=surface.points,
+                triangles=surface.triangles,
+                u=surface.values["u"],
+                value=surface.values["value"][:, 0] / factor,
+                label=f"{label} [{unit}]" if unit else label,
+                **settings,
+            )
             drawn = Path(scratch) / "picture.png"
             _run(data, drawn)
             draft = file.with_name(f".{file.name}.part")
@@ -170,7 +203,7 @@ def _on_root_alone(comm: MPI.Comm, action: Callable[[], None]) -> None:
 def _with_ghosts(grid: Grid, values: Array) -> Array:
     """Values of the owned nodes, completed by those of the ghosts. Collective."""
     work = la.vector(grid.V.dofmap.index_map, 1)
-    work.array[:len(values)] = values[:, 0]
+    work.array[: len(values)] = values[:, 0]
     work.scatter_forward()
     return work.array[:, None].copy()
 
@@ -192,9 +225,14 @@ def _run(data: Path, drawn: Path) -> None:
     script = Path(__file__).with_name("_draw.py")
     with _display() as environment:
         try:
-            done = subprocess.run([sys.executable, "-P", str(script), str(data), str(drawn)],
-                                  env=environment, capture_output=True, text=True,
-                                  timeout=_TIMEOUT, check=False)
+            done = subprocess.run(
+                [sys.executable, "-P", str(script), str(data), str(drawn)],
+                env=environment,
+                capture_output=True,
+                text=True,
+                timeout=_TIMEOUT,
+                check=False,
+            )
         except subprocess.TimeoutExpired:
             raise OutputError(f"drawing a picture took longer than {_TIMEOUT} s") from None
     if done.returncode or not drawn.exists():
@@ -222,9 +260,21 @@ def _start_xvfb() -> tuple[subprocess.Popen[bytes], int]:
     """Starts a server on a display number that it finds free itself."""
     read, write = os.pipe()
     server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1200x24", "-nolisten", "tcp",
-         "-terminate"],
-        pass_fds=[write], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        [
+            "Xvfb",
+            "-displayfd",
+            str(write),
+            "-screen",
+            "0",
+            "1600x1200x24",
+            "-nolisten",
+            "tcp",
+            "-terminate",
+        ],
+        pass_fds=[write],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     os.close(write)
     with os.fdopen(read) as answer:
         number = answer.readline().strip()

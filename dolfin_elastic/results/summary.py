@@ -16,21 +16,29 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfin_elastic import __version__, timing
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.results.extremes import Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
 from dolfin_elastic.results.writer import Kept
 from dolfin_elastic.state import State
+from dolfin_elastic.version import __version__, timing
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem import Problem
 
 _INTERVAL = 1.0
 _STAGES = (*timing.STAGES, "total")
-UNITS = {"t": "s (in statics the load parameter)", "max_displacement": "m", "energies": "J",
-         "strain_energy": "J", "reactions": "N", "place": "m", "von_mises": "Pa",
-         "timings": "s", "peak_memory": "byte"}
+UNITS = {
+    "t": "s (in statics the load parameter)",
+    "max_displacement": "m",
+    "energies": "J",
+    "strain_energy": "J",
+    "reactions": "N",
+    "place": "m",
+    "von_mises": "Pa",
+    "timings": "s",
+    "peak_memory": "byte",
+}
 
 
 class SummaryWriter:
@@ -79,27 +87,44 @@ class SummaryWriter:
             self._save(status, str(error) if error else "", extra)
 
     def _save(self, status: str, reason: str = "", extra: Mapping[str, Any] | None = None) -> None:
-        content = {"status": status, "reason": reason, **self._sizes(), **self._numbers(),
-                   "extremes": {}, "timings": self._timings(),
-                   "peak_memory": peak_memory(self.comm), "versions": versions(),
-                   "units": UNITS, "started": self._started, **(extra or {})}
+        content = {
+            "status": status,
+            "reason": reason,
+            **self._sizes(),
+            **self._numbers(),
+            "extremes": {},
+            "timings": self._timings(),
+            "peak_memory": peak_memory(self.comm),
+            "versions": versions(),
+            "units": UNITS,
+            "started": self._started,
+            **(extra or {}),
+        }
         text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
         on_root(self.comm, lambda: replace_text(self.path, text))
         self._written = time.monotonic()
 
     def _sizes(self) -> dict[str, Any]:
-        return {"dofs": self.problem.num_dofs, "cells": self.problem.body.num_cells,
-                "ranks": self.comm.size, "degree": self.problem.degree}
+        return {
+            "dofs": self.problem.num_dofs,
+            "cells": self.problem.body.num_cells,
+            "ranks": self.comm.size,
+            "degree": self.problem.degree,
+        }
 
     def _numbers(self) -> dict[str, Any]:
         state = self._kept.state
-        return {"steps": self._steps, "t": state.t if state else None,
-                "load_factor": state.load_factor if state else None,
-                "newton_iterations": self._newton, "krylov_iterations": self._krylov,
-                "max_displacement": state.max_displacement if state else None,
-                "strain_energy": state.energies.get("strain") if state else None,
-                "energies": dict(state.energies) if state else {},
-                "reactions": dict(state.reactions) if state else {}}
+        return {
+            "steps": self._steps,
+            "t": state.t if state else None,
+            "load_factor": state.load_factor if state else None,
+            "newton_iterations": self._newton,
+            "krylov_iterations": self._krylov,
+            "max_displacement": state.max_displacement if state else None,
+            "strain_energy": state.energies.get("strain") if state else None,
+            "energies": dict(state.energies) if state else {},
+            "reactions": dict(state.reactions) if state else {},
+        }
 
     def _timings(self) -> dict[str, float]:
         measured = {"total": time.monotonic() - self._begin, **timing.totals()}
@@ -132,8 +157,12 @@ def _high_water() -> int:
 def versions() -> dict[str, str]:
     """Versions of this package and of what its numbers depend on. Not collective."""
     petsc = ".".join(str(number) for number in PETSc.Sys.getVersion())
-    return {"dolfin_elastic": __version__, "dolfinx": dolfinx.__version__, "petsc": petsc,
-            "numpy": np.__version__}
+    return {
+        "dolfin_elastic": __version__,
+        "dolfinx": dolfinx.__version__,
+        "petsc": petsc,
+        "numpy": np.__version__,
+    }
 
 
 def _plain(value: Any) -> Any:

@@ -60,8 +60,9 @@ def _joined(parts: list[Any]) -> Surface:
     numbers = np.concatenate([part[1] for part in parts])
     _, first, new = np.unique(numbers, return_index=True, return_inverse=True)
     starts = np.cumsum([0, *(len(part[1]) for part in parts)])
-    triangles = np.concatenate([new[part[0] + start]
-                                for part, start in zip(parts, starts, strict=False)])
+    triangles = np.concatenate(
+        [new[part[0] + start] for part, start in zip(parts, starts, strict=False)]
+    )
     points = np.concatenate([part[2] for part in parts])[first]
     names = parts[0][3]
     values = {k: np.concatenate([part[3][k] for part in parts])[first] for k in names}
@@ -71,10 +72,9 @@ def _joined(parts: list[Any]) -> Surface:
 def _triangles(grid: Grid) -> Array:
     """Local points of this rank's share of the surface, shape (n, 3)."""
     if grid.mesh.topology.dim == 2:
-        return _split(_upward(grid.V, grid.V.dofmap.list[:grid.own_cells]))
+        return _split(_upward(grid.V, grid.V.dofmap.list[: grid.own_cells]))
     cells, sides = _outer_sides(grid.mesh)
-    nodes = np.array([sorted(grid.V.dofmap.dof_layout.entity_closure_dofs(2, i))
-                      for i in range(4)])
+    nodes = np.array([sorted(grid.V.dofmap.dof_layout.entity_closure_dofs(2, i)) for i in range(4)])
     faces = np.take_along_axis(grid.V.dofmap.list[cells], nodes[sides], axis=1)
     return _split(_outward(grid.V, faces, grid.V.dofmap.list[cells, sides]))
 

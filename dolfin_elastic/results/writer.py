@@ -38,8 +38,14 @@ class Kept:
 
     def keep(self, state: State) -> None:
         """Copies a state. Not collective."""
-        self.state = replace(state, **{name: self._copy(name, function) for name in ("u", "v", "a")
-                                       if (function := getattr(state, name)) is not None})
+        self.state = replace(
+            state,
+            **{
+                name: self._copy(name, function)
+                for name in ("u", "v", "a")
+                if (function := getattr(state, name)) is not None
+            },
+        )
 
     def _copy(self, name: str, function: fem.Function) -> fem.Function:
         if name not in self._copies:

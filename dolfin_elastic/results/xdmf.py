@@ -58,8 +58,9 @@ class XdmfWriter:
         OutputError: The folder cannot be written to.
     """
 
-    def __init__(self, problem: Problem, path: Path, *, fields: tuple[str, ...] | None = None,
-                 every: int = 1) -> None:
+    def __init__(
+        self, problem: Problem, path: Path, *, fields: tuple[str, ...] | None = None, every: int = 1
+    ) -> None:
         self.problem, self.path, self.fields, self.every = problem, path, fields, every
         self.comm = problem.body.comm
         self.data = path.with_name(f"{path.stem}_data")
@@ -105,15 +106,20 @@ class XdmfWriter:
 
     def _frame(self, state: State, file: str, rows: Mapping[str, Rows]) -> str:
         files = {name: "mesh.h5" if FIELDS[name].fixed else file for name in rows}
-        attributes = "".join(_attribute(name, r, f"{self.data.name}/{files[name]}")
-                             for name, r in rows.items())
-        return (f'<Grid Name="step {state.step}" GridType="Uniform">\n{self._mesh_xml}'
-                f'<Time Value="{state.t!r}"/>\n{attributes}</Grid>\n')
+        attributes = "".join(
+            _attribute(name, r, f"{self.data.name}/{files[name]}") for name, r in rows.items()
+        )
+        return (
+            f'<Grid Name="step {state.step}" GridType="Uniform">\n{self._mesh_xml}'
+            f'<Time Value="{state.t!r}"/>\n{attributes}</Grid>\n'
+        )
 
     def _light(self) -> str:
-        return ('<?xml version="1.0" encoding="utf-8"?>\n<Xdmf Version="3.0">\n<Domain>\n'
-                '<Grid Name="results" GridType="Collection" CollectionType="Temporal">\n'
-                f'{"".join(self._frames)}</Grid>\n</Domain>\n</Xdmf>\n')
+        return (
+            '<?xml version="1.0" encoding="utf-8"?>\n<Xdmf Version="3.0">\n<Domain>\n'
+            '<Grid Name="results" GridType="Collection" CollectionType="Temporal">\n'
+            f"{''.join(self._frames)}</Grid>\n</Domain>\n</Xdmf>\n"
+        )
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """Writes the last step if `every` has left it out."""
@@ -130,21 +136,27 @@ def _mesh(grid: Grid) -> dict[str, Rows]:
 def _mesh_xml(grid: Grid, file: str) -> str:
     mesh = _mesh(grid)
     count, nodes = mesh["cells"].shape
-    return (f'<Topology TopologyType="{grid.kind}" NumberOfElements="{count}" '
-            f'NodesPerElement="{nodes}">{_item(mesh["cells"], f"{file}:/cells")}</Topology>\n'
-            f'<Geometry GeometryType="XYZ">{_item(mesh["points"], f"{file}:/points")}'
-            '</Geometry>\n')
+    return (
+        f'<Topology TopologyType="{grid.kind}" NumberOfElements="{count}" '
+        f'NodesPerElement="{nodes}">{_item(mesh["cells"], f"{file}:/cells")}</Topology>\n'
+        f'<Geometry GeometryType="XYZ">{_item(mesh["points"], f"{file}:/points")}'
+        "</Geometry>\n"
+    )
 
 
 def _attribute(name: str, rows: Rows, file: str) -> str:
     field = FIELDS[name]
-    return (f'<Attribute Name={quoteattr(name)} AttributeType="{field.shape.capitalize()}" '
-            f'Center="{field.centre.capitalize()}">{_item(rows, f"{file}:/{name}")}'
-            '</Attribute>\n')
+    return (
+        f'<Attribute Name={quoteattr(name)} AttributeType="{field.shape.capitalize()}" '
+        f'Center="{field.centre.capitalize()}">{_item(rows, f"{file}:/{name}")}'
+        "</Attribute>\n"
+    )
 
 
 def _item(rows: Rows, place: str) -> str:
     count, columns = rows.shape
     kind = "Float" if rows.values.dtype.kind == "f" else "Int"
-    return (f'<DataItem Dimensions="{count} {columns}" NumberType="{kind}" '
-            f'Precision="{rows.values.itemsize}" Format="HDF">{escape(place)}</DataItem>')
+    return (
+        f'<DataItem Dimensions="{count} {columns}" NumberType="{kind}" '
+        f'Precision="{rows.values.itemsize}" Format="HDF">{escape(place)}</DataItem>'
+    )

@@ -1,0 +1,1 @@
+"""How it is solved: assembly, Newton, statics and dynamics."""

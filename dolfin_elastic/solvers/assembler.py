@@ -41,12 +41,16 @@ class Assembler:
         gap: Largest |x - g| over prescribed entries at the last residual [m].
     """
 
-    def __init__(self, problem: Problem, *, extra: ufl.Form | None = None,
-                 extra_tangent: ufl.Form | None = None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        extra: ufl.Form | None = None,
+        extra_tangent: ufl.Form | None = None,
+    ) -> None:
         self.problem, self.comm = problem, problem.body.comm
         residual = problem.residual if extra is None else problem.residual + extra
-        tangent = (problem.tangent if extra_tangent is None
-                   else problem.tangent + extra_tangent)
+        tangent = problem.tangent if extra_tangent is None else problem.tangent + extra_tangent
         forms = [residual, tangent]
         if problem.external is not None:
             forms.append(problem.external)
@@ -100,7 +104,9 @@ class Assembler:
             self.put(x)
             self.assemble_balance()
             wanted = self.problem.prescribed.values.x.array[self._fixed]
-            difference = self.problem.u.x.array[self._fixed] - (wanted if target is None else target)
+            difference = self.problem.u.x.array[self._fixed] - (
+                wanted if target is None else target
+            )
             out = self.balance.array[: self.size]
             self._measure(out, difference)
             if self.gap > 0.0 and np.isfinite(self.free):

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Any, Literal
 
-import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
@@ -97,9 +96,15 @@ class Dynamics:
         petsc: PETSc options, which win over everything.
     """
 
-    def __init__(self, problem: Problem, settings: DynamicsSettings | None = None, *,
-                 linear: LinearSettings | None = None, petsc: Mapping[str, Any] | None = None,
-                 **fields: Any) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        settings: DynamicsSettings | None = None,
+        *,
+        linear: LinearSettings | None = None,
+        petsc: Mapping[str, Any] | None = None,
+        **fields: Any,
+    ) -> None:
         self.problem = problem
         self.settings = settings or DynamicsSettings(**fields)
         self.linear = linear or LinearSettings()
@@ -116,8 +121,9 @@ class Dynamics:
         s = self.settings
         set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
         if s.scheme == "symplectic-euler":
-            yield from SymplecticEuler(self.problem, self.velocity, end=s.end, dt=s.dt,
-                                       safety=s.safety, every=s.every).steps()
+            yield from SymplecticEuler(
+                self.problem, self.velocity, end=s.end, dt=s.dt, safety=s.safety, every=s.every
+            ).steps()
         else:
             yield from self._implicit()
 
@@ -152,21 +158,34 @@ class _Alpha:
         self._F = self.assembler.create_vector()
         self._U, self._V = self.assembler.create_vector(), self.assembler.create_vector()
         s = self.settings
-        self.newton = Newton(self.assembler, choice, Tolerance(s.rtol, s.atol, s.max_iterations),
-                             defaults={"snes_linesearch_type": "bt"}, users=dynamics.petsc,
-                             snes=self.ts.getSNES(), to_first=True)
+        self.newton = Newton(
+            self.assembler,
+            choice,
+            Tolerance(s.rtol, s.atol, s.max_iterations),
+            defaults={"snes_linesearch_type": "bt"},
+            users=dynamics.petsc,
+            snes=self.ts.getSNES(),
+            to_first=True,
+        )
         self.options = Options(self._defaults(), dynamics.petsc)
         self._configure()
         self._from = self._to = problem.prescribed.values.x.array[problem.prescribed.owned]
         self._external_work = 0.0
+        self._start, self._known_dt = 0.0, 0.0
+        self._newton = self._krylov = 0
 
     def _defaults(self) -> dict[str, Any]:
         s = self.settings
         adapt: dict[str, Any] = {"ts_adapt_type": "basic" if s.adaptive else "none"}
         if s.adaptive:
             adapt |= {"ts_rtol": s.tolerance, "ts_atol": s.tolerance * 1e-3}
-        return {"ts_alpha_radius": s.spectral_radius, "ts_max_snes_failures": 8, **adapt,
-                "snes_linesearch_type": "bt", **self.newton.choice.options}
+        return {
+            "ts_alpha_radius": s.spectral_radius,
+            "ts_max_snes_failures": 8,
+            **adapt,
+            "snes_linesearch_type": "bt",
+            **self.newton.choice.options,
+        }
 
     def _configure(self) -> None:
         ts = self.ts
@@ -189,16 +208,27 @@ class _Alpha:
 
     # --- what TS asks for ---
 
-    def _function(self, ts: PETSc.TS, t: float, U: PETSc.Vec, V: PETSc.Vec, A: PETSc.Vec,
-                  F: PETSc.Vec) -> None:
+    def _function(
+        self, ts: PETSc.TS, t: float, U: PETSc.Vec, V: PETSc.Vec, A: PETSc.Vec, F: PETSc.Vec
+    ) -> None:
         self.problem.set_time(t)
         self.a.x.array[: self.assembler.size] = A.array_r
         self.a.x.scatter_forward()
         share = (t - self._start) / self._dt()
         self.assembler.residual(U, F, target=(1 - share) * self._from + share * self._to)
 
-    def _jacobian(self, ts: PETSc.TS, t: float, U: PETSc.Vec, V: PETSc.Vec, A: PETSc.Vec,
-                  shift_v: float, shift_a: float, J: PETSc.Mat, P: PETSc.Mat) -> None:
+    def _jacobian(
+        self,
+        ts: PETSc.TS,
+        t: float,
+        U: PETSc.Vec,
+        V: PETSc.Vec,
+        A: PETSc.Vec,
+        shift_v: float,
+        shift_a: float,
+        J: PETSc.Mat,
+        P: PETSc.Mat,
+    ) -> None:
         self.shift.value = shift_a
         self.assembler.tangent(U)
         self.newton.note_tangent(P)
@@ -251,7 +281,8 @@ class _Alpha:
         if reason < 0:
             raise ConvergenceError(
                 f"no solution for the step from t = {t:.6g} s: {ts_reason(reason)}",
-                advice="a smaller dt, or a spectral_radius below 1")
+                advice="a smaller dt, or a spectral_radius below 1",
+            )
         U, V = ts.getSolution2()
         self.assembler.put(U)
         self.v.x.array[: self.assembler.size] = V.array_r
@@ -269,20 +300,31 @@ class _Alpha:
     def _energies(self) -> dict[str, float]:
         kinetic, self._linear, self._angular = self.measure.measure()
         strain = self.strain.energy()
-        return {"strain": strain, "kinetic": kinetic, "total": strain + kinetic,
-                "external": self._external_work}
+        return {
+            "strain": strain,
+            "kinetic": kinetic,
+            "total": strain + kinetic,
+            "external": self._external_work,
+        }
 
     def _state(self, step: int, t: float) -> State:
         energies = self._energies()
         first = step == 0
         return State(
-            step=step, t=t, u=self.problem.u, v=self.v,
-            newton=0 if first else self._newton, krylov=0 if first else self._krylov,
+            step=step,
+            t=t,
+            u=self.problem.u,
+            v=self.v,
+            newton=0 if first else self._newton,
+            krylov=0 if first else self._krylov,
             reason="initial state" if first else "converged",
-            residuals=tuple(self.newton.progress.residuals), energies=energies,
+            residuals=tuple(self.newton.progress.residuals),
+            energies=energies,
             reactions=self.assembler.reactions(),
             momenta={"linear": self._linear, "angular": self._angular},
-            max_displacement=self.assembler.max_displacement(), done=t / self.settings.end)
+            max_displacement=self.assembler.max_displacement(),
+            done=t / self.settings.end,
+        )
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""

@@ -46,11 +46,23 @@ class SymplecticEuler:
             above the stable step.
     """
 
-    def __init__(self, problem: Problem, v: fem.Function, *, end: float, dt: float | None,
-                 safety: float, every: int) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        v: fem.Function,
+        *,
+        end: float,
+        dt: float | None,
+        safety: float,
+        every: int,
+    ) -> None:
         if problem.degree != 1:
-            raise InputError("'symplectic-euler' needs linear elements: quadratic ones have no "
-                             "positive lumped mass", where="mesh.degree", expected="degree = 1")
+            raise InputError(
+                "'symplectic-euler' needs linear elements: quadratic ones have no "
+                "positive lumped mass",
+                where="mesh.degree",
+                expected="degree = 1",
+            )
         self.problem, self.v, self.end, self.every = problem, v, end, every
         self.safety, self._chosen = safety, dt
         self.assembler = Assembler(problem)
@@ -97,9 +109,12 @@ class SymplecticEuler:
             log.info("stable step %.4g s, taken %.4g s (safety %g)", stable, dt, self.safety)
             return dt
         if self._chosen > stable:
-            raise InputError(f"{self._chosen:.4g} s is above the stable step, {stable:.4g} s",
-                             where="dynamics.dt", expected="leave dt out to have it chosen, or "
-                             f"give at most {self.safety * stable:.3g} s")
+            raise InputError(
+                f"{self._chosen:.4g} s is above the stable step, {stable:.4g} s",
+                where="dynamics.dt",
+                expected="leave dt out to have it chosen, or "
+                f"give at most {self.safety * stable:.3g} s",
+            )
         return self._chosen
 
     def _recheck(self, t: float) -> None:
@@ -110,7 +125,8 @@ class SymplecticEuler:
             raise StabilityError(
                 f"at t = {t:.6g} s the stable step has fallen to {stable:.4g} s, below "
                 f"dt = {self._chosen:.4g} s, because the body has deformed",
-                advice="leave dt out to have it follow the stable step")
+                advice="leave dt out to have it follow the stable step",
+            )
 
     # --- the loop ---
 
@@ -169,15 +185,28 @@ class SymplecticEuler:
         kinetic, linear, angular = self.measure.measure()
         self._add_work()
         if not np.isfinite(kinetic):
-            raise StabilityError(f"the motion has no finite velocity at t = {t:.6g} s",
-                                 advice="a smaller dt or safety")
+            raise StabilityError(
+                f"the motion has no finite velocity at t = {t:.6g} s",
+                advice="a smaller dt or safety",
+            )
         strain = self.strain.energy()
         return State(
-            step=step, t=t, u=self.problem.u, v=self.v, reason="explicit",
-            energies={"strain": strain, "kinetic": kinetic, "total": strain + kinetic,
-                      "external": self._external_work},
-            reactions=self.assembler.reactions(), momenta={"linear": linear, "angular": angular},
-            max_displacement=self.assembler.max_displacement(), done=t / self.end)
+            step=step,
+            t=t,
+            u=self.problem.u,
+            v=self.v,
+            reason="explicit",
+            energies={
+                "strain": strain,
+                "kinetic": kinetic,
+                "total": strain + kinetic,
+                "external": self._external_work,
+            },
+            reactions=self.assembler.reactions(),
+            momenta={"linear": linear, "angular": angular},
+            max_displacement=self.assembler.max_displacement(),
+            done=t / self.end,
+        )
 
 
 def _largest_eigenvalue(matrix: PETSc.Mat, symmetric: bool) -> float:

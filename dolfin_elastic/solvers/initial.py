@@ -9,6 +9,7 @@ from dolfinx import fem
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.model.components import Component
+from dolfin_elastic.parallel import agree, total
 from dolfin_elastic.problem import Problem
 
 Vector = npt.NDArray[np.float64]
@@ -30,8 +31,13 @@ def nodal(V: fem.FunctionSpace, values: tuple[Component, ...], where: str) -> Ve
     return out.reshape(-1)
 
 
-def set_initial(problem: Problem, v: fem.Function, displacement: tuple[Component, ...],
-                velocity: tuple[Component, ...], span: float) -> None:
+def set_initial(
+    problem: Problem,
+    v: fem.Function,
+    displacement: tuple[Component, ...],
+    velocity: tuple[Component, ...],
+    span: float,
+) -> None:
     """Puts a problem into its initial state. Collective.
 
     Prescribed entries start where, and as fast as, their supports say.
@@ -45,10 +51,10 @@ def set_initial(problem: Problem, v: fem.Function, displacement: tuple[Component
     """
     u, held = problem.u, problem.prescribed
     if displacement:
-        u.x.array[:] = nodal(problem.V, displacement, "dynamics.initial_displacement")
+        _put(problem, u, displacement, "dynamics.initial_displacement")
     v.x.array[:] = 0.0
     if velocity:
-        v.x.array[:] = nodal(problem.V, velocity, "dynamics.initial_velocity")
+        _put(problem, v, velocity, "dynamics.initial_velocity")
     moment = 1e-7 * span
     problem.set_time(moment)
     later = held.values.x.array[held.dofs].copy()
@@ -58,3 +64,23 @@ def set_initial(problem: Problem, v: fem.Function, displacement: tuple[Component
     v.x.array[held.dofs] = (later - u.x.array[held.dofs]) / moment
     u.x.scatter_forward()
     v.x.scatter_forward()
+    _check_finite(problem, "displacement", u)
+    _check_finite(problem, "velocity", v)
+
+
+def _put(problem: Problem, field: fem.Function, values: tuple[Component, ...], where: str) -> None:
+    """Nodal values; a formula that fails on one rank fails on all. Collective."""
+    error = None
+    try:
+        field.x.array[:] = nodal(problem.V, values, where)
+    except InputError as caught:
+        error = caught
+    agree(problem.body.comm, error)
+
+
+def _check_finite(problem: Problem, what: str, field: fem.Function) -> None:
+    bad = int(total(problem.body.comm, int(~np.isfinite(field.x.array).all())))
+    if bad:
+        raise InputError(
+            "the formula is not finite at some nodes", where=f"dynamics.initial_{what}"
+        )

@@ -65,14 +65,20 @@ def choose(problem: Problem, settings: LinearSettings) -> Choice:
         kind = "Cholesky-like LDL^T" if symmetric else "LU"
         return Choice(True, _direct(symmetric), f"direct solver (MUMPS, {kind}): {size}")
     krylov = "CG" if symmetric else "GMRES"
-    grid = "GAMG with rigid-body modes" if problem.degree == 1 else \
-        "multigrid from quadratic to linear elements, then GAMG with rigid-body modes"
-    return Choice(False, _iterative(problem, symmetric), f"iterative solver ({krylov}, {grid}): {size}")
+    grid = (
+        "GAMG with rigid-body modes"
+        if problem.degree == 1
+        else "multigrid from quadratic to linear elements, then GAMG with rigid-body modes"
+    )
+    return Choice(
+        False, _iterative(problem, symmetric), f"iterative solver ({krylov}, {grid}): {size}"
+    )
 
 
 def _direct(symmetric: bool) -> dict[str, Any]:
     return {
-        "ksp_type": "preonly", "pc_type": "cholesky" if symmetric else "lu",
+        "ksp_type": "preonly",
+        "pc_type": "cholesky" if symmetric else "lu",
         "pc_factor_mat_solver_type": "mumps",
         "mat_mumps_icntl_14": 50,  # room for pivoting on indefinite tangents
         "mat_mumps_icntl_20": 0,  # PETSc's distributed right-hand side can fail (dolfinx#4362)
@@ -80,7 +86,7 @@ def _direct(symmetric: bool) -> dict[str, Any]:
 
 
 def _iterative(problem: Problem, symmetric: bool) -> dict[str, Any]:
-    krylov = {
+    krylov: dict[str, Any] = {
         "ksp_type": "cg" if symmetric else "gmres",
         "ksp_max_it": 500,
         # Setting multigrid up costs as much as many iterations: once a load step is enough.
@@ -94,7 +100,7 @@ def _iterative(problem: Problem, symmetric: bool) -> dict[str, Any]:
     return {**krylov, "pc_type": "python", **QUADRATIC}
 
 
-GMRES = {"ksp_type": "gmres", "ksp_gmres_restart": 100, "ksp_pc_side": "right"}
+GMRES: dict[str, Any] = {"ksp_type": "gmres", "ksp_gmres_restart": 100, "ksp_pc_side": "right"}
 
 GAMG: dict[str, Any] = {
     "pc_gamg_threshold": 0.01,
@@ -114,8 +120,10 @@ QUADRATIC: dict[str, Any] = {
 """Options of `QuadraticMultigrid`, whose own prefix is `two_`."""
 
 
-def rigid_body_modes(V: fem.FunctionSpace, u: npt.NDArray[np.float64] | None = None,
-                     ) -> PETSc.NullSpace:
+def rigid_body_modes(
+    V: fem.FunctionSpace,
+    u: npt.NDArray[np.float64] | None = None,
+) -> PETSc.NullSpace:
     """Orthonormal translations and rotations of a vector space, as a near null space.
 
     Collective.  The caller destroys it.
@@ -130,7 +138,7 @@ def rigid_body_modes(V: fem.FunctionSpace, u: npt.NDArray[np.float64] | None = N
     x = V.tabulate_dof_coordinates()[:size, :dim].copy()
     if u is not None:
         x += u[: dim * size].reshape(-1, dim)
-    planes = [(0, 1)] if dim == 2 else [(0, 1), (1, 2), (2, 0)]  # noqa: PLR2004
+    planes = [(0, 1)] if dim == 2 else [(0, 1), (1, 2), (2, 0)]
     modes = [la.vector(index_map, bs=dim) for _ in range(dim + len(planes))]
     for k, mode in enumerate(modes):
         rows = mode.array[: dim * size].reshape(-1, dim)
@@ -181,7 +189,7 @@ class QuadraticMultigrid:
         rows.destroy()
         columns.destroy()
 
-    def setUp(self, pc: PETSc.PC) -> None:  # noqa: N802  the name PETSc calls
+    def setUp(self, pc: PETSc.PC) -> None:
         """Makes the coarse tangent anew and sets both levels up. Collective."""
         _, matrix = pc.getOperators()
         first = self._coarse is None

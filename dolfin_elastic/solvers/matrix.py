@@ -47,9 +47,15 @@ class TangentMatrix:
         bs = self._form.function_spaces[0].dofmap.index_map_bs
         sizes = ((rows, None), (rows, None))
         matrix = PETSc.Mat().createAIJ(
-            sizes, bsize=bs, comm=self._form.mesh.comm,
-            csr=(start.astype(PETSc.IntType), columns.astype(PETSc.IntType),
-                 np.zeros(len(columns))))
+            sizes,
+            bsize=bs,
+            comm=self._form.mesh.comm,
+            csr=(
+                start.astype(PETSc.IntType),
+                columns.astype(PETSc.IntType),
+                np.zeros(len(columns)),
+            ),
+        )
         matrix.assemble()
         return matrix
 
@@ -105,8 +111,11 @@ def _fill(matrix: PETSc.Mat, own: Values, others: Values) -> None:
 
 def _off_diagonal(matrix: PETSc.Mat) -> int:
     own, others = ctypes.c_void_p(), ctypes.c_void_p()
-    _check(_library().MatMPIAIJGetSeqAIJ(ctypes.c_void_p(matrix.handle), ctypes.byref(own),
-                                         ctypes.byref(others), None))
+    _check(
+        _library().MatMPIAIJGetSeqAIJ(
+            ctypes.c_void_p(matrix.handle), ctypes.byref(own), ctypes.byref(others), None
+        )
+    )
     assert others.value is not None
     return others.value
 

@@ -15,7 +15,7 @@ Vector = npt.NDArray[np.float64]
 
 
 def _cross(r: ufl.core.expr.Expr, w: ufl.core.expr.Expr) -> list[ufl.core.expr.Expr]:
-    if len(r) == 2:  # noqa: PLR2004
+    if len(r) == 2:
         return [r[0] * w[1] - r[1] * w[0]]
     c = ufl.cross(r, w)
     return [c[0], c[1], c[2]]
@@ -50,8 +50,13 @@ class ConsistentMass:
         x = ufl.SpatialCoordinate(problem.body.mesh) + problem.u
         terms = [ufl.inner(v, v) / 2, *v, *_cross(x, v)]
         degree = 2 * problem.degree + 1
-        forms = [sum(problem.density(part) * term * problem.volume(part, degree)
-                     for part in problem.parts) for term in terms]
+        forms = [
+            sum(
+                problem.density(part) * term * problem.volume(part, degree)
+                for part in problem.parts
+            )
+            for term in terms
+        ]
         self._problem, self._forms = problem, compiled(problem, forms)
 
     def measure(self) -> tuple[float, Vector, Vector]:
@@ -83,8 +88,11 @@ class LumpedMass:
         v = self._v.x.array[: self._mass.size].reshape(shape)
         p = self._mass * v
         x = self._X[:, : shape[1]] + u
-        spin = np.atleast_2d(np.cross(x, p).T).sum(axis=1) if shape[1] == 3 else (  # noqa: PLR2004
-            np.array([np.sum(x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0])]))
+        spin = (
+            np.atleast_2d(np.cross(x, p).T).sum(axis=1)
+            if shape[1] == 3
+            else (np.array([np.sum(x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0])]))
+        )
         local = np.concatenate([[0.5 * np.sum(p * v)], p.sum(axis=0), spin])
         sums = self._problem.body.comm.allreduce(local, op=MPI.SUM)
         return float(sums[0]), sums[1 : 1 + shape[1]], sums[1 + shape[1] :]

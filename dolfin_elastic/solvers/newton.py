@@ -26,6 +26,13 @@ FORCING = 1e-3
 """Relative tolerance of a linear solve inside Newton: tighter ones cost more than they save."""
 
 
+STALL = 6
+"""Backtracking iterations over which the residual has to fall by a third."""
+
+HOPELESS = 1e8
+"""Growth of the residual from which no Newton iteration comes back."""
+
+
 @dataclass
 class Progress:
     """What one Newton solve went through.
@@ -79,13 +86,22 @@ class Newton:
             where inertia may balance everything without loads or reactions.
     """
 
-    def __init__(self, assembler: Assembler, choice: Choice, tolerance: Tolerance, *,
-                 defaults: Mapping[str, Any] | None = None, users: Mapping[str, Any] | None = None,
-                 snes: PETSc.SNES | None = None, to_first: bool = False) -> None:
+    def __init__(
+        self,
+        assembler: Assembler,
+        choice: Choice,
+        tolerance: Tolerance,
+        *,
+        defaults: Mapping[str, Any] | None = None,
+        users: Mapping[str, Any] | None = None,
+        snes: PETSc.SNES | None = None,
+        to_first: bool = False,
+    ) -> None:
         self.assembler, self.choice, self.tolerance = assembler, choice, tolerance
         self.progress, self._to_first = Progress(), to_first
         self._external = 0.0
-        self._floor = 0.0
+        self._floor = self._first = 0.0
+        self._line_search = ""
         body = assembler.problem.body
         self._span = _diagonal(body)
         self._cell_size = self._span / body.num_cells ** (1 / body.dim)
@@ -175,6 +191,7 @@ class Newton:
         Args:
             line_search: PETSc's name of it.
         """
+        self._line_search = line_search
         with stage("solve"), self.options.in_force(snes_linesearch_type=line_search):
             self.snes.setFromOptions()
             self.begin()
@@ -220,24 +237,37 @@ class Newton:
             reference = max(reference, p.residuals[0])
         return max(self.tolerance.rtol * reference, self.tolerance.atol, self._floor)
 
-    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float],
-              ) -> int:
+    def _test(
+        self,
+        snes: PETSc.SNES,
+        iteration: int,
+        norms: tuple[float, float, float],
+    ) -> int:
         a = self.assembler
         if iteration == 0:
             self.progress.residuals.clear()
+            self._first = norms[2]
         self.progress.residuals.append(a.free)
-        if not np.isfinite(norms[2]) or self._hopeless():
+        if not norms[2] <= HOPELESS * max(self._first, self._target()):  # NaN, too
             return int(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
-        held = a.gap <= 1e-12 * self._span  # noqa: PLR2004
+        held = a.gap <= 1e-12 * self._span
         if held and a.free <= self._target():
             return int(PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE)
+        if self._stalled():
+            return int(PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH)
         if iteration >= self.tolerance.max_iterations:
             return int(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
         return 0
 
-    def _hopeless(self) -> bool:
-        """The residual has grown beyond recovery."""
-        return self.progress.residuals[-1] > 1e6 * max(self.progress.residuals[0], self._target())
+    def _stalled(self) -> bool:
+        """Backtracking takes ever smaller steps: a smaller load step gets there sooner."""
+        norms = self.progress.residuals
+        return (
+            self._line_search == "bt"
+            and not self._to_first
+            and len(norms) > STALL
+            and norms[-1] > 0.7 * norms[-1 - STALL]
+        )
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""

@@ -26,8 +26,7 @@ class Options:
     """
 
     def __init__(self, defaults: Mapping[str, Any], users: Mapping[str, Any]) -> None:
-        self.users = {name.lstrip("-").removeprefix(PREFIX): value
-                      for name, value in users.items()}
+        self.users = {name.lstrip("-").removeprefix(PREFIX): value for name, value in users.items()}
         self._all = {**defaults, **self.users}
         self._reported = False
 
@@ -68,8 +67,11 @@ def _was_used(name: str) -> bool:
 
 
 def _names(enumeration: type) -> dict[int, str]:
-    return {value: name for name, value in vars(enumeration).items()
-            if isinstance(value, int) and not name.startswith("_")}
+    return {
+        value: name
+        for name, value in vars(enumeration).items()
+        if isinstance(value, int) and not name.startswith("_")
+    }
 
 
 def snes_reason(number: int) -> str:

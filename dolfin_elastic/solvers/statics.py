@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from dolfinx import fem
 from pydantic import Field
 
 from dolfin_elastic.errors import ConvergenceError
@@ -43,7 +42,7 @@ class StaticsSettings(Record):
     rtol: float = Field(default=1e-8, gt=0, lt=1)
     atol: float = Field(default=0.0, ge=0)
     max_iterations: int = Field(default=30, ge=1)
-    min_step: float = Field(default=1 / 64, gt=0, le=1)
+    min_step: float = Field(default=1e-3, gt=0, le=1)
 
 
 class Statics:
@@ -56,9 +55,15 @@ class Statics:
         petsc: PETSc options, which win over everything.
     """
 
-    def __init__(self, problem: Problem, settings: StaticsSettings | None = None, *,
-                 linear: LinearSettings | None = None, petsc: Mapping[str, Any] | None = None,
-                 **fields: Any) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        settings: StaticsSettings | None = None,
+        *,
+        linear: LinearSettings | None = None,
+        petsc: Mapping[str, Any] | None = None,
+        **fields: Any,
+    ) -> None:
         self.problem = problem
         self.settings = settings or StaticsSettings(**fields)
         self.linear = linear or LinearSettings()
@@ -102,7 +107,7 @@ class _Stepping:
         with stage("assemble"):
             self.assembler.assemble_balance()
         yield self._state(t, Progress(reason="initial state"))
-        while t < 1.0 - 1e-12:  # noqa: PLR2004
+        while t < 1.0 - 1e-12:
             goal = _next_planned(t, planned, size)
             progress = self._attempt(t, goal)
             if progress.converged:
@@ -130,7 +135,7 @@ class _Stepping:
             self._refuse_inverted(progress)
             if progress.converged:
                 return progress
-            log.info("line search '%s' fails: %s", line_search, progress.reason)
+            log.debug("line search '%s' fails: %s", line_search, progress.reason)
         self._failed = u.copy()
         u[:] = start
         return progress
@@ -138,40 +143,53 @@ class _Stepping:
     def _refuse_inverted(self, progress: Progress) -> None:
         if progress.converged and (worst := self._watch.smallest())[0] <= 0.0:
             progress.converged = False
-            progress.reason = (f"a cell turned inside out (det F = {worst[0]:.3g}, "
-                               f"at {_text(worst[1])} m)")
+            progress.reason = (
+                f"a cell turned inside out (det F = {worst[0]:.3g}, at {_text(worst[1])} m)"
+            )
 
     def _smaller(self, t: float, goal: float, planned: float, progress: Progress) -> float:
         """Half the step that failed, or the error when that is too small."""
         size = (goal - t) / 2
-        log.warning("no equilibrium at load factor %.6g after %d iterations: %s",
-                    goal, progress.newton, progress.reason)
         if size >= planned * self.settings.min_step:
-            log.warning("trying again with half the step")
+            log.warning(
+                "no equilibrium at load factor %.6g (%s): half the step", goal, progress.reason
+            )
             return size
         force, place = self.assembler.largest_unbalance()
         self.problem.u.x.array[:] = self._failed
         raise ConvergenceError(
-            f"no equilibrium beyond load factor {t:.6g}: {progress.reason} after {progress.newton} "
-            f"Newton iterations; the largest force out of balance, {force:.3g} N, is at "
-            f"{_text(place)} m", advice=_advice(progress))
+            f"no equilibrium beyond load factor {t:.6g}: {progress.reason}, Newton iterations: "
+            f"{progress.newton}; the largest force out of balance, {force:.3g} N, is at "
+            f"{_text(place)} m",
+            advice=_advice(progress),
+            state=self._state(goal, progress),
+        )
 
     def _state(self, t: float, progress: Progress) -> State:
         problem, assembler = self.problem, self.assembler
         strain = np.nan if self._energy is None else integral(problem, self._energy)
         self._count += 1
         return State(
-            step=self._count - 1, t=t, load_factor=t, u=problem.u, newton=progress.newton,
-            krylov=progress.krylov, reason=progress.reason, residuals=tuple(progress.residuals),
-            energies={"strain": strain}, reactions=assembler.reactions(),
-            max_displacement=assembler.max_displacement(), done=t)
+            step=self._count - 1,
+            t=t,
+            load_factor=t,
+            u=problem.u,
+            newton=progress.newton,
+            krylov=progress.krylov,
+            reason=progress.reason,
+            residuals=tuple(progress.residuals),
+            energies={"strain": strain},
+            reactions=assembler.reactions(),
+            max_displacement=assembler.max_displacement(),
+            done=t,
+        )
 
 
 def _next_planned(t: float, planned: float, size: float) -> float:
     """The end of a step of `size`, at most the next planned load factor."""
-    following = (np.floor(t / planned + 1e-9) + 1) * planned  # noqa: PLR2004
+    following = (np.floor(t / planned + 1e-9) + 1) * planned
     goal = min(t + size, following)
-    return 1.0 if abs(goal - 1.0) < 1e-9 else float(goal)  # noqa: PLR2004
+    return 1.0 if abs(goal - 1.0) < 1e-9 else float(goal)
 
 
 def _text(place: Any) -> str:
@@ -180,8 +198,10 @@ def _text(place: Any) -> str:
 
 def _advice(progress: Progress) -> str:
     if "LINEAR_SOLVE" in progress.reason:
-        return ("is the body held against every rigid motion? Otherwise "
-                'solver.method = "direct" or a smaller load')
+        return (
+            "is the body held against every rigid motion? Otherwise "
+            'solver.method = "direct" or a smaller load'
+        )
     if "inside out" in progress.reason or "NAN" in progress.reason:
         return "more load steps, a smaller load, or a finer mesh where the cells are crushed"
     return "more load steps or a smaller load; beyond a limit point no static equilibrium exists"

@@ -24,5 +24,4 @@ class NeoHookean(Isotropic):
     def energy(self, F: Expr) -> Expr:
         """See the class."""
         log_J = ufl.ln(ufl.det(F))
-        return (self.mu / 2 * (ufl.inner(F, F) - 3) - self.mu * log_J
-                + self.lmbda / 2 * log_J**2)
+        return self.mu / 2 * (ufl.inner(F, F) - 3) - self.mu * log_J + self.lmbda / 2 * log_J**2

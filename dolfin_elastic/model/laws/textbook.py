@@ -30,7 +30,8 @@ class Textbook(Isotropic):
     frame_indifferent: ClassVar[bool] = False
     warning: ClassVar[str] = (
         "the law 'textbook' has no energy and is not frame-indifferent: its stress is wrong as "
-        "soon as the body turns; use 'st-venant-kirchhoff' for real work")
+        "soon as the body turns; use 'st-venant-kirchhoff' for real work"
+    )
 
     def stress(self, F: Expr) -> Expr:
         """First Piola-Kirchhoff stress, see the class."""

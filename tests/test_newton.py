@@ -1,0 +1,211 @@
+"""Newton's method: quadratic, forgiving (half steps), and clear about a failure."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dolfin_elastic import (
+    LinearElastic,
+    NeoHookean,
+    Problem,
+    Statics,
+    StVenantKirchhoff,
+    Support,
+    Traction,
+    rectangle_body,
+)
+from dolfin_elastic.errors import ConvergenceError
+from dolfin_elastic.model.law import Law
+from dolfin_elastic.model.materials import MATERIALS
+from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.state import State
+
+E, NU = 1e6, 0.3
+FREE = "free"
+
+
+def block(law: Law, **more: Any) -> Problem:
+    """A block that is pushed and sheared at its right end."""
+    body = rectangle_body(size=(1.0, 0.6), cells=(4, 3))
+    return Problem(body, law, supports=[Support(on="left", displacement=[0, 0])],
+                   loads=[Traction(on="right", value=[-0.02 * E, 0.02 * E])], **more)
+
+
+def stretched(law: Law, by: float) -> Problem:
+    """The same block, pulled by a prescribed displacement alone."""
+    body = rectangle_body(size=(1.0, 0.6), cells=(4, 3))
+    return Problem(body, law, supports=[Support(on="left", displacement=[0, 0]),
+                                        Support(on="right", displacement=[by, FREE])])
+
+
+def beam(alpha: float) -> Problem:
+    """A cantilever, L/h = 10, under a dead tip force alpha E I / L^2."""
+    L, h = 10.0, 1.0
+    force = alpha * E / (1 - NU**2) * h**3 / 12 / L**2
+    body = rectangle_body(size=(L, h), cells=(20, 2))
+    return Problem(body, NeoHookean(E=E, nu=NU), degree=2,
+                   supports=[Support(on="left", displacement=[0, 0])],
+                   loads=[Traction(on="right", value=[0, force / h])])
+
+
+def order(residuals: tuple[float, ...], floor: float) -> float:
+    """Order of convergence from the last three residuals above round-off."""
+    r = [x for x in residuals if x > floor]
+    assert len(r) >= 3, residuals
+    return float(np.log(r[-1] / r[-2]) / np.log(r[-2] / r[-3]))
+
+
+@pytest.mark.parametrize("load", ["traction", "displacement"])
+@pytest.mark.parametrize("name", [n for n, kind in MATERIALS.items() if not kind.linear])
+def test_quadratic(name, load):
+    law = MATERIALS[name](E=E, nu=NU)
+    problem = block(law) if load == "traction" else stretched(law, 0.2)
+    *_, state = Statics(problem, rtol=1e-13).steps()
+    # Round-off of the nodal forces of this mesh is 1e-10 N.
+    assert order(state.residuals, floor=1e-8) >= 1.8, state.residuals
+    assert state.newton <= 7
+    assert len(state.residuals) == state.newton + 1
+
+
+def test_linear_problems_take_one_iteration():
+    *_, state = Statics(block(LinearElastic(E=E, nu=NU)), rtol=1e-11).steps()
+    assert state.newton == 1
+    *_, state = Statics(stretched(LinearElastic(E=E, nu=NU), 0.2), rtol=1e-11).steps()
+    assert state.newton == 1
+
+
+def test_a_wrong_tangent_would_be_seen():
+    """The measure of order can fail: keeping the first tangent converges linearly."""
+    problem = block(NeoHookean(E=E, nu=NU))
+    lagged = Statics(problem, rtol=1e-10, max_iterations=60, petsc={"snes_lag_jacobian": -2})
+    *_, state = lagged.steps()
+    assert order(state.residuals, floor=1e-4) < 1.3, state.residuals
+
+
+def test_large_displacements_need_no_smaller_steps(caplog):
+    """A stretch of a half moves the boundary in one step: no retry, few iterations."""
+    with caplog.at_level(logging.INFO, logger="dolfin_elastic"):
+        states = [*Statics(stretched(NeoHookean(E=E, nu=NU), 0.5)).steps()]
+    assert [s.load_factor for s in states] == [0.0, 1.0]
+    assert states[-1].newton <= 7
+    assert "again" not in caplog.text
+    assert "fails" not in caplog.text
+
+
+# --- half steps ---
+
+def test_a_step_too_large_is_halved(caplog):
+    """With few iterations allowed, half steps get there, and to the same place."""
+    hasty, patient = beam(6.0), beam(6.0)
+    with caplog.at_level(logging.WARNING, logger="dolfin_elastic"):
+        states = [*Statics(hasty, max_iterations=5, rtol=1e-10).steps()]
+    factors = [s.load_factor for s in states]
+    assert factors[0] == 0.0
+    assert factors[-1] == 1.0
+    assert len(factors) > 3
+    assert all(b > a for a, b in zip(factors, factors[1:], strict=False))
+    assert "trying again with half the step" in caplog.text
+    assert all(s.newton <= 5 for s in states)
+    *_, last = Statics(patient, steps=10, rtol=1e-10).steps()
+    # Both are the same equilibrium to Newton's tolerance, quadratically below 1e-10.
+    assert states[-1].energies["strain"] == pytest.approx(last.energies["strain"], rel=1e-9)
+    assert states[-1].max_displacement == pytest.approx(last.max_displacement, rel=1e-9)
+
+
+def test_steps_grow_back_and_keep_to_the_plan():
+    states = [*Statics(beam(6.0), steps=2, max_iterations=5).steps()]
+    factors = [s.load_factor for s in states]
+    assert 0.5 in factors
+    assert factors[-1] == 1.0
+    sizes = np.diff(factors)
+    assert sizes.max() <= 0.5 + 1e-12
+
+
+# --- failure ---
+
+def crushed() -> Problem:
+    """St. Venant-Kirchhoff has no equilibrium beyond the limit load of 0.19 E in compression.
+
+    Free sides, no friction: P = E s (s^2 - 1)/2 for uniaxial stress has its extreme at
+    s = 1/sqrt(3); in plane strain E is E/(1 - nu^2).
+    """
+    body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
+    limit = E / (1 - NU**2) / (3 * np.sqrt(3))
+    return Problem(body, StVenantKirchhoff(E=E, nu=NU), supports=[
+        Support(on="left", displacement=[0, FREE]), Support(on="bottom", displacement=[FREE, 0])],
+        loads=[Traction(on="right", value=[-2 * limit, 0])])
+
+
+def test_failure_says_where_and_what_to_try():
+    states: list[State] = []
+    displacement = []
+    problem = crushed()
+    with pytest.raises(ConvergenceError) as caught:
+        for state in Statics(problem, steps=4, max_iterations=12, min_step=1 / 16).steps():
+            states.append(state)
+            displacement.append(state.max_displacement)
+    text = str(caught.value)
+    reached = states[-1].load_factor
+    # The limit load is half of what was asked for; steps end 1/64 of the load below it.
+    assert 0.5 - 2 / 64 <= reached <= 0.5
+    assert f"no equilibrium beyond load factor {reached:.6g}" in text
+    assert "Newton iterations" in text
+    assert " N, is at (" in text
+    assert "\n  try: " in text
+    assert caught.value.exit_code == 3
+    assert all(b > a for a, b in zip(displacement, displacement[1:], strict=False))
+
+
+def test_the_last_states_are_right_although_the_next_one_fails():
+    """Just below the limit point the stretch is that of the closed form."""
+    problem = crushed()
+    last = None
+    with pytest.raises(ConvergenceError):
+        for state in Statics(problem, steps=4, max_iterations=12, min_step=1 / 4,
+                             rtol=1e-12).steps():
+            last = state.load_factor, state.max_displacement, state.reactions["left"]
+    factor, _, reaction = last
+    pressure = factor * 2 * E / (1 - NU**2) / (3 * np.sqrt(3))
+    assert reaction[0] == pytest.approx(pressure, rel=1e-9)
+
+
+def test_a_body_that_is_not_held_is_named():
+    body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
+    problem = Problem(body, LinearElastic(E=E, nu=NU),
+                      loads=[Traction(on="right", value=[1.0, 0])])
+    with pytest.raises(ConvergenceError) as caught:
+        _ = [*Statics(problem, min_step=1.0).steps()]
+    assert "no equilibrium beyond load factor 0" in str(caught.value)
+    assert "try: " in str(caught.value)
+
+
+def test_no_mesh_inside_out_is_accepted():
+    """St. Venant-Kirchhoff has equilibria of inverted cells: they are refused by name."""
+    body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
+    law = StVenantKirchhoff(E=E, nu=NU)
+    problem = Problem(body, law, supports=[
+        Support(on="left", displacement=[0, 0]), Support(on="right", displacement=[-1.5, 0])])
+    with pytest.raises(ConvergenceError) as caught:
+        _ = [*Statics(problem, min_step=1 / 2).steps()]
+    assert "inside out (det F = -" in str(caught.value)
+
+
+# --- the user's options ---
+
+def test_options_of_the_user_win_and_leave_no_trace(caplog):
+    from petsc4py import PETSc
+
+    linear = LinearSettings(petsc={"ksp_type": "gmres", "pc_type": "lu"})
+    problem = block(NeoHookean(E=E, nu=NU))
+    before = dict(PETSc.Options().getAll())
+    with caplog.at_level(logging.WARNING, logger="dolfin_elastic"):
+        *_, state = Statics(problem, linear=linear, petsc={"snes_mistyped": 1}).steps()
+    assert state.krylov >= 0
+    assert dict(PETSc.Options().getAll()) == before
+    if problem.body.comm.rank == 0:
+        assert "snes_mistyped" in caplog.text
+        assert "'-elastic_ksp_type'" not in caplog.text
