@@ -31,7 +31,7 @@ def integration_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArr
 def interpolation_points(element: Any) -> npt.NDArray[np.float64]:
     """Interpolation points of an element: a method in 0.9, a property from 0.10."""
     points = element.interpolation_points
-    return points() if callable(points) else points  # type: ignore[no-any-return]
+    return points() if callable(points) else points
 
 
 def interpolation_matrix(coarse: fem.FunctionSpace, fine: fem.FunctionSpace) -> PETSc.Mat:

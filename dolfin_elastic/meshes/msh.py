@@ -65,7 +65,7 @@ class MshFile:
     notes: list[str]
 
 
-class OtherVersion(Exception):
+class OtherVersionError(Exception):
     """The file is of a version that only Gmsh itself reads."""
 
 
@@ -142,7 +142,7 @@ def read_msh(path: Path) -> MshFile:
 
     Raises:
         MeshError: The file is damaged.
-        OtherVersion: The file is of version 1, 3 or 4.0.
+        OtherVersionError: The file is of version 1, 3 or 4.0.
     """
     data = path.read_bytes()
     version, binary, swap = _header(data)
@@ -174,11 +174,11 @@ def _header(data: bytes) -> tuple[float, bool, bool]:
     )
     if head is None:
         if data.startswith(b"$NOD"):
-            raise OtherVersion("1")
+            raise OtherVersionError("1")
         raise MeshError("this is not a Gmsh mesh (no $MeshFormat at the start)")
     version, binary = float(head[1]), head[2] == b"1"
     if not (2 <= version < 3 or version == 4.1):
-        raise OtherVersion(head[1].decode())
+        raise OtherVersionError(head[1].decode())
     return version, binary, binary and head[4] == b"\0\0\0\1"
 
 

@@ -95,11 +95,11 @@ def _reader(
 
 
 def _msh(path: Path, dim: int | None) -> RawMesh:
-    from dolfin_elastic.meshes.msh import OtherVersion, read_msh
+    from dolfin_elastic.meshes.msh import OtherVersionError, read_msh
 
     try:
         found = read_msh(path)
-    except OtherVersion:
+    except OtherVersionError:
         from dolfin_elastic.meshes.cad import converted
 
         found = converted(path)

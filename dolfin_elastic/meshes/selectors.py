@@ -49,9 +49,9 @@ def _positive(value: float | str) -> float | str:
 
 
 def _level(value: float | str) -> float | str:
-    if isinstance(value, str) and value not in ("min", "max"):
-        if not any(sign.isdigit() for sign in value):
-            raise ValueError('should be "min", "max", a number, or a length such as "2 mm"')
+    word = isinstance(value, str) and not any(sign.isdigit() for sign in value)
+    if word and value not in ("min", "max"):
+        raise ValueError('should be "min", "max", a number, or a length such as "2 mm"')
     return value if value in ("min", "max") else _length(value)
 
 

@@ -6,6 +6,7 @@ In statics "time" is the load parameter, from 0 (nothing) to 1 (everything).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -78,7 +79,7 @@ def _from_table(rows: Any) -> Amplitude:
         raise InputError("a curve's table needs pairs [t, value]", expected=_EXPECTED)
     table = tuple((to_si(t, "s"), to_si(value, "")) for t, value in rows)
     times = [t for t, _ in table]
-    if any(later <= earlier for earlier, later in zip(times, times[1:], strict=False)):
+    if any(later <= earlier for earlier, later in pairwise(times)):
         raise InputError("the times of a curve's table must increase")
     return Amplitude(table)
 

@@ -80,6 +80,11 @@ class Law(Record):
         return 0 if degree == 1 else 2 * (degree - 1)
 
 
+def _to_come() -> float:
+    """Stands for a constant until the given ones have been read."""
+    return float("nan")
+
+
 class Isotropic(Law):
     """A law with the two constants of an isotropic solid: give any two of the five.
 
@@ -91,11 +96,13 @@ class Isotropic(Law):
         mu: Shear modulus [Pa].
     """
 
-    E: Stress = Field(default=None)
-    nu: Number = Field(default=None)
-    K: Stress = Field(default=None)
-    lmbda: Stress = Field(default=None, validation_alias=AliasChoices("lmbda", "lambda"))
-    mu: Stress = Field(default=None)
+    E: Stress = Field(default_factory=_to_come)
+    nu: Number = Field(default_factory=_to_come)
+    K: Stress = Field(default_factory=_to_come)
+    lmbda: Stress = Field(
+        default_factory=_to_come, validation_alias=AliasChoices("lmbda", "lambda")
+    )
+    mu: Stress = Field(default_factory=_to_come)
 
     def model_post_init(self, context: Any) -> None:
         """Fills in the three constants that were not given."""

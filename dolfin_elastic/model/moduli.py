@@ -73,7 +73,7 @@ def complete(**given: float) -> Moduli:
     E, nu, K = _engineering(lmbda, mu, given)
     if not (mu > 0 and K > 0 and math.isfinite(K)):
         raise _unstable(given)
-    return Moduli(**{**dict(E=E, nu=nu, K=K, lmbda=lmbda, mu=mu), **given})
+    return Moduli(**{**{"E": E, "nu": nu, "K": K, "lmbda": lmbda, "mu": mu}, **given})
 
 
 def _engineering(lmbda: float, mu: float, given: dict[str, float]) -> tuple[float, float, float]:

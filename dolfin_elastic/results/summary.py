@@ -16,12 +16,13 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from dolfin_elastic import timing
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.results.extremes import Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
 from dolfin_elastic.results.writer import Kept
 from dolfin_elastic.state import State
-from dolfin_elastic.version import __version__, timing
+from dolfin_elastic.version import __version__
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem import Problem

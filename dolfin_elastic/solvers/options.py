@@ -56,7 +56,7 @@ class Options:
 
 
 def _was_used(name: str) -> bool:
-    """PetscOptionsUsed (name without dash), which petsc4py does not offer; True where it cannot be asked."""
+    """PetscOptionsUsed (name without dash), which petsc4py lacks; True where it cannot ask."""
     try:
         ask = ctypes.CDLL(PETSc.__file__).PetscOptionsUsed
     except (OSError, AttributeError):

@@ -1,0 +1,79 @@
+"""Draws docs/duck.png: the duck of demos/duck before and after, on a finer mesh.
+
+    docker/run xvfb-run -a python3 docs/duck_picture.py
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyvista as pv
+from dolfinx.plot import vtk_mesh
+
+from dolfin_elastic import read_case
+from dolfin_elastic.case import Case
+from dolfin_elastic.results.evaluate import Evaluator
+
+ROOT = Path(__file__).resolve().parent.parent
+SIZE = 3.0
+APART = 0.125
+YELLOW, ORANGE, BLACK = "#ffcc1a", "#ff7a1a", "#202020"
+
+
+def squeezed():
+    """The surface, its displacement [m] and von Mises stress [kPa]."""
+    tables = read_case(ROOT / "demos/duck/case.toml").to_dict()
+    tables["mesh"]["size"] = SIZE
+    case = Case.from_dict(tables, folder=ROOT / "demos/duck")
+    problem = case.make_problem(case.read_body())
+    for state in case.make_solver(problem).steps():
+        print(f"load {100 * state.load_factor:.0f} %", flush=True)
+    grid = pv.UnstructuredGrid(*vtk_mesh(problem.V))
+    grid["u"] = state.u.x.array.reshape(-1, 3).copy()
+    grid["von Mises stress [kPa]"] = (
+        Evaluator(problem, ["von_mises_nodal"])(state)["von_mises_nodal"][:, 0] / 1e3)
+    return grid.extract_surface()
+
+
+def paint(surface):
+    """Colours of a toy: yellow, an orange beak, black eyes."""
+    x, y, z = surface.points.T * 1e3
+    colours = np.tile(pv.Color(YELLOW).int_rgb, (len(x), 1))
+    head = (x - 30) ** 2 + y**2 + (z - 68) ** 2 > 25.6**2
+    beak = (x > 46) & (abs(z - 64) < 8) & (abs(y) < 14) & head
+    eyes = head & (z > 72) & (x > 40)
+    colours[beak] = pv.Color(ORANGE).int_rgb
+    colours[eyes] = pv.Color(BLACK).int_rgb
+    surface["toy"] = colours.astype(np.uint8)
+
+
+def main():
+    """Two ducks side by side."""
+    surface = squeezed()
+    paint(surface)
+    plot = pv.Plotter(off_screen=True, window_size=[1800, 860])
+    plot.set_background("white")
+    plot.enable_anti_aliasing("ssaa")
+    plot.remove_all_lights()
+    for place, power in (((1, -0.9, 1.4), 0.75), ((1, 1.2, 0.5), 0.35), ((0.2, -1, 0.2), 0.25)):
+        plot.add_light(pv.Light(position=place, light_type="scene light", intensity=power))
+    look = dict(smooth_shading=True, split_sharp_edges=True, feature_angle=35, ambient=0.25,
+                diffuse=0.8, specular=0.25, specular_power=20)
+    plot.add_mesh(surface, scalars="toy", rgb=True, **look)
+    after = surface.copy()
+    after.points += after["u"] + [0.02 * 0, APART, 0]
+    values = after["von Mises stress [kPa]"]
+    plot.add_mesh(after, scalars="von Mises stress [kPa]", cmap="plasma",
+                  clim=[0, float(np.percentile(values, 99.5))],
+                  scalar_bar_args=dict(vertical=True, position_x=0.93, position_y=0.2, height=0.6,
+                                       width=0.03, fmt="%.0f", color="black", n_labels=5,
+                                       title_font_size=22, label_font_size=22), **look)
+    plot.view_vector((1.0, -0.42, 0.42), viewup=(0, 0, 1))
+    plot.enable_parallel_projection()
+    plot.camera.zoom(1.5)
+    plot.screenshot(ROOT / "docs/duck.png")
+
+
+if __name__ == "__main__":
+    main()
