@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pyvista as pv
 from dolfinx.plot import vtk_mesh
+from matplotlib.colors import LinearSegmentedColormap
 
 from dolfin_elastic import read_case
 from dolfin_elastic.case import Case
@@ -17,8 +18,9 @@ from dolfin_elastic.results.evaluate import Evaluator
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = 3.0
-APART = 0.125
+FROM, UP, APART = np.array([1.0, -0.42, 0.36]), np.array([0.0, 0.0, 1.0]), 0.125
 YELLOW, ORANGE, BLACK = "#ffcc1a", "#ff7a1a", "#202020"
+HEAT = LinearSegmentedColormap.from_list("heat", ["#ffe36b", "#ffb020", "#f0591e", "#b3122b", "#4a0530"])
 
 
 def squeezed():
@@ -52,7 +54,7 @@ def main():
     """Two ducks side by side."""
     surface = squeezed()
     paint(surface)
-    plot = pv.Plotter(off_screen=True, window_size=[1800, 860])
+    plot = pv.Plotter(off_screen=True, window_size=[1800, 800])
     plot.set_background("white")
     plot.enable_anti_aliasing("ssaa")
     plot.remove_all_lights()
@@ -62,16 +64,18 @@ def main():
                 diffuse=0.8, specular=0.25, specular_power=20)
     plot.add_mesh(surface, scalars="toy", rgb=True, **look)
     after = surface.copy()
-    after.points += after["u"] + [0.02 * 0, APART, 0]
+    right = np.cross(UP, FROM)
+    after.points += after["u"] + APART * right / np.linalg.norm(right)
     values = after["von Mises stress [kPa]"]
-    plot.add_mesh(after, scalars="von Mises stress [kPa]", cmap="plasma",
+    plot.add_mesh(after, scalars="von Mises stress [kPa]", cmap=HEAT,
                   clim=[0, float(np.percentile(values, 99.5))],
-                  scalar_bar_args=dict(vertical=True, position_x=0.93, position_y=0.2, height=0.6,
-                                       width=0.03, fmt="%.0f", color="black", n_labels=5,
+                  scalar_bar_args=dict(vertical=True, position_x=0.87, position_y=0.2, height=0.6,
+                                       width=0.035, fmt="%.0f", color="black", n_labels=5,
                                        title_font_size=22, label_font_size=22), **look)
-    plot.view_vector((1.0, -0.42, 0.42), viewup=(0, 0, 1))
+    plot.view_vector(FROM, viewup=UP)
     plot.enable_parallel_projection()
-    plot.camera.zoom(1.5)
+    plot.camera.zoom(1.75)
+    plot.camera.SetWindowCenter(0.08, 0.0)
     plot.screenshot(ROOT / "docs/duck.png")
 
 

@@ -457,7 +457,7 @@ def test_a_facet_outside_the_body_is_noted(folder: Path) -> None:
 @pytest.mark.parametrize("binary", [False, True])
 def test_damaged_gmsh_files_are_errors(folder: Path, version: float, binary: bool) -> None:
     """Cut at many places, and with bytes changed: read, or a MeshError, never anything else."""
-    from dolfin_elastic.meshes.msh import OtherVersion, read_msh
+    from dolfin_elastic.meshes.msh import OtherVersionError, read_msh
     from dolfin_elastic.meshes.raw import assemble
 
     def attempt() -> int:
@@ -476,7 +476,7 @@ def test_damaged_gmsh_files_are_errors(folder: Path, version: float, binary: boo
             try:
                 found = read_msh(bad)
                 assemble(found.points, found.blocks, source="bad.msh")
-            except (MeshError, OtherVersion):
+            except (MeshError, OtherVersionError):
                 refused += 1
         return refused
 

@@ -33,7 +33,8 @@ class JacobianWatch:
         """Smallest det F and the reference place of its cell [m]. Collective."""
         mesh = self._problem.body.mesh
         with stage("assemble"):
-            values = self._J.eval(mesh, self._cells).reshape(len(self._cells), -1).min(axis=1)
+            values = self._J.eval(mesh, self._cells)
+        values = values.reshape(len(self._cells), len(self._points)).min(axis=1)
         mine = (np.inf, np.zeros(3))
         if len(values):
             worst = int(np.argmin(values))

@@ -208,7 +208,7 @@ class QuadraticMultigrid:
         self._coarse.setBlockSizes(self._fixed.getBlockSize(), self._fixed.getBlockSize())
         if self._problem.has_energy:
             self._coarse.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self.refresh_modes()
+        self._attach_modes()
         self._pc = PETSc.PC().create(comm=matrix.comm)
         self._pc.setOptionsPrefix(pc.getOptionsPrefix() + "two_")
         self._pc.setOperators(matrix, matrix)
@@ -220,12 +220,20 @@ class QuadraticMultigrid:
         coarse.getPC().setType("gamg")
         self._pc.setFromOptions()
 
-    def refresh_modes(self) -> None:
-        """Gives the coarse tangent the rigid-body modes of the reference places."""
-        modes = rigid_body_modes(self._coarse_space)
-        if self._coarse is not None:
-            self._coarse.setNearNullSpace(modes)
+    def _attach_modes(self) -> None:
+        """Gives the coarse tangent the rigid-body modes of the current places."""
+        assert self._coarse is not None
+        u = fem.Function(self._coarse_space)
+        u.interpolate(self._problem.u)
+        modes = rigid_body_modes(self._coarse_space, u.x.array)
+        self._coarse.setNearNullSpace(modes)
         modes.destroy()
+
+    def refresh(self) -> None:
+        """Makes GAMG begin anew, with the rigid-body modes of the current places. Collective."""
+        if self._pc is not None:
+            self._attach_modes()
+            self._pc.getMGCoarseSolve().getPC().reset()
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """One V-cycle. Collective."""

@@ -26,6 +26,9 @@ FORCING = 1e-3
 """Relative tolerance of a linear solve inside Newton: tighter ones cost more than they save."""
 
 
+LINEAR = 1e-12
+"""The same where one linear solve is all: as tight as the residual is judged."""
+
 STALL = 6
 """Backtracking iterations over which the residual has to fall by a third."""
 
@@ -147,6 +150,8 @@ class Newton:
         if not self.choice.direct:
             self._attach_modes()
             self.snes.ksp.getPC().reset()
+            if self._multigrid is not None:
+                self._multigrid.refresh()
 
     def fall_back(self) -> bool:
         """Goes from conjugate gradients, which an indefinite tangent breaks, to GMRES. Collective.
@@ -227,8 +232,9 @@ class Newton:
             self._floor = 4 * np.finfo(float).eps * diagonal.norm() * self._cell_size
             diagonal.destroy()
         if not self.choice.direct:
-            needed = 0.5 * self._target() / a.free if a.free > 0 else FORCING
-            self.snes.ksp.setTolerances(rtol=min(0.1, max(FORCING, needed)))
+            forcing = LINEAR if a.problem.linear else FORCING
+            needed = 0.5 * self._target() / a.free if a.free > 0 else forcing
+            self.snes.ksp.setTolerances(rtol=min(0.1, max(forcing, needed)))
 
     def _target(self) -> float:
         a, p = self.assembler, self.progress

@@ -1,0 +1,75 @@
+"""Every demo runs as its reader would run it, on one rank and on two, and asserts its number."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DEMOS = Path(__file__).resolve().parent.parent / "demos"
+SCRIPTS = sorted(DEMOS.glob("*/*.py"))
+CASES = sorted(DEMOS.glob("*/*.toml"))
+CHECKED = {  # what a script says last about its number
+    "tetrahedron": r"largest relative difference: \d\.\de-1\d",
+    "duck": r"width 7\d\.\d\d mm -> 48\.000 mm",
+    "bridge": r"imbalance over weight: \d\.\de-(09|1\d)",
+    "cantilever": r"largest difference: \d\.\de-0[4-9]",
+    "jelly": r"difference of the periods: \d\.\de-0[3-9]",
+}
+pytestmark = pytest.mark.usefixtures("serial_only")
+
+
+def launched(command: list[str], folder: Path, ranks: int) -> str:
+    """Runs a Python program in a folder; returns what it printed."""
+    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
+    clean = {key: value for key, value in os.environ.items()
+             if not re.match(r"PMIX|PRTE_(?!MCA)|OMPI_(?!MCA|ALLOW)", key)}
+    done = subprocess.run([*launcher, sys.executable, *command], cwd=folder, text=True,
+                          capture_output=True, timeout=300, check=False,
+                          env={**clean, "PYTHONPATH": str(DEMOS.parent)})
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_all_there() -> None:
+    """Five demos, each with a script whose number is known here."""
+    assert {path.stem for path in SCRIPTS} == set(CHECKED)
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_script(script: Path, ranks: int, tmp_path: Path) -> None:
+    """It ends well, says its number, and leaves nothing beside the demo."""
+    before = sorted(DEMOS.rglob("*.*"))
+    out = launched([str(script)], tmp_path, ranks)
+    assert len(re.findall(CHECKED[script.stem], out)) == 1, out
+    assert sorted(path for path in DEMOS.rglob("*.*") if "__pycache__" not in path.parts) == [
+        path for path in before if "__pycache__" not in path.parts]
+
+
+def test_tetrahedron_on_three_ranks(tmp_path: Path) -> None:
+    """Two ranks without a cell."""
+    out = launched([str(DEMOS / "tetrahedron/tetrahedron.py")], tmp_path, 3)
+    assert re.search(CHECKED["tetrahedron"], out)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_case(case: Path, tmp_path: Path) -> None:
+    """What the command line says of it."""
+    out = launched(["-m", "dolfin_elastic", "check", str(case), "--json"], tmp_path, 1)
+    assert json.loads(out)["unknowns"] > 100
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_duck_on_the_command_line(ranks: int, tmp_path: Path) -> None:
+    """The command of the README: fields, numbers and a picture."""
+    out = launched(["-m", "dolfin_elastic", "run", str(DEMOS / "duck/case.toml")], tmp_path, ranks)
+    assert "done: 5 steps" in out
+    files = {path.name for path in (tmp_path / "case_results").iterdir()}
+    assert files >= {"duck.png", "history.csv", "results.xdmf", "summary.json"}
+    assert json.loads((tmp_path / "case_results/summary.json").read_text())["ranks"] == ranks

@@ -1,0 +1,123 @@
+"""Convergence rates with manufactured solutions, for every element and law.
+
+The exact displacement is given; body forces f = -div P and tractions t = P N follow from the law by
+UFL.  They enter as a load of our own: a `Load` whose `virtual_work` is written with what the site
+offers, which is how any load is added.  The slope of the error is fitted over the meshes.
+
+Expected: u in L2 with order p + 1, in H1 with order p (Ciarlet 1978, theorem 3.2.2; Nitsche).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pytest
+import ufl
+from mpi4py import MPI
+from ufl.core.expr import Expr
+
+from dolfin_elastic import LinearElastic, NeoHookean, Problem, Statics, Support, box_body
+from dolfin_elastic.compiler import compile_forms
+from dolfin_elastic.model.kinematics import deformation_gradient, embedded
+from dolfin_elastic.model.law import Law
+from dolfin_elastic.model.loads import Load, Site
+from dolfin_elastic.solvers.assembler import integral
+
+E, NU = 1e3, 0.3
+QUADRATURE = {"quadrature_degree": 6}
+
+
+def exact_2d(X: Any) -> Expr:
+    x, y, pi = X[0], X[1], ufl.pi
+    return 0.1 * ufl.as_vector([ufl.sin(pi * x) * ufl.cos(pi * y / 2),
+                                ufl.cos(pi * x / 2) * ufl.sin(pi * y) + x**2 * y / 2])
+
+
+def exact_3d(X: Any) -> Expr:
+    x, y, z, pi = X[0], X[1], X[2], ufl.pi
+    return 0.05 * ufl.as_vector([ufl.sin(pi * x) * ufl.cos(y) * ufl.exp(z / 2),
+                                 ufl.cos(pi * y) * ufl.sin(z + x),
+                                 ufl.sin(pi * z) * ufl.cos(x - y)])
+
+
+EXACT: dict[int, Callable[[Any], Expr]] = {2: exact_2d, 3: exact_3d}
+ON_THE_LEFT = {2: [0, "0.1*sin(pi*y)"],
+               3: [0, "0.05*cos(pi*y)*sin(z)", "0.05*sin(pi*z)*cos(y)"]}
+"""The same at x = 0, as a user writes it."""
+
+
+class Manufactured(Load):
+    """Body force and tractions that keep a given displacement in equilibrium."""
+
+    kind: str = "manufactured"
+    value: list[Any] = []  # noqa: RUF012  a pydantic field
+    law: Any
+    exact: Any
+    on: list[str]
+
+    @cached_property
+    def values(self) -> tuple[float, ...]:
+        return ()
+
+    def virtual_work(self, site: Site) -> ufl.Form:
+        mesh = ufl.domain.extract_unique_domain(site.v)
+        dim = len(site.v)
+        F = embedded(deformation_gradient(self.exact(ufl.SpatialCoordinate(mesh))))
+        P = self.law.stress(F)
+        P = ufl.as_matrix([[P[i, j] for j in range(dim)] for i in range(dim)])
+        return (-ufl.inner(ufl.div(P), site.v) * site.volumes(())(metadata=QUADRATURE)
+                + ufl.inner(P * ufl.FacetNormal(mesh), site.v)
+                * site.areas(self.on)(metadata=QUADRATURE))
+
+
+def errors(law: Law, dim: int, degree: int, n: int) -> np.ndarray:
+    """Error of u in L2 and of grad u in L2 on n cells along each edge."""
+    body = box_body(size=(1.0,) * dim, cells=(n,) * dim)
+    loaded = [name for name in body.surfaces if name != "left"]
+    problem = Problem(body, law, degree=degree,
+                      supports=[Support(on="left", displacement=ON_THE_LEFT[dim])],
+                      loads=[Manufactured(law=law, exact=EXACT[dim], on=loaded)])
+    *_, state = Statics(problem, rtol=1e-10).steps()
+    assert state.load_factor == 1.0
+    e = problem.u - EXACT[dim](ufl.SpatialCoordinate(body.mesh))
+    dx = ufl.dx(domain=body.mesh, metadata={"quadrature_degree": 2 * degree + 2})
+    forms = compile_forms(body.comm, [ufl.inner(e, e) * dx,
+                                      ufl.inner(ufl.grad(e), ufl.grad(e)) * dx], problem.jit)
+    return np.sqrt([integral(problem, form) for form in forms])
+
+
+def slopes(law: Law, dim: int, degree: int, cells: Sequence[int]) -> np.ndarray:
+    table = np.array([errors(law, dim, degree, n) for n in cells])
+    print(law.name(), dim, degree, table.tolist())
+    return np.polyfit(np.log(1 / np.array(cells)), np.log(table), 1)[0]
+
+
+@pytest.mark.parametrize(("dim", "degree", "cells"), [
+    (2, 1, (12, 24, 48)), (2, 2, (6, 12, 24)), (3, 1, (5, 10, 15)), (3, 2, (3, 5, 7))])
+@pytest.mark.parametrize("kind", [LinearElastic, NeoHookean], ids=lambda k: k.__name__)
+def test_rates(kind, dim, degree, cells):
+    in_l2, in_h1 = slopes(kind(E=E, nu=NU), dim, degree, cells)
+    print(in_l2, in_h1)
+    assert in_l2 >= {1: 1.95, 2: 2.9}[degree]
+    assert in_h1 >= {1: 0.95, 2: 1.9}[degree]
+    # Much faster than theory would mean that the error is measured wrongly.
+    assert in_l2 <= degree + 1.25
+    assert in_h1 <= degree + 0.25
+
+
+def test_a_wrong_force_would_be_seen():
+    """The error stops falling when the law of the forces is not that of the body."""
+    body = box_body(size=(1.0, 1.0), cells=(24, 24))
+    wrong = Manufactured(law=NeoHookean(E=E, nu=NU * 1.05), exact=exact_2d,
+                         on=["right", "bottom", "top"])
+    problem = Problem(body, NeoHookean(E=E, nu=NU), loads=[wrong], supports=[
+        Support(on="left", displacement=ON_THE_LEFT[2])])
+    _ = [*Statics(problem).steps()]
+    nodal = problem.V.tabulate_dof_coordinates()
+    x, y = nodal[:, 0], nodal[:, 1]
+    u = problem.u.x.array.reshape(-1, 2)
+    off = np.abs(u[:, 0] - 0.1 * np.sin(np.pi * x) * np.cos(np.pi * y / 2)).max(initial=0.0)
+    assert body.comm.allreduce(float(off), op=MPI.MAX) > 1e-3
