@@ -1,6 +1,6 @@
 """Draws docs/duck.png: the duck of demos/duck before and after, on a finer mesh.
 
-    docker/run xvfb-run -a python3 docs/duck_picture.py
+docker/run xvfb-run -a python3 docs/duck_picture.py
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ ROOT = Path(__file__).resolve().parent.parent
 SIZE = 3.0
 FROM, UP, APART = np.array([1.0, -0.42, 0.36]), np.array([0.0, 0.0, 1.0]), 0.125
 YELLOW, ORANGE, BLACK = "#ffcc1a", "#ff7a1a", "#202020"
-HEAT = LinearSegmentedColormap.from_list("heat", ["#ffe36b", "#ffb020", "#f0591e", "#b3122b", "#4a0530"])
+HEAT = LinearSegmentedColormap.from_list(
+    "heat", ["#ffe36b", "#ffb020", "#f0591e", "#b3122b", "#4a0530"]
+)
 
 
 def squeezed():
@@ -34,7 +36,8 @@ def squeezed():
     grid = pv.UnstructuredGrid(*vtk_mesh(problem.V))
     grid["u"] = state.u.x.array.reshape(-1, 3).copy()
     grid["von Mises stress [kPa]"] = (
-        Evaluator(problem, ["von_mises_nodal"])(state)["von_mises_nodal"][:, 0] / 1e3)
+        Evaluator(problem, ["von_mises_nodal"])(state)["von_mises_nodal"][:, 0] / 1e3
+    )
     return grid.extract_surface()
 
 
@@ -60,18 +63,39 @@ def main():
     plot.remove_all_lights()
     for place, power in (((1, -0.9, 1.4), 0.75), ((1, 1.2, 0.5), 0.35), ((0.2, -1, 0.2), 0.25)):
         plot.add_light(pv.Light(position=place, light_type="scene light", intensity=power))
-    look = dict(smooth_shading=True, split_sharp_edges=True, feature_angle=35, ambient=0.25,
-                diffuse=0.8, specular=0.25, specular_power=20)
+    look = dict(
+        smooth_shading=True,
+        split_sharp_edges=True,
+        feature_angle=35,
+        ambient=0.25,
+        diffuse=0.8,
+        specular=0.25,
+        specular_power=20,
+    )
     plot.add_mesh(surface, scalars="toy", rgb=True, **look)
     after = surface.copy()
     right = np.cross(UP, FROM)
     after.points += after["u"] + APART * right / np.linalg.norm(right)
     values = after["von Mises stress [kPa]"]
-    plot.add_mesh(after, scalars="von Mises stress [kPa]", cmap=HEAT,
-                  clim=[0, float(np.percentile(values, 99.5))],
-                  scalar_bar_args=dict(vertical=True, position_x=0.87, position_y=0.2, height=0.6,
-                                       width=0.035, fmt="%.0f", color="black", n_labels=5,
-                                       title_font_size=22, label_font_size=22), **look)
+    plot.add_mesh(
+        after,
+        scalars="von Mises stress [kPa]",
+        cmap=HEAT,
+        clim=[0, float(np.percentile(values, 99.5))],
+        scalar_bar_args=dict(
+            vertical=True,
+            position_x=0.87,
+            position_y=0.2,
+            height=0.6,
+            width=0.035,
+            fmt="%.0f",
+            color="black",
+            n_labels=5,
+            title_font_size=22,
+            label_font_size=22,
+        ),
+        **look,
+    )
     plot.view_vector(FROM, viewup=UP)
     plot.enable_parallel_projection()
     plot.camera.zoom(1.75)

@@ -211,6 +211,12 @@ class Case(Record):
             return Dynamics(problem, self.dynamics, linear=self.solver, petsc=petsc)
         return Statics(problem, self.statics, linear=self.solver, petsc=petsc)
 
+    @property
+    def frames(self) -> int | None:
+        """States whose fields are written unless the case says: explicit schemes take too many."""
+        explicit = self.dynamics is not None and self.dynamics.scheme == "symplectic-euler"
+        return 200 if explicit else None
+
     def results_folder(self) -> Path:
         """Where results go if nothing else is said."""
         if self.output.folder is not None:

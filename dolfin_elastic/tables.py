@@ -181,13 +181,14 @@ class Output(Record):
         folder: Folder of the results, relative to the case file's; by default the case file's
             name with "_results", in the folder where the run is started.
         fields: Fields for ParaView; by default displacement and stresses.
-        every: Fields are written every so many steps, and at the end.
+        every: Fields are written every so many steps, and at the end; by default every step, with
+            an explicit scheme about 200 states.
         pictures: Pictures of the deformed body.
     """
 
     folder: str | None = None
     fields: tuple[str, ...] | None = None
-    every: Count = 1
+    every: Count | None = None
     pictures: list[Picture] = Field(default=[])
 
     @field_validator("fields")
@@ -200,17 +201,20 @@ class Output(Record):
                 )
         return names
 
-    def files(self) -> list[File]:
-        """Everything that is written."""
-        return [Xdmf(fields=self.fields, every=self.every), History(), *self.pictures, Summary()]
+    def files(self, frames: int | None = None) -> list[File]:
+        """Everything that is written; `frames` thins the fields unless `every` says how."""
+        every = {"frames": frames} if self.every is None else {"every": self.every}
+        return [Xdmf(fields=self.fields, **every), History(), *self.pictures, Summary()]
 
     @contextmanager
-    def opened(self, problem: Problem, folder: Path) -> Iterator[list[Writer]]:
+    def opened(
+        self, problem: Problem, folder: Path, frames: int | None = None
+    ) -> Iterator[list[Writer]]:
         """Opens all files and closes them with how it ended: completed, failed or stopped."""
         writers: list[Writer] = []
         ending: tuple[str, object] = ("completed", None)
         try:
-            writers.extend(file.open(problem, folder) for file in self.files())
+            writers.extend(file.open(problem, folder) for file in self.files(frames))
             yield writers
         except ElasticError as error:
             ending = ("failed", error)

@@ -27,11 +27,20 @@ pytestmark = pytest.mark.usefixtures("serial_only")
 def launched(command: list[str], folder: Path, ranks: int) -> str:
     """Runs a Python program in a folder; returns what it printed."""
     launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
-    clean = {key: value for key, value in os.environ.items()
-             if not re.match(r"PMIX|PRTE_(?!MCA)|OMPI_(?!MCA|ALLOW)", key)}
-    done = subprocess.run([*launcher, sys.executable, *command], cwd=folder, text=True,
-                          capture_output=True, timeout=300, check=False,
-                          env={**clean, "PYTHONPATH": str(DEMOS.parent)})
+    clean = {
+        key: value
+        for key, value in os.environ.items()
+        if not re.match(r"PMIX|PRTE_(?!MCA)|OMPI_(?!MCA|ALLOW)", key)
+    }
+    done = subprocess.run(
+        [*launcher, sys.executable, *command],
+        cwd=folder,
+        text=True,
+        capture_output=True,
+        timeout=300,
+        check=False,
+        env={**clean, "PYTHONPATH": str(DEMOS.parent)},
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -49,7 +58,8 @@ def test_script(script: Path, ranks: int, tmp_path: Path) -> None:
     out = launched([str(script)], tmp_path, ranks)
     assert len(re.findall(CHECKED[script.stem], out)) == 1, out
     assert sorted(path for path in DEMOS.rglob("*.*") if "__pycache__" not in path.parts) == [
-        path for path in before if "__pycache__" not in path.parts]
+        path for path in before if "__pycache__" not in path.parts
+    ]
 
 
 def test_tetrahedron_on_three_ranks(tmp_path: Path) -> None:

@@ -29,10 +29,10 @@ FREE = "free"
 
 
 def block(law: Law, **more: Any) -> Problem:
-    """A block that is pushed and sheared at its right end."""
+    """A block that is pulled and sheared at its right end."""
     body = rectangle_body(size=(1.0, 0.6), cells=(4, 3))
     return Problem(body, law, supports=[Support(on="left", displacement=[0, 0])],
-                   loads=[Traction(on="right", value=[-0.02 * E, 0.02 * E])], **more)
+                   loads=[Traction(on="right", value=[0.01 * E, 0.01 * E])], **more)
 
 
 def stretched(law: Law, by: float) -> Problem:

@@ -55,7 +55,9 @@ def main():
         print(f"both together     {held[0]:14.3f} {held[1]:14.3f} {held[2]:14.3f} N")
         print(f"wind and weight   {0:14.3f} {wind:14.3f} {-weight:14.3f} N")
         print(f"largest deflection {1e3 * state.max_displacement:.2f} mm")
-        print(f"largest von Mises stress {peak['value'] / 1e6:.1f} MPa at {np.round(peak['place'], 2)} m")
+        print(
+            f"largest von Mises stress {peak['value'] / 1e6:.1f} MPa at {np.round(peak['place'], 2)} m"
+        )
     error = np.abs(held - [0, -wind, weight]).max() / weight
     if comm.rank == 0:
         print(f"imbalance over weight: {error:.1e} (allowed {TOLERANCE:.0e})")

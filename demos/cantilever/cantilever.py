@@ -31,9 +31,13 @@ from dolfin_elastic import read_case, run
 
 HERE = Path(__file__).parent
 TIP = np.array([1.0, 0.005, 0.0])
-ELASTICA = {1: (0.30172077, 0.05643324), 2: (0.49345748, 0.16064172),
-            3: (0.60325344, 0.25442018), 5: (0.71379152, 0.38762836),
-            10: (0.81060902, 0.55499560)}
+ELASTICA = {
+    1: (0.30172077, 0.05643324),
+    2: (0.49345748, 0.16064172),
+    3: (0.60325344, 0.25442018),
+    5: (0.71379152, 0.38762836),
+    10: (0.81060902, 0.55499560),
+}
 """P L^2 / EI to deflection w/L and shortening u/L."""
 TOLERANCE = 1e-3
 """Of w/L and u/L.  Thickness accounts for about 2e-4 at L/h = 100 (a solid strip shears and

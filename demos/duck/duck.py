@@ -44,8 +44,9 @@ def width_of_the_flanks(u):
     near = (np.abs(x[:, 0]) < 0.02) & (np.abs(x[:, 2] - 0.0275) < 0.015)
 
     def extent(y):
-        return (comm.allreduce(y[near].max(initial=-1), op=MPI.MAX)
-                - comm.allreduce(y[near].min(initial=1), op=MPI.MIN))
+        return comm.allreduce(y[near].max(initial=-1), op=MPI.MAX) - comm.allreduce(
+            y[near].min(initial=1), op=MPI.MIN
+        )
 
     return extent(x[:, 1]), extent(moved)
 
@@ -61,14 +62,16 @@ def main():
     summary = json.loads((case.results_folder() / "summary.json").read_text())
     smallest = summary["extremes"]["min_jacobian"]["value"]
     if comm.rank == 0:
-        print(f"width {1e3 * before:.2f} mm -> {1e3 * after:.3f} mm, "
-              f"{after / WIDTH:.4f} of the duck's {1e3 * WIDTH:.0f} mm")
+        print(
+            f"width {1e3 * before:.2f} mm -> {1e3 * after:.3f} mm, "
+            f"{after / WIDTH:.4f} of the duck's {1e3 * WIDTH:.0f} mm"
+        )
         print(f"forces of the jaws {left:.1f} N and {right:.1f} N, imbalance {imbalance:.1e} N")
         print(f"smallest det F {smallest:.3f}")
     # Prescribed values hold exactly.
     assert abs(after - 2 / 3 * WIDTH) < 1e-9
-    # Newton's tolerance is 1e-6 of the forces, and each free node may have its share.
-    assert imbalance < 1e-4 * right
+    # Newton's tolerance is 1e-8 of the forces, in the norm over some five thousand nodes.
+    assert imbalance < 1e-6 * right
     # 5 % for the mesh: another version of Gmsh makes another one.
     assert abs(right - FORCE) < 0.05 * FORCE
     assert smallest > 0.5

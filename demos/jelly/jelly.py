@@ -47,8 +47,14 @@ def simulate(name):
     rows = []
     for state in run(read_case(HERE / f"{name}.toml")):
         energy = state.energies
-        rows.append((state.t, state.momenta["linear"][2], energy["strain"],
-                     energy["total"] - energy["external"]))
+        rows.append(
+            (
+                state.t,
+                state.momenta["linear"][2],
+                energy["strain"],
+                energy["total"] - energy["external"],
+            )
+        )
     return np.array(rows).T
 
 
@@ -66,8 +72,10 @@ def main():
         periods[name] = period(t, momentum)
         error = np.abs(imbalance).max() / strain.max()
         if MPI.COMM_WORLD.rank == 0:
-            print(f"{name:<6} period {1e3 * periods[name]:.2f} ms, energy out of balance "
-                  f"{error:.1e} (allowed {allowed:.0e}), {len(t)} states")
+            print(
+                f"{name:<6} period {1e3 * periods[name]:.2f} ms, energy out of balance "
+                f"{error:.1e} (allowed {allowed:.0e}), {len(t)} states"
+            )
         assert error < allowed
     difference = abs(periods["ts"] / periods["euler"] - 1)
     if MPI.COMM_WORLD.rank == 0:

@@ -58,8 +58,11 @@ from dolfin_elastic.solvers.assembler import Assembler
 X = np.array([[1, 1, 0], [3, 1, 0], [1, 3, 0], [1, 1, 1]], dtype=float)
 X2_MOVED = np.array([1.0, 2.0, 0.0])
 RUBBER = dict(E=1e7, nu=0.4999)
-LAWS = {"textbook": Textbook(**RUBBER), "st-venant-kirchhoff": StVenantKirchhoff(**RUBBER),
-        "neo-hookean": NeoHookean(**RUBBER)}
+LAWS = {
+    "textbook": Textbook(**RUBBER),
+    "st-venant-kirchhoff": StVenantKirchhoff(**RUBBER),
+    "neo-hookean": NeoHookean(**RUBBER),
+}
 TOLERANCE = 1e-12
 """A few hundred roundings: grad phi, F, the stress and one product; nothing is solved."""
 
@@ -164,8 +167,10 @@ def matrix(name, A):
 
 
 def vectors(name, forces):
-    return "\n".join(f"  {name}_{key:<5} " + "  ".join(f"{n:18.9e}" for n in f + 0.0)
-                     for key, f in forces.items())
+    return "\n".join(
+        f"  {name}_{key:<5} " + "  ".join(f"{n:18.9e}" for n in f + 0.0)
+        for key, f in forces.items()
+    )
 
 
 def distance(found, wanted):
@@ -185,15 +190,22 @@ def compare(comm, name, law, body):
     P, faces, forces = of_the_cell(problem, P), face_forces(sigma), nodal_forces(problem)
     P_hand = by_hand(name, law.lmbda, law.mu)
     f_hand = nodal_forces_by_hand(P_hand)
-    differences = {"P": distance(P, np.diag(P_hand)),
-                   "nodal forces": distance(forces, f_hand),
-                   "faces shared": distance(shared(faces), f_hand),
-                   "sum of forces": np.abs(forces.sum(axis=0)).max() / np.abs(f_hand).max()}
-    say(comm, f"\n{name}\n{matrix('P', P)}\n{matrix('sigma', sigma)}\n"
-              "  forces on the faces from outside [N]\n" + vectors("t", faces)
-              + "\n  forces of the element on its corners [N]\n"
-              + vectors("f", dict(enumerate(forces))) + "\n  relative difference to the hand: "
-              + ", ".join(f"{key} {value:.0e}" for key, value in differences.items()))
+    differences = {
+        "P": distance(P, np.diag(P_hand)),
+        "nodal forces": distance(forces, f_hand),
+        "faces shared": distance(shared(faces), f_hand),
+        "sum of forces": np.abs(forces.sum(axis=0)).max() / np.abs(f_hand).max(),
+    }
+    say(
+        comm,
+        f"\n{name}\n{matrix('P', P)}\n{matrix('sigma', sigma)}\n"
+        "  forces on the faces from outside [N]\n"
+        + vectors("t", faces)
+        + "\n  forces of the element on its corners [N]\n"
+        + vectors("f", dict(enumerate(forces)))
+        + "\n  relative difference to the hand: "
+        + ", ".join(f"{key} {value:.0e}" for key, value in differences.items()),
+    )
     return max(differences.values())
 
 

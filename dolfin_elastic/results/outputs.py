@@ -57,11 +57,13 @@ class Xdmf(Output):
         fields: Names from `FIELDS`; by default displacement, von Mises and Cauchy stress, and in
             motion velocity.
         every: Writes each n-th step; the last one is always written.
+        frames: Instead of that, so many states evenly over the run.
     """
 
     file: str = "results.xdmf"
     fields: tuple[str, ...] | None = None
     every: int = Field(default=1, ge=1)
+    frames: int | None = Field(default=None, ge=1)
 
     _check_file = field_validator("file")(lambda file: _suffix(file, ".xdmf"))
 
@@ -72,7 +74,7 @@ class Xdmf(Output):
 
     def open(self, problem: Problem, folder: Path) -> XdmfWriter:
         """See `Output.open`."""
-        return XdmfWriter(problem, folder / self.file, fields=self.fields, every=self.every)
+        return XdmfWriter(problem, folder / self.file, fields=self.fields, every=self.every, frames=self.frames)
 
 
 class History(Output):

@@ -52,6 +52,7 @@ class XdmfWriter:
         path: The `.xdmf` file; the heavy data go to a folder beside it.
         fields: Names from `FIELDS`; None: displacement and stresses, in motion also velocity.
         every: Writes each n-th step, and always the last one.
+        frames: Instead of that, as many states as this, evenly over the run, and the last one.
 
     Raises:
         InputError: An unknown field.
@@ -59,9 +60,16 @@ class XdmfWriter:
     """
 
     def __init__(
-        self, problem: Problem, path: Path, *, fields: tuple[str, ...] | None = None, every: int = 1
+        self,
+        problem: Problem,
+        path: Path,
+        *,
+        fields: tuple[str, ...] | None = None,
+        every: int = 1,
+        frames: int | None = None,
     ) -> None:
-        self.problem, self.path, self.fields, self.every = problem, path, fields, every
+        self.problem, self.path, self.fields = problem, path, fields
+        self.every, self.frames = every, frames
         self.comm = problem.body.comm
         self.data = path.with_name(f"{path.stem}_data")
         self._frames: list[str] = []
@@ -83,11 +91,16 @@ class XdmfWriter:
     def write(self, state: State) -> None:
         """Writes one step; on return it can be opened, whatever happens next."""
         with stage("output"):
-            self._pending = state.step % self.every != 0
+            self._pending = not self._due(state)
             if self._pending:
                 self._kept.keep(state)
             else:
                 self._write(state)
+
+    def _due(self, state: State) -> bool:
+        if self.frames is None:
+            return state.step % self.every == 0
+        return state.done * self.frames >= len(self._frames)
 
     def _write(self, state: State) -> None:
         grid = self._evaluate.grid

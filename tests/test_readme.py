@@ -1,0 +1,146 @@
+"""The README says nothing that does not run, and leaves out no key."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from mpi4py import MPI
+from pydantic import BaseModel
+
+from dolfin_elastic import Problem, Statics, box_body, tables
+from dolfin_elastic.case import Case
+from dolfin_elastic.meshes import Cylinder, Selector, Sphere
+from dolfin_elastic.model.loads import LOADS
+from dolfin_elastic.model.materials import MATERIALS
+from dolfin_elastic.model.supports import Support
+from dolfin_elastic.operations import FUNCTIONS
+from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.outputs import Picture
+from dolfin_elastic.solvers.dynamics import DynamicsSettings
+from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.solvers.statics import StaticsSettings
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+MODELS: list[type[BaseModel]] = [
+    Case,
+    tables.MeshTable,
+    tables.Box,
+    tables.Rectangle,
+    Selector,
+    Sphere,
+    Cylinder,
+    Support,
+    *MATERIALS.values(),
+    *LOADS.values(),
+    StaticsSettings,
+    DynamicsSettings,
+    LinearSettings,
+    tables.Output,
+    Picture,
+]
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
+def test_every_key(model: type[BaseModel]) -> None:
+    """A new key needs a line in the README."""
+    missing = [
+        name for name in model.model_fields if not re.search(rf"[`\[{{ ]{name}(?![a-z])", README)
+    ]
+    assert missing == []
+
+
+@pytest.mark.parametrize(
+    "names",
+    [MATERIALS, LOADS, FIELDS, FUNCTIONS],
+    ids=["materials", "loads", "fields", "functions"],
+)
+def test_every_name(names: dict[str, object]) -> None:
+    """So does a new law, load, field or function."""
+    assert [name for name in names if not re.search(rf"\b{re.escape(name)}\b", README)] == []
+
+
+def test_selectors() -> None:
+    """The example of names by geometry is read as it stands."""
+    (text,) = blocks("toml-part")
+    parts = tomllib.loads(text)
+    assert all(tables.selectors(value) for table in parts.values() for value in table.values())
+
+
+@pytest.mark.usefixtures("serial_only")
+def test_examples_run(tmp_path: Path) -> None:
+    """The case and both Python programs."""
+    (tmp_path / "block.toml").write_text(blocks("toml")[0])
+    python = blocks("python")
+    assert len(python) == 2
+    for code in python:
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=200,
+            check=False,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
+        assert done.returncode == 0, done.stderr
+    assert "the left end carries" in done.stdout
+    for folder in ("block_results", "beam_results"):
+        assert (tmp_path / folder / "results.xdmf").exists()
+
+
+def test_links() -> None:
+    """Files that the README refers to exist."""
+    links = re.findall(r"\]\(([^)#:]+)\)", README) + re.findall(
+        r"`((?:docker|demos)/[\w./]+)`", README
+    )
+    assert [link for link in links if not (ROOT / link).exists()] == []
+
+
+def imported(name: str, code: str, folder: Path) -> ModuleType:
+    """Code as the module it would be; pydantic looks names up in modules."""
+    if MPI.COMM_WORLD.rank == 0:
+        (folder / f"{name}.py").write_text(code)
+    MPI.COMM_WORLD.barrier()
+    spec = spec_from_file_location(name, folder / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[name] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_examples_for_contributors(folder: Path, comm: MPI.Comm) -> None:
+    """A law, a load and an output as CONTRIBUTING.md adds them."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    code = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    assert len(code) == 3
+    names: dict[str, Any] = {}
+    for number, part in enumerate(code):
+        names |= vars(imported(f"contributed_{number}", part, folder))
+    rod = box_body(size=[1, 0.1, 0.1], cells=[8, 1, 1], comm=comm)
+    problem = Problem(
+        rod,
+        names["BlatzKo"](mu="1 MPa", density=1000),
+        supports=[Support(on="left")],
+        loads=[names["Centrifugal"](value=[0, 0, 2])],
+    )
+    writer = names["Energies"]().open(problem, folder)
+    for state in Statics(problem).steps():
+        writer.write(state)
+    # The pull at the axis is rho A w^2 L^2 / 2.
+    assert state.reactions["left"][0] == pytest.approx(-1000 * 0.01 * 4 / 2, rel=1e-6)
+    assert len((folder / "energies.txt").read_text().splitlines()) == 2
