@@ -28,7 +28,7 @@ HEAT = LinearSegmentedColormap.from_list(
 def squeezed():
     """The surface, its displacement [m] and von Mises stress [kPa]."""
     tables = read_case(ROOT / "demos/duck/case.toml").to_dict()
-    tables["mesh"]["size"] = SIZE
+    tables["mesh"] |= {"size": SIZE, "degree": 1}
     case = Case.from_dict(tables, folder=ROOT / "demos/duck")
     problem = case.make_problem(case.read_body())
     for state in case.make_solver(problem).steps():
@@ -63,15 +63,15 @@ def main():
     plot.remove_all_lights()
     for place, power in (((1, -0.9, 1.4), 0.75), ((1, 1.2, 0.5), 0.35), ((0.2, -1, 0.2), 0.25)):
         plot.add_light(pv.Light(position=place, light_type="scene light", intensity=power))
-    look = dict(
-        smooth_shading=True,
-        split_sharp_edges=True,
-        feature_angle=35,
-        ambient=0.25,
-        diffuse=0.8,
-        specular=0.25,
-        specular_power=20,
-    )
+    look = {
+        "smooth_shading": True,
+        "split_sharp_edges": True,
+        "feature_angle": 35,
+        "ambient": 0.25,
+        "diffuse": 0.8,
+        "specular": 0.25,
+        "specular_power": 20,
+    }
     plot.add_mesh(surface, scalars="toy", rgb=True, **look)
     after = surface.copy()
     right = np.cross(UP, FROM)
@@ -82,18 +82,18 @@ def main():
         scalars="von Mises stress [kPa]",
         cmap=HEAT,
         clim=[0, float(np.percentile(values, 99.5))],
-        scalar_bar_args=dict(
-            vertical=True,
-            position_x=0.87,
-            position_y=0.2,
-            height=0.6,
-            width=0.035,
-            fmt="%.0f",
-            color="black",
-            n_labels=5,
-            title_font_size=22,
-            label_font_size=22,
-        ),
+        scalar_bar_args={
+            "vertical": True,
+            "position_x": 0.87,
+            "position_y": 0.2,
+            "height": 0.6,
+            "width": 0.035,
+            "fmt": "%.0f",
+            "color": "black",
+            "n_labels": 5,
+            "title_font_size": 22,
+            "label_font_size": 22,
+        },
         **look,
     )
     plot.view_vector(FROM, viewup=UP)

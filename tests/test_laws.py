@@ -337,7 +337,7 @@ def homogeneous(law: Law, held: dict[str, list[Any]], size: tuple[float, ...],
     at = np.flatnonzero(np.abs(places[:, :bs] - np.array(size)).max(axis=1) < 1e-9)
     corner = u[at[0]] / size if len(at) else np.full(bs, -np.inf)
     # Every node, not only the corner: the state is homogeneous.
-    stretch = body.comm.allreduce(corner, op=MPI.MAX)
+    stretch = np.max(body.comm.allgather(corner), axis=0)
     spread = np.abs(u - places[:, :bs] * stretch).max(initial=0.0)
     assert body.comm.allreduce(spread, op=MPI.MAX) < 1e-9
     area = {"right": np.prod(size[1:]), "top": np.prod(size[:-1])}

@@ -88,11 +88,11 @@ def test_a_wrong_tangent_would_be_seen():
 
 def test_large_displacements_need_no_smaller_steps(caplog):
     """A stretch of a half moves the boundary in one step: no retry, few iterations."""
-    with caplog.at_level(logging.INFO, logger="dolfin_elastic"):
+    with caplog.at_level(logging.DEBUG, logger="dolfin_elastic"):
         states = [*Statics(stretched(NeoHookean(E=E, nu=NU), 0.5)).steps()]
     assert [s.load_factor for s in states] == [0.0, 1.0]
     assert states[-1].newton <= 7
-    assert "again" not in caplog.text
+    assert "half the step" not in caplog.text
     assert "fails" not in caplog.text
 
 
@@ -108,7 +108,7 @@ def test_a_step_too_large_is_halved(caplog):
     assert factors[-1] == 1.0
     assert len(factors) > 3
     assert all(b > a for a, b in zip(factors, factors[1:], strict=False))
-    assert "trying again with half the step" in caplog.text
+    assert "half the step" in caplog.text
     assert all(s.newton <= 5 for s in states)
     *_, last = Statics(patient, steps=10, rtol=1e-10).steps()
     # Both are the same equilibrium to Newton's tolerance, quadratically below 1e-10.
@@ -184,13 +184,13 @@ def test_a_body_that_is_not_held_is_named():
 
 
 def test_no_mesh_inside_out_is_accepted():
-    """St. Venant-Kirchhoff has equilibria of inverted cells: they are refused by name."""
+    """Hooke's law knows no inversion: a body pushed through itself is refused by name."""
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
-    law = StVenantKirchhoff(E=E, nu=NU)
-    problem = Problem(body, law, supports=[
+    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[
         Support(on="left", displacement=[0, 0]), Support(on="right", displacement=[-1.5, 0])])
     with pytest.raises(ConvergenceError) as caught:
-        _ = [*Statics(problem, min_step=1 / 2).steps()]
+        _ = [*Statics(problem, min_step=1 / 64).steps()]
+    assert "no equilibrium beyond load factor 0.6" in str(caught.value)  # 1/1.5
     assert "inside out (det F = -" in str(caught.value)
 
 

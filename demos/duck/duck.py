@@ -10,12 +10,12 @@ Equations
     u_y = +-24 mm - y, and the other two components are free.
 
 Discretisation
-    Linear tetrahedra of Gmsh, 6 mm and finer at eyes, beak and tail; five load steps.  Linear
-    elements are somewhat too stiff for nearly incompressible rubber: `degree = 2` lowers the
-    force by a sixth and costs ten times as much.
+    Quadratic tetrahedra of Gmsh, 7 mm and finer at eyes, beak and tail; five load steps; conjugate
+    gradients with multigrid.  With `degree = 1` it takes half the time, but linear elements are
+    too stiff for nearly incompressible rubber: the force comes out a fifth too large.
 
 Result
-    The duck is two thirds as wide between the jaws, which press with almost 0.8 kN; no cell
+    The duck is two thirds as wide between the jaws, which press with almost 0.7 kN; no cell
     turns inside out; all forces balance.
 
         python3 demos/duck/duck.py
@@ -54,8 +54,7 @@ def width_of_the_flanks(u):
 def main():
     comm = MPI.COMM_WORLD
     case = read_case(HERE / "case.toml")
-    for state in run(case):
-        pass
+    *_, state = run(case)
     before, after = width_of_the_flanks(state.u)
     left, right = (state.reactions[f"{side}_flank"][1] for side in ("left", "right"))
     imbalance = np.abs(sum(state.reactions.values())).max()
@@ -70,14 +69,14 @@ def main():
         print(f"smallest det F {smallest:.3f}")
     # Prescribed values hold exactly.
     assert abs(after - 2 / 3 * WIDTH) < 1e-9
-    # Newton's tolerance is 1e-8 of the forces, in the norm over some five thousand nodes.
+    # Newton's tolerance is 1e-8 of the forces, in the norm over some ten thousand nodes.
     assert imbalance < 1e-6 * right
-    # 5 % for the mesh: another version of Gmsh makes another one.
-    assert abs(right - FORCE) < 0.05 * FORCE
+    # Half a per cent between meshes of 6 and 7 mm; another version of Gmsh makes another one.
+    assert abs(right - FORCE) < 0.03 * FORCE
     assert smallest > 0.5
 
 
-FORCE = 790.0
+FORCE = 685.0
 """Of one jaw [N], on this mesh."""
 
 if __name__ == "__main__":

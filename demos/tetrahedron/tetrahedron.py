@@ -57,7 +57,7 @@ from dolfin_elastic.solvers.assembler import Assembler
 
 X = np.array([[1, 1, 0], [3, 1, 0], [1, 3, 0], [1, 1, 1]], dtype=float)
 X2_MOVED = np.array([1.0, 2.0, 0.0])
-RUBBER = dict(E=1e7, nu=0.4999)
+RUBBER = {"E": 1e7, "nu": 0.4999}
 LAWS = {
     "textbook": Textbook(**RUBBER),
     "st-venant-kirchhoff": StVenantKirchhoff(**RUBBER),
