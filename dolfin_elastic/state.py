@@ -23,7 +23,7 @@ class State:
         t: Time [s] in motion; the load parameter from 0 to 1 in statics.
         u: Displacement [m], reference configuration.
         v: Velocity [m/s], in motion only.
-        a: Acceleration [m/s^2], in motion only.
+        a: Mean acceleration of the step [m/s^2], in motion only; 0 in the initial state.
         load_factor: Share of the load that is on, in statics; 1 in motion.
         newton: Newton iterations of this step.
         krylov: Linear iterations of this step (0 with a direct solver).

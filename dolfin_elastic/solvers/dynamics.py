@@ -145,7 +145,8 @@ class _Alpha:
     def __init__(self, dynamics: Dynamics) -> None:
         self.settings, self.problem = dynamics.settings, dynamics.problem
         problem, self.v = self.problem, dynamics.velocity
-        self.a = fem.Function(problem.V, name="acceleration")
+        self.a = fem.Function(problem.V, name="stage acceleration")
+        self._mean = fem.Function(problem.V, name="acceleration")
         self.shift = problem.constant(0.0)
         inertia = problem.inertia(self.a, problem.v)
         mass = problem.inertia(ufl.TrialFunction(problem.V), problem.v)
@@ -285,6 +286,9 @@ class _Alpha:
             )
         U, V = ts.getSolution2()
         self.assembler.put(U)
+        change = V.array_r - self.v.x.array[: self.assembler.size]
+        self._mean.x.array[: self.assembler.size] = change / (float(ts.getTime()) - t)
+        self._mean.x.scatter_forward()
         self.v.x.array[: self.assembler.size] = V.array_r
         self.v.x.scatter_forward()
         return float(ts.getTime())
@@ -315,6 +319,7 @@ class _Alpha:
             t=t,
             u=self.problem.u,
             v=self.v,
+            a=self._mean,
             newton=0 if first else self._newton,
             krylov=0 if first else self._krylov,
             reason="initial state" if first else "converged",

@@ -65,6 +65,7 @@ class SymplecticEuler:
             )
         self.problem, self.v, self.end, self.every = problem, v, end, every
         self.safety, self._chosen = safety, dt
+        self.a = fem.Function(problem.V, name="acceleration")
         self.assembler = Assembler(problem)
         self.strain = Strain(problem)
         self.mass = self._lumped()
@@ -151,7 +152,11 @@ class SymplecticEuler:
                 self._recheck(t)
             dt = min(self.dt, self.end - t)
             record = (step + 1) % self.every == 0 or t + dt >= self.end * (1 - 1e-12)
+            before = self.v.x.array.copy() if record else None
             self._advance(t, dt)
+            if before is not None:
+                self.a.x.array[:] = (self.v.x.array - before) / dt
+                self.a.x.scatter_forward()
             t, step = t + dt, step + 1
             if record:
                 yield self._state(step, t)
@@ -195,6 +200,7 @@ class SymplecticEuler:
             t=t,
             u=self.problem.u,
             v=self.v,
+            a=self.a,
             reason="explicit",
             energies={
                 "strain": strain,
