@@ -12,25 +12,49 @@ from dolfin_elastic.model.loads import Traction
 from dolfin_elastic.model.supports import Support
 
 
-@pytest.mark.parametrize(("written", "t", "value"), [
-    ("constant", -1.0, 1.0), ("constant", 5.0, 1.0),
-    ("ramp", -1.0, 0.0), ("ramp", 0.0, 0.0), ("ramp", 0.25, 0.25), ("ramp", 1.0, 1.0),
-    ("ramp", 3.0, 1.0),
-    ("sin(pi*t)", 0.5, 1.0), ("t^2", 3.0, 9.0), ("t", 0.7, 0.7), ("2", 0.1, 2.0),
-    ("where(t < 1, 5, -1)", 0.5, 5.0), ("where(t < 1, 5, -1)", 1.0, -1.0),
-    ([[0, 0], [2, 10], [3, 4]], -1.0, 0.0), ([[0, 0], [2, 10], [3, 4]], 1.0, 5.0),
-    ([[0, 0], [2, 10], [3, 4]], 2.5, 7.0), ([[0, 0], [2, 10], [3, 4]], 9.0, 4.0),
-    ([["10 ms", 1], ["30 ms", 3]], 0.02, 2.0), ([[1, 7]], 0.0, 7.0),
-])
+@pytest.mark.parametrize(
+    ("written", "t", "value"),
+    [
+        ("constant", -1.0, 1.0),
+        ("constant", 5.0, 1.0),
+        ("ramp", -1.0, 0.0),
+        ("ramp", 0.0, 0.0),
+        ("ramp", 0.25, 0.25),
+        ("ramp", 1.0, 1.0),
+        ("ramp", 3.0, 1.0),
+        ("sin(pi*t)", 0.5, 1.0),
+        ("t^2", 3.0, 9.0),
+        ("t", 0.7, 0.7),
+        ("2", 0.1, 2.0),
+        ("where(t < 1, 5, -1)", 0.5, 5.0),
+        ("where(t < 1, 5, -1)", 1.0, -1.0),
+        ([[0, 0], [2, 10], [3, 4]], -1.0, 0.0),
+        ([[0, 0], [2, 10], [3, 4]], 1.0, 5.0),
+        ([[0, 0], [2, 10], [3, 4]], 2.5, 7.0),
+        ([[0, 0], [2, 10], [3, 4]], 9.0, 4.0),
+        ([["10 ms", 1], ["30 ms", 3]], 0.02, 2.0),
+        ([[1, 7]], 0.0, 7.0),
+    ],
+)
 def test_value_at_a_time(written, t, value):
     assert amplitude(written).at(t) == pytest.approx(value, rel=1e-14, abs=1e-15)
 
 
-@pytest.mark.parametrize(("written", "says"), [
-    ("rmap", "did you mean 'ramp'"), ("sin(x)", "x"), ("", "formula"), (3.0, "not a curve"),
-    ([], "pairs"), ([[0, 1, 2]], "pairs"), ([0, 1], "pairs"),
-    ([[0, 0], [0, 1]], "increase"), ([[1, 0], [0, 1]], "increase"), ([[0, "a"]], "a"),
-])
+@pytest.mark.parametrize(
+    ("written", "says"),
+    [
+        ("rmap", "did you mean 'ramp'"),
+        ("sin(x)", "x"),
+        ("", "formula"),
+        (3.0, "not a curve"),
+        ([], "pairs"),
+        ([[0, 1, 2]], "pairs"),
+        ([0, 1], "pairs"),
+        ([[0, 0], [0, 1]], "increase"),
+        ([[1, 0], [0, 1]], "increase"),
+        ([[0, "a"]], "a"),
+    ],
+)
 def test_what_is_no_curve_is_refused(written, says):
     with pytest.raises(InputError) as caught:
         amplitude(written)

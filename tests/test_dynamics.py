@@ -47,11 +47,19 @@ def oscillator(**more: Any) -> Problem:
     root = comm.rank == 0
     cells = np.array([[0, 1, 2]] if root else np.empty((0, 3)), dtype=np.int64)
     corners = np.array([[0.0, 0], [1, 0], [0, 1]]) if root else np.empty((0, 2))
-    body = name_parts(Body(make_mesh(comm, cells, corners, 1)), surfaces={
-        "left": Selector(plane="x", at=0), "bottom": Selector(plane="y", at=0)})
-    return Problem(body, LinearElastic(E=E, nu=NU, density=RHO), supports=[
-        Support(on="bottom", displacement=[FREE, 0]), Support(on="left", displacement=[0, 0])],
-        **more)
+    body = name_parts(
+        Body(make_mesh(comm, cells, corners, 1)),
+        surfaces={"left": Selector(plane="x", at=0), "bottom": Selector(plane="y", at=0)},
+    )
+    return Problem(
+        body,
+        LinearElastic(E=E, nu=NU, density=RHO),
+        supports=[
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="left", displacement=[0, 0]),
+        ],
+        **more,
+    )
 
 
 OMEGA = np.sqrt(6 * STIFF / RHO)
@@ -66,37 +74,48 @@ def value_at(problem: Problem, array: np.ndarray, place: tuple[float, ...]) -> n
 
 
 def tip(problem: Problem, state: Any) -> tuple[float, float]:
-    return (value_at(problem, state.u.x.array, (1.0, 0.0))[0],
-            value_at(problem, state.v.x.array, (1.0, 0.0))[0])
+    return (
+        value_at(problem, state.u.x.array, (1.0, 0.0))[0],
+        value_at(problem, state.v.x.array, (1.0, 0.0))[0],
+    )
 
 
 def swing(dt: float, end: float, **more: Any) -> np.ndarray:
     """Rows t, u, v of the oscillator, from u = 1e-3 and v = 0."""
     problem = oscillator()
     rows = []
-    for state in Dynamics(problem, end=end, dt=dt, rtol=1e-12,
-                          initial_displacement=["1e-3*x", 0], **more).steps():
+    for state in Dynamics(
+        problem, end=end, dt=dt, rtol=1e-12, initial_displacement=["1e-3*x", 0], **more
+    ).steps():
         rows.append((state.t, *tip(problem, state)))
     return np.array(rows)
 
 
 # --- the oscillator ---
 
+
 @pytest.mark.parametrize("radius", [1.0, 0.8, 0.0])
 def test_second_order_in_time(radius):
-    """Error of displacement and velocity after 0.9 periods, over four time steps."""
-    end, steps = 0.9 * PERIOD, np.array([20, 40, 80, 160])
-    exact = 1e-3 * np.array([np.cos(OMEGA * end), -OMEGA * np.sin(OMEGA * end)])
-    error = [np.abs(swing(end / n, end, spectral_radius=radius)[-1, 1:] - exact) for n in steps]
-    slope = np.polyfit(np.log(1 / steps), np.log(np.array(error)), 1)[0]
-    assert slope[0] >= 1.95
-    assert slope[1] >= 1.95
-    assert (slope <= 2.2).all()
+    """Distance from the exact place in the plane of u and v/omega, over four time steps."""
+    end, steps = 0.9 * PERIOD, np.array([40, 80, 160, 320])
+    exact = 1e-3 * np.array([np.cos(OMEGA * end), -np.sin(OMEGA * end)])
+    error = [
+        np.linalg.norm(swing(end / n, end, spectral_radius=radius)[-1, 1:] / [1, OMEGA] - exact)
+        for n in steps
+    ]
+    slope = np.polyfit(np.log(1 / steps), np.log(error), 1)[0]
+    assert 1.95 <= slope <= 2.2
 
 
-@pytest.mark.parametrize(("radius", "modulus", "angle"), [
-    (1.0, 1.0, 0.199337304982), (0.8, 0.999998915476, 0.199300680894),
-    (0.5, 0.999971142891, 0.199010959806), (0.0, 0.999309414064, 0.196629820225)])
+@pytest.mark.parametrize(
+    ("radius", "modulus", "angle"),
+    [
+        (1.0, 1.0, 0.199337304982),
+        (0.8, 0.999998915476, 0.199300680894),
+        (0.5, 0.999971142891, 0.199010959806),
+        (0.0, 0.999309414064, 0.196629820225),
+    ],
+)
 def test_amplification_of_each_step(radius, modulus, angle):
     """Modulus and angle a step at omega dt = 0.2, from the scheme's 3x3 amplification matrix.
 
@@ -113,9 +132,17 @@ def test_amplification_of_each_step(radius, modulus, angle):
 
 def test_undamped_scheme_keeps_the_energy_of_a_linear_body():
     problem = oscillator()
-    totals = [state.energies["total"] for state in Dynamics(
-        problem, end=5 * PERIOD, dt=PERIOD / 12, spectral_radius=1.0, rtol=1e-13,
-        initial_displacement=["1e-3*x", 0]).steps()]
+    totals = [
+        state.energies["total"]
+        for state in Dynamics(
+            problem,
+            end=5 * PERIOD,
+            dt=PERIOD / 12,
+            spectral_radius=1.0,
+            rtol=1e-13,
+            initial_displacement=["1e-3*x", 0],
+        ).steps()
+    ]
     assert totals[0] == pytest.approx(0.5 * STIFF / 2 * 1e-6, rel=1e-12)
     # PETSc estimates the initial acceleration by two small steps; after that nothing changes.
     np.testing.assert_allclose(totals[1:], totals[1], rtol=1e-10)
@@ -124,9 +151,19 @@ def test_undamped_scheme_keeps_the_energy_of_a_linear_body():
 
 def test_damped_scheme_loses_energy_monotonically():
     problem = oscillator()
-    totals = np.array([state.energies["total"] for state in Dynamics(
-        problem, end=3 * PERIOD, dt=PERIOD / 8, spectral_radius=0.5, rtol=1e-12,
-        initial_displacement=["1e-3*x", 0]).steps()])
+    totals = np.array(
+        [
+            state.energies["total"]
+            for state in Dynamics(
+                problem,
+                end=3 * PERIOD,
+                dt=PERIOD / 8,
+                spectral_radius=0.5,
+                rtol=1e-12,
+                initial_displacement=["1e-3*x", 0],
+            ).steps()
+        ]
+    )
     assert totals[-1] < 0.95 * totals[0]
     assert totals[-1] > 0.2 * totals[0]
 
@@ -139,8 +176,10 @@ def test_mean_deflection_is_the_static_one():
     deflection = value_at(static, state.u.x.array, (1.0, 0.0))[0]
     assert deflection == pytest.approx(0.5e4 / (STIFF / 2), rel=1e-9)
     problem, n = oscillator(loads=[load]), 400
-    found = [tip(problem, s)[0] for s in Dynamics(problem, end=PERIOD, dt=PERIOD / n,
-                                                  spectral_radius=1.0).steps()]
+    found = [
+        tip(problem, s)[0]
+        for s in Dynamics(problem, end=PERIOD, dt=PERIOD / n, spectral_radius=1.0).steps()
+    ]
     # Sum over one period; the period itself is off by (omega dt)^2/12 = 2e-5.
     assert np.mean(found[:-1]) == pytest.approx(deflection, rel=1e-3)
     assert max(found) == pytest.approx(2 * deflection, rel=1e-3)
@@ -168,12 +207,14 @@ def test_the_last_step_ends_exactly():
 
 # --- gravity and supports ---
 
+
 @pytest.mark.parametrize("radius", [1.0, 0.8])
 def test_free_fall_is_exact(radius):
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
     problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), loads=[Gravity()])
-    for state in Dynamics(problem, end=0.5, dt=0.1, spectral_radius=radius, rtol=1e-12,
-                          initial_velocity=[2.0, 3.0]).steps():
+    for state in Dynamics(
+        problem, end=0.5, dt=0.1, spectral_radius=radius, rtol=1e-12, initial_velocity=[2.0, 3.0]
+    ).steps():
         exact = np.array([2 * state.t, 3 * state.t - 9.81 / 2 * state.t**2])
         off = np.abs(problem.u.x.array.reshape(-1, 2) - exact).max(initial=0.0)
         assert body.comm.allreduce(float(off), op=MPI.MAX) < 1e-11
@@ -184,8 +225,12 @@ def test_free_fall_is_exact(radius):
 def test_equilibrium_stays(law):
     """Started from the static state under its own weight, a column does not move."""
     body = rectangle_body(size=(1.0, 2.0), cells=(2, 4))
-    problem = Problem(body, law(E=1e5, nu=NU, density=RHO), loads=[Gravity()],
-                      supports=[Support(on="bottom", displacement=[0, 0])])
+    problem = Problem(
+        body,
+        law(E=1e5, nu=NU, density=RHO),
+        loads=[Gravity()],
+        supports=[Support(on="bottom", displacement=[0, 0])],
+    )
     *_, static = Statics(problem, rtol=1e-13).steps()
     deflection, reaction = static.max_displacement, static.reactions["bottom"][1]
     assert deflection > 0.1
@@ -193,7 +238,23 @@ def test_equilibrium_stays(law):
     for state in Dynamics(problem, end=0.5, dt=0.05, rtol=1e-10).steps():
         off = float(np.abs(problem.u.x.array - start).max(initial=0.0))
         assert body.comm.allreduce(off, op=MPI.MAX) < 1e-9 * deflection
-        assert state.reactions["bottom"][1] == pytest.approx(reaction, rel=1e-8)
+        if state.step:
+            assert state.reactions["bottom"][1] == pytest.approx(reaction, rel=1e-8)
+
+
+@pytest.mark.parametrize("scheme", ["generalized-alpha", "symplectic-euler"])
+def test_the_initial_state_knows_its_reactions(scheme):
+    """Started from equilibrium, the supports carry the weight from the first state on."""
+    body = rectangle_body(size=(1.0, 2.0), cells=(2, 4))
+    problem = Problem(
+        body,
+        LinearElastic(E=1e5, nu=NU, density=RHO),
+        loads=[Gravity()],
+        supports=[Support(on="bottom", displacement=[0, 0])],
+    )
+    _ = [*Statics(problem, rtol=1e-13).steps()]
+    first = next(Dynamics(problem, scheme=scheme, end=0.01, dt=1e-4).steps())
+    assert first.reactions["bottom"][1] == pytest.approx(RHO * 9.81 * 2, rel=1e-9)
 
 
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "symplectic-euler"])
@@ -206,24 +267,28 @@ def test_moving_supports_hold_at_every_step(scheme):
     held = problem.prescribed
     places = problem.V.tabulate_dof_coordinates()
     worst = speed = 0.0
+    times = []
     for state in Dynamics(problem, scheme=scheme, end=0.02, **dt).steps():
+        times.append(state.t)
         t, y = state.t, places[held.owned // 2, 1]
-        exact = np.where(held.owned % 2 == 0, 0.01 * np.sin(200 * t),
-                         0.02 * (1 - np.cos(100 * t)) * y)
+        exact = np.where(
+            held.owned % 2 == 0, 0.01 * np.sin(200 * t), 0.02 * (1 - np.cos(100 * t)) * y
+        )
         rate = np.where(held.owned % 2 == 0, 2 * np.cos(200 * t), 2 * np.sin(100 * t) * y)
         worst = max(worst, np.abs(state.u.x.array[held.owned] - exact).max(initial=0.0))
         speed = max(speed, np.abs(state.v.x.array[held.owned] - rate).max(initial=0.0))
     assert body.comm.allreduce(float(worst), op=MPI.MAX) < 1e-14
-    assert body.comm.allreduce(float(speed), op=MPI.MAX) < 0.1 * 2
+    # A difference of places lags by half a step, times the acceleration of 400 m/s^2.
+    assert body.comm.allreduce(float(speed), op=MPI.MAX) < 0.55 * np.diff(times).max() * 400
 
 
 def test_loads_follow_their_curves_in_time():
-    """Slow loading of a light body follows the static deflection."""
+    """Loading over 23 periods follows the static deflection to 1/(omega T) = 0.7 %."""
     problem = oscillator(loads=[Traction(on="bottom", value=["1e4*t/0.5", 0])])
     assert problem.loads[0].amplitude is CONSTANT
     *_, state = Dynamics(problem, end=0.5, dt=PERIOD / 8, spectral_radius=0.5).steps()
     assert state.t == pytest.approx(0.5)
-    assert tip(problem, state)[0] == pytest.approx(0.5e4 / (STIFF / 2), rel=1e-3)
+    assert tip(problem, state)[0] == pytest.approx(0.5e4 / (STIFF / 2), rel=5e-3)
 
 
 # --- a free body ---
@@ -236,8 +301,10 @@ def brick() -> tuple[Problem, dict[str, Any]]:
     """A neo-Hookean brick thrown with a spin."""
     problem = Problem(box_body(**BRICK), NeoHookean(E=1e5, nu=NU, density=RHO))
     x = ["x - 0.5", "y - 0.3", "z - 0.15"]
-    velocity = [f"{DRIFT[i]} + ({SPIN[j]})*({x[k]}) - ({SPIN[k]})*({x[j]})"
-                for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1))]
+    velocity = [
+        f"{DRIFT[i]} + ({SPIN[j]})*({x[k]}) - ({SPIN[k]})*({x[j]})"
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+    ]
     return problem, {"initial_velocity": velocity}
 
 
@@ -251,9 +318,12 @@ def test_free_body_keeps_its_momenta():
     """Linear and angular momentum over two turns; values are integrals over the brick."""
     problem, start = brick()
     turn = 2 * np.pi / np.linalg.norm(SPIN)
-    states = [(s.momenta["linear"], s.momenta["angular"], s.energies["total"])
-              for s in Dynamics(problem, end=2 * turn, dt=turn / 60, spectral_radius=1.0,
-                                rtol=1e-12, **start).steps()]
+    states = [
+        (s.momenta["linear"], s.momenta["angular"], s.energies["total"])
+        for s in Dynamics(
+            problem, end=2 * turn, dt=turn / 60, spectral_radius=1.0, rtol=1e-12, **start
+        ).steps()
+    ]
     linear, angular, total = zip(*states, strict=True)
     np.testing.assert_allclose(linear[0], [180, 360, -90], rtol=1e-12)
     np.testing.assert_allclose(angular[0], [-60.75, 39.3, 228], rtol=1e-12)
@@ -267,12 +337,17 @@ def test_free_body_keeps_its_momenta():
 
 def test_damping_scheme_keeps_linear_momentum():
     problem, start = brick()
-    rows = [s.momenta["linear"] for s in Dynamics(problem, end=0.3, dt=0.01, rtol=1e-12,
-                                                  spectral_radius=0.5, **start).steps()]
+    rows = [
+        s.momenta["linear"]
+        for s in Dynamics(
+            problem, end=0.3, dt=0.01, rtol=1e-12, spectral_radius=0.5, **start
+        ).steps()
+    ]
     assert drift(rows) < 1e-9
 
 
 # --- a body that bends, and what is refused ---
+
 
 def test_bending_column():
     """Plane-strain column, clamped, thrown sideways with v = 10 y/6 (after Aguirre et al. 2014).
@@ -281,15 +356,20 @@ def test_bending_column():
     110000 J/m at the start.
     """
     body = rectangle_body(size=(1.0, 6.0), cells=(3, 18), origin=(-0.5, 0.0))
-    problem = Problem(body, NeoHookean(E=17e6, nu=NU, density=1100.0), degree=2,
-                      supports=[Support(on="bottom", displacement=[0, 0])])
+    problem = Problem(
+        body,
+        NeoHookean(E=17e6, nu=NU, density=1100.0),
+        degree=2,
+        supports=[Support(on="bottom", displacement=[0, 0])],
+    )
     # The middle of the top is a node of quadratic elements.
-    states = Dynamics(problem, end=0.25, dt=0.005, spectral_radius=1.0,
-                      initial_velocity=["10*y/6", 0]).steps()
-    energies = []
-    for state in states:
-        energies.append(state.energies["total"])
-    top = value_at(problem, state.u.x.array, (0.0, 6.0))
+    energies = [
+        state.energies["total"]
+        for state in Dynamics(
+            problem, end=0.25, dt=0.005, spectral_radius=1.0, initial_velocity=["10*y/6", 0]
+        ).steps()
+    ]
+    top = value_at(problem, problem.u.x.array, (0.0, 6.0))
     assert energies[0] == pytest.approx(110000.0, rel=1e-12)
     np.testing.assert_allclose(top, [2.3945, -0.6016], atol=0.02)
     np.testing.assert_allclose(energies, 110000.0, rtol=5e-3)
@@ -297,10 +377,14 @@ def test_bending_column():
 
 def test_settings_are_checked():
     problem = oscillator()
-    for wrong in ({"end": 1.0}, {"end": -1.0, "dt": 0.1}, {"end": 1.0, "dt": 0.0},
-                  {"end": 1.0, "dt": 0.1, "spectral_radius": 1.5},
-                  {"end": 1.0, "scheme": "symplectic-euler", "adaptive": True},
-                  {"end": 1.0, "dt": 0.1, "scheme": "leapfrog"}):
+    for wrong in (
+        {"end": 1.0},
+        {"end": -1.0, "dt": 0.1},
+        {"end": 1.0, "dt": 0.0},
+        {"end": 1.0, "dt": 0.1, "spectral_radius": 1.5},
+        {"end": 1.0, "scheme": "symplectic-euler", "adaptive": True},
+        {"end": 1.0, "dt": 0.1, "scheme": "leapfrog"},
+    ):
         with pytest.raises(InputError):
             Dynamics(problem, **wrong)
 

@@ -58,8 +58,9 @@ def test_strain_measures_are_those_of_linear_algebra(seed, dim):
         k.cofactor: np.linalg.det(F) * np.linalg.inv(F).T,
     }
     for function, wanted in expected.items():
-        np.testing.assert_allclose(value(function(symbol(F))), wanted, **TIGHT,
-                                   err_msg=function.__name__)
+        np.testing.assert_allclose(
+            value(function(symbol(F))), wanted, **TIGHT, err_msg=function.__name__
+        )
 
 
 def test_strains_measure_lengths():
@@ -156,10 +157,20 @@ def test_round_trips_come_back(seed):
     F, P = random_F(seed), np.random.default_rng(seed).standard_normal((3, 3))
     f = symbol(F)
     ring = symbol(P)
-    for to, source in (("second", "first"), ("kirchhoff", "second"), ("cauchy", "kirchhoff"),
-                       ("first", "cauchy"), ("kirchhoff", "first"), ("second", "kirchhoff"),
-                       ("cauchy", "second"), ("kirchhoff", "cauchy"), ("first", "kirchhoff"),
-                       ("cauchy", "first"), ("second", "cauchy"), ("first", "second")):
+    for to, source in (
+        ("second", "first"),
+        ("kirchhoff", "second"),
+        ("cauchy", "kirchhoff"),
+        ("first", "cauchy"),
+        ("kirchhoff", "first"),
+        ("second", "kirchhoff"),
+        ("cauchy", "second"),
+        ("kirchhoff", "cauchy"),
+        ("first", "kirchhoff"),
+        ("cauchy", "first"),
+        ("second", "cauchy"),
+        ("first", "second"),
+    ):
         ring = symbol(value(getattr(k, f"{to}_from_{source}")(ring, f)))
     # Twelve conversions, each with the condition of F (at most 4): 1e-11 is round-off.
     np.testing.assert_allclose(value(ring), P, rtol=1e-11, atol=1e-11)

@@ -67,17 +67,21 @@ class Manufactured(Load):
         F = embedded(deformation_gradient(grown))
         P = self.law.stress(F)
         P = ufl.as_matrix([[P[i, j] for j in range(dim)] for i in range(dim)])
-        return (-ufl.inner(ufl.div(P), site.v) * site.volumes(())(metadata=QUADRATURE)
-                + ufl.inner(P * ufl.FacetNormal(mesh), site.v)
-                * site.areas(self.on)(metadata=QUADRATURE))
+        return -ufl.inner(ufl.div(P), site.v) * site.volumes(())(metadata=QUADRATURE) + ufl.inner(
+            P * ufl.FacetNormal(mesh), site.v
+        ) * site.areas(self.on)(metadata=QUADRATURE)
 
 
 def held_and_loaded(body: Body, law: Law, other: Law, degree: int) -> Problem:
     """Tractions on the right, the displacement all round it; the forces are those of a law."""
     held = [name for name in body.surfaces if name != "right"]
-    return Problem(body, law, degree=degree,
-                   supports=[Support(on=held, displacement=EXACT[body.dim])],
-                   loads=[Manufactured(law=other, on=["right"])])
+    return Problem(
+        body,
+        law,
+        degree=degree,
+        supports=[Support(on=held, displacement=EXACT[body.dim])],
+        loads=[Manufactured(law=other, on=["right"])],
+    )
 
 
 def errors(law: Law, dim: int, degree: int, n: int) -> np.ndarray:
@@ -88,8 +92,9 @@ def errors(law: Law, dim: int, degree: int, n: int) -> np.ndarray:
     assert state.load_factor == 1.0
     e = problem.u - exact(dim, ufl.SpatialCoordinate(body.mesh))
     dx = ufl.dx(domain=body.mesh, metadata={"quadrature_degree": 2 * degree + 2})
-    forms = compile_forms(body.comm, [ufl.inner(e, e) * dx,
-                                      ufl.inner(ufl.grad(e), ufl.grad(e)) * dx], problem.jit)
+    forms = compile_forms(
+        body.comm, [ufl.inner(e, e) * dx, ufl.inner(ufl.grad(e), ufl.grad(e)) * dx], problem.jit
+    )
     return np.sqrt([integral(problem, form) for form in forms])
 
 
@@ -99,8 +104,10 @@ def slopes(law: Law, dim: int, degree: int, cells: Sequence[int]) -> np.ndarray:
     return np.polyfit(np.log(1 / np.array(cells)), np.log(table), 1)[0]
 
 
-@pytest.mark.parametrize(("dim", "degree", "cells"), [
-    (2, 1, (12, 24, 48)), (2, 2, (6, 12, 24)), (3, 1, (5, 10, 15)), (3, 2, (3, 5, 7))])
+@pytest.mark.parametrize(
+    ("dim", "degree", "cells"),
+    [(2, 1, (12, 24, 48)), (2, 2, (6, 12, 24)), (3, 1, (5, 10, 15)), (3, 2, (3, 5, 7))],
+)
 @pytest.mark.parametrize("kind", [LinearElastic, NeoHookean], ids=lambda k: k.__name__)
 def test_rates(kind, dim, degree, cells):
     in_l2, in_h1 = slopes(kind(E=E, nu=NU), dim, degree, cells)

@@ -15,8 +15,13 @@ PAIRS = list(combinations(NAMES, 2))
 
 def solid(E: float, nu: float) -> dict[str, float]:
     """All five constants by Landau & Lifshitz (5.9)."""
-    return {"E": E, "nu": nu, "K": E / (3 * (1 - 2 * nu)),
-            "lmbda": E * nu / ((1 + nu) * (1 - 2 * nu)), "mu": E / (2 * (1 + nu))}
+    return {
+        "E": E,
+        "nu": nu,
+        "K": E / (3 * (1 - 2 * nu)),
+        "lmbda": E * nu / ((1 + nu) * (1 - 2 * nu)),
+        "mu": E / (2 * (1 + nu)),
+    }
 
 
 def test_there_are_ten_pairs():
@@ -24,8 +29,9 @@ def test_there_are_ten_pairs():
 
 
 @pytest.mark.parametrize("pair", PAIRS, ids="-".join)
-@pytest.mark.parametrize(("E", "nu"), [(1.0, 0.25), (1e7, 0.3), (210e9, 0.31), (3.7e-2, 0.45),
-                                       (5e5, -0.3), (2.0, 0.02)])
+@pytest.mark.parametrize(
+    ("E", "nu"), [(1.0, 0.25), (1e7, 0.3), (210e9, 0.31), (3.7e-2, 0.45), (5e5, -0.3), (2.0, 0.02)]
+)
 def test_any_pair_gives_all_five(E, nu, pair):
     expected = solid(E, nu)
     found = complete(**{name: expected[name] for name in pair})
@@ -59,37 +65,43 @@ def test_given_constants_stay_as_given(pair):
     assert {name: getattr(found, name) for name in pair} == given
 
 
-@pytest.mark.parametrize(("given", "says"), [
-    ({}, "two elastic constants are needed, 0 given"),
-    ({"E": 1.0}, "1 given (E)"),
-    ({"E": 1.0, "nu": 0.3, "mu": 1.0}, "3 given (E, nu, mu)"),
-    ({"E": -1.0, "nu": 0.3}, "-1 is not a possible E"),
-    ({"E": 0.0, "nu": 0.3}, "0 is not a possible E"),
-    ({"E": float("nan"), "nu": 0.3}, "nan is not a possible E"),
-    ({"E": 1.0, "nu": 0.5}, "below 0.5"),
-    ({"E": 1.0, "nu": -1.0}, "above -1"),
-    ({"E": 1.0, "nu": float("nan")}, "Poisson"),
-    ({"E": 1.0, "mu": 0.3}, "no stable elastic solid has E = 1, mu = 0.3"),   # nu = 2/3
-    ({"E": 9.0, "K": 1.0}, "no stable elastic solid"),                        # infinite mu
-    ({"E": 3.0, "mu": 1.0}, "no stable elastic solid"),                       # infinite K
-    ({"K": 1.0, "lmbda": 2.0}, "no stable elastic solid has K = 1, lmbda = 2"),
-    ({"lmbda": -1.0, "mu": 1.0}, "no stable elastic solid"),                  # infinite E
-    ({"nu": 0.0, "lmbda": 1.0}, "no stable elastic solid"),
-    ({"nu": -0.2, "lmbda": 1.0}, "no stable elastic solid"),
-    ({"E": float("inf"), "nu": 0.3}, "no stable elastic solid"),
-])
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({}, "two elastic constants are needed, 0 given"),
+        ({"E": 1.0}, "1 given (E)"),
+        ({"E": 1.0, "nu": 0.3, "mu": 1.0}, "3 given (E, nu, mu)"),
+        ({"E": -1.0, "nu": 0.3}, "-1 is not a possible E"),
+        ({"E": 0.0, "nu": 0.3}, "0 is not a possible E"),
+        ({"E": float("nan"), "nu": 0.3}, "nan is not a possible E"),
+        ({"E": 1.0, "nu": 0.5}, "below 0.5"),
+        ({"E": 1.0, "nu": -1.0}, "above -1"),
+        ({"E": 1.0, "nu": float("nan")}, "Poisson"),
+        ({"E": 1.0, "mu": 0.3}, "no stable elastic solid has E = 1, mu = 0.3"),  # nu = 2/3
+        ({"E": 9.0, "K": 1.0}, "no stable elastic solid"),  # infinite mu
+        ({"E": 3.0, "mu": 1.0}, "no stable elastic solid"),  # infinite K
+        ({"K": 1.0, "lmbda": 2.0}, "no stable elastic solid has K = 1, lmbda = 2"),
+        ({"lmbda": -1.0, "mu": 1.0}, "no stable elastic solid"),  # infinite E
+        ({"nu": 0.0, "lmbda": 1.0}, "no stable elastic solid"),
+        ({"nu": -0.2, "lmbda": 1.0}, "no stable elastic solid"),
+        ({"E": float("inf"), "nu": 0.3}, "no stable elastic solid"),
+    ],
+)
 def test_impossible_constants_are_refused(given, says):
     with pytest.raises(InputError) as caught:
         complete(**given)
     assert says in str(caught.value)
 
 
-@pytest.mark.parametrize("name", [n for n, kind in MATERIALS.items() if issubclass(kind, Isotropic)])
+@pytest.mark.parametrize(
+    "name", [name for name, kind in MATERIALS.items() if issubclass(kind, Isotropic)]
+)
 def test_laws_take_any_pair(name):
     law = MATERIALS[name](K=5e6, mu=1e6)
     assert law.lmbda == pytest.approx(5e6 - 2e6 / 3, rel=1e-14)
     assert law.constants() == pytest.approx(
-        solid(9 * 5e6 * 1e6 / (3 * 5e6 + 1e6), (15e6 - 2e6) / (2 * (15e6 + 1e6))), rel=1e-13)
+        solid(9 * 5e6 * 1e6 / (3 * 5e6 + 1e6), (15e6 - 2e6) / (2 * (15e6 + 1e6))), rel=1e-13
+    )
 
 
 def test_laws_read_units_and_the_name_lambda():

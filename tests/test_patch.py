@@ -34,8 +34,14 @@ E, NU = 1e6, 0.3
 MU, LMBDA = E / (2 * (1 + NU)), E * NU / ((1 + NU) * (1 - 2 * NU))
 H3 = np.array([[0.2, 0.3, -0.1], [0.1, -0.1, 0.2], [-0.2, 0.1, 0.1]])
 H2 = np.array([[0.3, 0.4], [-0.2, -0.1]])
-NORMALS = {"left": (0, -1), "right": (0, 1), "front": (1, -1), "back": (1, 1), "bottom": (2, -1),
-           "top": (2, 1)}
+NORMALS = {
+    "left": (0, -1),
+    "right": (0, 1),
+    "front": (1, -1),
+    "back": (1, 1),
+    "bottom": (2, -1),
+    "top": (2, 1),
+}
 
 
 def irregular(body: Body, size: tuple[float, ...]) -> Body:
@@ -53,8 +59,10 @@ def make_body(dim: int) -> tuple[Body, tuple[float, ...]]:
 
 
 def affine(H: np.ndarray) -> list[str]:
-    return [" + ".join(f"({h!r})*{x}" for h, x in zip(map(float, row), "xyz", strict=False))
-            for row in H]
+    return [
+        " + ".join(f"({h!r})*{x}" for h, x in zip(map(float, row), "xyz", strict=False))
+        for row in H
+    ]
 
 
 def stress(law: Any, F: np.ndarray) -> np.ndarray:
@@ -62,10 +70,12 @@ def stress(law: Any, F: np.ndarray) -> np.ndarray:
     J, green, I = np.linalg.det(F), (F.T @ F - np.eye(3)) / 2, np.eye(3)
     hooke = lambda e: LMBDA * np.trace(e) * I + 2 * MU * e  # noqa: E731
     G = np.linalg.inv(F).T
-    return {"linear-elastic": lambda: hooke((F + F.T) / 2 - I),
-            "st-venant-kirchhoff": lambda: F @ hooke(green),
-            "neo-hookean": lambda: MU * (F - G) + LMBDA * np.log(J) * G,
-            "textbook": lambda: J * hooke(green) @ G}[law.name()]()
+    return {
+        "linear-elastic": lambda: hooke((F + F.T) / 2 - I),
+        "st-venant-kirchhoff": lambda: F @ hooke(green),
+        "neo-hookean": lambda: MU * (F - G) + LMBDA * np.log(J) * G,
+        "textbook": lambda: J * hooke(green) @ G,
+    }[law.name()]()
 
 
 def largest(comm: MPI.Comm, values: np.ndarray) -> float:
@@ -113,8 +123,9 @@ def test_affine_displacement_of_the_boundary(comm, name, dim, degree):
     moments = comm.allreduce(moments, op=MPI.SUM)
     assembler.destroy()
     P = stress(law, np.eye(3) + H)
-    np.testing.assert_allclose(moments / np.prod(size), P[:dim, :dim], rtol=0,
-                               atol=1e-12 * np.abs(P).max())
+    np.testing.assert_allclose(
+        moments / np.prod(size), P[:dim, :dim], rtol=0, atol=1e-12 * np.abs(P).max()
+    )
     total = state.reactions[support.label]
     assert np.abs(total).max() < 1e-12 * np.abs(P).max()
 
@@ -132,8 +143,9 @@ def test_affine_traction_patch(comm, degree):
     for name, (axis, sign) in NORMALS.items():
         traction = sign * P[:, axis]
         if sign < 0:
-            supports.append(Support(on=name, displacement=[
-                rows[i] if i == axis else "free" for i in range(3)]))
+            supports.append(
+                Support(on=name, displacement=[rows[i] if i == axis else "free" for i in range(3)])
+            )
             traction = np.where(np.arange(3) == axis, 0.0, traction)
         loads.append(Traction(on=name, value=traction.tolist()))
     problem = Problem(body, law, supports=supports, loads=loads, degree=degree)
@@ -154,37 +166,54 @@ def test_quadratic_patch(comm):
     size = (0.6, 0.4, L)
     body = irregular(box_body(size=size, cells=(2, 2, 3)), size)
     c = rho * g / E
-    exact = [f"-{NU * c!r}*x*z", f"-{NU * c!r}*y*z",
-             f"{c / 2!r}*(z^2 - {L**2!r} + {NU!r}*(x^2 + y^2))"]
-    problem = Problem(body, LinearElastic(E=E, nu=NU), degree=2,
-                      supports=[Support(on="top", displacement=exact)],
-                      loads=[BodyForce(value=[0, 0, -rho * g])])
+    exact = [
+        f"-{NU * c!r}*x*z",
+        f"-{NU * c!r}*y*z",
+        f"{c / 2!r}*(z^2 - {L**2!r} + {NU!r}*(x^2 + y^2))",
+    ]
+    problem = Problem(
+        body,
+        LinearElastic(E=E, nu=NU),
+        degree=2,
+        supports=[Support(on="top", displacement=exact)],
+        loads=[BodyForce(value=[0, 0, -rho * g])],
+    )
     *_, state = Statics(problem, rtol=1e-14).steps()
 
     def solution(X: np.ndarray) -> np.ndarray:
         x, y, z = X.T
-        return np.stack([-NU * c * x * z, -NU * c * y * z,
-                         c / 2 * (z**2 - L**2 + NU * (x**2 + y**2))], axis=1)
+        return np.stack(
+            [-NU * c * x * z, -NU * c * y * z, c / 2 * (z**2 - L**2 + NU * (x**2 + y**2))], axis=1
+        )
 
     scale = c * L**2 / 2
     assert scale == pytest.approx(0.01962)
     # Nodal forces of the size E u h cancel to rho g h^3: a slender bar, condition about 1e3.
     assert off(problem, solution) < 1e-11 * scale
     weight = rho * g * np.prod(size)
-    np.testing.assert_allclose(state.reactions["top"], [0, 0, weight], rtol=0,
-                               atol=1e-11 * weight)
+    np.testing.assert_allclose(state.reactions["top"], [0, 0, weight], rtol=0, atol=1e-11 * weight)
 
 
 def test_linear_elements_do_not_hold_the_quadratic_patch(comm):
     """The check above can fail: linear elements are off by per cents."""
     L, c = 2.0, 9.81e-3
     body = box_body(size=(0.6, 0.4, L), cells=(2, 2, 3))
-    top = Support(on="top", displacement=[f"-{NU * c * L}*x", f"-{NU * c * L}*y",
-                                          f"{c / 2 * NU}*(x^2 + y^2)"])
-    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[top],
-                      loads=[BodyForce(value=[0, 0, -9810])])
+    top = Support(
+        on="top", displacement=[f"-{NU * c * L}*x", f"-{NU * c * L}*y", f"{c / 2 * NU}*(x^2 + y^2)"]
+    )
+    problem = Problem(
+        body, LinearElastic(E=E, nu=NU), supports=[top], loads=[BodyForce(value=[0, 0, -9810])]
+    )
     _ = [*Statics(problem).steps()]
-    error = off(problem, lambda X: np.stack(
-        [-NU * c * X[:, 0] * X[:, 2], -NU * c * X[:, 1] * X[:, 2],
-         c / 2 * (X[:, 2] ** 2 - L**2 + NU * (X[:, 0] ** 2 + X[:, 1] ** 2))], axis=1))
+    error = off(
+        problem,
+        lambda X: np.stack(
+            [
+                -NU * c * X[:, 0] * X[:, 2],
+                -NU * c * X[:, 1] * X[:, 2],
+                c / 2 * (X[:, 2] ** 2 - L**2 + NU * (X[:, 0] ** 2 + X[:, 1] ** 2)),
+            ],
+            axis=1,
+        ),
+    )
     assert error > 1e-3 * c * L**2 / 2

@@ -37,9 +37,14 @@ FREE = "free"
 
 
 def square() -> Body:
-    return name_parts(rectangle_body(size=(1.0, 1.0), cells=(4, 4)), regions={
-        "west": Selector(box=((0, 0), (0.5, 1))), "east": Selector(box=((0.5, 0), (1, 1))),
-        "south": Selector(box=((0, 0), (1, 0.5)))})
+    return name_parts(
+        rectangle_body(size=(1.0, 1.0), cells=(4, 4)),
+        regions={
+            "west": Selector(box=((0, 0), (0.5, 1))),
+            "east": Selector(box=((0.5, 0), (1, 1))),
+            "south": Selector(box=((0, 0), (1, 0.5))),
+        },
+    )
 
 
 def wave(problem: Problem, seed: int) -> np.ndarray:
@@ -56,6 +61,7 @@ def dot(problem: Problem, a: np.ndarray, b: np.ndarray) -> float:
 
 
 # --- materials cover the body ---
+
 
 def test_every_cell_needs_exactly_one_material():
     soft = LinearElastic(E=E, nu=NU)
@@ -74,12 +80,13 @@ def test_every_cell_needs_exactly_one_material():
 def test_unknown_names_and_wrong_vectors():
     law = LinearElastic(E=E, nu=NU)
     for wrong, says in (
-            ({"supports": [Support(on="lfet", displacement=[0, 0])]}, "did you mean 'left'"),
-            ({"loads": [Traction(on="rihgt", value=[0, 0])]}, "did you mean 'right'"),
-            ({"loads": [BodyForce(on="wset", value=[0, 0])]}, "did you mean 'west'"),
-            ({"supports": [Support(on="left", displacement=[0, 0, 0])]}, "3 components"),
-            ({"loads": [Traction(on="left", value=[0, 0, 1])]}, "3 components"),
-            ({"loads": [Gravity()]}, "density")):
+        ({"supports": [Support(on="lfet", displacement=[0, 0])]}, "did you mean 'left'"),
+        ({"loads": [Traction(on="rihgt", value=[0, 0])]}, "did you mean 'right'"),
+        ({"loads": [BodyForce(on="wset", value=[0, 0])]}, "did you mean 'west'"),
+        ({"supports": [Support(on="left", displacement=[0, 0, 0])]}, "3 components"),
+        ({"loads": [Traction(on="left", value=[0, 0, 1])]}, "3 components"),
+        ({"loads": [Gravity()]}, "density"),
+    ):
         with pytest.raises(InputError) as caught:
             Problem(square(), law, **wrong)
         assert says in str(caught.value)
@@ -97,6 +104,7 @@ def test_missing_density_names_its_material():
 
 # --- one sum of terms, with consistent derivatives ---
 
+
 def assembled(problem: Problem, form: fem.Form) -> np.ndarray:
     vector = la.vector(problem.V.dofmap.index_map, problem.V.dofmap.index_map_bs)
     fem.assemble_vector(vector.array, form)
@@ -108,8 +116,7 @@ def assembled(problem: Problem, form: fem.Form) -> np.ndarray:
 def test_tangent_is_the_derivative_of_the_residual(name):
     """K w against differences of the residual, fourth order; w K v = v K w iff an energy exists."""
     laws = {"west": MATERIALS[name](E=E, nu=NU), "east": MATERIALS[name](E=2 * E, nu=0.2)}
-    problem = Problem(square(), laws, degree=2,
-                      loads=[Traction(on="right", value=["1e4*x", 0])])
+    problem = Problem(square(), laws, degree=2, loads=[Traction(on="right", value=["1e4*x", 0])])
     assembler = Assembler(problem)
     u, w = wave(problem, 1), wave(problem, 2)
     x, out = assembler.create_vector(), assembler.create_vector()
@@ -120,8 +127,10 @@ def test_tangent_is_the_derivative_of_the_residual(name):
         return out.array_r.copy()
 
     h = 1e-3
-    numeric = (8 * (residual(u + h * w) - residual(u - h * w))
-               - (residual(u + 2 * h * w) - residual(u - 2 * h * w))) / (12 * h)
+    numeric = (
+        8 * (residual(u + h * w) - residual(u - h * w))
+        - (residual(u + 2 * h * w) - residual(u - 2 * h * w))
+    ) / (12 * h)
     residual(u)
     assembler.tangent(x)
 
@@ -132,8 +141,10 @@ def test_tangent_is_the_derivative_of_the_residual(name):
 
     exact, other = product(w), product(wave(problem, 3))
     comm = problem.body.comm
-    worst, scale = (comm.allreduce(float(np.abs(a).max(initial=0.0)), op=MPI.MAX)
-                    for a in (exact - numeric, exact))
+    worst, scale = (
+        comm.allreduce(float(np.abs(a).max(initial=0.0)), op=MPI.MAX)
+        for a in (exact - numeric, exact)
+    )
     assert worst < 1e-8 * scale
     forth, back = dot(problem, wave(problem, 3), exact), dot(problem, w, other)
     asymmetry = abs(forth - back) / abs(forth)
@@ -144,8 +155,10 @@ def test_tangent_is_the_derivative_of_the_residual(name):
 
 
 LOADS = {
-    "body force": BodyForce(value=[1e5, 0]), "in a region": BodyForce(on="south", value=[0, "1e5*x"]),
-    "in two": BodyForce(on=["west", "south"], value=[1e5, 0]), "weight": Gravity(),
+    "body force": BodyForce(value=[1e5, 0]),
+    "in a region": BodyForce(on="south", value=[0, "1e5*x"]),
+    "in two": BodyForce(on=["west", "south"], value=[1e5, 0]),
+    "weight": Gravity(),
     "weight of a region": Gravity(on=["east", "south"]),
     "traction": Traction(on=["right", "top"], value=[0, 1e5]),
 }
@@ -159,20 +172,28 @@ def test_residual_is_the_sum_of_its_terms(materials, degree, load):
 
     Several terms on one part of the body differ in their quadrature: they must not be mixed up.
     """
-    laws = {"west": LinearElastic(E=E, nu=NU, density=100.0),
-            "east": LinearElastic(E=2 * E, nu=NU, density=300.0)}
+    laws = {
+        "west": LinearElastic(E=E, nu=NU, density=100.0),
+        "east": LinearElastic(E=2 * E, nu=NU, density=300.0),
+    }
     loads = [*LOADS.values()] if load == "all of them" else [LOADS[load]]
-    problem = Problem(square(), laws if materials == 2 else laws["west"], loads=loads,
-                      degree=degree)
+    problem = Problem(
+        square(), laws if materials == 2 else laws["west"], loads=loads, degree=degree
+    )
     east = 300.0 if materials == 2 else 100.0
-    totals = {"body force": (1e5, 0), "in a region": (0, 1e5 / 4), "in two": (0.75e5 + 0.25e5, 0),
-              "weight": (0, -9.81 * (100 + east) / 2),
-              "weight of a region": (0, -9.81 * (east / 2 + (100 + east) / 4)),
-              "traction": (0, 2e5)}
+    totals = {
+        "body force": (1e5, 0),
+        "in a region": (0, 1e5 / 4),
+        "in two": (0.75e5 + 0.25e5, 0),
+        "weight": (0, -9.81 * (100 + east) / 2),
+        "weight of a region": (0, -9.81 * (east / 2 + (100 + east) / 4)),
+        "traction": (0, 2e5),
+    }
     expected = np.sum(list(totals.values()), axis=0) if load == "all of them" else totals[load]
     problem.u.x.array[:] = wave(problem, 1)
-    forms = compile_forms(problem.body.comm,
-                          [problem.residual, problem.internal, problem.external], problem.jit)
+    forms = compile_forms(
+        problem.body.comm, [problem.residual, problem.internal, problem.external], problem.jit
+    )
     whole, internal, external = (assembled(problem, form) for form in forms)
     mask = np.tile(np.eye(2), (1, len(whole) // 2))
     found = [dot(problem, external, row) for row in mask]
@@ -183,8 +204,9 @@ def test_residual_is_the_sum_of_its_terms(materials, degree, load):
     assert dot(problem, difference, difference) < 1e-26 * scale
 
 
-@pytest.mark.parametrize("name", [n for n, kind in MATERIALS.items()
-                                  if kind(E=E, nu=NU).has_energy])
+@pytest.mark.parametrize(
+    "name", [n for n, kind in MATERIALS.items() if kind(E=E, nu=NU).has_energy]
+)
 def test_internal_forces_are_the_derivative_of_the_energy(name):
     problem = Problem(square(), MATERIALS[name](E=E, nu=NU), degree=2)
     energy = compiled(problem, [problem.strain_energy])[0]
@@ -206,18 +228,27 @@ def test_energy_and_residual_see_the_same_laws():
     x = problem.V.tabulate_dof_coordinates()[:, :2]
     c, s = np.cos(1.0), np.sin(1.0)
     problem.u.x.array[:] = (x @ np.array([[c, s], [-s, c]]) - x).ravel()
-    energy, force = (compile_forms(problem.body.comm, [form], problem.jit)[0]
-                     for form in (problem.strain_energy, problem.internal))
+    energy, force = (
+        compile_forms(problem.body.comm, [form], problem.jit)[0]
+        for form in (problem.strain_energy, problem.internal)
+    )
     assert abs(integral(problem, energy)) < 1e-25 * E
     assert dot(problem, *[assembled(problem, force)] * 2) < (1e-14 * E) ** 2
     assert Problem(square(), MATERIALS["textbook"](E=E, nu=NU)).strain_energy is None
-    assert not Problem(square(), {"west": NeoHookean(E=E, nu=NU),
-                                  "east": MATERIALS["textbook"](E=E, nu=NU)}).has_energy
+    assert not Problem(
+        square(), {"west": NeoHookean(E=E, nu=NU), "east": MATERIALS["textbook"](E=E, nu=NU)}
+    ).has_energy
 
 
 def test_inertia_is_the_mass():
-    problem = Problem(square(), {"west": LinearElastic(E=E, nu=NU, density=3.0),
-                                 "east": LinearElastic(E=E, nu=NU, density=5.0)}, degree=2)
+    problem = Problem(
+        square(),
+        {
+            "west": LinearElastic(E=E, nu=NU, density=3.0),
+            "east": LinearElastic(E=E, nu=NU, density=5.0),
+        },
+        degree=2,
+    )
     one = ufl.as_vector([1.0, 0.0])
     mass = compile_forms(problem.body.comm, [problem.inertia(one, problem.v)], problem.jit)[0]
     forces = assembled(problem, mass).reshape(-1, 2)
@@ -226,6 +257,7 @@ def test_inertia_is_the_mass():
 
 
 # --- supports that meet ---
+
 
 def test_the_later_support_holds():
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
@@ -248,11 +280,19 @@ def test_the_later_support_holds():
 
 # --- nothing is compiled twice ---
 
+
 def forms_of(**numbers: Any) -> Problem:
     law = NeoHookean(E=numbers["E"], nu=numbers["nu"], density=numbers["density"])
-    return Problem(square(), law, supports=[Support(on="left", displacement=[numbers["hold"], 0])],
-                   loads=[Traction(on="right", value=[numbers["pull"], 1.0]), Gravity(),
-                          BodyForce(value=[numbers["pull"] * 2, "x*t"])])
+    return Problem(
+        square(),
+        law,
+        supports=[Support(on="left", displacement=[numbers["hold"], 0])],
+        loads=[
+            Traction(on="right", value=[numbers["pull"], 1.0]),
+            Gravity(),
+            BodyForce(value=[numbers["pull"] * 2, "x*t"]),
+        ],
+    )
 
 
 def test_other_numbers_compile_nothing():
@@ -274,9 +314,12 @@ def test_the_cache_does_not_grow(comm, folder, monkeypatch):
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
     counts = []
     for number in (1.0, 2.5):
-        problem = Problem(body, LinearElastic(E=E * number, nu=NU / number),
-                          supports=[Support(on="left", displacement=[0, 0])],
-                          loads=[Traction(on="right", value=[number, "y*t"])])
+        problem = Problem(
+            body,
+            LinearElastic(E=E * number, nu=NU / number),
+            supports=[Support(on="left", displacement=[0, 0])],
+            loads=[Traction(on="right", value=[number, "y*t"])],
+        )
         _ = [*Statics(problem, steps=3).steps()]
         counts.append(count())
     assert counts[0] >= 3
@@ -285,22 +328,33 @@ def test_the_cache_does_not_grow(comm, folder, monkeypatch):
 
 def test_time_moves_loads_and_supports():
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
-    problem = Problem(body, LinearElastic(E=E, nu=NU),
-                      supports=[Support(on="left", displacement=["t", 0])],
-                      loads=[Traction(on="right", value=[1.0, 0], curve="t^2"),
-                             Traction(on="right", value=[0, "10*t"])])
+    problem = Problem(
+        body,
+        LinearElastic(E=E, nu=NU),
+        supports=[Support(on="left", displacement=["t", 0])],
+        loads=[
+            Traction(on="right", value=[1.0, 0], curve="t^2"),
+            Traction(on="right", value=[0, "10*t"]),
+        ],
+    )
     form = compile_forms(body.comm, [problem.external], problem.jit)[0]
     for t in (0.0, 0.5, 2.0):
         problem.set_time(t)
         forces = assembled(problem, form).reshape(-1, 2)
         ones = np.ones(forces.shape[0])
         assert dot(problem, forces.ravel(), np.outer(ones, [1, 0]).ravel()) == pytest.approx(
-            t**2, abs=1e-14)
+            t**2, abs=1e-14
+        )
         assert dot(problem, forces.ravel(), np.outer(ones, [0, 1]).ravel()) == pytest.approx(
-            10 * t, abs=1e-13)
+            10 * t, abs=1e-13
+        )
         held = problem.prescribed
-        assert body.comm.allreduce(float(held.values.x.array[held.owned].max(initial=-1.0)),
-                                   op=MPI.MAX) == t
+        assert (
+            body.comm.allreduce(
+                float(held.values.x.array[held.owned].max(initial=-1.0)), op=MPI.MAX
+            )
+            == t
+        )
 
 
 def test_more_exact_integration_can_be_asked_for():
@@ -308,9 +362,13 @@ def test_more_exact_integration_can_be_asked_for():
     energies = []
     for degree in (None, 6):
         body = box_body(size=(1.0, 1.0, 1.0), cells=(2, 2, 2))
-        problem = Problem(body, NeoHookean(E=E, nu=NU), degree=2, quadrature_degree=degree,
-                          supports=[Support(on="left"), Support(on="right",
-                                                                displacement=[0.2, 0.1, 0])])
+        problem = Problem(
+            body,
+            NeoHookean(E=E, nu=NU),
+            degree=2,
+            quadrature_degree=degree,
+            supports=[Support(on="left"), Support(on="right", displacement=[0.2, 0.1, 0])],
+        )
         *_, state = Statics(problem).steps()
         energies.append(state.energies["strain"])
     assert energies[0] == pytest.approx(energies[1], rel=1e-2)

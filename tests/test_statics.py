@@ -47,8 +47,10 @@ def last(problem: Problem, **settings: Any) -> Any:
 
 # --- bending against beam theory and an independent code ---
 
-@pytest.mark.parametrize(("law", "w", "u"), [
-    (NeoHookean, 0.716010, 0.388115), (StVenantKirchhoff, 0.715731, 0.389030)])
+
+@pytest.mark.parametrize(
+    ("law", "w", "u"), [(NeoHookean, 0.716010, 0.388115), (StVenantKirchhoff, 0.715731, 0.389030)]
+)
 def test_elastica(law, w, u):
     """A cantilever, L/h = 20, under a dead tip force 5 E I/L^2 (plane strain).
 
@@ -58,9 +60,13 @@ def test_elastica(law, w, u):
     L, h = 20.0, 1.0
     force = 5 * E / (1 - NU**2) * h**3 / 12 / L**2
     body = rectangle_body(size=(L, h), cells=(40, 2))
-    problem = Problem(body, law(E=E, nu=NU), degree=2,
-                      supports=[Support(on="left", displacement=[0, 0])],
-                      loads=[Traction(on="right", value=[0, force / h])])
+    problem = Problem(
+        body,
+        law(E=E, nu=NU),
+        degree=2,
+        supports=[Support(on="left", displacement=[0, 0])],
+        loads=[Traction(on="right", value=[0, force / h])],
+    )
     state = last(problem, steps=2)
     tip = displacement_at(problem, (L, h / 2)) / L
     # Quadratic triangles of side h/2 are stiff by about 0.1 %.
@@ -81,9 +87,13 @@ def test_cooks_membrane():
     x = body.mesh.geometry.x
     s, r = x[:, 0].copy(), x[:, 1].copy()
     x[:, 0], x[:, 1] = 48 * s, 44 * s + r * (44 - 28 * s)
-    problem = Problem(body, NeoHookean(mu=422.5e3, lmbda=633750.0), degree=2,
-                      supports=[Support(on="left", displacement=[0, 0])],
-                      loads=[Traction(on="right", value=[0, 62500.0])])
+    problem = Problem(
+        body,
+        NeoHookean(mu=422.5e3, lmbda=633750.0),
+        degree=2,
+        supports=[Support(on="left", displacement=[0, 0])],
+        loads=[Traction(on="right", value=[0, 62500.0])],
+    )
     last(problem, steps=4)
     tip = displacement_at(problem, (48.0, 52.0))[1]
     assert 0.990 < tip / 14.522 < 0.998
@@ -92,11 +102,16 @@ def test_cooks_membrane():
 def test_lateral_contraction_of_a_bar():
     """Hooke's bar in tension, exact on any mesh: u = t/E (x, -nu y, -nu z)."""
     body = box_body(size=(2.0, 0.5, 0.5), cells=(4, 2, 2))
-    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[
-        Support(on="left", displacement=[0, FREE, FREE]),
-        Support(on="front", displacement=[FREE, 0, FREE]),
-        Support(on="bottom", displacement=[FREE, FREE, 0])],
-        loads=[Traction(on="right", value=["1 kPa", 0, 0])])
+    problem = Problem(
+        body,
+        LinearElastic(E=E, nu=NU),
+        supports=[
+            Support(on="left", displacement=[0, FREE, FREE]),
+            Support(on="front", displacement=[FREE, 0, FREE]),
+            Support(on="bottom", displacement=[FREE, FREE, 0]),
+        ],
+        loads=[Traction(on="right", value=["1 kPa", 0, 0])],
+    )
     state = last(problem)
     found = displacement_at(problem, (2.0, 0.5, 0.5))
     np.testing.assert_allclose(found, np.array([2.0, -0.5 * NU, -0.5 * NU]) * 1e3 / E, rtol=1e-11)
@@ -107,13 +122,18 @@ def test_lateral_contraction_of_a_bar():
 
 # --- loads in sum ---
 
+
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("law", [LinearElastic, NeoHookean, Textbook])
 def test_reactions_carry_the_weight(law, dim):
     size = (1.0, 0.5, 0.4)[:dim]
     body = box_body(size=size, cells=(3, 2, 2)[:dim])
-    problem = Problem(body, law(E=E, nu=NU, density=1200.0), loads=[Gravity()],
-                      supports=[Support(on="left", displacement=[0] * dim)])
+    problem = Problem(
+        body,
+        law(E=E, nu=NU, density=1200.0),
+        loads=[Gravity()],
+        supports=[Support(on="left", displacement=[0] * dim)],
+    )
     state = last(problem, rtol=1e-12)
     weight = 1200.0 * 9.81 * np.prod(size)
     expected = np.eye(dim)[-1] * weight  # the support pushes up
@@ -124,12 +144,16 @@ def test_loads_add_up():
     """Reactions balance gravity, a body force, a formula's traction: the sum of all terms."""
     body = box_body(size=(1.0, 1.0, 1.0), cells=(3, 3, 3))
     body = name_parts(body, regions={"upper": Selector(box=((0, 0, 1 / 3), (1, 1, 1)))})
-    loads = [Gravity(value=[0, 0, -10.0]), BodyForce(value=[30.0, 0, 0]),
-             BodyForce(on="upper", value=["x", "6*z", 0]),
-             Traction(on=["right", "top"], value=[0, "2*y", 0]),
-             Gravity(on="upper", value=[0, 0, 1.0])]
-    problem = Problem(body, LinearElastic(E=E, nu=NU, density=7.0), loads=loads,
-                      supports=[Support(on="bottom")])
+    loads = [
+        Gravity(value=[0, 0, -10.0]),
+        BodyForce(value=[30.0, 0, 0]),
+        BodyForce(on="upper", value=["x", "6*z", 0]),
+        Traction(on=["right", "top"], value=[0, "2*y", 0]),
+        Gravity(on="upper", value=[0, 0, 1.0]),
+    ]
+    problem = Problem(
+        body, LinearElastic(E=E, nu=NU, density=7.0), loads=loads, supports=[Support(on="bottom")]
+    )
     state = last(problem, rtol=1e-13)
     third = 2 / 3
     total = [30 + 0.5 * third, 3 * (1 - 1 / 9) + 2 * (0.5 + 0.5), -70 + 7 * third]
@@ -141,28 +165,42 @@ def test_moment_of_a_formula_traction():
     body = rectangle_body(size=(2.0, 1.0), cells=(4, 2))
     c, stiff, nu = 100.0, E / (1 - NU**2), NU / (1 - NU)  # plane strain as plane stress
     left = [0, f"-({c}/{stiff})*(-({nu}/2)*(y - 1/2)^2)"]
-    problem = Problem(body, LinearElastic(E=E, nu=NU), degree=2,
-                      supports=[Support(on="left", displacement=left)],
-                      loads=[Traction(on="right", value=[f"-{c}*(y - 1/2)", 0])])
+    problem = Problem(
+        body,
+        LinearElastic(E=E, nu=NU),
+        degree=2,
+        supports=[Support(on="left", displacement=left)],
+        loads=[Traction(on="right", value=[f"-{c}*(y - 1/2)", 0])],
+    )
     last(problem, rtol=1e-13)
     for x, y in ((2.0, 0.0), (2.0, 1.0), (1.0, 0.5), (2.0, 0.5)):
         exact = c / stiff * np.array([-(y - 0.5) * x, x**2 / 2 + nu / 2 * (y - 0.5) ** 2])
-        np.testing.assert_allclose(displacement_at(problem, (x, y)), exact, rtol=0,
-                                   atol=1e-11 * c / stiff)
+        np.testing.assert_allclose(
+            displacement_at(problem, (x, y)), exact, rtol=0, atol=1e-11 * c / stiff
+        )
 
 
 # --- several materials ---
+
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_two_materials_in_a_row(dim):
     """Two bars in series without lateral contraction: displacements add up as springs do."""
     size, cells = (3.0, 1.0, 1.0)[:dim], (6, 2, 2)[:dim]
-    body = name_parts(box_body(size=size, cells=cells), regions={
-        "soft": Selector(box=((0, 0, 0)[:dim], (1, 1, 1)[:dim])),
-        "hard": Selector(box=((1, 0, 0)[:dim], (3, 1, 1)[:dim]))})
+    body = name_parts(
+        box_body(size=size, cells=cells),
+        regions={
+            "soft": Selector(box=((0, 0, 0)[:dim], (1, 1, 1)[:dim])),
+            "hard": Selector(box=((1, 0, 0)[:dim], (3, 1, 1)[:dim])),
+        },
+    )
     laws = {"soft": LinearElastic(E=2e5, nu=0.0), "hard": LinearElastic(E=8e5, nu=0.0)}
-    problem = Problem(body, laws, supports=[Support(on="left", displacement=[0] * dim)],
-                      loads=[Traction(on="right", value=[100.0, 0, 0][:dim])])
+    problem = Problem(
+        body,
+        laws,
+        supports=[Support(on="left", displacement=[0] * dim)],
+        loads=[Traction(on="right", value=[100.0, 0, 0][:dim])],
+    )
     state = last(problem)
     middle, end = (displacement_at(problem, (x, 1.0, 1.0)[:dim])[0] for x in (1.0, 3.0))
     assert middle == pytest.approx(100 / 2e5, rel=1e-11)
@@ -172,12 +210,20 @@ def test_two_materials_in_a_row(dim):
 
 def test_laws_of_different_kinds_side_by_side():
     """Each region obeys its own law: equal tractions, unequal stretches, from closed forms."""
-    body = name_parts(rectangle_body(size=(2.0, 1.0), cells=(4, 2)), regions={
-        "a": Selector(box=((0, 0), (1, 1))), "b": Selector(box=((1, 0), (2, 1)))})
+    body = name_parts(
+        rectangle_body(size=(2.0, 1.0), cells=(4, 2)),
+        regions={"a": Selector(box=((0, 0), (1, 1))), "b": Selector(box=((1, 0), (2, 1)))},
+    )
     laws = {"a": NeoHookean(E=E, nu=0.0), "b": StVenantKirchhoff(E=E, nu=0.0)}
-    problem = Problem(body, laws, supports=[Support(on="left", displacement=[0, FREE]),
-                                            Support(on="bottom", displacement=[FREE, 0])],
-                      loads=[Traction(on="right", value=[0.2 * E, 0])])
+    problem = Problem(
+        body,
+        laws,
+        supports=[
+            Support(on="left", displacement=[0, FREE]),
+            Support(on="bottom", displacement=[FREE, 0]),
+        ],
+        loads=[Traction(on="right", value=[0.2 * E, 0])],
+    )
     last(problem, rtol=1e-12)
     middle, end = (1 + displacement_at(problem, (x, 0.0))[0] / x for x in (1.0, 2.0))
     stretch = 2 * end - middle
@@ -188,18 +234,31 @@ def test_laws_of_different_kinds_side_by_side():
 
 # --- growth of loads ---
 
+
 def bar(*, loads: tuple[Any, ...] = (), right: Support | None = None) -> Problem:
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
-    supports = [Support(on="left", displacement=[0, FREE]),
-                Support(on="bottom", displacement=[FREE, 0])]
-    return Problem(body, LinearElastic(E=E, nu=0.0), loads=loads,
-                   supports=supports + ([right] if right else []))
+    supports = [
+        Support(on="left", displacement=[0, FREE]),
+        Support(on="bottom", displacement=[FREE, 0]),
+    ]
+    return Problem(
+        body,
+        LinearElastic(E=E, nu=0.0),
+        loads=loads,
+        supports=supports + ([right] if right else []),
+    )
 
 
-@pytest.mark.parametrize(("curve", "expected"), [
-    (None, [0, 0.25, 0.5, 0.75, 1.0]), ("ramp", [0, 0.25, 0.5, 0.75, 1.0]),
-    ("constant", [None, 1, 1, 1, 1]), ("t^2", [0, 1 / 16, 1 / 4, 9 / 16, 1]),
-    ([[0, 0], [0.5, 2], [1, 1]], [0, 1, 2, 1.5, 1])])
+@pytest.mark.parametrize(
+    ("curve", "expected"),
+    [
+        (None, [0, 0.25, 0.5, 0.75, 1.0]),
+        ("ramp", [0, 0.25, 0.5, 0.75, 1.0]),
+        ("constant", [None, 1, 1, 1, 1]),
+        ("t^2", [0, 1 / 16, 1 / 4, 9 / 16, 1]),
+        ([[0, 0], [0.5, 2], [1, 1]], [0, 1, 2, 1.5, 1]),
+    ],
+)
 def test_curves_of_loads(curve, expected):
     problem = bar(loads=(Traction(on="right", value=[1e3, 0], curve=curve),))
     found = []
@@ -215,8 +274,11 @@ def test_curves_and_formulas_of_supports():
     curved = Support(on="right", displacement=[0.1, FREE], curve=[[0, 0], [0.5, -1], [1, 1]])
     timed = Support(on="right", displacement=["0.1*t^2", FREE])
     plain = Support(on="right", displacement=["0.1*(1 + y)", FREE])
-    for support, expected in ((curved, [0, -0.1, 0.1]), (timed, [0, 0.025, 0.1]),
-                              (plain, [0, 0.1, 0.2])):
+    for support, expected in (
+        (curved, [0, -0.1, 0.1]),
+        (timed, [0, 0.025, 0.1]),
+        (plain, [0, 0.1, 0.2]),
+    ):
         problem, found = bar(right=support), []
         for _ in Statics(problem, steps=2).steps():
             found.append(displacement_at(problem, (1.0, 1.0))[0])
@@ -254,19 +316,27 @@ def test_states_describe_the_run():
 
 # --- linear solvers agree ---
 
+
 def solved(method: str, dim: int, degree: int, law: Any) -> tuple[np.ndarray, Any]:
     size, cells = ((4.0, 1.0, 1.0), (8, 2, 2)) if dim == 3 else ((6.0, 1.0), (24, 4))
     body = box_body(size=size, cells=cells)
     push = -4e-3 * E if dim == 3 else -2e-3 * E
-    problem = Problem(body, law, degree=degree, supports=[Support(on="left")] if dim == 3 else
-                      [Support(on="left", displacement=[0, 0])],
-                      loads=[Traction(on="right", value=[0, push, push][:dim])])
+    problem = Problem(
+        body,
+        law,
+        degree=degree,
+        supports=[Support(on="left")] if dim == 3 else [Support(on="left", displacement=[0, 0])],
+        loads=[Traction(on="right", value=[0, push, push][:dim])],
+    )
     state = last(problem, rtol=1e-11, linear=LinearSettings(method=method))
     return problem.u.x.array.copy(), state
 
 
-@pytest.mark.parametrize("law", [LinearElastic(E=E, nu=NU), NeoHookean(E=E, nu=0.4),
-                                 Textbook(E=E, nu=NU)], ids=lambda law: law.name())
+@pytest.mark.parametrize(
+    "law",
+    [LinearElastic(E=E, nu=NU), NeoHookean(E=E, nu=0.4), Textbook(E=E, nu=NU)],
+    ids=lambda law: law.name(),
+)
 @pytest.mark.parametrize(("dim", "degree"), [(3, 1), (3, 2), (2, 2)])
 def test_iterative_and_direct_solvers_agree(comm, dim, degree, law):
     """CG or GMRES with GAMG; for quadratic elements with the step to linear ones above it."""
@@ -281,8 +351,12 @@ def test_iterative_and_direct_solvers_agree(comm, dim, degree, law):
     assert size > 1e-2
     # Newton's 1e-11 in force, softened by a beam's condition of 1e3.
     assert off < 1e-8 * size
-    np.testing.assert_allclose(second.reactions["left"], first.reactions["left"], rtol=0,
-                               atol=1e-8 * np.abs(first.reactions["left"]).max())
+    np.testing.assert_allclose(
+        second.reactions["left"],
+        first.reactions["left"],
+        rtol=0,
+        atol=1e-8 * np.abs(first.reactions["left"]).max(),
+    )
     if law.has_energy:
         assert second.energies["strain"] == pytest.approx(first.energies["strain"], rel=1e-8)
     # A preconditioner that works: tens of iterations a solve, not hundreds.

@@ -33,8 +33,11 @@ STRESS = {
     NeoHookean: (-LMBDA * LN2, -2 * LMBDA * LN2 - 3 * MU / 2, -LMBDA * LN2),
     LinearElastic: (-LMBDA / 2, -(LMBDA + 2 * MU) / 2, -LMBDA / 2),
 }
-ENERGY = {StVenantKirchhoff: 7.814583472232e8, NeoHookean: 2.669534536679e9,
-          LinearElastic: 1.389259283952e9}
+ENERGY = {
+    StVenantKirchhoff: 7.814583472232e8,
+    NeoHookean: 2.669534536679e9,
+    LinearElastic: 1.389259283952e9,
+}
 PRINTED = {  # f1x, f2y, f3z of the element on its corners [N]
     Textbook: (1.041527768518e9, 2.083888925929e9, 2.083055537036e9),
     StVenantKirchhoff: (2.083055537036e9, 1.041944462964e9, 4.166111074072e9),

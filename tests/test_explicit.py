@@ -1,0 +1,282 @@
+"""Symplectic Euler: exact discrete answers, order one, momenta kept, the stable step.
+
+Source: Hairer, Lubich & Wanner, Geometric Numerical Integration (2006), sections I.1.2 and IX.
+For an oscillator v += dt a, then u += dt v from rest at u_0 gives
+u_n = u_0 (cos n theta - tan(theta/2) sin n theta), cos theta = 1 - (omega dt)^2/2.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from dolfinx import fem
+from mpi4py import MPI
+
+from dolfin_elastic import (
+    Dynamics,
+    Gravity,
+    LinearElastic,
+    NeoHookean,
+    Problem,
+    Selector,
+    Support,
+    Textbook,
+    box_body,
+    name_parts,
+    rectangle_body,
+)
+from dolfin_elastic.errors import InputError, StabilityError
+from dolfin_elastic.meshes import Body
+from dolfin_elastic.meshes.build import make_mesh
+from dolfin_elastic.solvers.explicit import SymplecticEuler
+
+FREE, SCHEME = "free", "symplectic-euler"
+E, NU, RHO = 1e7, 0.3, 1000.0
+STIFF = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
+OMEGA = np.sqrt(3 * STIFF / RHO)
+"""Of the oscillator below: stiffness (lmbda + 2 mu)/2, lumped mass rho/6."""
+PERIOD = 2 * np.pi / OMEGA
+
+
+def oscillator() -> Problem:
+    """A triangle whose only free component is u_x at (1, 0)."""
+    comm = MPI.COMM_WORLD
+    root = comm.rank == 0
+    cells = np.array([[0, 1, 2]] if root else np.empty((0, 3)), dtype=np.int64)
+    corners = np.array([[0.0, 0], [1, 0], [0, 1]]) if root else np.empty((0, 2))
+    body = name_parts(
+        Body(make_mesh(comm, cells, corners, 1)),
+        surfaces={"left": Selector(plane="x", at=0), "bottom": Selector(plane="y", at=0)},
+    )
+    return Problem(
+        body,
+        LinearElastic(E=E, nu=NU, density=RHO),
+        supports=[
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="left", displacement=[0, 0]),
+        ],
+    )
+
+
+def swing(dt: float, end: float) -> np.ndarray:
+    """Rows t, u, v and total energy from u = 1e-3 and v = 0."""
+    problem, rows = oscillator(), []
+    for state in Dynamics(
+        problem, scheme=SCHEME, end=end, dt=dt, initial_displacement=["1e-3*x", 0]
+    ).steps():
+        u = state.max_displacement
+        x = problem.V.tabulate_dof_coordinates()
+        at = np.flatnonzero(np.abs(x[:, 0] - 1) < 1e-9)
+        found = [(float(state.u.x.array[2 * i]), float(state.v.x.array[2 * i])) for i in at]
+        u, v = next(pair for pairs in problem.body.comm.allgather(found) for pair in pairs)
+        rows.append((state.t, u, v, state.energies["total"]))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.7, 0.99])
+def test_every_step_is_the_discrete_solution(share):
+    """Also just below the stability limit omega dt = 2."""
+    dt = share * 2 / OMEGA
+    u = swing(dt, 40.5 * dt)[:41, 1]
+    theta, n = np.arccos(1 - (OMEGA * dt) ** 2 / 2), np.arange(41)
+    exact = np.cos(n * theta) - np.tan(theta / 2) * np.sin(n * theta)
+    # At 0.99 the solution grows to tan(theta/2) = 7 and rounding with it.
+    np.testing.assert_allclose(u / 1e-3, exact, rtol=0, atol=1e-11)
+
+
+def test_first_order_in_time():
+    end, steps = 0.9 * PERIOD, np.array([40, 80, 160, 320])
+    exact = 1e-3 * np.array([np.cos(OMEGA * end), -np.sin(OMEGA * end)])
+    error = [np.linalg.norm(swing(end / n, end)[-1, 1:3] / [1, OMEGA] - exact) for n in steps]
+    slope = np.polyfit(np.log(1 / steps), np.log(error), 1)[0]
+    assert 0.9 <= slope <= 1.1
+
+
+def test_energy_stays_in_a_band():
+    """1000 steps: the energy swings by O(omega dt), and the band is the same at the end."""
+    dt = 0.2 / OMEGA
+    total = swing(dt, 1000.5 * dt)[:, 3]
+    early, late = total[:200], total[-200:]
+    assert np.ptp(total) < 0.25 * total[0]
+    assert late.max() == pytest.approx(early.max(), rel=1e-3)
+    assert late.min() == pytest.approx(early.min(), rel=1e-3)
+
+
+def test_free_fall():
+    """u_n = g dt^2 n (n + 1)/2, exactly."""
+    body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
+    problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), loads=[Gravity()])
+    dt = 1e-3
+    for state in Dynamics(problem, scheme=SCHEME, end=0.05, dt=dt).steps():
+        exact = [0.0, -9.81 * dt**2 * state.step * (state.step + 1) / 2]
+        off = np.abs(problem.u.x.array.reshape(-1, 2) - exact).max(initial=0.0)
+        assert body.comm.allreduce(float(off), op=MPI.MAX) < 1e-14
+
+
+# --- a free body ---
+
+CENTRE, SPIN, DRIFT = np.array([0.5, 0.3, 0.15]), np.array([3.0, -2, 5]), np.array([1.0, 2, -0.5])
+
+
+def test_free_body_keeps_its_momenta():
+    """A neo-Hookean brick thrown with a spin, five turns: both momenta to round-off."""
+    problem = Problem(
+        box_body(size=(1.0, 0.6, 0.3), cells=(3, 2, 1)), NeoHookean(E=1e5, nu=NU, density=RHO)
+    )
+    x = ["x - 0.5", "y - 0.3", "z - 0.15"]
+    velocity = [
+        f"{DRIFT[i]} + ({SPIN[j]})*({x[k]}) - ({SPIN[k]})*({x[j]})"
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+    ]
+    states = [
+        (s.momenta["linear"], s.momenta["angular"], s.energies["total"], s.step)
+        for s in Dynamics(
+            problem, scheme=SCHEME, end=5.0, initial_velocity=velocity, every=20
+        ).steps()
+    ]
+    linear, angular, total, step = (np.array(column) for column in zip(*states, strict=True))
+    assert step[-1] > 300
+    assert step[1] == 20
+    np.testing.assert_allclose(linear[0], [180, 360, -90], rtol=1e-12)
+    # Each step keeps x cross p exactly: a = f/m, sum of x cross f vanishes, v is parallel to dx.
+    assert np.abs(linear - linear[0]).max() < 1e-11 * np.abs(linear[0]).max()
+    assert np.abs(angular - angular[0]).max() < 1e-11 * np.abs(angular[0]).max()
+    assert np.ptp(total) < 0.1 * total[0]
+    assert abs(total[len(total) // 2 :].mean() - total[: len(total) // 2].mean()) < 0.02 * total[0]
+
+
+# --- the stable step ---
+
+
+def dense(matrix: Any, comm: MPI.Comm) -> np.ndarray:
+    """A distributed matrix as one array on every rank."""
+    rows, columns, values = matrix.getValuesCSR()
+    start, _ = matrix.getOwnershipRange()
+    out = np.zeros(matrix.getSize())
+    for i in range(len(rows) - 1):
+        part = slice(rows[i], rows[i + 1])
+        out[start + i, columns[part]] = values[part]
+    return comm.allreduce(out, op=MPI.SUM)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("held", [False, True])
+def test_stable_step_against_all_eigenvalues(comm, dim, held):
+    """2/omega_max from a dense eigenvalue solve of the same small body."""
+    body = box_body(size=(1.0, 0.6, 0.5)[:dim], cells=(4, 2, 2)[:dim])
+    supports = [Support(on="left", displacement=[0] * dim)] if held else []
+    law = LinearElastic(E=E, nu=0.4, density=RHO)
+    problem = Problem(body, law, supports=supports)
+    explicit = SymplecticEuler(
+        problem, fem.Function(problem.V), end=1.0, dt=None, safety=0.9, every=1
+    )
+    estimate = explicit.stable_step()
+    x = explicit.assembler.create_vector()
+    explicit.assembler.get(x)
+    explicit.assembler.tangent(x)
+    K = dense(explicit.assembler.matrix, comm)
+    mass = np.concatenate(comm.allgather(explicit.mass))
+    fixed = explicit.assembler.matrix.getOwnershipRange()[0] + problem.prescribed.owned
+    free = np.setdiff1d(np.arange(len(mass)), np.concatenate(comm.allgather(fixed)))
+    scaled = (K / np.sqrt(np.outer(mass, mass)))[np.ix_(free, free)]
+    exact = 2 / np.sqrt(np.linalg.eigvalsh(scaled).max())
+    # The eigenvalue is asked for to 1e-3; an estimate from below only lengthens the step so much.
+    assert estimate == pytest.approx(exact, rel=2e-2)
+    assert estimate <= exact * 1.01
+    total = comm.allreduce(float(explicit.mass.sum()), op=MPI.SUM)
+    assert total == pytest.approx(dim * RHO * np.prod((1.0, 0.6, 0.5)[:dim]), rel=1e-12)
+    x.destroy()
+    explicit.assembler.destroy()
+
+
+def test_a_step_above_the_stable_one_is_refused():
+    stable = 2 / OMEGA
+    with pytest.raises(InputError) as caught:
+        _ = [*Dynamics(oscillator(), scheme=SCHEME, end=1.0, dt=1.05 * stable).steps()]
+    assert "above the stable step" in str(caught.value)
+    assert f"{stable:.4g} s" in str(caught.value)
+    assert caught.value.where == "dynamics.dt"
+
+
+def test_the_chosen_step_is_the_stable_one_times_safety():
+    stable = 2 / OMEGA
+    for safety in (0.9, 0.5):
+        states = Dynamics(oscillator(), scheme=SCHEME, end=1.0, safety=safety).steps()
+        next(states)
+        assert next(states).t == pytest.approx(safety * stable, rel=1e-3)
+        states.close()
+
+
+def test_a_step_that_becomes_too_long_is_noticed():
+    """A neo-Hookean body crushed by its support stiffens, and the given step is too long."""
+    body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
+    law = NeoHookean(E=E, nu=NU, density=RHO)
+    left = Support(on="left", displacement=[0, 0])
+    still = Problem(body, law, supports=[left, Support(on="right", displacement=[0, 0])])
+    explicit = SymplecticEuler(still, fem.Function(still.V), end=1.0, dt=None, safety=1.0, every=1)
+    dt = 0.95 * explicit.stable_step()
+    explicit.assembler.destroy()
+    # Late enough that the next look at the stable step comes before the instability has grown.
+    crush = f"-0.3*smoothstep((t - {180 * dt})/{19 * dt})"
+    problem = Problem(body, law, supports=[left, Support(on="right", displacement=[crush, 0])])
+    with pytest.raises(StabilityError) as caught:
+        _ = [*Dynamics(problem, scheme=SCHEME, end=300 * dt, dt=dt).steps()]
+    assert "stable step has fallen to" in str(caught.value)
+    assert "leave dt out" in str(caught.value)
+
+
+def test_a_chosen_step_follows_a_body_that_stiffens():
+    """Crushed to a half over many steps, with the step left to the solver: nothing blows up."""
+    body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
+    problem = Problem(
+        body,
+        NeoHookean(E=E, nu=NU, density=RHO),
+        supports=[
+            Support(on="left", displacement=[0, 0]),
+            Support(on="right", displacement=["-0.5*smoothstep(t)", 0]),
+        ],
+    )
+    times = [0.0]
+    for state in Dynamics(problem, scheme=SCHEME, end=1.2).steps():
+        times.append(state.t)
+        assert state.max_displacement < 0.8
+    steps = np.diff(times[1:])
+    assert steps[-2] < 0.8 * steps[0]
+
+
+def test_quadratic_elements_are_refused():
+    body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
+    problem = Problem(body, LinearElastic(E=E, nu=NU, density=RHO), degree=2)
+    with pytest.raises(InputError, match="linear elements"):
+        _ = [*Dynamics(problem, scheme=SCHEME, end=1.0).steps()]
+
+
+def test_work_of_loads_becomes_energy():
+    """A falling and swinging block: the energy is the work of its weight, to first order."""
+    body = rectangle_body(size=(1.0, 1.0), cells=(3, 3))
+    problem = Problem(
+        body,
+        NeoHookean(E=1e5, nu=NU, density=RHO),
+        loads=[Gravity()],
+        supports=[Support(on="left", displacement=[0, 0])],
+    )
+    *_, state = Dynamics(problem, scheme=SCHEME, end=0.2, safety=0.2).steps()
+    gained, work = state.energies["total"], state.energies["external"]
+    assert gained > 100.0
+    assert gained == pytest.approx(work, rel=2e-2)
+
+
+def test_laws_without_energy_move_too():
+    """No strain energy to report, but a step and a motion."""
+    body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
+    problem = Problem(
+        body,
+        Textbook(E=E, nu=NU, density=RHO),
+        loads=[Gravity()],
+        supports=[Support(on="left", displacement=[0, 0])],
+    )
+    *_, state = Dynamics(problem, scheme=SCHEME, end=0.01).steps()
+    assert np.isnan(state.energies["strain"])
+    assert state.max_displacement > 0
