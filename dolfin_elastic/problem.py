@@ -139,46 +139,56 @@ class Problem:
 
     # --- where integrals are taken ---
 
-    @cached_property
-    def _region_markers(self) -> dict[str, int]:
-        names = dict.fromkeys(
-            n for load in self.loads for n in load.parts if n in self.body.regions
-        )
-        return {name: len(self.parts) + 1 + i for i, name in enumerate(names)}
+    # Every set of cells or facets that is integrated over has a number of its own.  UFL would join
+    # equal terms on several numbers into one, and DOLFINx 0.9 then takes the wrong kernel for it
+    # where a number carries more than one quadrature degree.
 
     @cached_property
-    def _surface_markers(self) -> dict[str, int]:
-        return {name: i + 1 for i, name in enumerate(self.body.surfaces)}
+    def _region_markers(self) -> dict[tuple[str, ...], int]:
+        sets = dict.fromkeys(load.parts for load in self.loads if load.parts)
+        known = [names for names in sets if all(n in self.body.regions for n in names)]
+        return {names: len(self.parts) + 2 + i for i, names in enumerate(known)}
+
+    @cached_property
+    def _surface_markers(self) -> dict[tuple[str, ...], int]:
+        sets = dict.fromkeys(load.parts for load in self.loads if load.parts)
+        known = [names for names in sets if all(n in self.body.surfaces for n in names)]
+        return {names: 1 + i for i, names in enumerate(known)}
+
+    @property
+    def _plain(self) -> bool:
+        """A single material fills the body: one unnumbered measure, for which nothing is packed."""
+        return len(self.parts) == 1 and not self._region_markers
 
     @cached_property
     def dx(self) -> ufl.Measure:
-        """Reference volume, numbered by part and by loaded region.
-
-        One unnumbered measure where a single material fills the body: DOLFINx then packs nothing.
-        """
-        if len(self.parts) == 1 and not self._region_markers:
+        """Reference volume, numbered by part, by loaded regions, and as a whole."""
+        if self._plain:
             return ufl.Measure("dx", domain=self.body.mesh)
         cells = [(part.marker, part.cells) for part in self.parts]
-        cells += [(k, self.body.owned_cells(n)) for n, k in self._region_markers.items()]
+        cells.append((len(self.parts) + 1, self.body.owned_cells()))
+        cells += [
+            (marker, np.unique(np.concatenate([self.body.owned_cells(n) for n in names])))
+            for names, marker in self._region_markers.items()
+        ]
         return ufl.Measure("dx", domain=self.body.mesh, subdomain_data=cells)
 
     def volume(self, part: Part | None, quadrature_degree: int) -> ufl.Measure:
         """Reference volume of a part, or of the whole body."""
         rule = {"quadrature_degree": quadrature_degree}
-        if len(self.parts) == 1 and not self._region_markers:
+        if self._plain:
             return self.dx(metadata=rule)
-        markers = part.marker if part else tuple(p.marker for p in self.parts)
-        return self.dx(markers, metadata=rule)
+        return self.dx(part.marker if part else len(self.parts) + 1, metadata=rule)
 
     @cached_property
     def _ds(self) -> ufl.Measure:
         tdim = self.body.mesh.topology.dim
         self.body.mesh.topology.create_connectivity(tdim, tdim - 1)
         self.body.mesh.topology.create_connectivity(tdim - 1, tdim)
-        sides = [
-            (k, integration_entities(self.body.mesh, self.body.owned_facets(name)))
-            for name, k in self._surface_markers.items()
-        ]
+        sides = []
+        for names, marker in self._surface_markers.items():
+            facets = np.unique(np.concatenate([self.body.owned_facets(n) for n in names]))
+            sides.append((marker, integration_entities(self.body.mesh, facets)))
         return ufl.Measure("ds", domain=self.body.mesh, subdomain_data=sides)
 
     # --- what loads find on the body (model.loads.Site) ---
@@ -189,19 +199,15 @@ class Problem:
             self.body.region(name)
         if not regions:
             return self.volume(None, 2 * self.degree)
-        return self.dx(
-            tuple(self._region_markers[name] for name in regions),
-            metadata={"quadrature_degree": 2 * self.degree},
-        )
+        rule = {"quadrature_degree": 2 * self.degree}
+        return self.dx(self._region_markers[tuple(regions)], metadata=rule)
 
     def areas(self, surfaces: Sequence[str]) -> ufl.Measure:
         """Reference area of surfaces."""
         for name in surfaces:
             self.body.surface(name)
-        return self._ds(
-            tuple(self._surface_markers[name] for name in surfaces),
-            metadata={"quadrature_degree": 2 * self.degree},
-        )
+        rule = {"quadrature_degree": 2 * self.degree}
+        return self._ds(self._surface_markers[tuple(surfaces)], metadata=rule)
 
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
         """Density and reference volume, material by material."""

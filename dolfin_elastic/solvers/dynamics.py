@@ -252,6 +252,9 @@ class _Alpha:
 
     def run(self) -> Iterator[State]:
         s, step = self.settings, 0
+        with stage("assemble"):
+            self.problem.set_time(0.0)
+            self.assembler.assemble_balance()
         yield self._state(0, 0.0)
         t = 0.0
         while t < s.end * (1 - 1e-12):

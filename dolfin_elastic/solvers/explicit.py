@@ -26,8 +26,8 @@ from dolfin_elastic.timing import stage
 log = logging.getLogger("dolfin_elastic")
 Vector = npt.NDArray[np.float64]
 
-RECHECK = 200
-"""Steps between two estimates of the stable step: about a tenth of the work."""
+RECHECK = 20
+"""Steps between two estimates of the stable step: a body may stiffen fast when it is crushed."""
 
 
 class SymplecticEuler:
