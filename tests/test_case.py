@@ -79,334 +79,332 @@ def complaint(folder: Path, text: str) -> str:
 
 # Text to replace, its replacement, and the message about it.
 MISTAKES = {
-    "table": (
-        "[solver]",
-        "[sovler]",
-        "unknown key 'sovler'; did you mean 'solver'?"),
-    "key": (
-        "unit =",
-        "units =",
-        "mesh: unknown key 'units'; did you mean 'unit'?"),
+    "table": ("[solver]", "[sovler]", "unknown key 'sovler'; did you mean 'solver'?"),
+    "key": ("unit =", "units =", "mesh: unknown key 'units'; did you mean 'unit'?"),
     "selector key": (
         "plane =",
         "plain =",
-        "surfaces.foot: unknown key 'plain'; did you mean 'plane'?"),
+        "surfaces.foot: unknown key 'plain'; did you mean 'plane'?",
+    ),
     "law const": (
         "nu = 0.3",
         "nuu = 0.3",
-        "materials.steel: unknown key 'nuu'; did you mean 'nu'?"),
-    "settings key": (
-        "steps = 2",
-        "step = 2",
-        "statics: unknown key 'step'; did you mean 'steps'?"),
-    "load key": (
-        "value = [",
-        "vaule = [",
-        "load[0]: unknown key 'vaule'; did you mean 'value'?"),
+        "materials.steel: unknown key 'nuu'; did you mean 'nu'?",
+    ),
+    "settings key": ("steps = 2", "step = 2", "statics: unknown key 'step'; did you mean 'steps'?"),
+    "load key": ("value = [", "vaule = [", "load[0]: unknown key 'vaule'; did you mean 'value'?"),
     "support key": (
         "displacement = [",
         "dispacement = [",
-        "support[0]: unknown key 'dispacement'; did you mean 'displacement'?"),
-    "output key": (
-        "fields =",
-        "field =",
-        "output: unknown key 'field'; did you mean 'fields'?"),
+        "support[0]: unknown key 'dispacement'; did you mean 'displacement'?",
+    ),
+    "output key": ("fields =", "field =", "output: unknown key 'field'; did you mean 'fields'?"),
     "law": (
         '"linear-elastic"',
         '"linear-elastik"',
-        "materials.steel.law: unknown law 'linear-elastik'; did you mean 'linear-elastic'?"),
+        "materials.steel.law: unknown law 'linear-elastik'; did you mean 'linear-elastic'?",
+    ),
     "law missing": (
         'law = "linear-elastic"\n',
         "",
         "materials.steel.law: this key is missing; known: linear-elastic, "
-        "st-venant-kirchhoff, neo-hookean, textbook"),
+        "st-venant-kirchhoff, neo-hookean, textbook",
+    ),
     "kind": (
         '"traction"',
         '"tracktion"',
-        "load[0].kind: unknown kind 'tracktion'; did you mean 'traction'?"),
+        "load[0].kind: unknown kind 'tracktion'; did you mean 'traction'?",
+    ),
     "kind missing": (
         'kind = "traction"\n',
         "",
-        "load[0].kind: this key is missing; known: traction, body-force, gravity"),
+        "load[0].kind: this key is missing; known: traction, body-force, gravity",
+    ),
     "unit of E": (
         '"210 GPa"',
         '"210 mm"',
         "materials.steel.E: '210 mm' has the wrong unit; expected a number in Pa, for "
-        'example "210 GPa"'),
+        'example "210 GPa"',
+    ),
     "unit unknown": (
         '"210 GPa"',
         '"210 GPaa"',
         "materials.steel.E: unknown unit 'GPaa' in '210 GPaa'; expected a number in Pa, "
-        'for example "210 GPa"'),
+        'for example "210 GPa"',
+    ),
     "E no number": (
         '"210 GPa"',
         '"stiff"',
         "materials.steel.E: 'stiff' is not a number; expected a number in Pa, for "
-        'example "210 GPa"'),
+        'example "210 GPa"',
+    ),
     "E list": (
         '"210 GPa"',
         "[1]",
-        'materials.steel.E: [1] is not a number; expected a number in Pa, for example "210 GPa"'),
-    "E neg": (
-        '"210 GPa"',
-        "-1",
-        "materials.steel.E: -1 is not a possible E; E must be positive"),
+        'materials.steel.E: [1] is not a number; expected a number in Pa, for example "210 GPa"',
+    ),
+    "E neg": ('"210 GPa"', "-1", "materials.steel.E: -1 is not a possible E; E must be positive"),
     "E bool": (
         '"210 GPa"',
         "true",
-        "materials.steel.E: True is not a number; expected a number in Pa, for example "
-        '"210 GPa"'),
+        'materials.steel.E: True is not a number; expected a number in Pa, for example "210 GPa"',
+    ),
     "nu 0.5": (
         "nu = 0.3",
         "nu = 0.5",
         "materials.steel.nu: 0.5 is not a possible Poisson's ratio; nu must lie above -1 "
-        "and below 0.5 (rubber: 0.49 to 0.4999)"),
+        "and below 0.5 (rubber: 0.49 to 0.4999)",
+    ),
     "one const": (
         "nu = 0.3\n",
         "",
         "materials.steel: two elastic constants are needed, 1 given (E); give any two of "
-        "E, nu, K, lmbda, mu"),
+        "E, nu, K, lmbda, mu",
+    ),
     "three const": (
         "nu = 0.3\n",
-        "nu = 0.3\n"
-        "mu = 1\n",
+        "nu = 0.3\nmu = 1\n",
         "materials.steel: two elastic constants are needed, 3 given (E, nu, mu); give "
-        "any two of E, nu, K, lmbda, mu"),
+        "any two of E, nu, K, lmbda, mu",
+    ),
     "no surface": (
         'on = "left"',
         'on = "lft"',
-        "support[0].on: there is no surface 'lft'; did you mean 'left'?"),
+        "support[0].on: there is no surface 'lft'; did you mean 'left'?",
+    ),
     "no surface 2": (
         'on = "right"',
         'on = ["right", "tip"]',
-        "load[0].on[1]: there is no surface 'tip'; did you mean 'top'?"),
+        "load[0].on[1]: there is no surface 'tip'; did you mean 'top'?",
+    ),
     "region as surface": (
         'on = "left"',
         'on = "core"',
-        "support[0].on: 'core' is a region; a support holds surfaces"),
+        "support[0].on: 'core' is a region; a support holds surfaces",
+    ),
     "no region": (
         "nu = 0.3",
-        "nu = 0.3\n"
-        'on = "cor"',
-        "materials.steel.on: there is no region 'cor'; did you mean 'core'?"),
+        'nu = 0.3\non = "cor"',
+        "materials.steel.on: there is no region 'cor'; did you mean 'core'?",
+    ),
     "surface as region": (
         "nu = 0.3",
-        "nu = 0.3\n"
-        'on = "left"',
-        "materials.steel.on: 'left' is a surface; a material fills regions"),
-    "on type": (
-        'on = "left"',
-        "on = 3",
-        "support[0].on: 3 is wrong; expected a text or a list"),
-    "on missing": (
-        'on = "left"\n',
-        "",
-        "support[0].on: this key is missing"),
+        'nu = 0.3\non = "left"',
+        "materials.steel.on: 'left' is a surface; a material fills regions",
+    ),
+    "on type": ('on = "left"', "on = 3", "support[0].on: 3 is wrong; expected a text or a list"),
+    "on missing": ('on = "left"\n', "", "support[0].on: this key is missing"),
     "components": (
-        'on = "left"\n'
-        "displacement = [0, 0, 0]",
-        'on = "left"\n'
-        "displacement = [0, 0]",
-        "support[0].displacement: 2 components; the body is 3-dimensional, expected 3"),
+        'on = "left"\ndisplacement = [0, 0, 0]',
+        'on = "left"\ndisplacement = [0, 0]',
+        "support[0].displacement: 2 components; the body is 3-dimensional, expected 3",
+    ),
     "components4": (
-        'on = "left"\n'
-        "displacement = [0, 0, 0]",
-        'on = "left"\n'
-        "displacement = [0, 0, 0, 0]",
+        'on = "left"\ndisplacement = [0, 0, 0]',
+        'on = "left"\ndisplacement = [0, 0, 0, 0]',
         "support[0]: [0, 0, 0, 0] is not a vector; expected a list of 3 components (2 in "
-        "a plane), for example [0, 0, -1]"),
+        "a plane), for example [0, 0, -1]",
+    ),
     "load comps": (
         '[0, 0, "1 MPa"]',
         '[0, "1 MPa"]',
-        "load[0].value: 2 components; the body is 3-dimensional, expected 3"),
+        "load[0].value: 2 components; the body is 3-dimensional, expected 3",
+    ),
     "vec no list": (
         '[0, 0, "1 MPa"]',
         '"1 MPa"',
-        'load[0].value: "1 MPa" is wrong; expected a list'),
+        'load[0].value: "1 MPa" is wrong; expected a list',
+    ),
     "load unit": (
         '"1 MPa"',
         '"1 mm"',
         "load[0].value[2]: '1 mm' has the wrong unit; expected a number in Pa, for "
-        'example "210 GPa"'),
+        'example "210 GPa"',
+    ),
     "free in load": (
         '"1 MPa"',
         '"free"',
-        "load[0].value[2]: unknown name 'free'; known: e, pi, t, x, y, z\n"
-        "    free\n"
-        "    ^"),
+        "load[0].value[2]: unknown name 'free'; known: e, pi, t, x, y, z\n    free\n    ^",
+    ),
     "formula name": (
         '"1 MPa"',
         '"2*xx"',
-        "load[0].value[2]: unknown name 'xx'; did you mean 'x'?\n"
-        "    2*xx\n"
-        "      ^"),
+        "load[0].value[2]: unknown name 'xx'; did you mean 'x'?\n    2*xx\n      ^",
+    ),
     "formula syntax": (
         '"1 MPa"',
         '"2*x +"',
-        "load[0].value[2]: a value is missing at the end\n"
-        "    2*x +\n"
-        "         ^"),
+        "load[0].value[2]: a value is missing at the end\n    2*x +\n         ^",
+    ),
     "formula nest": (
         "displacement = [0, 0, 0]",
         'displacement = [0, "0.1*(x", 0]',
-        "support[0].displacement[1]: this parenthesis is never closed\n"
-        "    0.1*(x\n"
-        "        ^"),
+        "support[0].displacement[1]: this parenthesis is never closed\n    0.1*(x\n        ^",
+    ),
     "curve word": (
         'on = "right"',
-        'on = "right"\n'
-        'curve = "rmap"',
-        'load[0].curve: unknown curve \'rmap\'; did you mean \'ramp\'? expected "ramp", '
-        '"constant", a formula in t, or a table [[t, value], ...]'),
+        'on = "right"\ncurve = "rmap"',
+        "load[0].curve: unknown curve 'rmap'; did you mean 'ramp'? expected \"ramp\", "
+        '"constant", a formula in t, or a table [[t, value], ...]',
+    ),
     "curve table": (
         'on = "right"',
-        'on = "right"\n'
-        "curve = [[0, 0], [0, 1]]",
-        "load[0].curve: the times of a curve's table must increase"),
+        'on = "right"\ncurve = [[0, 0], [0, 1]]',
+        "load[0].curve: the times of a curve's table must increase",
+    ),
     "two meshes": (
         'unit = "mm"',
-        'unit = "mm"\n'
-        'file = "a.msh"',
-        "mesh: file and box given together; expected exactly one of file, box, rectangle"),
+        'unit = "mm"\nfile = "a.msh"',
+        "mesh: file and box given together; expected exactly one of file, box, rectangle",
+    ),
     "no mesh": (
         "box = {size = [2, 1, 1], cells = [2, 1, 1]}\n",
         "",
-        "mesh: no mesh is given; expected exactly one of file, box, rectangle"),
+        "mesh: no mesh is given; expected exactly one of file, box, rectangle",
+    ),
     "mesh table missing": (
-        "[mesh]\n"
-        "box = {size = [2, 1, 1], cells = [2, 1, 1]}\n"
-        'unit = "mm"\n',
+        '[mesh]\nbox = {size = [2, 1, 1], cells = [2, 1, 1]}\nunit = "mm"\n',
         "",
-        "mesh: this key is missing"),
+        "mesh: this key is missing",
+    ),
     "size w box": (
         'unit = "mm"',
-        'unit = "mm"\n'
-        "size = 2",
-        "mesh.size: a box takes no element size; use box.cells"),
+        'unit = "mm"\nsize = 2',
+        "mesh.size: a box takes no element size; use box.cells",
+    ),
     "unit no length": (
         'unit = "mm"',
         'unit = "kg"',
-        'mesh.unit: \'kg\' is no unit of length; expected for example "mm"'),
+        "mesh.unit: 'kg' is no unit of length; expected for example \"mm\"",
+    ),
     "unit nonsense": (
         'unit = "mm"',
         'unit = "qq"',
-        'mesh.unit: \'qq\' is no unit of length; expected for example "mm"'),
+        "mesh.unit: 'qq' is no unit of length; expected for example \"mm\"",
+    ),
     "degree": (
         'unit = "mm"',
-        'unit = "mm"\n'
-        "degree = 3",
-        "mesh.degree: 3 is wrong; expected 1 or 2"),
+        'unit = "mm"\ndegree = 3',
+        "mesh.degree: 3 is wrong; expected 1 or 2",
+    ),
     "degree text": (
         'unit = "mm"',
-        'unit = "mm"\n'
-        'degree = "two"',
-        'mesh.degree: "two" is wrong; expected 1 or 2'),
+        'unit = "mm"\ndegree = "two"',
+        'mesh.degree: "two" is wrong; expected 1 or 2',
+    ),
     "box 2 sizes": (
         "size = [2, 1, 1]",
         "size = [2, 1]",
-        "mesh.box.size: [2, 1] is wrong; expected a list of 3"),
+        "mesh.box.size: [2, 1] is wrong; expected a list of 3",
+    ),
     "box unit": (
         "size = [2, 1, 1]",
         'size = [2, 1, "1 kg"]',
-        "mesh.box.size[2]: '1 kg' has the wrong unit; expected a number in m, for "
-        'example "2 mm"'),
+        "mesh.box.size[2]: '1 kg' has the wrong unit; expected a number in m, for example \"2 mm\"",
+    ),
     "cells float": (
         "cells = [2, 1, 1]",
         "cells = [2, 1.5, 1]",
-        "mesh.box.cells[1]: 1.5 is wrong; expected a whole number"),
+        "mesh.box.cells[1]: 1.5 is wrong; expected a whole number",
+    ),
     "cells neg": (
         "cells = [2, 1, 1]",
         "cells = [2, -1, 1]",
-        "mesh.box.cells[1]: -1 is wrong; expected a number above 0"),
+        "mesh.box.cells[1]: -1 is wrong; expected a number above 0",
+    ),
     "selector at": (
         ', at = "min"',
         "",
-        'surfaces.foot: plane and at belong together, as in {plane = "z", at = "min"}'),
+        'surfaces.foot: plane and at belong together, as in {plane = "z", at = "min"}',
+    ),
     "selector word": (
         'at = "min"',
         'at = "mni"',
-        'surfaces.foot.at: should be "min", "max", a number, or a length such as "2 mm"'),
+        'surfaces.foot.at: should be "min", "max", a number, or a length such as "2 mm"',
+    ),
     "selector axis": (
         'plane = "z"',
         'plane = "w"',
-        'surfaces.foot.plane: "w" is wrong; known: x, y, z'),
+        'surfaces.foot.plane: "w" is wrong; known: x, y, z',
+    ),
     "selector empty": (
         '{plane = "z", at = "min"}',
         "{}",
-        "surfaces.foot: say where: plane and at, box, sphere, cylinder, normal, of, or all"),
+        "surfaces.foot: say where: plane and at, box, sphere, cylinder, normal, of, or all",
+    ),
     "selector str": (
         '{plane = "z", at = "min"}',
         '"z"',
-        'surfaces.foot: "z" is wrong; expected a table'),
+        'surfaces.foot: "z" is wrong; expected a table',
+    ),
     "region unit": (
         '"1 mm"',
         '"1 s"',
         "regions.core.box[1][0]: '1 s' has the wrong unit; expected a number in m, for "
-        'example "2 mm"'),
+        'example "2 mm"',
+    ),
     "both": (
         "[solver]",
-        "[dynamics]\n"
-        "dt = 0.1\n"
-        "end = 1.0\n"
-        "[solver]",
-        "[statics] and [dynamics] given together; a case has one analysis; leave one of "
-        "them out"),
+        "[dynamics]\ndt = 0.1\nend = 1.0\n[solver]",
+        "[statics] and [dynamics] given together; a case has one analysis; leave one of them out",
+    ),
     "density dyn": (
-        "[statics]\n"
-        "steps = 2",
-        "[dynamics]\n"
-        "dt = 0.1\n"
-        "end = 1.0",
+        "[statics]\nsteps = 2",
+        "[dynamics]\ndt = 0.1\nend = 1.0",
         "materials.steel.density: this key is missing; [dynamics] needs it, for example "
-        '"1100 kg/m^3"'),
+        '"1100 kg/m^3"',
+    ),
     "steps 0": (
         "steps = 2",
         "steps = 0",
-        "statics.steps: 0 is wrong; expected a number of at least 1"),
+        "statics.steps: 0 is wrong; expected a number of at least 1",
+    ),
     "steps text": (
         "steps = 2",
         'steps = "many"',
-        'statics.steps: "many" is wrong; expected a whole number'),
+        'statics.steps: "many" is wrong; expected a whole number',
+    ),
     "method": (
         '"direct"',
         '"dircet"',
-        'solver.method: "dircet" is wrong; did you mean \'direct\'?'),
+        "solver.method: \"dircet\" is wrong; did you mean 'direct'?",
+    ),
     "field": (
         '["displacement"]',
         '["displacment"]',
-        "output.fields[0]: unknown field 'displacment'; did you mean 'displacement'?"),
+        "output.fields[0]: unknown field 'displacment'; did you mean 'displacement'?",
+    ),
     "field motion": (
         '["displacement"]',
         '["displacement", "velocity"]',
-        "output.fields[1]: there is no 'velocity' in statics; leave it out, or use [dynamics]"),
+        "output.fields[1]: there is no 'velocity' in statics; leave it out, or use [dynamics]",
+    ),
     "fields str": (
         '["displacement"]',
         '"displacement"',
-        'output.fields: "displacement" is wrong; expected a list'),
+        'output.fields: "displacement" is wrong; expected a list',
+    ),
     "single bracket": (
         "[[support]]",
         "[support]",
-        "support: a single table cannot be a support; write [[support]] with double brackets"),
+        "support: a single table cannot be a support; write [[support]] with double brackets",
+    ),
     "material flat": (
         "[materials.steel]",
         "[materials]",
-        'materials.law: "linear-elastic" is no material; write its table as [materials.NAME]'),
+        'materials.law: "linear-elastic" is no material; write its table as [materials.NAME]',
+    ),
     "no material": (
-        "[materials.steel]\n"
-        'law = "linear-elastic"\n'
-        'E = "210 GPa"\n'
-        "nu = 0.3\n",
+        '[materials.steel]\nlaw = "linear-elastic"\nE = "210 GPa"\nnu = 0.3\n',
         "",
-        "materials: this key is missing"),
+        "materials: this key is missing",
+    ),
     "two everywhere": (
         "[[support]]",
-        "[materials.alu]\n"
-        'law = "linear-elastic"\n'
-        "E = 1\n"
-        "nu = 0.1\n"
-        "[[support]]",
+        '[materials.alu]\nlaw = "linear-elastic"\nE = 1\nnu = 0.1\n[[support]]',
         "materials.alu: 'steel' and 'alu' both have no `on`; only one material can fill "
-        "what the others leave"),
+        "what the others leave",
+    ),
     "overlap": (
         "nu = 0.3",
         "nu = 0.3\n"
@@ -416,85 +414,74 @@ MISTAKES = {
         "E = 1\n"
         "nu = 0.1\n"
         'on = "core"',
-        "materials.alu.on: 6 cells are in 'steel' too; every cell needs exactly one material"),
+        "materials.alu.on: 6 cells are in 'steel' too; every cell needs exactly one material",
+    ),
     "uncovered": (
         "nu = 0.3",
-        "nu = 0.3\n"
-        'on = "core"',
+        'nu = 0.3\non = "core"',
         "materials: 6 of 12 cells have no material; a material without `on` fills what "
-        "the others leave"),
+        "the others leave",
+    ),
     "no support": (
-        "[[support]]\n"
-        'on = "left"\n'
-        "displacement = [0, 0, 0]\n",
+        '[[support]]\non = "left"\ndisplacement = [0, 0, 0]\n',
         "",
         "support: there is no support: as a rigid body it can move and turn freely; "
-        "statics needs supports that hold it; [dynamics] does not"),
+        "statics needs supports that hold it; [dynamics] does not",
+    ),
     "slides": (
-        'on = "left"\n'
-        "displacement = [0, 0, 0]",
-        'on = "left"\n'
-        'displacement = [0, "free", 0]',
+        'on = "left"\ndisplacement = [0, 0, 0]',
+        'on = "left"\ndisplacement = [0, "free", 0]',
         "support: the supports leave the body free: as a rigid body it can move along y; "
-        "statics needs supports that hold it; [dynamics] does not"),
+        "statics needs supports that hold it; [dynamics] does not",
+    ),
     "rolls": (
-        'on = "left"\n'
-        "displacement = [0, 0, 0]",
-        'on = "left"\n'
-        'displacement = [0, "free", "free"]',
+        'on = "left"\ndisplacement = [0, 0, 0]',
+        'on = "left"\ndisplacement = [0, "free", "free"]',
         "support: the supports leave the body free: as a rigid body it can move along y, "
-        "move along z, turn about x; statics needs supports that hold it; [dynamics] does not"),
+        "move along z, turn about x; statics needs supports that hold it; [dynamics] does not",
+    ),
     "toml": (
         "steps = 2",
         "steps 2",
-        "line 21: expected '=' after a key in a key/value pair\n"
-        "    steps 2\n"
-        "          ^"),
+        "line 21: expected '=' after a key in a key/value pair\n    steps 2\n          ^",
+    ),
     "toml twice": (
         "steps = 2",
-        "steps = 2\n"
-        "steps = 3",
-        "line 22: this key stands here for the second time\n"
-        "    steps = 3\n"
-        "             ^"),
+        "steps = 2\nsteps = 3",
+        "line 22: this key stands here for the second time\n    steps = 3\n             ^",
+    ),
     "toml string": (
         'title = "Block"',
         'title = "Block',
-        "line 1: the closing quote is missing\n"
-        '    title = "Block\n'
-        "                  ^"),
-    "title": (
-        'title = "Block"',
-        "title = 3",
-        "title: 3 is wrong; expected a text"),
+        'line 1: the closing quote is missing\n    title = "Block\n                  ^',
+    ),
+    "title": ('title = "Block"', "title = 3", "title: 3 is wrong; expected a text"),
     "pictures": (
         "fields =",
-        'pictures = [{feild = "x"}]\n'
-        "fields =",
-        "output.pictures[0]: unknown key 'feild'; did you mean 'field'?"),
+        'pictures = [{feild = "x"}]\nfields =',
+        "output.pictures[0]: unknown key 'feild'; did you mean 'field'?",
+    ),
     "curve const": (
         'on = "right"',
-        'on = "right"\n'
-        'curve = "1/0"',
-        "load[0].curve: '1/0' is infinite"),
+        'on = "right"\ncurve = "1/0"',
+        "load[0].curve: '1/0' is infinite",
+    ),
     "toml twice t": (
         "[solver]",
-        "[mesh]\n"
-        "[solver]",
-        "line 22: [mesh] stands here for the second time\n"
-        "    [mesh]\n"
-        "         ^"),
+        "[mesh]\n[solver]",
+        "line 22: [mesh] stands here for the second time\n    [mesh]\n         ^",
+    ),
     "density": (
         "[statics]",
-        "[[load]]\n"
-        'kind = "gravity"\n'
-        "[statics]",
+        '[[load]]\nkind = "gravity"\n[statics]',
         "materials.steel.density: this key is missing; load[1] (gravity) needs it, for "
-        'example "1100 kg/m^3"'),
+        'example "1100 kg/m^3"',
+    ),
     "toml closing bracket": (
         'fields = ["displacement"]',
         'fields = ["displacement"',
-        "unclosed array (at end of document)"),
+        "unclosed array (at end of document)",
+    ),
 }
 
 
@@ -507,23 +494,39 @@ def test_mistake(folder: Path, name: str) -> None:
 
 
 MOTION = GOOD.replace("nu = 0.3", "nu = 0.3\ndensity = 7850").replace(
-    "[statics]\nsteps = 2", "[dynamics]\ndt = 0.1\nend = 1")
+    "[statics]\nsteps = 2", "[dynamics]\ndt = 0.1\nend = 1"
+)
 
 
-@pytest.mark.parametrize(("old", "new", "message"), [
-    ("dt = 0.1\n", "", "dynamics: 'generalized-alpha' needs a time step dt"),
-    ("dt = 0.1", "dt = \"1 mm\"", "dynamics.dt: '1 mm' has the wrong unit; "
-                                "expected a number in s, for example \"0.1 s\""),
-    ("dt = 0.1", "dt = 0", "dynamics.dt: 0 is wrong; expected a number above 0"),
-    ("end = 1", "", "dynamics.end: this key is missing"),
-    ("end = 1", "end = 1\nscheme = \"newmark\"", "dynamics.scheme: \"newmark\" is wrong; "
-                                                "known: generalized-alpha, symplectic-euler"),
-    ("end = 1", "end = 1\ninitial_velocity = [0, 3]",
-     "dynamics.initial_velocity: 2 components; the body is 3-dimensional, expected 3"),
-    ("[surfaces]", "degree = 2\n[dynamics]\nscheme = \"symplectic-euler\"\nend = 1\n[surfaces]",
-     "mesh.degree: symplectic-euler has a lumped mass, for linear elements only; "
-     "use degree = 1 or generalized-alpha"),
-])
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("dt = 0.1\n", "", "dynamics: 'generalized-alpha' needs a time step dt"),
+        (
+            "dt = 0.1",
+            'dt = "1 mm"',
+            "dynamics.dt: '1 mm' has the wrong unit; expected a number in s, for example \"0.1 s\"",
+        ),
+        ("dt = 0.1", "dt = 0", "dynamics.dt: 0 is wrong; expected a number above 0"),
+        ("end = 1", "", "dynamics.end: this key is missing"),
+        (
+            "end = 1",
+            'end = 1\nscheme = "newmark"',
+            'dynamics.scheme: "newmark" is wrong; known: generalized-alpha, symplectic-euler',
+        ),
+        (
+            "end = 1",
+            "end = 1\ninitial_velocity = [0, 3]",
+            "dynamics.initial_velocity: 2 components; the body is 3-dimensional, expected 3",
+        ),
+        (
+            "[surfaces]",
+            'degree = 2\n[dynamics]\nscheme = "symplectic-euler"\nend = 1\n[surfaces]',
+            "mesh.degree: symplectic-euler has a lumped mass, for linear elements only; "
+            "use degree = 1 or generalized-alpha",
+        ),
+    ],
+)
 def test_mistake_in_motion(folder: Path, old: str, new: str, message: str) -> None:
     """The same for [dynamics]."""
     text = MOTION
@@ -534,37 +537,62 @@ def test_mistake_in_motion(folder: Path, old: str, new: str, message: str) -> No
 
 def test_good_motion(folder: Path) -> None:
     """Motion needs no support; the explicit scheme no equations."""
-    text = MOTION[:MOTION.index("[[support]]")] + MOTION[MOTION.index("[[load]]"):]
+    text = MOTION[: MOTION.index("[[support]]")] + MOTION[MOTION.index("[[load]]") :]
     assert report(case_of(folder, text)).analysis == "dynamics"
-    text = text.replace("dt = 0.1", "scheme = \"symplectic-euler\"")
+    text = text.replace("dt = 0.1", 'scheme = "symplectic-euler"')
     assert report(case_of(folder, text)).linear_solver == "none: explicit scheme"
 
 
 def test_other_mistakes(folder: Path) -> None:
     """Those that are not a change of the text of one case."""
-    assert complaint(folder, GOOD.replace('on = "left"', "on = []")) == \
-        "case.toml: support[0].on: no name is given; leave `on` out or name a part"
-    assert complaint(folder, GOOD.replace("Block", "\udcff")) == \
-        "case.toml: this is no text file in UTF-8"
+    assert (
+        complaint(folder, GOOD.replace('on = "left"', "on = []"))
+        == "case.toml: support[0].on: no name is given; leave `on` out or name a part"
+    )
+    assert (
+        complaint(folder, GOOD.replace("Block", "\udcff"))
+        == "case.toml: this is no text file in UTF-8"
+    )
     text = GOOD.replace("box = {size = [2, 1, 1], cells = [2, 1, 1]}", 'file = "part.msh"')
     assert complaint(folder, text).startswith(
-        "case.toml: mesh.file: there is no mesh file 'part.msh'")
-    text = GOOD.replace("at = \"min\"", "at = 5")
+        "case.toml: mesh.file: there is no mesh file 'part.msh'"
+    )
+    text = GOOD.replace('at = "min"', "at = 5")
     assert complaint(folder, text).startswith("case.toml: surfaces.foot: found 0 of 20 facets")
     text = GOOD.replace("[materials.steel]", '[materials."my steel"]\nnuu = 3')
-    assert complaint(folder, text) == \
-        "case.toml: materials.\"my steel\": unknown key 'nuu'; did you mean 'nu'?"
+    assert (
+        complaint(folder, text)
+        == "case.toml: materials.\"my steel\": unknown key 'nuu'; did you mean 'nu'?"
+    )
 
 
-ODD = (None, True, -1, 10**400, float("nan"), "", "x" * 3000, "1 mm", "1/0", [], [[]], {},
-       {"kind": []}, [{"on": "left"}], [None])
+ODD = (
+    None,
+    True,
+    -1,
+    10**400,
+    float("nan"),
+    "",
+    "x" * 3000,
+    "1 mm",
+    "1/0",
+    [],
+    [[]],
+    {},
+    {"kind": []},
+    [{"on": "left"}],
+    [None],
+)
 
 
 def _places(value: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     if place:
         yield place
-    entries = value.items() if isinstance(value, dict) else (
-        enumerate(value) if isinstance(value, list) else ())
+    entries = (
+        value.items()
+        if isinstance(value, dict)
+        else (enumerate(value) if isinstance(value, list) else ())
+    )
     for key, inner in entries:
         yield from _places(inner, (*place, key))
 
@@ -587,8 +615,9 @@ def test_missing_case_file(folder: Path) -> None:
     case_of(folder, GOOD)
     with pytest.raises(InputError) as caught:
         read_case(folder / "cas.toml")
-    assert str(caught.value) == (f"{folder}/cas.toml: there is no such case file; "
-                                 f"did you mean '{folder}/case.toml'?")
+    assert str(caught.value) == (
+        f"{folder}/cas.toml: there is no such case file; did you mean '{folder}/case.toml'?"
+    )
     with pytest.raises(InputError, match="cannot be read: Is a directory"):
         read_case(folder)
 
@@ -611,21 +640,27 @@ def test_good_case(folder: Path) -> None:
 def test_notes(folder: Path) -> None:
     """What is not wrong but should be known."""
     text = GOOD.replace("linear-elastic", "textbook")
-    assert report(case_of(folder, text)).notes[0].startswith(
-        "materials.steel: the law 'textbook' has no energy")
-    text = GOOD[:GOOD.index("[[load]]")]
+    assert (
+        report(case_of(folder, text))
+        .notes[0]
+        .startswith("materials.steel: the law 'textbook' has no energy")
+    )
+    text = GOOD[: GOOD.index("[[load]]")]
     assert report(case_of(folder, text)).notes == (
-        "there is no load and every support is at rest: nothing will move",)
+        "there is no load and every support is at rest: nothing will move",
+    )
 
 
 def test_round_trip(folder: Path) -> None:
     """A case written back and read again is equal, also after pickling."""
-    more = ("[materials.rubber]\nlaw = \"neo-hookean\"\nK = 1e6\nlambda = 9e5\non = [\"core\"]\n"
-            "[[support]]\non = [\"right\"]\ndisplacement = [\"free\", \"2 mm\", \"x*t^2\"]\n"
-            "curve = [[0, 0], [1, 2.5]]\n[[load]]\nkind = \"body-force\"\nvalue = [0, 0, 1]\n"
-            "[output]\nfolder = \"a \\\"b\\\"\"\nevery = 3\n[solver]\n"
-            "petsc = {ksp_type = \"cg\", ksp_rtol = 1e-6}\n")
-    case = case_of(folder, GOOD[:GOOD.index("[solver]")] + more)
+    more = (
+        '[materials.rubber]\nlaw = "neo-hookean"\nK = 1e6\nlambda = 9e5\non = ["core"]\n'
+        '[[support]]\non = ["right"]\ndisplacement = ["free", "2 mm", "x*t^2"]\n'
+        'curve = [[0, 0], [1, 2.5]]\n[[load]]\nkind = "body-force"\nvalue = [0, 0, 1]\n'
+        '[output]\nfolder = "a \\"b\\""\nevery = 3\n[solver]\n'
+        'petsc = {ksp_type = "cg", ksp_rtol = 1e-6}\n'
+    )
+    case = case_of(folder, GOOD[: GOOD.index("[solver]")] + more)
     again = Case.from_dict(tomllib.loads(case.to_toml()), case.folder, file=case.file)
     assert again == case
     assert again.to_toml() == case.to_toml()
@@ -635,9 +670,11 @@ def test_round_trip(folder: Path) -> None:
 
 def test_case_in_python() -> None:
     """The same records without a file; errors name the key alone."""
-    case = Case(mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}},
-                materials={"m": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3}},
-                support=[{"on": "left"}])
+    case = Case(
+        mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}},
+        materials={"m": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3}},
+        support=[{"on": "left"}],
+    )
     assert case.results_folder() == Path("case_results")
     assert report(case).unknowns == 24
     with pytest.raises(InputError) as caught:
@@ -653,25 +690,42 @@ def test_starter(folder: Path) -> None:
 
 def test_support_without_displacement_in_the_plane(folder: Path) -> None:
     """It holds as many components as the body has."""
-    text = ('[mesh]\nrectangle = {size = [2, 1], cells = [2, 1]}\n[materials.m]\n'
-            'law = "neo-hookean"\nE = 1\nnu = 0.3\n[[support]]\non = "left"\n')
+    text = (
+        "[mesh]\nrectangle = {size = [2, 1], cells = [2, 1]}\n[materials.m]\n"
+        'law = "neo-hookean"\nE = 1\nnu = 0.3\n[[support]]\non = "left"\n'
+    )
     case = case_of(folder, text)
     assert report(case).dim == 2
     problem = case.make_problem(case.read_body())
     assert problem.supports[0].values == (0.0, 0.0)
 
 
-@pytest.mark.parametrize(("supports", "free"), [
-    ([], ["move and turn freely"]),
-    ([{"on": "left"}], []),
-    ([{"on": "left", "displacement": [0, "free", "free"]}],
-     ["move along y", "move along z", "turn about x"]),
-    ([{"on": "left", "displacement": [0, "free", "free"]},
-      {"on": "bottom", "displacement": ["free", "free", 0]}], ["move along y"]),
-    ([{"on": "left", "displacement": [0, "free", "free"]},
-      {"on": "front", "displacement": ["free", 0, "free"]},
-      {"on": "bottom", "displacement": ["free", "free", 0]}], []),
-])
+@pytest.mark.parametrize(
+    ("supports", "free"),
+    [
+        ([], ["move and turn freely"]),
+        ([{"on": "left"}], []),
+        (
+            [{"on": "left", "displacement": [0, "free", "free"]}],
+            ["move along y", "move along z", "turn about x"],
+        ),
+        (
+            [
+                {"on": "left", "displacement": [0, "free", "free"]},
+                {"on": "bottom", "displacement": ["free", "free", 0]},
+            ],
+            ["move along y"],
+        ),
+        (
+            [
+                {"on": "left", "displacement": [0, "free", "free"]},
+                {"on": "front", "displacement": ["free", 0, "free"]},
+                {"on": "bottom", "displacement": ["free", "free", 0]},
+            ],
+            [],
+        ),
+    ],
+)
 def test_free_motions(supports: list[dict[str, object]], free: list[str]) -> None:
     """Rigid motions are found from the supports' rank, not from a guess."""
     tables = {**tomllib.loads(GOOD), "support": supports}

@@ -19,8 +19,9 @@ from dolfin_elastic import __version__
 from dolfin_elastic.cli import petsc_options
 from dolfin_elastic.errors import CaseError
 
-pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1,
-                                reason="starts mpirun itself, which cannot be nested")
+pytestmark = pytest.mark.skipif(
+    MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
+)
 CASE = """\
 [mesh]
 box = {size = [2, 1, 1], cells = [4, 2, 2]}
@@ -56,10 +57,19 @@ dolfin_elastic.cli.main()
 def started(command: list[str], folder: Path, ranks: int) -> subprocess.Popen[str]:
     """Starts a program in a folder, with mpirun for more than one rank."""
     launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
-    clean = {key: value for key, value in os.environ.items()
-             if not re.match(r"PMIX|PRTE_(?!MCA)|OMPI_(?!MCA|ALLOW)", key)}
-    return subprocess.Popen([*launcher, *command], cwd=folder, env=clean, text=True,
-                            stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    clean = {
+        key: value
+        for key, value in os.environ.items()
+        if not re.match(r"PMIX|PRTE_(?!MCA)|OMPI_(?!MCA|ALLOW)", key)
+    }
+    return subprocess.Popen(
+        [*launcher, *command],
+        cwd=folder,
+        env=clean,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
 
 
 def cli(*words: str, folder: Path, ranks: int = 1) -> tuple[int, str, str]:
@@ -103,15 +113,19 @@ def test_wrong_usage(tmp_path: Path, ranks: int) -> None:
 def test_new_check_and_refuse(tmp_path: Path) -> None:
     """The first case is written, right, and not overwritten."""
     assert cli("new", "first.toml", folder=tmp_path)[:2] == (
-        0, "first.toml written; compute it with: dolfin-elastic run first.toml\n")
+        0,
+        "first.toml written; compute it with: dolfin-elastic run first.toml\n",
+    )
     code, out, _ = cli("check", "first.toml", folder=tmp_path)
     assert code == 0
     assert out.startswith("first.toml: Cantilever\n")
     assert out.endswith("nothing is wrong\n")
     code, _, err = cli("new", "first.toml", folder=tmp_path)
     assert code == 2
-    assert err == ("error: first.toml: this file exists already; choose another name, "
-                   "or --force to overwrite it\n")
+    assert err == (
+        "error: first.toml: this file exists already; choose another name, "
+        "or --force to overwrite it\n"
+    )
 
 
 def test_check_as_json(folder: Path) -> None:
@@ -137,7 +151,9 @@ def test_run(folder: Path, ranks: int) -> None:
     code, out, err = cli("run", "case.toml", "--profile", folder=folder, ranks=ranks)
     assert code == 0, err
     assert re.findall(r"^step +(\d)   load (\d+) %", out, re.MULTILINE) == [
-        ("1", "50"), ("2", "100")]
+        ("1", "50"),
+        ("2", "100"),
+    ]
     assert out.count("done: 2 steps") == 1
     assert "reaction of left" in out
     assert "slowest rank" in out
@@ -171,7 +187,8 @@ def test_wrong_case(folder: Path, ranks: int) -> None:
 def test_motion(folder: Path) -> None:
     """Time instead of load; a step above the stable one is refused before anything is written."""
     text = CASE.replace("nu = 0.3", "nu = 0.3\ndensity = 1000").replace(
-        "[statics]\nsteps = 2", "[dynamics]\nscheme = \"symplectic-euler\"\nend = \"50 ms\"")
+        "[statics]\nsteps = 2", '[dynamics]\nscheme = "symplectic-euler"\nend = "50 ms"'
+    )
     (folder / "case.toml").write_text(text)
     code, out, _ = cli("run", "case.toml", "-o", "good", folder=folder)
     assert code == 0
@@ -188,7 +205,8 @@ def test_motion(folder: Path) -> None:
 def test_no_solution(folder: Path, ranks: int) -> None:
     """Exit code 3, the reason on screen and in the summary, results so far complete."""
     text = CASE.replace('[0, 0, "10 kPa"]', '["-9 MPa", 0, 0]').replace(
-        "steps = 2", "steps = 2\nmin_step = 0.5\nmax_iterations = 4")
+        "steps = 2", "steps = 2\nmin_step = 0.5\nmax_iterations = 4"
+    )
     (folder / "case.toml").write_text(text)
     code, _, err = cli("run", "case.toml", folder=folder, ranks=ranks)
     assert code == 3
@@ -255,8 +273,9 @@ def _ranks_of(launcher: subprocess.Popen[str]) -> list[int]:
 
 def test_petsc_options(folder: Path) -> None:
     """They reach the solver; what no solver asks for is said."""
-    code, _, err = cli("run", "case.toml", "--", "-ksp_type", "gmres", "-ksp_tpye", "cg",
-                       folder=folder)
+    code, _, err = cli(
+        "run", "case.toml", "--", "-ksp_type", "gmres", "-ksp_tpye", "cg", folder=folder
+    )
     assert code == 0
     assert err.count("warning: PETSc option '-ksp_tpye' was not used by any solver") == 1
     code, out, _ = cli("run", "case.toml", "--", "-log_view", folder=folder)
@@ -267,7 +286,9 @@ def test_petsc_options(folder: Path) -> None:
 def test_reading_petsc_options() -> None:
     """Words after two dashes; negative numbers are values."""
     assert petsc_options(["-a", "-b", "3", "-c", "-1e-3", "--d", "x"]) == (
-        {"a": None, "b": "3", "c": "-1e-3", "d": "x"}, [])
+        {"a": None, "b": "3", "c": "-1e-3", "d": "x"},
+        [],
+    )
     assert petsc_options(["-log_view", ":f.txt", "-info"]) == ({}, ["-log_view", ":f.txt", "-info"])
     with pytest.raises(CaseError, match="'cg' is no PETSc option"):
         petsc_options(["cg"])

@@ -38,8 +38,11 @@ H = np.array([[0.10, 0.20, -0.05], [0.03, -0.08, 0.04], [0.00, 0.06, 0.12]])
 
 def make_body(dim: int) -> Body:
     """A unit cube or square with two named regions."""
-    mesh = (create_box(COMM, [[0, 0, 0], [1, 1, 1]], [4, 2, 2], CellType.tetrahedron) if dim == 3
-            else create_rectangle(COMM, [[0, 0], [1, 1]], [4, 3], CellType.triangle))
+    mesh = (
+        create_box(COMM, [[0, 0, 0], [1, 1, 1]], [4, 2, 2], CellType.tetrahedron)
+        if dim == 3
+        else create_rectangle(COMM, [[0, 0], [1, 1]], [4, 3], CellType.triangle)
+    )
     local = mesh.topology.index_map(dim)
     cells = np.arange(local.size_local + local.num_ghosts, dtype=np.int32)
     middles = mesh.geometry.x[mesh.geometry.dofmap].mean(axis=1)
@@ -50,7 +53,7 @@ def make_body(dim: int) -> Body:
 def make_state(problem: Problem, place: Callable[[Array], Array], **more: object) -> State:
     """The state in which the displacement is `place` of the reference coordinates."""
     u = fem.Function(problem.V)
-    u.interpolate(lambda x: place(x)[:problem.body.dim])
+    u.interpolate(lambda x: place(x)[: problem.body.dim])
     return State(1, 1.0, u, **more)  # type: ignore[arg-type]
 
 
@@ -79,8 +82,9 @@ def by_hand(law: type[Law], F: Array) -> tuple[Array, float]:
 def mises(sigma: Array) -> float:
     """Von Mises stress from the six components."""
     (a, d, e), (_, b, f), (_, _, c) = (sigma + sigma.T) / 2
-    return float(np.sqrt(((a - b) ** 2 + (b - c) ** 2 + (c - a) ** 2) / 2
-                         + 3 * (d**2 + e**2 + f**2)))
+    return float(
+        np.sqrt(((a - b) ** 2 + (b - c) ** 2 + (c - a) ** 2) / 2 + 3 * (d**2 + e**2 + f**2))
+    )
 
 
 def worst(difference: Array) -> float:
@@ -101,9 +105,15 @@ def test_homogeneous_deformation(law: type[Law], dim: int, degree: int) -> None:
     sigma, energy = by_hand(law, F)
     J = np.linalg.det(F)
     first = sigma if law.linear else J * sigma @ np.linalg.inv(F).T
-    expected = {"von_mises": mises(sigma), "cauchy_stress": sigma, "first_piola": first,
-                "pressure": -np.trace(sigma) / 3, "green_strain": (F.T @ F - np.eye(3)) / 2,
-                "jacobian": J, "energy_density": energy}
+    expected = {
+        "von_mises": mises(sigma),
+        "cauchy_stress": sigma,
+        "first_piola": first,
+        "pressure": -np.trace(sigma) / 3,
+        "green_strain": (F.T @ F - np.eye(3)) / 2,
+        "jacobian": J,
+        "energy_density": energy,
+    }
     for name in names:
         assert worst(values[name] - np.reshape(expected[name], -1)) < 1e-9 * E_MODULUS, name
 
@@ -163,7 +173,7 @@ def test_reactions_balance(dim: int) -> None:
     forces = Evaluator(problem, ["reaction"])(state)["reaction"]
     assert np.abs(COMM.allreduce(forces.sum(axis=0))).max() < 1e-12 * E_MODULUS
     # On x = 1 they are the resultant of P N.
-    x = problem.V.tabulate_dof_coordinates()[:len(forces)]
+    x = problem.V.tabulate_dof_coordinates()[: len(forces)]
     inside = np.all((x[:, :dim] > 1e-9) & (x[:, :dim] < 1 - 1e-9), axis=1)
     assert worst(forces[inside]) < 1e-12 * E_MODULUS
 

@@ -24,61 +24,104 @@ def value(text: str, **names: float) -> float:
     return float(Formula.parse(text, allowed=names).evaluate(**names))
 
 
-@pytest.mark.parametrize(("text", "expected"), [
-    ("1 + 2*3", 7.0), ("2^3^2", 512.0), ("2**3", 8.0), ("-2^2", -4.0), ("2^-1", 0.5),
-    ("(1 + 2)*3", 9.0), ("7/2", 3.5), (".5 + 5.", 5.5), ("007", 7.0), ("1e-3", 1e-3),
-    ("x^2 + 1", 10.0), ("pi", math.pi), ("ln(e)", 1.0), ("log(e)", 1.0), ("log10(100)", 2.0),
-    ("atan2(1, 1)", math.pi / 4), ("min(3, 1, 2)", 1.0), ("max(1, x)", 3.0), ("abs(-x)", 3.0),
-    ("sign(-x)", -1.0), ("sign(0)", 0.0), ("heaviside(0)", 1.0), ("heaviside(-1)", 0.0),
-    ("ramp(0.3)", 0.3), ("ramp(7)", 1.0), ("smoothstep(0.5)", 0.5), ("smoothstep(2)", 1.0),
-    ("where(x > 2, 1, 0)", 1.0), ("where(x <= 2, 1, 0)", 0.0), ("  +x ", 3.0), ("--x", 3.0),
-    ("where(1 < 2, x, 1/0)", 3.0), ("x\n+ 1", 4.0), ("10 - 4 - 3", 3.0), ("8/4/2", 1.0),
-])
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("1 + 2*3", 7.0),
+        ("2^3^2", 512.0),
+        ("2**3", 8.0),
+        ("-2^2", -4.0),
+        ("2^-1", 0.5),
+        ("(1 + 2)*3", 9.0),
+        ("7/2", 3.5),
+        (".5 + 5.", 5.5),
+        ("007", 7.0),
+        ("1e-3", 1e-3),
+        ("x^2 + 1", 10.0),
+        ("pi", math.pi),
+        ("ln(e)", 1.0),
+        ("log(e)", 1.0),
+        ("log10(100)", 2.0),
+        ("atan2(1, 1)", math.pi / 4),
+        ("min(3, 1, 2)", 1.0),
+        ("max(1, x)", 3.0),
+        ("abs(-x)", 3.0),
+        ("sign(-x)", -1.0),
+        ("sign(0)", 0.0),
+        ("heaviside(0)", 1.0),
+        ("heaviside(-1)", 0.0),
+        ("ramp(0.3)", 0.3),
+        ("ramp(7)", 1.0),
+        ("smoothstep(0.5)", 0.5),
+        ("smoothstep(2)", 1.0),
+        ("where(x > 2, 1, 0)", 1.0),
+        ("where(x <= 2, 1, 0)", 0.0),
+        ("  +x ", 3.0),
+        ("--x", 3.0),
+        ("where(1 < 2, x, 1/0)", 3.0),
+        ("x\n+ 1", 4.0),
+        ("10 - 4 - 3", 3.0),
+        ("8/4/2", 1.0),
+    ],
+)
 def test_value(text: str, expected: float) -> None:
     """Operators bind as in a textbook."""
     assert value(text, x=3.0) == pytest.approx(expected, rel=1e-15)
 
 
-@pytest.mark.parametrize(("text", "message"), [
-    ("", "the formula is empty\n    \n    ^"),
-    ("0.1*x*tt", "unknown name 'tt'; did you mean 't'?\n    0.1*x*tt\n          ^"),
-    ("q", "unknown name 'q'; known: e, pi, t, x, y, z\n    q\n    ^"),
-    ("2x", "an operator is missing; a product is written a*b\n    2x\n     ^"),
-    ("2 (x)", "an operator is missing; a product is written a*b\n    2 (x)\n      ^"),
-    ("x +", "a value is missing at the end\n    x +\n       ^"),
-    ("x + * y", "a value is missing before '*'\n    x + * y\n        ^"),
-    ("x // y", "a value is missing before '/'\n    x // y\n       ^"),
-    ("(x", "this parenthesis is never closed\n    (x\n    ^"),
-    ("x)", "this parenthesis was never opened\n    x)\n     ^"),
-    ("sin()", "a value is missing before ')'\n    sin()\n        ^"),
-    ("sin", "'sin' is a function; write sin(...)\n    sin\n    ^"),
-    ("sni(x)", "unknown function 'sni'; did you mean 'sin'?\n    sni(x)\n    ^"),
-    ("x(2)", "'x' is not a function; write x*(...)\n    x(2)\n    ^"),
-    ("atan2(x)", "atan2 takes 2 arguments, 1 given\n    atan2(x)\n    ^"),
-    ("min(x)", "min takes 2 or more arguments, 1 given\n    min(x)\n    ^"),
-    ("sin(x, y)", "sin takes 1 argument, 2 given\n    sin(x, y)\n    ^"),
-    ("0,5", "a comma stands only between the arguments of a function; "
-            "decimals are written 0.5\n    0,5\n     ^"),
-    ("x[0]", "unexpected '['; the coordinates are x, y, z\n    x[0]\n     ^"),
-    ("x == 1", "unexpected '='; comparisons are < <= > >=\n    x == 1\n      ^"),
-    ("__import__('os')", "unexpected '''\n    __import__('os')\n               ^"),
-    ("x < 1", "a comparison is no number; use where(a < b, c, d)\n    x < 1\n    ^"),
-    ("1 + (x < 1)", "a comparison is no number; use where(a < b, c, d)\n"
-                    "    1 + (x < 1)\n         ^"),
-    ("0 < x < 1", "comparisons cannot be chained; use where() twice\n    0 < x < 1\n    ^"),
-    ("where(x, 1, 2)", "where() starts with a comparison; where(a < b, c, d)\n"
-                       "    where(x, 1, 2)\n          ^"),
-    ("x if x > 0 else y", "an operator is missing; a product is written a*b\n"
-                          "    x if x > 0 else y\n      ^"),
-    ("1e999*x", "this number is too large\n    1e999*x\n    ^"),
-    ("1/0", "'1/0' is infinite"), ("sqrt(-1)", "'sqrt(-1)' is not a real number"),
-    ("9**9**9", "'9**9**9' is infinite"), ("(-8)^(1/3)", "'(-8)^(1/3)' is not a real number"),
-    ("x" * 1001, "a formula of 1001 characters is too long; at most 1000"),
-    ("(" * 300 + "x" + ")" * 300, "the formula is nested too deeply"),
-    ("+".join(["x"] * 400),
-     "the formula is nested too deeply; at most 100 operations deep"),
-    ("-" * 900 + "x", "the formula is nested too deeply; at most 100 operations deep"),
-])
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "the formula is empty\n    \n    ^"),
+        ("0.1*x*tt", "unknown name 'tt'; did you mean 't'?\n    0.1*x*tt\n          ^"),
+        ("q", "unknown name 'q'; known: e, pi, t, x, y, z\n    q\n    ^"),
+        ("2x", "an operator is missing; a product is written a*b\n    2x\n     ^"),
+        ("2 (x)", "an operator is missing; a product is written a*b\n    2 (x)\n      ^"),
+        ("x +", "a value is missing at the end\n    x +\n       ^"),
+        ("x + * y", "a value is missing before '*'\n    x + * y\n        ^"),
+        ("x // y", "a value is missing before '/'\n    x // y\n       ^"),
+        ("(x", "this parenthesis is never closed\n    (x\n    ^"),
+        ("x)", "this parenthesis was never opened\n    x)\n     ^"),
+        ("sin()", "a value is missing before ')'\n    sin()\n        ^"),
+        ("sin", "'sin' is a function; write sin(...)\n    sin\n    ^"),
+        ("sni(x)", "unknown function 'sni'; did you mean 'sin'?\n    sni(x)\n    ^"),
+        ("x(2)", "'x' is not a function; write x*(...)\n    x(2)\n    ^"),
+        ("atan2(x)", "atan2 takes 2 arguments, 1 given\n    atan2(x)\n    ^"),
+        ("min(x)", "min takes 2 or more arguments, 1 given\n    min(x)\n    ^"),
+        ("sin(x, y)", "sin takes 1 argument, 2 given\n    sin(x, y)\n    ^"),
+        (
+            "0,5",
+            "a comma stands only between the arguments of a function; "
+            "decimals are written 0.5\n    0,5\n     ^",
+        ),
+        ("x[0]", "unexpected '['; the coordinates are x, y, z\n    x[0]\n     ^"),
+        ("x == 1", "unexpected '='; comparisons are < <= > >=\n    x == 1\n      ^"),
+        ("__import__('os')", "unexpected '''\n    __import__('os')\n               ^"),
+        ("x < 1", "a comparison is no number; use where(a < b, c, d)\n    x < 1\n    ^"),
+        (
+            "1 + (x < 1)",
+            "a comparison is no number; use where(a < b, c, d)\n    1 + (x < 1)\n         ^",
+        ),
+        ("0 < x < 1", "comparisons cannot be chained; use where() twice\n    0 < x < 1\n    ^"),
+        (
+            "where(x, 1, 2)",
+            "where() starts with a comparison; where(a < b, c, d)\n    where(x, 1, 2)\n          ^",
+        ),
+        (
+            "x if x > 0 else y",
+            "an operator is missing; a product is written a*b\n    x if x > 0 else y\n      ^",
+        ),
+        ("1e999*x", "this number is too large\n    1e999*x\n    ^"),
+        ("1/0", "'1/0' is infinite"),
+        ("sqrt(-1)", "'sqrt(-1)' is not a real number"),
+        ("9**9**9", "'9**9**9' is infinite"),
+        ("(-8)^(1/3)", "'(-8)^(1/3)' is not a real number"),
+        ("x" * 1001, "a formula of 1001 characters is too long; at most 1000"),
+        ("(" * 300 + "x" + ")" * 300, "the formula is nested too deeply"),
+        ("+".join(["x"] * 400), "the formula is nested too deeply; at most 100 operations deep"),
+        ("-" * 900 + "x", "the formula is nested too deeply; at most 100 operations deep"),
+    ],
+)
 def test_refused(text: str, message: str) -> None:
     """Every fault has its own words and a caret."""
     with pytest.raises(FormulaError) as caught:
@@ -119,8 +162,9 @@ def test_pickles() -> None:
 
 
 @settings(max_examples=400, deadline=None, derandomize=True)
-@given(st.text(max_size=60)
-       | st.text(alphabet="xyt0123.e+-*/^()<>=, sinwhere_\n\0\u00b5", max_size=40))
+@given(
+    st.text(max_size=60) | st.text(alphabet="xyt0123.e+-*/^()<>=, sinwhere_\n\0\u00b5", max_size=40)
+)
 @example("9" * 400)
 @example("2^2^2^2^2^2^2")
 @example("\0")
@@ -151,10 +195,13 @@ def _texts() -> st.SearchStrategy[str]:
             st.tuples(st.sampled_from(unary), inner).map(lambda p: f"{p[0]}({p[1]})"),
             st.tuples(st.sampled_from("+-*/^"), two).map(lambda p: f"({p[1][0]} {p[0]} {p[1][1]})"),
             st.tuples(st.sampled_from(["min", "max", "atan2"]), two).map(
-                lambda p: f"{p[0]}({p[1][0]}, {p[1][1]})"),
+                lambda p: f"{p[0]}({p[1][0]}, {p[1][1]})"
+            ),
             st.tuples(st.sampled_from(["<", "<=", ">", ">="]), inner, inner, two).map(
-                lambda p: f"where({p[1]} {p[0]} {p[2]}, {p[3][0]}, {p[3][1]})"),
-            inner.map(lambda a: f"-{a}"))
+                lambda p: f"where({p[1]} {p[0]} {p[2]}, {p[3][0]}, {p[3][1]})"
+            ),
+            inner.map(lambda a: f"-{a}"),
+        )
 
     return st.recursive(atoms, grow, max_leaves=8)
 
@@ -183,16 +230,23 @@ def test_compiled_code_agrees(name: str) -> None:
     from dolfinx import fem, mesh
     from mpi4py import MPI
 
-    calls = {"where": "where(x < 0.5, x, y - 2)", "atan2": "atan2(y - 0.5, x - 0.25)",
-             "min": "min(x, y, 0.3)", "max": "max(x, y, 0.3)", "asin": "asin(x/2)",
-             "acos": "acos(x/2)", "ln": "ln(x + 1)", "log": "log(x + 1)", "log10": "log10(x + 1)",
-             "sqrt": "sqrt(x + 1)"}
+    calls = {
+        "where": "where(x < 0.5, x, y - 2)",
+        "atan2": "atan2(y - 0.5, x - 0.25)",
+        "min": "min(x, y, 0.3)",
+        "max": "max(x, y, 0.3)",
+        "asin": "asin(x/2)",
+        "acos": "acos(x/2)",
+        "ln": "ln(x + 1)",
+        "log": "log(x + 1)",
+        "log10": "log10(x + 1)",
+        "sqrt": "sqrt(x + 1)",
+    }
     formula = Formula.parse(calls.get(name, f"{name}(2*x - 1)"), allowed=XYZT)
     square = mesh.create_unit_square(MPI.COMM_SELF, 2, 2)
     space = fem.functionspace(square, ("Lagrange", 2))
     X = ufl.SpatialCoordinate(square)
     u = fem.Function(space)
-    u.interpolate(fem.Expression(formula.ufl(x=X[0], y=X[1]),
-                                 space.element.interpolation_points()))
+    u.interpolate(fem.Expression(formula.ufl(x=X[0], y=X[1]), space.element.interpolation_points()))
     x, y, _ = space.tabulate_dof_coordinates().T
     assert np.allclose(u.x.array, formula.evaluate(x=x, y=y), rtol=1e-12, atol=1e-14)

@@ -56,22 +56,24 @@ def drawing() -> Iterator[Any]:
         gmsh.finalize()
 
 
-def gmsh_cube(path: Path, *, version: float = 4.1, binary: bool = False, order: int = 1,
-              overlap: bool = False) -> None:
+def gmsh_cube(
+    path: Path, *, version: float = 4.1, binary: bool = False, order: int = 1, overlap: bool = False
+) -> None:
     """Two boxes side by side, 2 x 1 x 1, that share the face 'joint'."""
     with drawing() as gmsh:
         _gmsh_cube(gmsh, path, version, binary, order, overlap)
 
 
-def _gmsh_cube(gmsh: Any, path: Path, version: float, binary: bool, order: int,
-               overlap: bool) -> None:
+def _gmsh_cube(
+    gmsh: Any, path: Path, version: float, binary: bool, order: int, overlap: bool
+) -> None:
     occ = gmsh.model.occ
     one, two = occ.addBox(0, 0, 0, 1, 1, 1), occ.addBox(1, 0, 0, 1, 1, 1)
     occ.fragment([(3, one)], [(3, two)])
     occ.synchronize()
 
     def face(x: float) -> list[int]:
-        near = gmsh.model.getEntitiesInBoundingBox(x - .01, -1, -1, x + .01, 2, 2, 2)
+        near = gmsh.model.getEntitiesInBoundingBox(x - 0.01, -1, -1, x + 0.01, 2, 2, 2)
         return [tag for _, tag in near]
 
     gmsh.model.addPhysicalGroup(3, [one], 7, "soft part")
@@ -90,10 +92,12 @@ def _gmsh_cube(gmsh: Any, path: Path, version: float, binary: bool, order: int,
 
 
 @pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize(("version", "binary"), [
-    (2.2, False), (2.2, True), (4.0, False), (4.1, False), (4.1, True)])
-def test_gmsh_files_keep_volume_and_names(folder: Path, version: float, binary: bool,
-                                          order: int) -> None:
+@pytest.mark.parametrize(
+    ("version", "binary"), [(2.2, False), (2.2, True), (4.0, False), (4.1, False), (4.1, True)]
+)
+def test_gmsh_files_keep_volume_and_names(
+    folder: Path, version: float, binary: bool, order: int
+) -> None:
     path = folder / "two.msh"
     made(lambda: gmsh_cube(path, version=version, binary=binary, order=order))
     body = read_body(path, scale=1e-3)
@@ -137,9 +141,11 @@ def test_curved_cells_keep_their_shape(folder: Path, suffix: str) -> None:
     made(lambda: ball(folder / "ball.msh"))
     path = folder / f"ball{suffix}"
     if suffix not in (".msh", ".inp"):
+
         def convert() -> None:
             mesh = meshio.read(folder / "ball.msh")
             meshio.Mesh(mesh.points, {"tetra10": mesh.cells_dict["tetra10"]}).write(path)
+
         made(convert)
     size = measures(read_body(path))
     # Straight cells of this size lose 3 % of the volume.
@@ -148,8 +154,9 @@ def test_curved_cells_keep_their_shape(folder: Path, suffix: str) -> None:
 
 
 POINTS = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
-CUBE = np.array([[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7],
-                 [0, 4, 6, 7]])
+CUBE = np.array(
+    [[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 4, 6, 7]]
+)
 BOTTOM = np.array([[0, 1, 3], [0, 2, 3]])
 
 
@@ -158,8 +165,11 @@ def test_numbered_parts_of_other_formats(folder: Path, suffix: str) -> None:
     import meshio
 
     key = {".mesh": "medit:ref", ".bdf": "nastran:ref", ".med": "cell_tags"}.get(suffix, "part")
-    mesh = meshio.Mesh(POINTS, [("tetra", CUBE), ("triangle", BOTTOM)],
-                       cell_data={key: [np.array([1, 1, 1, 2, 2, 2]), np.array([5, 5])]})
+    mesh = meshio.Mesh(
+        POINTS,
+        [("tetra", CUBE), ("triangle", BOTTOM)],
+        cell_data={key: [np.array([1, 1, 1, 2, 2, 2]), np.array([5, 5])]},
+    )
     if suffix == ".med":
         mesh.cell_tags = {1: ["core", "body"], 2: ["body"], 5: ["foot"]}
     path = folder / f"cube{suffix}"
@@ -224,8 +234,9 @@ def test_abaqus_sets_and_surfaces(folder: Path) -> None:
     body = read_body(folder / "cube.inp")
     size = measures(body)
     sixth = 1 / 6
-    assert size.regions == pytest.approx({"Soft": 4 * sixth, "hard": 2 * sixth,
-                                          "pair": 2 * sixth, "joined": 1.0})
+    assert size.regions == pytest.approx(
+        {"Soft": 4 * sixth, "hard": 2 * sixth, "pair": 2 * sixth, "joined": 1.0}
+    )
     assert size.surfaces["foot"] == size.surfaces["under"] == pytest.approx(1)
     assert size.surfaces["foot-again"] == pytest.approx(1)
     assert size.surfaces["everything"] == pytest.approx(6)
@@ -261,7 +272,8 @@ def test_cad_is_meshed_with_a_size(folder: Path, suffix: str) -> None:
         if suffix == ".geo":
             (folder / "box.geo").write_text(
                 'SetFactory("OpenCASCADE"); Box(1) = {0, 0, 0, 1, 2, 3};\n'
-                'Physical Volume("body") = {1}; Physical Surface("foot") = {5};\n')
+                'Physical Volume("body") = {1}; Physical Surface("foot") = {5};\n'
+            )
             return
         with drawing() as gmsh:
             gmsh.model.occ.addBox(0, 0, 0, 1, 2, 3)
@@ -269,8 +281,9 @@ def test_cad_is_meshed_with_a_size(folder: Path, suffix: str) -> None:
             gmsh.write(str(folder / f"box{suffix}"))
 
     made(draw)
-    coarse, fine = (measures(read_body(folder / f"box{suffix}", size=s, scale=1e-3))
-                    for s in (2.0, 0.6))
+    coarse, fine = (
+        measures(read_body(folder / f"box{suffix}", size=s, scale=1e-3)) for s in (2.0, 0.6)
+    )
     assert coarse.volume == pytest.approx(6e-9) and fine.volume == pytest.approx(6e-9)
     assert coarse.cells < fine.cells and fine.longest < 1.2e-3
     if suffix == ".geo":
@@ -314,8 +327,11 @@ def test_xdmf_of_meshio(folder: Path, keep: str) -> None:
 def test_mixed_xdmf_of_meshio_gives_both_kinds_of_parts(folder: Path) -> None:
     import meshio
 
-    mesh = meshio.Mesh(POINTS, [("tetra", CUBE), ("triangle", BOTTOM)],
-                       cell_data={"part": [np.ones(6, dtype=int), np.array([5, 5])]})
+    mesh = meshio.Mesh(
+        POINTS,
+        [("tetra", CUBE), ("triangle", BOTTOM)],
+        cell_data={"part": [np.ones(6, dtype=int), np.array([5, 5])]},
+    )
     made(lambda: mesh.write(folder / "cube.xdmf"))
     size = measures(read_body(folder / "cube.xdmf"))
     assert size.regions == pytest.approx({"part_1": 1})
@@ -327,25 +343,45 @@ def test_box_and_rectangle() -> None:
     size = measures(body)
     assert size.volume == pytest.approx(6e-6) and size.low == pytest.approx((-0.01, 0, 0))
     assert {name: body.count(name) for name in body.surfaces} == {
-        "left": 24, "right": 24, "front": 16, "back": 16, "bottom": 12, "top": 12}
+        "left": 24,
+        "right": 24,
+        "front": 16,
+        "back": 16,
+        "bottom": 12,
+        "top": 12,
+    }
     assert size.surfaces["left"] == pytest.approx(6e-4)
     plate = rectangle_body(size=(2, 1), cells=(4, 3))
     assert {n: plate.count(n) for n in plate.surfaces} == {
-        "left": 3, "right": 3, "bottom": 4, "top": 4}
+        "left": 3,
+        "right": 3,
+        "bottom": 4,
+        "top": 4,
+    }
     assert measures(plate).volume == pytest.approx(2)
 
 
-@pytest.mark.parametrize(("change", "said"), [
-    ({"size": (1, 0, 1)}, "sizes must be positive"), ({"cells": (1, 1)}, "3 sizes"),
-    ({"cells": (1, 1, 0)}, "whole and positive"), ({"size": (1,)}, "three sizes"),
-    ({"origin": (0,)}, "origin")])
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"size": (1, 0, 1)}, "sizes must be positive"),
+        ({"cells": (1, 1)}, "3 sizes"),
+        ({"cells": (1, 1, 0)}, "whole and positive"),
+        ({"size": (1,)}, "three sizes"),
+        ({"origin": (0,)}, "origin"),
+    ],
+)
 def test_impossible_boxes(change: dict[str, tuple[float, ...]], said: str) -> None:
     with pytest.raises(MeshError, match=said):
         box_body(**{"size": (1, 1, 1), "cells": (1, 1, 1), **change})  # type: ignore[arg-type]
 
 
-def write_cube(path: Path, points: Array = POINTS, cells: Array = CUBE,
-               others: list[tuple[str, Array]] | None = None) -> None:
+def write_cube(
+    path: Path,
+    points: Array = POINTS,
+    cells: Array = CUBE,
+    others: list[tuple[str, Array]] | None = None,
+) -> None:
     import meshio
 
     meshio.Mesh(points, [("tetra", cells), *(others or [])]).write(path)
@@ -364,18 +400,33 @@ def test_unused_points_duplicates_and_reversed_cells_are_noted(folder: Path) -> 
 
 
 FAULTS: dict[str, tuple[Callable[[], dict[str, object]], str]] = {
-    "flat": (lambda: {"points": np.vstack([POINTS, [.5, .5, 0]]),
-                      "cells": np.vstack([CUBE, [0, 1, 3, 8]])},
-             r"1 of 7 cells have no volume, near \(0\.625, 0\.375, 0\)"),
+    "flat": (
+        lambda: {
+            "points": np.vstack([POINTS, [0.5, 0.5, 0]]),
+            "cells": np.vstack([CUBE, [0, 1, 3, 8]]),
+        },
+        r"1 of 7 cells have no volume, near \(0\.625, 0\.375, 0\)",
+    ),
     "nan": (lambda: {"points": np.where(POINTS == [1, 1, 1], np.nan, POINTS)}, "not numbers"),
     "range": (lambda: {"cells": np.vstack([CUBE, [0, 1, 3, 99]])}, "point 99"),
     "twice": (lambda: {"cells": np.vstack([CUBE, [0, 1, 3, 3]])}, "same point twice"),
-    "overlap": (lambda: {"points": np.vstack([POINTS, [2, .4, .3]]),
-                         "cells": np.vstack([CUBE, [0, 1, 7, 8]])}, "three or more cells"),
-    "inside out": (lambda: {"points": np.where((POINTS == 1).all(axis=1)[:, None],
-                                               [[0.5, 0.4, -0.3]], POINTS)}, "inside out"),
-    "hexahedra": (lambda: {"others": [("hexahedron", np.array([[0, 1, 3, 2, 4, 5, 7, 6]]))]},
-                  "6 tetrahedra, 1 hexahedra; 4- or 10-node tetrahedra are needed"),
+    "overlap": (
+        lambda: {
+            "points": np.vstack([POINTS, [2, 0.4, 0.3]]),
+            "cells": np.vstack([CUBE, [0, 1, 7, 8]]),
+        },
+        "three or more cells",
+    ),
+    "inside out": (
+        lambda: {
+            "points": np.where((POINTS == 1).all(axis=1)[:, None], [[0.5, 0.4, -0.3]], POINTS)
+        },
+        "inside out",
+    ),
+    "hexahedra": (
+        lambda: {"others": [("hexahedron", np.array([[0, 1, 3, 2, 4, 5, 7, 6]]))]},
+        "6 tetrahedra, 1 hexahedra; 4- or 10-node tetrahedra are needed",
+    ),
 }
 
 
@@ -388,9 +439,15 @@ def test_faults_are_errors_on_all_ranks(folder: Path, fault: str) -> None:
     assert str(caught.value).startswith("cube.vtu: ")
 
 
-XDMF_FAULTS = {"nan": "not numbers", "range": "point 99, but there are 8", "twice": "point twice",
-               "duplicate": "1 cells stand twice", "overlap": "three or more cells",
-               "flat": "no volume", "inside out": "inside out"}
+XDMF_FAULTS = {
+    "nan": "not numbers",
+    "range": "point 99, but there are 8",
+    "twice": "point twice",
+    "duplicate": "1 cells stand twice",
+    "overlap": "three or more cells",
+    "flat": "no volume",
+    "inside out": "inside out",
+}
 
 
 @pytest.mark.parametrize("fault", XDMF_FAULTS)
@@ -426,14 +483,19 @@ def test_pieces_are_counted(folder: Path) -> None:
 
 
 def test_only_facets_named_and_names_without_elements(folder: Path) -> None:
-    text = ("$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$PhysicalNames\n2\n2 3 \"foot\"\n3 9 \"none\"\n"
-            "$EndPhysicalNames\n$Nodes\n8\n"
-            + "".join(f"{i * 10} {x} {y} {z}\n" for i, (x, y, z) in enumerate(POINTS, start=1))
-            + "$EndNodes\n$Elements\n8\n"
-            + "".join(f"{i} 2 2 3 1 {a}0 {b}0 {c}0\n" for i, (a, b, c)
-                      in enumerate(BOTTOM + 1, start=1))
-            + "".join(f"{i} 4 2 0 1 {a}0 {b}0 {c}0 {d}0\n" for i, (a, b, c, d)
-                      in enumerate(CUBE + 1, start=3)) + "$EndElements\n")
+    text = (
+        '$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$PhysicalNames\n2\n2 3 "foot"\n3 9 "none"\n'
+        "$EndPhysicalNames\n$Nodes\n8\n"
+        + "".join(f"{i * 10} {x} {y} {z}\n" for i, (x, y, z) in enumerate(POINTS, start=1))
+        + "$EndNodes\n$Elements\n8\n"
+        + "".join(
+            f"{i} 2 2 3 1 {a}0 {b}0 {c}0\n" for i, (a, b, c) in enumerate(BOTTOM + 1, start=1)
+        )
+        + "".join(
+            f"{i} 4 2 0 1 {a}0 {b}0 {c}0 {d}0\n" for i, (a, b, c, d) in enumerate(CUBE + 1, start=3)
+        )
+        + "$EndElements\n"
+    )
     made(lambda: (folder / "cube.msh").write_text(text))
     body = read_body(folder / "cube.msh")
     assert body.count("foot") == 2 and not body.regions
@@ -445,8 +507,11 @@ def test_only_facets_named_and_names_without_elements(folder: Path) -> None:
 def test_a_facet_outside_the_body_is_noted(folder: Path) -> None:
     import meshio
 
-    mesh = meshio.Mesh(POINTS, [("tetra", CUBE), ("triangle", np.array([[0, 1, 3], [1, 2, 4]]))],
-                       cell_data={"part": [np.zeros(6, dtype=int), np.array([5, 5])]})
+    mesh = meshio.Mesh(
+        POINTS,
+        [("tetra", CUBE), ("triangle", np.array([[0, 1, 3], [1, 2, 4]]))],
+        cell_data={"part": [np.zeros(6, dtype=int), np.array([5, 5])]},
+    )
     made(lambda: mesh.write(folder / "cube.vtu"))
     body = read_body(folder / "cube.vtu")
     assert body.count("part_5") == 1
@@ -483,15 +548,25 @@ def test_damaged_gmsh_files_are_errors(folder: Path, version: float, binary: boo
     assert on_root(COMM, attempt) >= 60
 
 
-@pytest.mark.parametrize(("name", "text", "said"), [
-    ("a.msh", "", "the file is empty"), ("a.msh", "hello", "not a Gmsh mesh"),
-    ("a.vtu", "hello", "meshio cannot read it"), ("a.mesh", "hello", "meshio cannot read it"),
-    ("a.med", "hello", "meshio cannot read it"), ("a.inp", "hello", r"no \*NODE"),
-    ("a.xyz", "hello", "unknown suffix '.xyz'"), ("a.xdmf", "hello", "no XML"),
-    ("a.xdmf", "<Xdmf/>", "no mesh"), ("a.geo", "Box(1) = {", "Gmsh cannot read"),
-    ("a.geo", "Point(1) = {0, 0, 0}; Point(2) = {1, 0, 0};", "no line break"),
-    ("a.step", "hello", "Gmsh cannot read|neither volumes"), ("a.geo", "x = 1;", "neither volumes"),
-    ("a.msh", "$MeshFormat\n1.0 0 8\n$EndMeshFormat\n", "")])
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a.msh", "", "the file is empty"),
+        ("a.msh", "hello", "not a Gmsh mesh"),
+        ("a.vtu", "hello", "meshio cannot read it"),
+        ("a.mesh", "hello", "meshio cannot read it"),
+        ("a.med", "hello", "meshio cannot read it"),
+        ("a.inp", "hello", r"no \*NODE"),
+        ("a.xyz", "hello", "unknown suffix '.xyz'"),
+        ("a.xdmf", "hello", "no XML"),
+        ("a.xdmf", "<Xdmf/>", "no mesh"),
+        ("a.geo", "Box(1) = {", "Gmsh cannot read"),
+        ("a.geo", "Point(1) = {0, 0, 0}; Point(2) = {1, 0, 0};", "no line break"),
+        ("a.step", "hello", "Gmsh cannot read|neither volumes"),
+        ("a.geo", "x = 1;", "neither volumes"),
+        ("a.msh", "$MeshFormat\n1.0 0 8\n$EndMeshFormat\n", ""),
+    ],
+)
 def test_files_that_are_no_meshes(folder: Path, name: str, text: str, said: str) -> None:
     made(lambda: (folder / name).write_text(text))
     with pytest.raises(MeshError, match=said):

@@ -26,16 +26,23 @@ def picked(body: Body, scale: float = 1e-3, **keys: Any) -> Body:
     return name_parts(body, surfaces={"part": Selector(**keys)}, scale=scale)
 
 
-@pytest.mark.parametrize(("keys", "area"), [
-    ({"plane": "z", "at": "min"}, 2.0), ({"plane": "x", "at": "max"}, 1.0),
-    ({"plane": "x", "at": 2}, 1.0), ({"all": True}, 10.0),
-    ({"plane": "z", "at": 0, "box": [[0, 0, 0], [0.5, 1, 1]]}, 0.5),
-    ({"box": [[2, 1, 1], [1, 0, 0]]}, 1.0 + 4 * 1.0),
-    ({"normal": [0, 0, 2]}, 2.0), ({"normal": [1, 1, 0], "angle": 46}, 1.0 + 2.0),
-    ({"normal": [1, 0, 0], "angle": 180}, 10.0), ({"of": "left"}, 1.0),
-    ({"of": "left", "box": [[0, 0, 0], [0, 1, 0.5]]}, 0.5),
-    ({"plane": "z", "at": 0.2, "tolerance": 0.25}, 2.0),
-])
+@pytest.mark.parametrize(
+    ("keys", "area"),
+    [
+        ({"plane": "z", "at": "min"}, 2.0),
+        ({"plane": "x", "at": "max"}, 1.0),
+        ({"plane": "x", "at": 2}, 1.0),
+        ({"all": True}, 10.0),
+        ({"plane": "z", "at": 0, "box": [[0, 0, 0], [0.5, 1, 1]]}, 0.5),
+        ({"box": [[2, 1, 1], [1, 0, 0]]}, 1.0 + 4 * 1.0),
+        ({"normal": [0, 0, 2]}, 2.0),
+        ({"normal": [1, 1, 0], "angle": 46}, 1.0 + 2.0),
+        ({"normal": [1, 0, 0], "angle": 180}, 10.0),
+        ({"of": "left"}, 1.0),
+        ({"of": "left", "box": [[0, 0, 0], [0, 1, 0.5]]}, 0.5),
+        ({"plane": "z", "at": 0.2, "tolerance": 0.25}, 2.0),
+    ],
+)
 def test_surfaces_have_the_area_asked_for(box: Body, keys: dict[str, Any], area: float) -> None:
     body = picked(box, **keys)
     expected = area if "tolerance" not in keys else None
@@ -46,19 +53,32 @@ def test_surfaces_have_the_area_asked_for(box: Body, keys: dict[str, Any], area:
 
 
 def test_lists_are_joined_and_later_parts_refer_to_earlier_ones(box: Body) -> None:
-    ends = [Selector(plane="x", at="min"), Selector(plane="x", at="max"),
-            Selector(plane="x", at="max")]
-    body = name_parts(box, surfaces={"ends": ends, "low": Selector(
-        of="ends", box=[[0, 0, 0], [2, 1, 0.5]])}, scale=1e-3)
+    ends = [
+        Selector(plane="x", at="min"),
+        Selector(plane="x", at="max"),
+        Selector(plane="x", at="max"),
+    ]
+    body = name_parts(
+        box,
+        surfaces={"ends": ends, "low": Selector(of="ends", box=[[0, 0, 0], [2, 1, 0.5]])},
+        scale=1e-3,
+    )
     assert body.count("ends") == 64 and body.count("low") == 32
 
 
 def test_regions(box: Body) -> None:
-    body = name_parts(box, regions={
-        "half": Selector(box=[[0, 0, 0], [1, 1, 1]]), "rest": Selector(box=[[1, 0, 0], [2, 1, 1]]),
-        "all": Selector(all=True), "low": Selector(of="half", box=[[0, 0, 0], [1, 1, 0.5]]),
-        "ball": Selector(sphere={"center": [1, 0.5, 0.5], "radius": 9}),
-        "bar": Selector(cylinder={"axis": "x", "point": [0, 0, 0], "radius": 0.6})}, scale=1e-3)
+    body = name_parts(
+        box,
+        regions={
+            "half": Selector(box=[[0, 0, 0], [1, 1, 1]]),
+            "rest": Selector(box=[[1, 0, 0], [2, 1, 1]]),
+            "all": Selector(all=True),
+            "low": Selector(of="half", box=[[0, 0, 0], [1, 1, 0.5]]),
+            "ball": Selector(sphere={"center": [1, 0.5, 0.5], "radius": 9}),
+            "bar": Selector(cylinder={"axis": "x", "point": [0, 0, 0], "radius": 0.6}),
+        },
+        scale=1e-3,
+    )
     size = measures(body).regions
     for name, volume in {"half": 1e-9, "rest": 1e-9, "all": 2e-9, "ball": 2e-9}.items():
         assert size[name] == pytest.approx(volume)
@@ -121,14 +141,20 @@ def test_not_quite_flat_feet_say_which_tolerance_helps(box: Body) -> None:
     assert picked(rough, 1.0, plane="z", at="min", tolerance=0.01).count("part") == 64
 
 
-@pytest.mark.parametrize(("keys", "said"), [
-    ({"plane": "x", "at": 9}, r"on the plane x = 9: 0 \(the nearest is off by 7, allowed is "
-     r"2\.45e-06\); the body lies in x from 0 to 2, y from 0 to 1, z from 0 to 1"),
-    ({"plane": "x", "at": "min", "normal": [1, 0, 0]}, "on the plane x = 0: 32; facing .*: 32"),
-    ({"normal": [1, 1, 1]}, r"facing \(1, 1, 1\): 0 .*off by 54\.7.*angle = 56 would find it"),
-    ({"of": "lft"}, "no surface 'lft' in box 2 x 1 x 1; did you mean 'left'"),
-    ({"box": [[0, 0], [1, 1]]}, "part.box: the body is three-dimensional"),
-])
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        (
+            {"plane": "x", "at": 9},
+            r"on the plane x = 9: 0 \(the nearest is off by 7, allowed is "
+            r"2\.45e-06\); the body lies in x from 0 to 2, y from 0 to 1, z from 0 to 1",
+        ),
+        ({"plane": "x", "at": "min", "normal": [1, 0, 0]}, "on the plane x = 0: 32; facing .*: 32"),
+        ({"normal": [1, 1, 1]}, r"facing \(1, 1, 1\): 0 .*off by 54\.7.*angle = 56 would find it"),
+        ({"of": "lft"}, "no surface 'lft' in box 2 x 1 x 1; did you mean 'left'"),
+        ({"box": [[0, 0], [1, 1]]}, "part.box: the body is three-dimensional"),
+    ],
+)
 def test_nothing_found(box: Body, keys: dict[str, Any], said: str) -> None:
     with pytest.raises(MeshError, match=said):
         picked(box, **keys)
@@ -145,15 +171,23 @@ def test_names_are_taken_once_and_planes_pick_no_regions(box: Body) -> None:
         name_parts(box, surfaces={"a": []})
 
 
-@pytest.mark.parametrize(("keys", "said"), [
-    ({}, "say where"), ({"plane": "z"}, "belong together"), ({"at": "min"}, "belong together"),
-    ({"plane": "z", "at": "mn"}, "should be \"min\", \"max\", a number"),
-    ({"angle": 3, "all": True}, "goes with normal"),
-    ({"normal": [0, 0, 0]}, "cannot be zero"), ({"plan": "z"}, "did you mean 'plane'"),
-    ({"sphere": {"centre": [0, 0], "radius": 1}}, "did you mean 'center'"),
-    ({"plane": "z", "at": True}, "at"), ({"plane": "z", "at": float("nan")}, "at"),
-    ({"box": [[0, 0, 0]]}, "box"), ({"sphere": {"center": [0, 0, 0], "radius": -1}}, "radius"),
-])
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({}, "say where"),
+        ({"plane": "z"}, "belong together"),
+        ({"at": "min"}, "belong together"),
+        ({"plane": "z", "at": "mn"}, 'should be "min", "max", a number'),
+        ({"angle": 3, "all": True}, "goes with normal"),
+        ({"normal": [0, 0, 0]}, "cannot be zero"),
+        ({"plan": "z"}, "did you mean 'plane'"),
+        ({"sphere": {"centre": [0, 0], "radius": 1}}, "did you mean 'center'"),
+        ({"plane": "z", "at": True}, "at"),
+        ({"plane": "z", "at": float("nan")}, "at"),
+        ({"box": [[0, 0, 0]]}, "box"),
+        ({"sphere": {"center": [0, 0, 0], "radius": -1}}, "radius"),
+    ],
+)
 def test_selectors_that_make_no_sense(keys: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
         Selector(**keys)

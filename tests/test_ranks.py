@@ -13,12 +13,35 @@ from conftest import ROOT
 @pytest.mark.parametrize("ranks", [2, 3])
 @pytest.mark.timeout(1500)
 def test_everything_again_on_several_ranks(serial_only, ranks, tmp_path):
-    environment = {**os.environ, "TMPDIR": str(tmp_path), "PYTHONPATH": str(ROOT),
-                   "OMPI_MCA_mpi_yield_when_idle": "1"}  # more ranks than cores must not spin
-    command = ["mpirun", "-n", str(ranks), "--oversubscribe", sys.executable, "-m", "pytest", "-q",
-               "-x", "-p", "no:cacheprovider", str(ROOT / "tests")]
-    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True,
-                          timeout=1400, check=False)
+    environment = {
+        **os.environ,
+        "TMPDIR": str(tmp_path),
+        "PYTHONPATH": str(ROOT),
+        "OMPI_MCA_mpi_yield_when_idle": "1",
+    }  # more ranks than cores must not spin
+    command = [
+        "mpirun",
+        "-n",
+        str(ranks),
+        "--oversubscribe",
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-x",
+        "-p",
+        "no:cacheprovider",
+        str(ROOT / "tests"),
+    ]
+    done = subprocess.run(
+        command,
+        env=environment,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=1400,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-3000:]
     summaries = [line for line in done.stdout.splitlines() if " passed" in line]
     assert len(summaries) == ranks, done.stdout[-3000:]

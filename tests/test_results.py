@@ -51,8 +51,11 @@ def folder() -> Iterator[Path]:
 
 def make_problem(dim: int = 3, degree: int = 1, *, cells: int = 3) -> Problem:
     """A beam or a strip of rubber."""
-    mesh = (create_box(COMM, [[0, 0, 0], [2, 1, 1]], [2 * cells, cells, cells]) if dim == 3
-            else create_rectangle(COMM, [[0, 0], [2, 1]], [2 * cells, cells]))
+    mesh = (
+        create_box(COMM, [[0, 0, 0], [2, 1, 1]], [2 * cells, cells, cells])
+        if dim == 3
+        else create_rectangle(COMM, [[0, 0], [2, 1]], [2 * cells, cells])
+    )
     return Problem(Body(mesh), NeoHookean(E=1e6, nu=0.3, density=1e3), degree=degree)
 
 
@@ -63,7 +66,7 @@ def displacement(x: Array, t: float = 1.0) -> Array:
 
 def make_state(problem: Problem, step: int = 1, t: float = 1.0, **more: Any) -> State:
     """The state with the displacement above."""
-    problem.u.interpolate(lambda x: displacement(x, t)[:problem.body.dim])
+    problem.u.interpolate(lambda x: displacement(x, t)[: problem.body.dim])
     return State(step, t, problem.u, **more)
 
 
@@ -99,7 +102,8 @@ def attributes(path: Path, grid: ET.Element) -> dict[str, Array]:
 def test_xdmf_round_trip(folder: Path, dim: int, degree: int) -> None:
     problem = make_problem(dim, degree)
     writer = Xdmf(fields=("displacement", "von_mises", "cauchy_stress", "rank")).open(
-        problem, folder)
+        problem, folder
+    )
     for step in (1, 2):
         writer.write(make_state(problem, step, step / 2))
     writer.close()
@@ -132,13 +136,13 @@ def check_round_trip(problem: Problem, path: Path, dim: int, degree: int) -> Non
 
 def check_shape(x: Array, dim: int, degree: int) -> None:
     """Cells of the right total and sign of volume, with nodes in VTK's order."""
-    corners = x[:, :dim + 1]
+    corners = x[:, : dim + 1]
     edges = (corners[:, 1:] - corners[:, :1])[:, :, :dim]
     volumes = np.linalg.det(edges) / (2 if dim == 2 else 6)
     assert volumes.min() > 0
     assert volumes.sum() == pytest.approx(2.0)
     if degree == 2:
-        pairs = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)][:3 if dim == 2 else 6]
+        pairs = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)][: 3 if dim == 2 else 6]
         for i, (a, b) in enumerate(pairs):
             assert np.allclose(x[:, dim + 1 + i], (x[:, a] + x[:, b]) / 2, atol=1e-14)
     assert x.shape[1] == {(2, 1): 3, (2, 2): 6, (3, 1): 4, (3, 2): 10}[dim, degree]
@@ -169,9 +173,13 @@ def test_default_fields_in_statics_and_motion(folder: Path) -> None:
     v = fem.Function(problem.V)
     for name, more in (("still", {}), ("moving", {"v": v, "a": v})):
         Xdmf(file=f"{name}.xdmf").open(problem, folder).write(make_state(problem, **more))
-    found = on_root(COMM, lambda: {
-        name: set(attributes(p := folder / f"{name}.xdmf", grids(p)[0]))
-        for name in ("still", "moving")})
+    found = on_root(
+        COMM,
+        lambda: {
+            name: set(attributes(p := folder / f"{name}.xdmf", grids(p)[0]))
+            for name in ("still", "moving")
+        },
+    )
     assert found["still"] == {"displacement", "von_mises", "cauchy_stress"}
     assert found["moving"] == {*found["still"], "velocity"}
 
@@ -246,9 +254,11 @@ def test_rows_of_all_ranks_meet_in_one_array(folder: Path) -> None:
     first, own = COMM.rank * (COMM.rank + 1) // 2, COMM.rank + 1  # 1, 2, 3 ... rows
     count = COMM.size * (COMM.size + 1) // 2
     numbers = np.arange(first, first + own)[:, None]
-    arrays = {"a": Rows(numbers * [1.0, 0.5], first, count),
-              "b": Rows(numbers.astype(np.int32), first, count),
-              "none": Rows(np.zeros((0, 3)), 0, 0)}
+    arrays = {
+        "a": Rows(numbers * [1.0, 0.5], first, count),
+        "b": Rows(numbers.astype(np.int32), first, count),
+        "none": Rows(np.zeros((0, 3)), 0, 0),
+    }
     heavy.write(COMM, folder / "x.h5", arrays)
     a, b, none = on_root(COMM, lambda: read_all(folder / "x.h5"))
     assert np.array_equal(a, np.arange(count)[:, None] * [1.0, 0.5])
@@ -278,7 +288,8 @@ def test_a_full_disk_is_said_on_all_ranks(folder: Path, monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize("moment", ["before", "between"])
 def test_a_file_size_limit_is_said_on_all_ranks(
-        folder: Path, monkeypatch: pytest.MonkeyPatch, moment: str) -> None:
+    folder: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
     """The system refuses to write: to rank 0 that lays the file out, or to all that fill it."""
     resource = pytest.importorskip("resource")
     old, opened = resource.getrlimit(resource.RLIMIT_FSIZE), heavy._open
@@ -313,10 +324,18 @@ def test_a_folder_that_cannot_be_made(folder: Path, name: str) -> None:
 def moving_state(problem: Problem, step: int) -> State:
     v = fem.Function(problem.V)
     return make_state(
-        problem, step, 0.1 * step, v=v, a=v, newton=3, krylov=7, max_displacement=0.25,
+        problem,
+        step,
+        0.1 * step,
+        v=v,
+        a=v,
+        newton=3,
+        krylov=7,
+        max_displacement=0.25,
         energies={"total": 3.0, "strain": 1.0, "kinetic": 2.0, "external": 4.0},
         reactions={"foot, left": np.array([1.0, 2.0, 3.0])},
-        momenta={"linear": np.array([4.0, 5.0, 6.0]), "angular": np.array([7.0, 8.0, 9.0])})
+        momenta={"linear": np.array([4.0, 5.0, 6.0]), "angular": np.array([7.0, 8.0, 9.0])},
+    )
 
 
 def test_history(folder: Path) -> None:
@@ -329,12 +348,47 @@ def test_history(folder: Path) -> None:
     writer.close()
     rows = on_root(COMM, lambda: read_csv(folder / "history.csv"))
     assert list(rows[0]) == [
-        "step", "t", "load_factor", "newton", "krylov", "max_displacement", "strain_energy",
-        "kinetic_energy", "external_energy", "total_energy", "reaction_foot, left_x",
-        "reaction_foot, left_y", "reaction_foot, left_z", "momentum_x", "momentum_y",
-        "momentum_z", "angular_momentum_x", "angular_momentum_y", "angular_momentum_z"]
+        "step",
+        "t",
+        "load_factor",
+        "newton",
+        "krylov",
+        "max_displacement",
+        "strain_energy",
+        "kinetic_energy",
+        "external_energy",
+        "total_energy",
+        "reaction_foot, left_x",
+        "reaction_foot, left_y",
+        "reaction_foot, left_z",
+        "momentum_x",
+        "momentum_y",
+        "momentum_z",
+        "angular_momentum_x",
+        "angular_momentum_y",
+        "angular_momentum_z",
+    ]
     assert [float(v) for v in rows[1].values()] == [
-        1, 0.1, 1, 3, 7, 0.25, 1, 2, 4, 3, 1, 2, 3, 4, 5, 6, 7, 8, 9]
+        1,
+        0.1,
+        1,
+        3,
+        7,
+        0.25,
+        1,
+        2,
+        4,
+        3,
+        1,
+        2,
+        3,
+        4,
+        5,
+        6,
+        7,
+        8,
+        9,
+    ]
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
@@ -363,9 +417,16 @@ def test_summary(folder: Path) -> None:
         writer.close("failed", InputError("too steep", where="here"))
     found = on_root(COMM, lambda: json.loads(path.read_text()))
     assert (found["status"], found["reason"]) == ("failed", "here: too steep")
-    sizes = {"dofs": problem.num_dofs, "cells": problem.body.num_cells, "ranks": COMM.size,
-             "steps": 2, "newton_iterations": 9, "krylov_iterations": 21,
-             "max_displacement": 0.25, "strain_energy": 1.0}
+    sizes = {
+        "dofs": problem.num_dofs,
+        "cells": problem.body.num_cells,
+        "ranks": COMM.size,
+        "steps": 2,
+        "newton_iterations": 9,
+        "krylov_iterations": 21,
+        "max_displacement": 0.25,
+        "strain_energy": 1.0,
+    }
     assert {name: found[name] for name in sizes} == sizes
     assert found["reactions"] == {"foot, left": [1.0, 2.0, 3.0]}
     assert {"mesh", "compile", "assemble", "solve", "output", "total"} <= set(found["timings"])
@@ -426,8 +487,10 @@ def check_picture(path: Path) -> None:
 
 def test_pictures_during_a_run(folder: Path) -> None:
     problem = make_problem(2)
-    writers = [Picture(every=2, field="displacement").open(problem, folder),
-               Picture(file="last.png").open(problem, folder)]
+    writers = [
+        Picture(every=2, field="displacement").open(problem, folder),
+        Picture(file="last.png").open(problem, folder),
+    ]
     for step in (1, 2):
         for writer in writers:
             writer.write(make_state(problem, step, step / 2))

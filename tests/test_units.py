@@ -11,35 +11,63 @@ from dolfin_elastic.errors import UnitError
 from dolfin_elastic.units import COMMON, _registry, is_quantity, to_si
 
 
-@pytest.mark.parametrize(("written", "unit", "value"), [
-    ("210 GPa", "Pa", 210e9), ("0.3 MPa", "Pa", 0.3e6), ("0.3MPa", "Pa", 0.3e6),
-    ("1 N/mm^2", "Pa", 1e6), ("1 N/mm**2", "Pa", 1e6), (2, "m", 2.0), (2.5, "Pa", 2.5),
-    ("2e-3", "m", 2e-3), ("-2 mm", "m", -2e-3), ("  1 cm ", "m", 1e-2), (".5 m", "m", 0.5),
-    ("1100 kg/m^3", "kg/m^3", 1100.0), ("1.1 g/cm^3", "kg/m^3", 1100.0),
-    ("9.81 m/s^2", "m/s^2", 9.81), ("10 kN/m^3", "N/m^3", 1e4), ("1 ms", "s", 1e-3),
-    ("1 psi", "Pa", 6894.757293168361), ("1 inch", "m", 0.0254), ("5 %", "", 0.05),
-])
+@pytest.mark.parametrize(
+    ("written", "unit", "value"),
+    [
+        ("210 GPa", "Pa", 210e9),
+        ("0.3 MPa", "Pa", 0.3e6),
+        ("0.3MPa", "Pa", 0.3e6),
+        ("1 N/mm^2", "Pa", 1e6),
+        ("1 N/mm**2", "Pa", 1e6),
+        (2, "m", 2.0),
+        (2.5, "Pa", 2.5),
+        ("2e-3", "m", 2e-3),
+        ("-2 mm", "m", -2e-3),
+        ("  1 cm ", "m", 1e-2),
+        (".5 m", "m", 0.5),
+        ("1100 kg/m^3", "kg/m^3", 1100.0),
+        ("1.1 g/cm^3", "kg/m^3", 1100.0),
+        ("9.81 m/s^2", "m/s^2", 9.81),
+        ("10 kN/m^3", "N/m^3", 1e4),
+        ("1 ms", "s", 1e-3),
+        ("1 psi", "Pa", 6894.757293168361),
+        ("1 inch", "m", 0.0254),
+        ("5 %", "", 0.05),
+    ],
+)
 def test_to_si(written: float | str, unit: str, value: float) -> None:
     """Any compatible unit is taken, a bare number as it stands."""
     assert to_si(written, unit) == pytest.approx(value, rel=1e-14)
 
 
-@pytest.mark.parametrize(("written", "unit", "message"), [
-    ("10 MPaa", "Pa", "unknown unit 'MPaa' in '10 MPaa'; expected a number in Pa, "
-                      "for example \"210 GPa\""),
-    ("10 mm", "Pa", "'10 mm' has the wrong unit; expected a number in Pa, "
-                    "for example \"210 GPa\""),
-    ("10 mm", "", "'10 mm' has the wrong unit; expected a pure number"),
-    ("ten", "m", "'ten' is not a number; expected a number in m, for example \"2 mm\""),
-    ("", "m", "'' is not a number; expected a number in m, for example \"2 mm\""),
-    (True, "m", "True is not a number; expected a number in m, for example \"2 mm\""),
-    ([1], "m", "[1] is not a number; expected a number in m, for example \"2 mm\""),
-    (float("nan"), "m", "nan is not a finite number"),
-    (float("inf"), "m", "inf is not a finite number"),
-    ("1e999", "m", "'1e999' is not a finite number"),
-    ("20 degC", "m", "'20 degC' has the wrong unit; expected a number in m, "
-                     "for example \"2 mm\""),
-])
+@pytest.mark.parametrize(
+    ("written", "unit", "message"),
+    [
+        (
+            "10 MPaa",
+            "Pa",
+            "unknown unit 'MPaa' in '10 MPaa'; expected a number in Pa, for example \"210 GPa\"",
+        ),
+        (
+            "10 mm",
+            "Pa",
+            "'10 mm' has the wrong unit; expected a number in Pa, for example \"210 GPa\"",
+        ),
+        ("10 mm", "", "'10 mm' has the wrong unit; expected a pure number"),
+        ("ten", "m", "'ten' is not a number; expected a number in m, for example \"2 mm\""),
+        ("", "m", "'' is not a number; expected a number in m, for example \"2 mm\""),
+        (True, "m", 'True is not a number; expected a number in m, for example "2 mm"'),
+        ([1], "m", '[1] is not a number; expected a number in m, for example "2 mm"'),
+        (float("nan"), "m", "nan is not a finite number"),
+        (float("inf"), "m", "inf is not a finite number"),
+        ("1e999", "m", "'1e999' is not a finite number"),
+        (
+            "20 degC",
+            "m",
+            "'20 degC' has the wrong unit; expected a number in m, for example \"2 mm\"",
+        ),
+    ],
+)
 def test_refused(written: float | str, unit: str, message: str) -> None:
     """Each message says what was written and what is expected."""
     with pytest.raises(UnitError) as caught:
@@ -47,11 +75,26 @@ def test_refused(written: float | str, unit: str, message: str) -> None:
     assert str(caught.value) == message
 
 
-@pytest.mark.parametrize(("text", "expected"), [
-    ("2", True), ("2 mm", True), ("2mm", True), ("-1e3 N/m^3", True), ("5 %", True),
-    ("2*t", False), ("2 - t", False), ("3/t", False), ("5/s", False), ("2 ^ t", False),
-    ("2 mmm", False), ("x", False), ("", False), ("free", False), ("0.1*x*t", False),
-])
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("2", True),
+        ("2 mm", True),
+        ("2mm", True),
+        ("-1e3 N/m^3", True),
+        ("5 %", True),
+        ("2*t", False),
+        ("2 - t", False),
+        ("3/t", False),
+        ("5/s", False),
+        ("2 ^ t", False),
+        ("2 mmm", False),
+        ("x", False),
+        ("", False),
+        ("free", False),
+        ("0.1*x*t", False),
+    ],
+)
 def test_quantity_or_formula(text: str, expected: bool) -> None:
     """No formula begins with a number and a word, so the two never meet."""
     assert is_quantity(text) is expected
@@ -65,7 +108,9 @@ def test_common_units(si: str, name: str) -> None:
 
 def test_common_units_do_not_load_the_unit_library() -> None:
     """Its import takes as long as a small solve."""
-    code = ("import sys; from dolfin_elastic.units import is_quantity, to_si; to_si('2e3', 'm'); "
-            "is_quantity('0.1*x'); is_quantity('2 mm'); to_si('2 MPa', 'Pa'); "
-            "sys.exit('pint' in sys.modules)")
+    code = (
+        "import sys; from dolfin_elastic.units import is_quantity, to_si; to_si('2e3', 'm'); "
+        "is_quantity('0.1*x'); is_quantity('2 mm'); to_si('2 MPa', 'Pa'); "
+        "sys.exit('pint' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -65,7 +65,10 @@ class Load(Record):
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Names of the surfaces or regions the load acts on; none: the whole body."""
+        """Names of the surfaces or regions the load acts on, once where they overlap.
+
+        None: the whole body.
+        """
         on = getattr(self, "on", None)
         return () if on is None else (on,) if isinstance(on, str) else tuple(on)
 

@@ -74,7 +74,9 @@ class Xdmf(Output):
 
     def open(self, problem: Problem, folder: Path) -> XdmfWriter:
         """See `Output.open`."""
-        return XdmfWriter(problem, folder / self.file, fields=self.fields, every=self.every, frames=self.frames)
+        return XdmfWriter(
+            problem, folder / self.file, fields=self.fields, every=self.every, frames=self.frames
+        )
 
 
 class History(Output):
