@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import pickle
 from collections.abc import Callable
 from typing import TypeVar, cast
 
@@ -26,10 +27,20 @@ def agree(comm: MPI.Comm, error: Exception | None) -> None:
     Raises:
         Exception: The error of the lowest rank that has one.
     """
+    error = _sendable(error)
     found = comm.allgather(error)
     first = next((e for e in found if e is not None), None)
     if first is not None:
         raise error if error is first else first
+
+
+def _sendable(error: Exception | None) -> Exception | None:
+    """The error, or its text where it cannot travel: a rank that cannot send leaves all waiting."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # whatever pickling a foreign error raises
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
 
 
 def on_root(comm: MPI.Comm, action: Callable[[], T]) -> T:
@@ -53,7 +64,7 @@ def on_root(comm: MPI.Comm, action: Callable[[], T]) -> T:
         try:
             result = action()
         except Exception as caught:  # re-raised on all ranks just below
-            error = caught
+            error = _sendable(caught)
     error, result = comm.bcast((error, result))
     if error is not None:
         raise error
