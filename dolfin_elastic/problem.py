@@ -24,7 +24,7 @@ from dolfin_elastic._compat import integration_entities
 from dolfin_elastic.errors import InputError, MeshError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.meshes.body import Body, Indices
-from dolfin_elastic.model.components import Component
+from dolfin_elastic.model.components import Component, depends_on_time
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.model.kinematics import deformation_gradient, embedded, padded
 from dolfin_elastic.model.law import Law
@@ -198,22 +198,22 @@ class Problem:
         for name in regions:
             self.body.region(name)
         if not regions:
-            return self.volume(None, 2 * self.degree)
-        rule = {"quadrature_degree": 2 * self.degree}
+            return self.volume(None, 2 * self._order)
+        rule = {"quadrature_degree": 2 * self._order}
         return self.dx(self._region_markers[tuple(regions)], metadata=rule)
 
     def areas(self, surfaces: Sequence[str]) -> ufl.Measure:
         """Reference area of surfaces."""
         for name in surfaces:
             self.body.surface(name)
-        rule = {"quadrature_degree": 2 * self.degree}
+        rule = {"quadrature_degree": 2 * self._order}
         return self._ds(self._surface_markers[tuple(surfaces)], metadata=rule)
 
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
         """Density and reference volume, material by material."""
         if regions:
             return [(self._density_field, self.volumes(regions))]
-        return [(self.density(part), self.volume(part, 2 * self.degree)) for part in self.parts]
+        return [(self.density(part), self.volume(part, 2 * self._order)) for part in self.parts]
 
     def density(self, part: Part) -> Constant:
         """Density of a part's material.
@@ -269,10 +269,18 @@ class Problem:
         )
 
     def _internal_volume(self, part: Part) -> ufl.Measure:
+        return self.volume(part, self.rule(part))
+
+    def rule(self, part: Part) -> int:
+        """Quadrature degree of a part's internal forces."""
         if self.quadrature_degree is not None:
-            return self.volume(part, self.quadrature_degree)
-        geometry = self.body.mesh.geometry.cmap.degree
-        return self.volume(part, part.law.quadrature_degree(max(self.degree, geometry)))
+            return self.quadrature_degree
+        return part.law.quadrature_degree(self._order)
+
+    @property
+    def _order(self) -> int:
+        """Degree of the displacement or of the mesh's curved cells, whichever is higher."""
+        return max(self.degree, int(self.body.mesh.geometry.cmap.degree))
 
     @cached_property
     def external(self) -> ufl.Form | None:
@@ -300,7 +308,7 @@ class Problem:
     def inertia(self, a: Expr, v: Expr) -> ufl.Form:
         """Virtual work of the inertia forces, the integral of density a . v (consistent mass)."""
         return sum(
-            self.density(part) * ufl.inner(a, v) * self.volume(part, 2 * self.degree)
+            self.density(part) * ufl.inner(a, v) * self.volume(part, 2 * self._order)
             for part in self.parts
         )
 
@@ -325,6 +333,12 @@ class Problem:
     def jit(self) -> dict[str, object]:
         """Options for the form compiler. Collective."""
         return compiler.options(self.body.comm)
+
+    @property
+    def loads_change(self) -> bool:
+        """The applied nodal forces depend on time, in motion."""
+        curved = any(amplitude not in (None, CONSTANT) for _, amplitude in self._amplitudes)
+        return curved or any(depends_on_time(load.values) for load in self.loads)
 
     def set_time(self, t: float, *, default: Amplitude = CONSTANT) -> None:
         """Puts loads and prescribed displacements to time t. Not collective.

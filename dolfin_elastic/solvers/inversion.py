@@ -23,7 +23,7 @@ class JacobianWatch:
     def __init__(self, problem: Problem) -> None:
         mesh = problem.body.mesh
         kind = getattr(basix.CellType, mesh.topology.cell_name())
-        points, _ = basix.make_quadrature(kind, 2 * (problem.degree - 1))
+        points, _ = basix.make_quadrature(kind, max(problem.rule(part) for part in problem.parts))
         J = ufl.det(deformation_gradient(problem.u))
         self._J = compile_expression(mesh.comm, J, points, problem.jit)
         self._problem, self._points = problem, points
