@@ -7,7 +7,7 @@ section I.1.2; first order, stable for dt < 2/omega_max, energy bounded, momenta
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -17,17 +17,21 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from dolfin_elastic.errors import InputError, StabilityError
+from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler, compiled
-from dolfin_elastic.solvers.motion import LumpedMass, Strain, work
+from dolfin_elastic.solvers.motion import LumpedMass, Strain
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
 log = logging.getLogger("dolfin_elastic")
 Vector = npt.NDArray[np.float64]
 
-RECHECK = 20
-"""Steps between two estimates of the stable step: a body may stiffen fast when it is crushed."""
+DRIFT = 0.1
+"""Share of the energy that may come from nowhere before the stable step is looked at again."""
+
+RECHECK = (10, 200)
+"""Fewest and most steps between two estimates of the stable step: the less it changes, the more."""
 
 
 class SymplecticEuler:
@@ -71,8 +75,12 @@ class SymplecticEuler:
         self.mass = self._lumped()
         self.measure = LumpedMass(problem, v, self.mass)
         self.dt = self._first_step()
-        self._external_work = 0.0
-        self._last: tuple[Vector, Vector] | None = None
+        self._local_work = 0.0
+        self._change = np.zeros(self.assembler.size)
+        self._inertia = np.zeros(self.assembler.size)
+        self._dt_done = self.dt
+        self._interval = RECHECK[0]
+        self._initial = 0.0
 
     def _lumped(self) -> Vector:
         """Row sums of the mass matrix, owned entries [kg]. Collective."""
@@ -104,12 +112,13 @@ class SymplecticEuler:
         return float(2 / np.sqrt(largest)) if largest > 0 else np.inf
 
     def _first_step(self) -> float:
-        stable = self.stable_step()
+        stable = self._stable = self.stable_step()
         if self._chosen is None:
             dt = min(self.safety * stable, self.end)
             log.info("stable step %.4g s, taken %.4g s (safety %g)", stable, dt, self.safety)
             return dt
         if self._chosen > stable:
+            self.assembler.destroy()
             raise InputError(
                 f"{self._chosen:.4g} s is above the stable step, {stable:.4g} s",
                 where="dynamics.dt",
@@ -118,16 +127,20 @@ class SymplecticEuler:
             )
         return self._chosen
 
-    def _recheck(self, t: float) -> None:
-        stable = self.stable_step()
+    def _recheck(self, t: float) -> int:
+        """Estimates the stable step anew; returns after how many steps to do it again."""
+        before, self._stable = self._stable, self.stable_step()
         if self._chosen is None:
-            self.dt = self.safety * stable
-        elif self._chosen > stable:
+            self.dt = self.safety * self._stable
+        elif self._chosen > self._stable:
             raise StabilityError(
-                f"at t = {t:.6g} s the stable step has fallen to {stable:.4g} s, below "
+                f"at t = {t:.6g} s the stable step has fallen to {self._stable:.4g} s, below "
                 f"dt = {self._chosen:.4g} s, because the body has deformed",
                 advice="leave dt out to have it follow the stable step",
             )
+        change = abs(self._stable / before - 1) if np.isfinite(before) else 0.0
+        factor = 2.0 if change < 0.01 else 0.5 if change > 0.03 else 1.0
+        return int(np.clip(factor * self._interval, *RECHECK))
 
     # --- the loop ---
 
@@ -143,23 +156,35 @@ class SymplecticEuler:
             self.assembler.destroy()
 
     def _march(self) -> Iterator[State]:
-        t, step = 0.0, 0
+        t, step, check = 0.0, 0, RECHECK[0]
+        self._interval = check
         with stage("assemble"):
             self.assembler.assemble_balance()
-        yield self._state(step, t)
+            self._forces = self.assembler.external_forces()
+        first = self._state(step, t)
+        self._initial = first.energies["total"]
+        yield first
         while t < self.end * (1 - 1e-12):
-            if step and step % RECHECK == 0:
-                self._recheck(t)
+            if step == check:
+                self._interval = self._recheck(t)
+                check = step + self._interval
             dt = min(self.dt, self.end - t)
-            record = (step + 1) % self.every == 0 or t + dt >= self.end * (1 - 1e-12)
-            before = self.v.x.array.copy() if record else None
             self._advance(t, dt)
-            if before is not None:
-                self.a.x.array[:] = (self.v.x.array - before) / dt
-                self.a.x.scatter_forward()
             t, step = t + dt, step + 1
-            if record:
-                yield self._state(step, t)
+            if step % self.every == 0 or t >= self.end * (1 - 1e-12):
+                state = self._state(step, t)
+                if self._drifts(state.energies):
+                    check = step
+                yield state
+
+    def _drifts(self, energies: Mapping[str, float]) -> bool:
+        """Energy that no load has given appears or is lost: the sign of a step too long."""
+        gained = energies["total"] - energies["external"]
+        scale = max(energies["kinetic"], energies["strain"], abs(energies["external"]))
+        drifts = abs(gained - self._initial) > DRIFT * scale
+        if drifts:
+            self._initial = gained  # looked into once
+        return drifts
 
     def _advance(self, t: float, dt: float) -> None:
         """One step; `balance` holds the forces at t before and at t + dt afterwards."""
@@ -167,34 +192,60 @@ class SymplecticEuler:
         held = self.problem.prescribed
         balance = self.assembler.balance.array
         with stage("solve"):
-            v.array[:n] -= dt * balance[:n] / self.mass
+            reactions, before = balance[held.owned], v.array[held.owned]
+            np.multiply(balance[:n], dt / self.mass, out=self._change)
+            np.negative(self._change, out=self._change)
             self.problem.set_time(t + dt)
-            v.array[held.owned] = (held.values.x.array[held.owned] - u.array[held.owned]) / dt
+            goal = (held.values.x.array[held.owned] - u.array[held.owned]) / dt
+            self._change[held.owned] = goal - before
+            v.array[:n] += self._change
+            v.array[held.owned] = goal
             u.array[:n] += dt * v.array[:n]
             u.scatter_forward()
         with stage("assemble"):
             self.assembler.assemble_balance()
+        self._dt_done = dt
+        self._add_work(dt, reactions, before)
 
-    def _add_work(self) -> None:
-        """Work of loads and supports since the last state, by the trapezoidal rule."""
-        forces = self.assembler.external_forces().copy()
-        held = self.problem.prescribed.owned
-        forces[held] += self.assembler.balance.array[held]
-        u = self.problem.u.x.array[: self.assembler.size].copy()
-        if self._last is not None:
-            mean, du = (forces + self._last[0]) / 2, u - self._last[1]
-            self._external_work += work(self.problem, mean, du)
-        self._last = forces, u
+    def _add_work(self, dt: float, reactions: Vector, before: Vector) -> None:
+        """This rank's work of loads and supports over a step, by the trapezoidal rule.
+
+        What a support gives to the mass it moves is the change of that mass's kinetic energy.
+        """
+        n, held = self.assembler.size, self.problem.prescribed.owned
+        forces = self._forces
+        if self.problem.loads_change:
+            forces = self.assembler.external_forces()
+        v = self.v.x.array[:n]
+        now = v[held]
+        pushed = dt * np.dot((reactions + self.assembler.balance.array[held]) / 2, now)
+        moved = 0.5 * np.dot(self.mass[held], now * now - before * before)
+        loaded = dt * (np.dot(forces, v) + np.dot(self._forces, v)) / 2
+        self._local_work += float(pushed + moved + loaded)
+        self._forces = forces
+
+    def _acceleration(self) -> None:
+        """Mean acceleration of the last step, and with it the reactions of moving supports."""
+        n, held = self.assembler.size, self.problem.prescribed.owned
+        self.a.x.array[:n] = self._change / self._dt_done
+        self.a.x.scatter_forward()
+        self._inertia[held] = self.mass[held] * self.a.x.array[held]
 
     def _state(self, step: int, t: float) -> State:
         kinetic, linear, angular = self.measure.measure()
-        self._add_work()
         if not np.isfinite(kinetic):
             raise StabilityError(
                 f"the motion has no finite velocity at t = {t:.6g} s",
                 advice="a smaller dt or safety",
             )
         strain = self.strain.energy()
+        self._acceleration()
+        energies = {
+            "strain": strain,
+            "kinetic": kinetic,
+            "total": strain + kinetic,
+            "external": float(total(self.problem.body.comm, self._local_work)),
+        }
         return State(
             step=step,
             t=t,
@@ -202,13 +253,8 @@ class SymplecticEuler:
             v=self.v,
             a=self.a,
             reason="explicit",
-            energies={
-                "strain": strain,
-                "kinetic": kinetic,
-                "total": strain + kinetic,
-                "external": self._external_work,
-            },
-            reactions=self.assembler.reactions(),
+            energies=energies,
+            reactions=self.assembler.reactions(self._inertia),
             momenta={"linear": linear, "angular": angular},
             max_displacement=self.assembler.max_displacement(),
             done=t / self.end,
@@ -222,6 +268,12 @@ def _largest_eigenvalue(matrix: PETSc.Mat, symmetric: bool) -> float:
     eps.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
     eps.setTolerances(tol=1e-3, max_it=200)
     eps.solve()
-    value = eps.getEigenvalue(0).real if eps.getConverged() else 0.0
+    found = eps.getConverged() > 0
+    value = float(eps.getEigenvalue(0).real) if found else 0.0
     eps.destroy()
-    return float(value)
+    if not found:
+        raise StabilityError(
+            "the stable step cannot be estimated: no largest eigenvalue was found",
+            advice="is the displacement finite, and every density positive?",
+        )
+    return value
