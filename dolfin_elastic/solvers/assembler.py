@@ -69,6 +69,7 @@ class Assembler:
         self.matrix = self._filled.petsc
         if problem.has_energy:
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            self.matrix.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
 
     def _vector(self) -> la.Vector:
         return la.vector(self._map, self._bs)
@@ -125,7 +126,8 @@ class Assembler:
             squares = [np.sum(np.square(out[self._is_free])), np.sum(np.square(out[self._fixed]))]
         sums = self.comm.allreduce(np.array(squares), op=MPI.SUM)
         self.free, self.held = (float(value) for value in np.sqrt(sums))
-        gap = float(np.max(np.abs(difference), initial=0.0))
+        # NaN would come out of a maximum on some ranks only.
+        gap = float(np.max(np.nan_to_num(np.abs(difference), nan=np.inf), initial=0.0))
         self.gap = float(self.comm.allreduce(gap, op=MPI.MAX))
 
     def _lifted(self, difference: Vector) -> Vector:
@@ -168,12 +170,19 @@ class Assembler:
 
     # --- what is known of the solution ---
 
-    def reactions(self) -> dict[str, Vector]:
-        """Force of each support on the body [N], from `balance` as it stands."""
+    def reactions(self, more: Vector | None = None) -> dict[str, Vector]:
+        """Force of each support on the body [N], from `balance` as it stands.
+
+        Args:
+            more: Nodal forces to add, owned entries, for example inertia that is not in `balance`.
+        """
+        forces = self.balance.array[: self.size]
+        if more is not None:
+            forces = forces + more
         held = self.problem.prescribed.moving
         local = np.zeros((len(held), self._bs))
         for row, dofs in zip(local, held.values(), strict=True):
-            np.add.at(row, dofs % self._bs, self.balance.array[dofs])
+            np.add.at(row, dofs % self._bs, forces[dofs])
         sums = self.comm.allreduce(local, op=MPI.SUM)
         return dict(zip(held, sums, strict=True))
 

@@ -7,13 +7,15 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Any, Literal
 
+import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 from pydantic import Field, model_validator
 
-from dolfin_elastic.errors import ConvergenceError
+from dolfin_elastic.errors import ConvergenceError, InputError
 from dolfin_elastic.model.components import Component, components
+from dolfin_elastic.parallel import largest
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.assembler import Assembler
@@ -22,7 +24,7 @@ from dolfin_elastic.solvers.initial import set_initial
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.motion import ConsistentMass, Strain, work
 from dolfin_elastic.solvers.newton import Newton, Tolerance
-from dolfin_elastic.solvers.options import PREFIX, Options, ts_reason
+from dolfin_elastic.solvers.options import PREFIX, ts_reason
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 from dolfin_elastic.units import Time
@@ -106,6 +108,8 @@ class Dynamics:
         **fields: Any,
     ) -> None:
         self.problem = problem
+        if settings is not None and fields:
+            raise TypeError(f"give settings or keywords, not both: {', '.join(fields)}")
         self.settings = settings or DynamicsSettings(**fields)
         self.linear = linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
@@ -133,6 +137,10 @@ class Dynamics:
             yield from march.run()
         finally:
             march.destroy()
+
+
+FAILURES = 8
+"""Times that one step is made smaller, to a quarter each, before it is given up."""
 
 
 class _Alpha:
@@ -163,28 +171,30 @@ class _Alpha:
             self.assembler,
             choice,
             Tolerance(s.rtol, s.atol, s.max_iterations),
-            defaults={"snes_linesearch_type": "bt"},
+            defaults={"snes_linesearch_type": "basic"},
             users=dynamics.petsc,
             snes=self.ts.getSNES(),
             to_first=True,
         )
-        self.options = Options(self._defaults(), dynamics.petsc)
+        self.options = self.newton.options
+        self.options.change(self._defaults())
         self._configure()
         self._from = self._to = problem.prescribed.values.x.array[problem.prescribed.owned]
         self._external_work = 0.0
         self._start, self._known_dt = 0.0, 0.0
         self._newton = self._krylov = 0
+        self._error: InputError | None = None
+        self._scale = 0.0
 
     def _defaults(self) -> dict[str, Any]:
         s = self.settings
         adapt: dict[str, Any] = {"ts_adapt_type": "basic" if s.adaptive else "none"}
         if s.adaptive:
-            adapt |= {"ts_rtol": s.tolerance, "ts_atol": s.tolerance * 1e-3}
+            adapt["ts_adapt_dt_min"] = 1e-9 * s.end
         return {
             "ts_alpha_radius": s.spectral_radius,
-            "ts_max_snes_failures": 8,
             **adapt,
-            "snes_linesearch_type": "bt",
+            "snes_linesearch_type": "basic",
             **self.newton.choice.options,
         }
 
@@ -202,6 +212,7 @@ class _Alpha:
         ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
         with self.options.in_force():
             ts.setFromOptions()
+        ts.setErrorIfStepFails(False)
         self.newton.judge()
         self.assembler.get(self._U)
         self._V.array_w[:] = self.v.x.array[: self.assembler.size]
@@ -212,7 +223,12 @@ class _Alpha:
     def _function(
         self, ts: PETSc.TS, t: float, U: PETSc.Vec, V: PETSc.Vec, A: PETSc.Vec, F: PETSc.Vec
     ) -> None:
-        self.problem.set_time(t)
+        try:
+            self.problem.set_time(t)
+        except InputError as error:  # the same on all ranks; PETSc would lose it
+            self._error = error
+            F.set(np.nan)
+            return
         self.a.x.array[: self.assembler.size] = A.array_r
         self.a.x.scatter_forward()
         share = (t - self._start) / self._dt()
@@ -273,12 +289,18 @@ class _Alpha:
             ts.setTimeStep(remaining if remaining < s.dt * (1 + 1e-9) else s.dt)
         self._start, self._known_dt = t, 0.0
         self._from = self._prescribed_at(t)
+        _ = self._dt()  # says now what is wrong with a formula at the end of the step
+        self.problem.prescribed.check_finite()
+        ts.setMaxSNESFailures(ts.getSNESFailures() + FAILURES)
+        self._set_tolerance()
         with stage("solve"), self.options.in_force():
             self.problem.set_time(t)
             self.newton.begin()
             linear, newton = ts.getKSPIterations(), ts.getSNESIterations()
             ts.step()
-            self.newton.options.report_unused()
+            self.options.report_unused()
+        if self._error is not None:
+            raise self._error
         self._newton = ts.getSNESIterations() - newton
         self._krylov = 0 if self.newton.choice.direct else ts.getKSPIterations() - linear
         reason = ts.getConvergedReason()
@@ -286,6 +308,7 @@ class _Alpha:
             raise ConvergenceError(
                 f"no solution for the step from t = {t:.6g} s: {ts_reason(reason)}",
                 advice="a smaller dt, or a spectral_radius below 1",
+                state=self._state(-1, t),
             )
         U, V = ts.getSolution2()
         self.assembler.put(U)
@@ -295,6 +318,18 @@ class _Alpha:
         self.v.x.array[: self.assembler.size] = V.array_r
         self.v.x.scatter_forward()
         return float(ts.getTime())
+
+    def _set_tolerance(self) -> None:
+        """Lets errors be judged against the largest displacement and velocity so far."""
+        if not self.settings.adaptive:
+            return
+        local = max(
+            float(np.max(np.abs(field.x.array), initial=0.0)) for field in (self.problem.u, self.v)
+        )
+        smallest = 1e-6 * self.newton.span
+        self._scale = max(self._scale, largest(self.problem.body.comm, local), smallest)
+        tolerance = self.settings.tolerance
+        self.ts.setTolerances(rtol=tolerance, atol=tolerance * self._scale)
 
     def _add_work(self, before: Any) -> None:
         """Work of loads and supports, with the forces of the stage within the step."""

@@ -208,6 +208,7 @@ class QuadraticMultigrid:
         self._coarse.setBlockSizes(self._fixed.getBlockSize(), self._fixed.getBlockSize())
         if self._problem.has_energy:
             self._coarse.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            self._coarse.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
         self._attach_modes()
         self._pc = PETSc.PC().create(comm=matrix.comm)
         self._pc.setOptionsPrefix(pc.getOptionsPrefix() + "two_")

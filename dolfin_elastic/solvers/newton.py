@@ -103,13 +103,12 @@ class Newton:
         self.assembler, self.choice, self.tolerance = assembler, choice, tolerance
         self.progress, self._to_first = Progress(), to_first
         self._external = 0.0
-        self._floor = self._first = 0.0
+        self._floor = self._first = self._norm = 0.0
         self._line_search = ""
         body = assembler.problem.body
-        self._span = _diagonal(body)
-        self._cell_size = self._span / body.num_cells ** (1 / body.dim)
+        self.span = _diagonal(body)
+        self._cell_size = self.span / body.num_cells ** (1 / body.dim)
         self._multigrid: QuadraticMultigrid | None = None
-        self._error: Exception | None = None
         self._owns = snes is None
         self.options = Options({**_SNES, **choice.options, **(defaults or {})}, users or {})
         self.snes = PETSc.SNES().create(assembler.comm) if snes is None else snes
@@ -176,7 +175,6 @@ class Newton:
         """
         self.progress = Progress(reference=reference)
         self._external = self.assembler.external_norm()
-        self._error = None
 
     def ladder(self) -> tuple[str, ...]:
         """Line searches to try in turn, by PETSc's names.
@@ -227,13 +225,12 @@ class Newton:
     def note_tangent(self, P: PETSc.Mat) -> None:
         """Sets the linear tolerance and the round-off floor from a fresh tangent. Collective."""
         a = self.assembler
-        if self._floor == 0.0:
-            diagonal = P.getDiagonal()
-            self._floor = 4 * np.finfo(float).eps * diagonal.norm() * self._cell_size
-            diagonal.destroy()
-        if not self.choice.direct:
+        diagonal = P.getDiagonal()
+        self._floor = 4 * np.finfo(float).eps * diagonal.norm() * self._cell_size
+        diagonal.destroy()
+        if not self.choice.direct and "ksp_rtol" not in self.options.users:
             forcing = LINEAR if a.problem.linear else FORCING
-            needed = 0.5 * self._target() / a.free if a.free > 0 else forcing
+            needed = 0.5 * self._target() / self._norm if self._norm > 0 else forcing
             self.snes.ksp.setTolerances(rtol=min(0.1, max(forcing, needed)))
 
     def _target(self) -> float:
@@ -253,10 +250,11 @@ class Newton:
         if iteration == 0:
             self.progress.residuals.clear()
             self._first = norms[2]
+        self._norm = norms[2]
         self.progress.residuals.append(a.free)
         if not norms[2] <= HOPELESS * max(self._first, self._target()):  # NaN, too
             return int(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
-        held = a.gap <= 1e-12 * self._span
+        held = a.gap <= 1e-12 * self.span
         if held and a.free <= self._target():
             return int(PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE)
         if self._stalled():

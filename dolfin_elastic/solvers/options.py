@@ -29,6 +29,7 @@ class Options:
         self.users = {name.lstrip("-").removeprefix(PREFIX): value for name, value in users.items()}
         self._all = {**defaults, **self.users}
         self._reported = False
+        self._used: set[str] = set()
 
     @contextmanager
     def in_force(self, **more: Any) -> Iterator[None]:
@@ -40,6 +41,7 @@ class Options:
         try:
             yield
         finally:
+            self._used |= {name for name in self.users if _was_used(PREFIX + name)}
             for name in merged:
                 database.delValue(PREFIX + name)
 
@@ -50,7 +52,7 @@ class Options:
     def report_unused(self) -> None:
         """Warns once of options of the user that nothing asked for: mistyped ones. Inside."""
         for name in () if self._reported else self.users:
-            if not _was_used(PREFIX + name):
+            if name not in self._used and not _was_used(PREFIX + name):
                 log.warning("PETSc option '-%s' was not used by any solver", name)
         self._reported = True
 

@@ -65,6 +65,8 @@ class Statics:
         **fields: Any,
     ) -> None:
         self.problem = problem
+        if settings is not None and fields:
+            raise TypeError(f"give settings or keywords, not both: {', '.join(fields)}")
         self.settings = settings or StaticsSettings(**fields)
         self.linear = linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
