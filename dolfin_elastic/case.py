@@ -192,7 +192,7 @@ class Case(Record):
             return Problem(
                 body,
                 laws,
-                supports=self._supports(body.dim),
+                supports=self.support,
                 loads=self.load,
                 degree=self.mesh.degree,
                 quadrature_degree=self.mesh.quadrature_degree,
@@ -222,15 +222,6 @@ class Case(Record):
         if self.output.folder is not None:
             return self.folder / self.output.folder
         return Path(f"{self.name}_results")
-
-    def _supports(self, dim: int) -> list[Support]:
-        """Those that name no displacement hold all components of the body's dimension."""
-        return [
-            s
-            if "displacement" in s.model_fields_set
-            else Support(**written(s), displacement=[0] * dim)
-            for s in self.support
-        ]
 
 
 def read_case(path: str | PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD) -> Case:

@@ -13,16 +13,16 @@ from mpi4py import MPI
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.errors import CaseError, MeshError, nearest
 from dolfin_elastic.meshes.body import Body, Indices
-from dolfin_elastic.meshes.shapes import cell_corners, facet_corners, facet_nodes, signed_volumes
+from dolfin_elastic.meshes.shapes import cell_corners, facet_corners, signed_volumes
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.parallel import total
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.solvers.linear import choose
+from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.tables import Material
 from dolfin_elastic.toml_text import key_text
 
 Floats = npt.NDArray[np.float64]
-_ROUND_OFF = 1e-10
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,9 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     body = case.read_body(comm)
     notes = check(case, body)
     problem = case.make_problem(body)
+    if case.dynamics is None:
+        with located(case.file):
+            check_held(problem)
     return Report(
         case=case.file,
         title=case.title,
@@ -118,9 +121,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_materials(case.materials, body)
         _check_densities(case)
         _check_fields(case)
-        if case.dynamics is None:
-            _check_held(case, body)
-        elif explicit(case) and case.mesh.degree > 1:
+        if explicit(case) and case.mesh.degree > 1:
             raise CaseError(
                 "symplectic-euler has a lumped mass, for linear elements only",
                 where="mesh.degree",
@@ -185,11 +186,7 @@ def _offer(name: str, names: Mapping[str, Indices]) -> str:
 
 
 def _check_components(case: Case, body: Body) -> None:
-    vectors = [
-        (f"support[{i}].displacement", s.values)
-        for i, s in enumerate(case.support)
-        if "displacement" in s.model_fields_set
-    ]
+    vectors = [(f"support[{i}].displacement", s.values) for i, s in enumerate(case.support)]
     vectors += [(f"load[{i}].value", load.values) for i, load in enumerate(case.load)]
     if case.dynamics is not None:
         vectors += [
@@ -215,6 +212,12 @@ def _check_fields(case: Case) -> None:
                 f"there is no '{name}' in statics",
                 where=where,
                 expected="leave it out, or use [dynamics]",
+            )
+        if FIELDS[name].statics and case.dynamics is not None:
+            raise CaseError(
+                f"there is no '{name}' in motion",
+                where=where,
+                expected="history.csv has the reaction of each support",
             )
         if name == "energy_density" and powerless:
             raise CaseError(
@@ -266,8 +269,9 @@ def _marked(body: Body, regions: Sequence[str], own: int) -> npt.NDArray[np.bool
 
 
 def _check_densities(case: Case) -> None:
-    loads = [f"load[{i}] ({load.kind})" for i, load in enumerate(case.load) if load.needs_density]
-    reason = "[dynamics]" if case.dynamics is not None else next(iter(loads), "")
+    heavy = [(i, load) for i, load in enumerate(case.load) if load.needs_density]
+    everywhere = [f"load[{i}] ({load.kind})" for i, load in heavy if not load.parts]
+    reason = "[dynamics]" if case.dynamics is not None else next(iter(everywhere), "")
     for name, material in case.materials.items():
         if reason and material.law.density is None:
             raise CaseError(
@@ -275,95 +279,6 @@ def _check_densities(case: Case) -> None:
                 where=f"materials.{key_text(name)}.density",
                 expected=f'{reason} needs it, for example "1100 kg/m^3"',
             )
-
-
-# --- what holds the body ---
-
-
-def _check_held(case: Case, body: Body) -> None:
-    """A body in equilibrium must be held against every rigid motion."""
-    free = free_motions(case, body)
-    if free:
-        what = "there is no support" if not case.support else "the supports leave the body free"
-        raise CaseError(
-            f"{what}: as a rigid body it can {', '.join(free)}",
-            where="support",
-            expected="statics needs supports that hold it; [dynamics] does not",
-        )
-
-
-def free_motions(case: Case, body: Body) -> list[str]:
-    """Rigid motions that no support prevents, in words. Collective.
-
-    The rows of the supports' constraints, applied to translations and small rotations, sum up to
-    a matrix of 6x6 numbers (3x3 in a plane) whose null space is what is left free.
-    """
-    centre, size = _frame(body)
-    held = np.zeros((_modes(body.dim),) * 2)
-    for support in case.support:
-        prescribed = [
-            i
-            for i in range(body.dim)
-            if "displacement" not in support.model_fields_set or support.values[i] is not None
-        ]
-        for name in support.surfaces:
-            nodes = np.unique(facet_nodes(body.mesh, body.owned_facets(name)))
-            x = np.asarray((body.mesh.geometry.x[nodes, : body.dim] - centre) / size, dtype=float)
-            for i in prescribed:
-                rows = _rigid(x)[:, i]
-                held += rows.T @ rows
-    values, vectors = np.linalg.eigh(total(body.comm, held))
-    null = vectors[:, values <= _ROUND_OFF * max(values[-1], 1.0)]
-    return _said(null, body.dim)
-
-
-def _modes(dim: int) -> int:
-    return dim * (dim + 1) // 2
-
-
-def _frame(body: Body) -> tuple[Floats, float]:
-    """Middle and size of the body's bounding box. Collective."""
-    x = body.mesh.geometry.x[:, : body.dim]
-    low, high = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
-    low = np.asarray(body.comm.allreduce(low, op=_minimum))
-    high = np.asarray(body.comm.allreduce(high, op=_maximum))
-    return (low + high) / 2, float(np.max(high - low))
-
-
-def _minimum(a: Floats, b: Floats) -> Floats:
-    return np.minimum(a, b)
-
-
-def _maximum(a: Floats, b: Floats) -> Floats:
-    return np.maximum(a, b)
-
-
-def _planes(dim: int) -> list[tuple[int, int]]:
-    """The plane of each rotation: about x, y, z; in a plane about z."""
-    return [(1, 2), (2, 0), (0, 1)][dim - _modes(dim) :]
-
-
-def _rigid(x: Floats) -> Floats:
-    """Displacement of points under unit rigid motions, shape (points, component, motion)."""
-    points, dim = x.shape
-    moved = np.zeros((points, dim, _modes(dim)))
-    moved[:, range(dim), range(dim)] = 1.0
-    for k, (i, j) in enumerate(_planes(dim), start=dim):
-        moved[:, i, k], moved[:, j, k] = -x[:, j], x[:, i]
-    return moved
-
-
-def _said(null: Floats, dim: int) -> list[str]:
-    names = [f"move along {axis}" for axis in "xyz"[:dim]] + [
-        f"turn about {axis}" for axis in ("xyz" if len(null) > 3 else "z")
-    ]
-    share = np.linalg.norm(null, axis=1)
-    if null.shape[1] == len(null):
-        return ["move and turn freely"]
-    plain = [name for name, part in zip(names, share, strict=True) if part > 1 - 1e-6]
-    if len(plain) < null.shape[1]:
-        plain.append("turn about some axis")
-    return plain
 
 
 # --- notes and sizes ---

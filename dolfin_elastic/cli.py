@@ -20,6 +20,7 @@ import typer
 from click.exceptions import ClickException, Exit
 
 from dolfin_elastic.errors import CaseError, ElasticError, SolveError
+from dolfin_elastic.petsc_words import petsc_options, start_petsc
 from dolfin_elastic.version import __version__
 
 if TYPE_CHECKING:
@@ -103,7 +104,7 @@ def run(
     What follows two dashes are PETSc options; they win over the case's own.
     """
     options, of_petsc = petsc_options(petsc or [])
-    _start_petsc(of_petsc)
+    start_petsc(of_petsc)
     from mpi4py import MPI
 
     from dolfin_elastic.case import read_case
@@ -291,66 +292,6 @@ def _log_to_screen(rank: int, level: int) -> None:
     log.handlers = [Handler(rank, console(stderr=True))]
     log.setLevel(level)
     log.propagate = False
-
-
-# --- PETSc's options ---
-
-OF_PETSC = (
-    "log_view",
-    "log_trace",
-    "log_all",
-    "info",
-    "options_left",
-    "options_view",
-    "malloc_view",
-    "malloc_debug",
-    "memory_view",
-    "fp_trap",
-    "on_error_abort",
-    "on_error_attach_debugger",
-    "start_in_debugger",
-)
-"""Options that PETSc reads itself when it starts, not the solvers."""
-
-
-def petsc_options(words: list[str]) -> tuple[dict[str, Any], list[str]]:
-    """Options for the solvers by name, and those PETSc itself wants when it starts.
-
-    Raises:
-        CaseError: A word is neither an option nor the value of one.
-    """
-    options: dict[str, Any] = {}
-    name = ""
-    for word in words:
-        if word.startswith("-") and not _is_number(word):
-            name = word.lstrip("-")
-            options[name] = None
-        elif name:
-            options[name], name = word, ""
-        else:
-            raise CaseError(
-                f"'{word}' is no PETSc option",
-                where="command line",
-                expected="after -- write for example -ksp_type gmres",
-            )
-    own = [name for name in options if name in OF_PETSC]
-    started = [text for name in own for text in (f"-{name}", options.pop(name)) if text]
-    return options, started
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
-def _start_petsc(options: list[str]) -> None:
-    if options:
-        import petsc4py
-
-        petsc4py.init([sys.argv[0], *options])
 
 
 # --- how it ends ---

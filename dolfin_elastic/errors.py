@@ -8,7 +8,6 @@ ElasticError                      base: `except ElasticError` catches all of the
 │   └── MeshError                 a mesh file, a region or surface name, a geometry selector
 ├── SolveError          exit 3    the input is right, but no solution was found
 │   ├── ConvergenceError          Newton or the load stepping gave up
-│   ├── LinearSolveError          the linear solver gave up
 │   └── StabilityError            an explicit time step above the stable one
 └── OutputError         exit 4    results cannot be written
 """
@@ -103,10 +102,6 @@ def _rebuild_solve(kind: type[SolveError], what: str, advice: str) -> SolveError
 
 class ConvergenceError(SolveError):
     """Newton's method or the load stepping gave up."""
-
-
-class LinearSolveError(SolveError):
-    """The linear solver gave up."""
 
 
 class StabilityError(SolveError):

@@ -47,21 +47,17 @@ class Prescribed:
         self.owned = self.dofs[self.dofs < owned_size]
         self.bcs = [self._condition(i) for i in range(self._bs)] if supports else []
         self.moving = self._reactions_of(owned_size)
+        self._t = 0.0
 
     def _of(self, body: Body, support: Support) -> tuple[Support, list[Dofs]]:
         """Unrolled dofs of each prescribed component. Collective."""
-        if len(support.values) != self._bs:
-            raise InputError(
-                f"{len(support.values)} components given, the body has {self._bs}",
-                where=f"support '{support.label}'.displacement",
-            )
+        values = support.values_in(self._bs)
         facets = np.unique(np.concatenate([body.surface(name) for name in support.surfaces]))
         nodes = fem.locate_dofs_topological(self._V, body.mesh.topology.dim - 1, facets)
         nodes = np.sort(nodes).astype(np.int32)
         empty = np.empty(0, dtype=np.int32)
         return support, [
-            empty if value is None else nodes * self._bs + i
-            for i, value in enumerate(support.values)
+            empty if value is None else nodes * self._bs + i for i, value in enumerate(values)
         ]
 
     def _give_to_the_later(self, body: Body) -> None:
@@ -94,9 +90,11 @@ class Prescribed:
             t: Time [s], or load parameter.
             default: Amplitude of supports that name none.
         """
+        self._t = t
         for support, parts in self._entries:
             scale = (support.amplitude or default).at(t)
-            for i, (dofs, value) in enumerate(zip(parts, support.values, strict=True)):
+            values = support.values_in(self._bs)
+            for i, (dofs, value) in enumerate(zip(parts, values, strict=True)):
                 if value is not None and len(dofs):
                     self.values.x.array[dofs] = scale * self._at(value, (dofs - i) // self._bs, t)
 
@@ -113,5 +111,6 @@ class Prescribed:
         )
         if bad:
             raise InputError(
-                "a prescribed displacement is not finite at some nodes", where="support"
+                f"a prescribed displacement is not finite at some nodes at t = {self._t:g}",
+                where="support",
             )

@@ -212,6 +212,10 @@ class Problem:
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
         """Density and reference volume, material by material."""
         if regions:
+            cells = np.concatenate([self.body.region(name) for name in regions])
+            for part in self.parts:
+                if total(self.body.comm, int(np.isin(part.cells, cells).any())):
+                    self.density(part)
             return [(self._density_field, self.volumes(regions))]
         return [(self.density(part), self.volume(part, 2 * self._order)) for part in self.parts]
 
@@ -233,7 +237,8 @@ class Problem:
     def _density_field(self) -> fem.Function:
         field = fem.Function(fem.functionspace(self.body.mesh, ("DG", 0)))
         for part in self.parts:
-            field.x.array[part.cells] = float(self.density(part).value)
+            if part.density is not None:
+                field.x.array[part.cells] = float(part.density.value)
         field.x.scatter_forward()
         return field
 

@@ -32,7 +32,8 @@ class State:
         energies: "strain" [J]; in motion also "kinetic", "external" (work of the loads so far),
             "total".
         reactions: Support's name to the force it exerts on the body [N], from the residual
-            (virtual work).
+            (virtual work).  The implicit scheme has its equilibrium, and so its reactions, at a
+            time within the step.
         momenta: In motion "linear" [kg m/s] and "angular" [kg m^2/s] about the origin.
         max_displacement: Largest length of u over the body's nodes [m].
         done: Share of the whole run that is done, 0 to 1.

@@ -6,7 +6,8 @@ whoever reads the table puts its own key in front.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import logging
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -14,7 +15,14 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from mpi4py import MPI
 from pydantic import Field, field_validator, model_validator
 
-from dolfin_elastic.errors import ElasticError, InputError, SolveError, UnitError, nearest
+from dolfin_elastic.errors import (
+    ElasticError,
+    InputError,
+    OutputError,
+    SolveError,
+    UnitError,
+    nearest,
+)
 from dolfin_elastic.meshes import Body, Selector, box_body, read_body, rectangle_body
 from dolfin_elastic.meshes.selectors import MeshLength
 from dolfin_elastic.model.law import Law
@@ -30,6 +38,7 @@ from dolfin_elastic.toml_text import key_text
 from dolfin_elastic.units import to_si
 
 T = TypeVar("T")
+log = logging.getLogger("dolfin_elastic")
 Count = Annotated[int, Field(gt=0)]
 
 
@@ -219,7 +228,10 @@ class Output(Record):
         except ElasticError as error:
             ending = ("failed", error)
             if isinstance(error, SolveError) and isinstance(error.state, State):
-                _write_failed(problem, folder, error.state)
+                try:
+                    _write_failed(problem, folder, error.state)
+                except OutputError as second:
+                    log.warning("%s", second)
             raise
         except GeneratorExit:
             ending = ("stopped", "on request")
@@ -228,8 +240,20 @@ class Output(Record):
             writers.clear()  # perhaps on this rank alone: closing together would wait for ever
             raise
         finally:
-            for writer in writers:
-                writer.close(*ending)
+            _close(writers, ending)
+
+
+def _close(writers: Iterable[Writer], ending: tuple[str, object]) -> None:
+    """Closes all; a file that cannot be closed does not keep the others open, nor hide a cause."""
+    fault: OutputError | None = None
+    for writer in writers:
+        try:
+            writer.close(*ending)
+        except OutputError as error:
+            fault = fault or error
+            log.warning("%s", error)
+    if fault is not None and ending[0] == "completed":
+        raise fault
 
 
 def _write_failed(problem: Problem, folder: Path, state: State) -> None:

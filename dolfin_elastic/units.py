@@ -19,14 +19,21 @@ if TYPE_CHECKING:
     import pint
 
 _NUMBER = re.compile(
-    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"  # the number
-    r"\s*((?:[^\W\d_]|[%°]).*?)?\s*",
-    re.ASCII | re.DOTALL,
-)  # a unit begins with a letter
+    r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
+    r"\s*((?:[^\W\d_]|[%°]).*?)?\s*",  # a unit begins with a letter
+    re.DOTALL,
+)
+_UNIT = re.compile(
+    r"(?:(?:[^\W\d_]|[%°])+(?:\s*(?:\^|\*\*)\s*-?[0-9](?![0-9])|[²³])?(?:\s*[*/·.]\s*|\s+|\Z))+"
+)
+"""What pint may see: names with one-digit powers; it would work out 9^9^9 for hours."""
 
+
+LONGEST = 40
+"""Letters of the longest unit."""
 
 COMMON = {
-    "m": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
+    "m": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6},
     "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "N/m^2": 1.0, "N/mm^2": 1e6},
     "kg/m^3": {"kg/m^3": 1.0, "g/cm^3": 1e3},
     "N/m^3": {"N/m^3": 1.0, "kN/m^3": 1e3},
@@ -55,6 +62,8 @@ def is_quantity(text: str) -> bool:
 def _known(unit: str) -> bool:
     if any(unit in units for units in COMMON.values()):
         return True
+    if len(unit) > LONGEST or not _UNIT.fullmatch(unit):
+        return False
     try:
         _registry().parse_units(unit)
     except Exception:  # pint raises many kinds for text that is no unit

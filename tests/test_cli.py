@@ -16,8 +16,8 @@ import pytest
 from mpi4py import MPI
 
 from dolfin_elastic import __version__
-from dolfin_elastic.cli import petsc_options
 from dolfin_elastic.errors import CaseError
+from dolfin_elastic.petsc_words import petsc_options
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"

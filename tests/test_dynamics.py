@@ -27,10 +27,11 @@ from dolfin_elastic import (
     name_parts,
     rectangle_body,
 )
-from dolfin_elastic.errors import InputError
+from dolfin_elastic.errors import ConvergenceError, InputError
 from dolfin_elastic.meshes import Body
 from dolfin_elastic.meshes.build import make_mesh
 from dolfin_elastic.model.curves import CONSTANT
+from dolfin_elastic.solvers.matrix import TangentMatrix
 
 FREE = "free"
 E, NU, RHO = 1e7, 0.3, 1000.0
@@ -394,3 +395,89 @@ def test_motion_needs_a_density():
     problem = Problem(body, LinearElastic(E=E, nu=NU))
     with pytest.raises(InputError, match="density"):
         _ = [*Dynamics(problem, end=1.0, dt=0.1).steps()]
+
+
+def test_adaptive_steps_with_moving_supports():
+    """Tightened tolerance, the same motion; prescribed places are met although steps vary."""
+    body = rectangle_body(size=(1.0, 0.5), cells=(4, 2))
+    moved = Support(on="left", displacement=["0.01*sin(200*t)", 0])
+    ends = []
+    for tolerance in (1e-4, 1e-6):
+        problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), supports=[moved])
+        held = problem.prescribed.owned
+        worst = 0.0
+        for state in Dynamics(
+            problem, end=0.02, dt=1e-4, adaptive=True, tolerance=tolerance
+        ).steps():
+            exact = np.where(held % 2 == 0, 0.01 * np.sin(200 * state.t), 0.0)
+            worst = max(worst, np.abs(state.u.x.array[held] - exact).max(initial=0.0))
+        assert body.comm.allreduce(float(worst), op=MPI.MAX) < 1e-14
+        assert state.t == pytest.approx(0.02, rel=1e-12)
+        ends.append(value_at(problem, problem.u.x.array, (1.0, 0.25)))
+    # The looser tolerance allows 1e-4 of the largest displacement or velocity a step.
+    assert np.linalg.norm(ends[0] - ends[1]) < 0.05 * np.linalg.norm(ends[1])
+
+
+def test_a_step_without_a_solution_says_so_and_keeps_its_state():
+    """A support that pushes through the body: no step, however small, gets past the wall."""
+    body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
+    problem = Problem(
+        body,
+        NeoHookean(E=E, nu=NU, density=RHO),
+        supports=[
+            Support(on="left", displacement=[0, 0]),
+            Support(on="right", displacement=["where(t < 0.015, 0, -2)", 0]),
+        ],
+    )
+    reached = []
+    with pytest.raises(ConvergenceError) as caught:
+        for state in Dynamics(problem, end=0.1, dt=0.01).steps():
+            reached.append(state.t)
+    # Ever shorter steps come close to the jump.
+    assert reached[-1] == pytest.approx(0.015, rel=1e-3)
+    assert "no solution for the step from t = 0.015 s: DIVERGED" in str(caught.value)
+    assert "a smaller dt" in str(caught.value)
+    assert caught.value.state.t == reached[-1]
+    assert np.isfinite(caught.value.state.max_displacement)
+
+
+def test_a_formula_without_a_value_later_on_is_said():
+    loaded = oscillator(loads=[Traction(on="bottom", value=["1e4*sqrt(0.025 - t)", 0])])
+    with pytest.raises(InputError, match=r"load: .* no finite value at t = 0.03"):
+        _ = [*Dynamics(loaded, end=0.1, dt=0.01).steps()]
+    held = Problem(
+        loaded.body,
+        LinearElastic(E=E, nu=NU, density=RHO),
+        supports=[Support(on="left", displacement=["sqrt(0.025 - t)*1e-3", 0])],
+    )
+    with pytest.raises(InputError, match=r"support: .* not finite at some nodes at t = 0.03"):
+        _ = [*Dynamics(held, end=0.1, dt=0.01).steps()]
+
+
+@pytest.mark.parametrize(
+    ("options", "warns"),
+    [({"ksp_type": "gmres", "pc_type": "lu"}, False), ({"kps_type": "gmres"}, True)],
+)
+def test_unused_petsc_options_are_said_once(caplog, options, warns):
+    problem = oscillator()
+    with caplog.at_level("WARNING", logger="dolfin_elastic"):
+        _ = [*Dynamics(problem, end=0.1, dt=0.02, petsc=options).steps()]
+    said = [r for r in caplog.records if "was not used" in r.getMessage()]
+    # Only rank 0 speaks.
+    assert problem.body.comm.allreduce(len(said)) == int(warns)
+
+
+def test_a_linear_body_is_assembled_once(monkeypatch):
+    """Its tangent changes with the time step only, and so does its factorisation."""
+    calls = []
+    assemble = TangentMatrix.assemble
+    monkeypatch.setattr(
+        TangentMatrix, "assemble", lambda self, bcs: (calls.append(1), assemble(self, bcs))
+    )
+    _ = [*Dynamics(oscillator(), end=0.1, dt=0.01).steps()]
+    # PETSc finds the initial acceleration by two shorter steps.
+    assert len(calls) <= 4
+    calls.clear()
+    problem = oscillator(loads=[Traction(on="bottom", value=[1e4, 0])])
+    _ = [*Statics(problem, steps=4).steps()]
+    assert len(calls) == 1

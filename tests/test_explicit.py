@@ -280,3 +280,23 @@ def test_laws_without_energy_move_too():
     *_, state = Dynamics(problem, scheme=SCHEME, end=0.01).steps()
     assert np.isnan(state.energies["strain"])
     assert state.max_displacement > 0
+
+
+def test_work_of_a_moving_support_becomes_energy():
+    """Pulled by its support, also where few states are looked at: work is kept every step."""
+    body = rectangle_body(size=(1.0, 1.0), cells=(3, 3))
+    found = []
+    for safety, every in ((0.1, 1), (0.1, 50), (0.025, 50)):
+        problem = Problem(
+            body,
+            NeoHookean(E=1e5, nu=NU, density=RHO),
+            supports=[Support(on="left", displacement=["0.1*sin(10*t)", "0.05*t"])],
+        )
+        states = Dynamics(problem, scheme=SCHEME, end=0.3, safety=safety, every=every).steps()
+        start = next(states).energies["total"]  # its left end moves already
+        *_, state = states
+        found.append((state.energies["total"] - start, state.energies["external"]))
+    assert found[0] == pytest.approx(found[1], rel=1e-12)
+    coarse, fine = (abs(gained / work - 1) for gained, work in found[1:])
+    assert coarse < 0.03  # energy swings by O(dt) in this scheme
+    assert fine < coarse / 3.5  # a fourth of the step

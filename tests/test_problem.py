@@ -373,3 +373,32 @@ def test_more_exact_integration_can_be_asked_for():
         energies.append(state.energies["strain"])
     assert energies[0] == pytest.approx(energies[1], rel=1e-2)
     assert energies[0] != energies[1]
+
+
+def test_weight_of_a_region_needs_its_density_only():
+    """The other region may be without; 3 kg/m^3 times g times half a square metre."""
+    body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
+    body = name_parts(
+        body,
+        regions={
+            "low": Selector(box=[[0, 0], [1, 0.5]]),
+            "high": Selector(box=[[0, 0.5], [1, 1]]),
+        },
+    )
+    laws = {"low": LinearElastic(E=1e4, nu=0.3, density=3), "high": LinearElastic(E=1e4, nu=0.3)}
+    held = [Support(on="bottom")]
+    problem = Problem(body, laws, supports=held, loads=[Gravity(on="low")])
+    *_, state = Statics(problem).steps()
+    assert state.reactions["bottom"][1] == pytest.approx(3 * 9.81 / 2, rel=1e-10)
+    with pytest.raises(InputError, match="materials.high"):
+        Problem(body, laws, supports=held, loads=[Gravity(on="high")])
+
+
+def test_a_body_that_nothing_holds_is_refused():
+    problem = Problem(
+        rectangle_body(size=(1.0, 1.0), cells=(2, 2)),
+        LinearElastic(E=1, nu=0.3),
+        supports=[Support(on="left", displacement=[0, "free"])],
+    )
+    with pytest.raises(InputError, match="as a rigid body it can move along y"):
+        next(Statics(problem).steps())

@@ -114,3 +114,29 @@ def test_common_units_do_not_load_the_unit_library() -> None:
         "sys.exit('pint' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    "text", ["1 m^9^9^9", "1 m**9**9**9", "1 m^999999999", "1 m^(9^9^9)", "1 " + "m*" * 50 + "m"]
+)
+def test_no_unit_keeps_the_machine_busy(text: str) -> None:
+    """Pint would work such powers out."""
+    with pytest.raises(UnitError, match="unknown unit"):
+        to_si(text, "m")
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("1 µm", "m", 1e-6),
+        ("1 μm", "m", 1e-6),
+        ("2 kg m^-3", "kg/m^3", 2),
+        ("2 kg*m**-3", "kg/m^3", 2),
+        ("3 N/mm²", "Pa", 3e6),
+        ("1 lbf / inch ^ 2", "Pa", 6894.757293168361),
+        ("5 %", "", 0.05),
+        ("30 °", "", 0.5235987755982988),
+    ],
+)
+def test_units_as_people_write_them(text: str, unit: str, value: float) -> None:
+    assert to_si(text, unit) == pytest.approx(value, rel=1e-12)

@@ -40,7 +40,8 @@ def _misspelt_unit(text: str) -> bool:
         float(number)
     except ValueError:
         return False
-    return word.strip().replace("/", "").replace("^", "").isalnum()
+    word = word.strip()
+    return word not in COORDINATES and word.replace("/", "").replace("^", "").isalnum()
 
 
 def components(written: Any, unit: str, *, may_be_free: bool = False) -> tuple[Component, ...]:

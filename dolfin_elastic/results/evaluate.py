@@ -67,16 +67,7 @@ class Evaluator:
     def residual(self) -> fem.Form:
         """Compiled residual at this evaluator's own displacement; the same kernel as a solver's."""
         form = ufl.replace(self.problem.residual, {self.problem.u: self.u})
-        return self._compiled(form)
-
-    def _compiled(self, form: ufl.Form) -> fem.Form:
         return compile_forms(self.problem.body.comm, [form], self.problem.jit)[0]
-
-    @cached_property
-    def inertia(self) -> tuple[fem.Function, fem.Form]:
-        """An acceleration and the compiled virtual work of its inertia forces."""
-        a = fem.Function(self.problem.V)
-        return a, self._compiled(self.problem.inertia(a, self.problem.v))
 
     def __call__(self, state: State, more: Iterable[str] = ()) -> dict[str, Array]:
         """Name to this rank's rows of each field. Collective.
@@ -90,7 +81,7 @@ class Evaluator:
             shape (rows, 1).
 
         Raises:
-            InputError: A field of motion is asked for in statics.
+            InputError: A field of motion is asked for in statics, or the reverse.
         """
         self.u.x.array[:] = state.u.x.array
         source = Source(self, state, self._cells())
@@ -150,12 +141,14 @@ class Source:
         return values
 
     def reaction(self) -> Array:
-        """Residual of the state, with the inertia forces in motion (without damping)."""
+        """Residual of an equilibrium."""
+        if self.state.v is not None:
+            raise InputError(
+                f"the state of step {self.state.step} is in motion: its nodal forces are not in "
+                "equilibrium",
+                expected="the field 'reaction' exists in statics only",
+            )
         force = fem.assemble_vector(self.evaluator.residual)
-        if self.state.a is not None:
-            a, form = self.evaluator.inertia
-            a.x.array[:] = self.state.a.x.array
-            fem.assemble_vector(force.array, form)
         force.scatter_reverse(la.InsertMode.add)
         return self._padded(force.array)
 

@@ -39,6 +39,7 @@ class Field:
         values: For anything else: from a `Source` to this rank's rows.
         needs: Other fields that `values` looks at.
         motion: Exists in motion only.
+        statics: Exists in statics only.
         fixed: The same at every step: written once.
     """
 
@@ -50,6 +51,7 @@ class Field:
     values: Callable[[Source], Any] | None = None
     needs: tuple[str, ...] = ()
     motion: bool = False
+    statics: bool = False
     fixed: bool = False
 
     @property
@@ -88,6 +90,7 @@ FIELDS: dict[str, Field] = {
         "node",
         "N",
         "nodal force of the supports on the body, from the residual; zero at free nodes",
+        statics=True,
         values=lambda source: source.reaction(),
     ),
     "von_mises": Field(

@@ -67,6 +67,7 @@ class Assembler:
         with stage("assemble"):
             self._filled = TangentMatrix(self._tangent)
         self.matrix = self._filled.petsc
+        self._shift: float | None = None
         if problem.has_energy:
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
@@ -135,21 +136,37 @@ class Assembler:
         u = self.problem.u.x.array
         values = self.problem.prescribed.values
         kept = values.x.array.copy()
-        values.x.array[:] = u
-        values.x.array[self._fixed] -= difference
-        values.x.scatter_forward()
-        self._lift.array[:] = 0.0
-        bcs = self.problem.prescribed.bcs
-        fem.apply_lifting(self._lift.array, [self._tangent], [bcs], [u], -1.0)
-        self._lift.scatter_reverse(la.InsertMode.add)
-        values.x.array[:] = kept
+        try:
+            values.x.array[:] = u
+            values.x.array[self._fixed] -= difference
+            values.x.scatter_forward()
+            self._lift.array[:] = 0.0
+            bcs = self.problem.prescribed.bcs
+            fem.apply_lifting(self._lift.array, [self._tangent], [bcs], [u], -1.0)
+            self._lift.scatter_reverse(la.InsertMode.add)
+        finally:
+            values.x.array[:] = kept
         return self._lift.array[: self.size]
 
-    def tangent(self, x: PETSc.Vec) -> None:
-        """Assembles the tangent at x into `matrix`, with ones on prescribed diagonals."""
+    def tangent(self, x: PETSc.Vec, shift: float = 0.0) -> None:
+        """Assembles the tangent at x into `matrix`, with ones on prescribed diagonals.
+
+        What cannot have changed is left as it is, and so is its factorisation.
+
+        Args:
+            x: The displacement.
+            shift: What the extra tangent is multiplied by.
+        """
         with stage("assemble"):
             self.put(x)
+            if self.problem.linear and shift == self._shift:
+                return
             self._filled.assemble(self.problem.prescribed.bcs)
+            self._shift = shift
+
+    def forget_tangent(self) -> None:
+        """Says that `matrix` has been changed and is to be assembled anew."""
+        self._shift = None
 
     def external_norm(self) -> float:
         """Norm of the applied nodal forces at the present time [N]."""

@@ -183,6 +183,7 @@ class _Alpha:
         self._external_work = 0.0
         self._start, self._known_dt = 0.0, 0.0
         self._newton = self._krylov = 0
+        self._usual = 0.0
         self._error: InputError | None = None
         self._scale = 0.0
 
@@ -247,7 +248,7 @@ class _Alpha:
         P: PETSc.Mat,
     ) -> None:
         self.shift.value = shift_a
-        self.assembler.tangent(U)
+        self.assembler.tangent(U, shift_a)
         self.newton.note_tangent(P)
 
     def _dt(self) -> float:
@@ -282,6 +283,25 @@ class _Alpha:
 
     def _step(self, t: float) -> float:
         """One step of TS from time t; returns the time reached."""
+        self._prepare(t)
+        ts = self.ts
+        linear, newton = ts.getKSPIterations(), ts.getSNESIterations()
+        with stage("solve"), self.options.in_force():
+            self.newton.begin()
+            self._take()
+            self.options.report_unused()
+        if self._error is not None:
+            raise self._error
+        self._newton = ts.getSNESIterations() - newton
+        self._krylov = 0 if self.newton.direct else ts.getKSPIterations() - linear
+        if ts.getConvergedReason() < 0:
+            raise self._failure(t)
+        self._renew()
+        self._accept(float(ts.getTime()) - t)
+        return float(ts.getTime())
+
+    def _prepare(self, t: float) -> None:
+        """Says what is wrong with formulas at the end of the step before it is begun."""
         s, ts = self.settings, self.ts
         if not s.adaptive:
             assert s.dt is not None
@@ -289,35 +309,53 @@ class _Alpha:
             ts.setTimeStep(remaining if remaining < s.dt * (1 + 1e-9) else s.dt)
         self._start, self._known_dt = t, 0.0
         self._from = self._prescribed_at(t)
-        _ = self._dt()  # says now what is wrong with a formula at the end of the step
+        self.problem.set_time(t + ts.getTimeStep())
         self.problem.prescribed.check_finite()
-        ts.setMaxSNESFailures(ts.getSNESFailures() + FAILURES)
         self._set_tolerance()
-        with stage("solve"), self.options.in_force():
-            self.problem.set_time(t)
-            self.newton.begin()
-            linear, newton = ts.getKSPIterations(), ts.getSNESIterations()
+
+    def _take(self) -> None:
+        ts, dt = self.ts, self.ts.getTimeStep()
+        ts.setMaxSNESFailures(ts.getSNESFailures() + FAILURES)
+        ts.step()
+        if ts.getConvergedReason() < 0 and self._falls_back():
+            ts.setConvergedReason(PETSc.TS.ConvergedReason.CONVERGED_ITERATING)
+            ts.setMaxSNESFailures(ts.getSNESFailures() + FAILURES)
+            ts.setTimeStep(dt)
             ts.step()
-            self.options.report_unused()
-        if self._error is not None:
-            raise self._error
-        self._newton = ts.getSNESIterations() - newton
-        self._krylov = 0 if self.newton.choice.direct else ts.getKSPIterations() - linear
-        reason = ts.getConvergedReason()
-        if reason < 0:
-            raise ConvergenceError(
-                f"no solution for the step from t = {t:.6g} s: {ts_reason(reason)}",
-                advice="a smaller dt, or a spectral_radius below 1",
-                state=self._state(-1, t),
-            )
-        U, V = ts.getSolution2()
+
+    def _accept(self, dt: float) -> None:
+        """Takes displacement, velocity and mean acceleration over from TS."""
+        size = self.assembler.size
+        U, V = self.ts.getSolution2()
         self.assembler.put(U)
-        change = V.array_r - self.v.x.array[: self.assembler.size]
-        self._mean.x.array[: self.assembler.size] = change / (float(ts.getTime()) - t)
+        self._mean.x.array[:size] = (V.array_r - self.v.x.array[:size]) / dt
         self._mean.x.scatter_forward()
-        self.v.x.array[: self.assembler.size] = V.array_r
+        self.v.x.array[:size] = V.array_r
         self.v.x.scatter_forward()
-        return float(ts.getTime())
+
+    def _failure(self, t: float) -> ConvergenceError:
+        force, place = self.assembler.largest_unbalance()
+        where = ", ".join(f"{x:.4g}" for x in place)
+        reason = ts_reason(self.ts.getConvergedReason())
+        return ConvergenceError(
+            f"no solution for the step from t = {t:.6g} s: {reason}; the largest force out of "
+            f"balance, {force:.3g} N, is at ({where}) m",
+            advice="a smaller dt, or a spectral_radius below 1",
+            state=self._state(-1, t),
+        )
+
+    def _falls_back(self) -> bool:
+        """The linear solver has failed and there is another."""
+        self.newton.finish()
+        return "LINEAR_SOLVE" in self.newton.progress.reason and self.newton.fall_back()
+
+    def _renew(self) -> None:
+        """Lets multigrid begin anew when the body has turned away from the modes it knows."""
+        each = self._krylov / max(self._newton, 1)
+        if self._usual and each > 1.5 * self._usual + 5:
+            self.newton.refresh()
+            each = 0.0
+        self._usual = self._usual or each
 
     def _set_tolerance(self) -> None:
         """Lets errors be judged against the largest displacement and velocity so far."""

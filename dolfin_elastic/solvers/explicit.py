@@ -106,6 +106,7 @@ class SymplecticEuler:
             scale.array_w[:] = 1 / np.sqrt(self.mass)
             scale.array_w[self.problem.prescribed.owned] = 0.0
             self.assembler.matrix.diagonalScale(scale, scale)
+            self.assembler.forget_tangent()
             largest = _largest_eigenvalue(self.assembler.matrix, self.problem.has_energy)
             x.destroy()
             scale.destroy()
@@ -129,6 +130,8 @@ class SymplecticEuler:
 
     def _recheck(self, t: float) -> int:
         """Estimates the stable step anew; returns after how many steps to do it again."""
+        if self.problem.linear:
+            return RECHECK[1]  # it cannot have changed
         before, self._stable = self._stable, self.stable_step()
         if self._chosen is None:
             self.dt = self.safety * self._stable
@@ -267,10 +270,14 @@ def _largest_eigenvalue(matrix: PETSc.Mat, symmetric: bool) -> float:
     eps.setProblemType(SLEPc.EPS.ProblemType.HEP if symmetric else SLEPc.EPS.ProblemType.NHEP)
     eps.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
     eps.setTolerances(tol=1e-3, max_it=200)
-    eps.solve()
-    found = eps.getConverged() > 0
-    value = float(eps.getEigenvalue(0).real) if found else 0.0
-    eps.destroy()
+    try:
+        eps.solve()
+        found = eps.getConverged() > 0
+        value = float(eps.getEigenvalue(0).real) if found else 0.0
+    except PETSc.Error:  # "invalid inner product: nan"
+        found, value = False, 0.0
+    finally:
+        eps.destroy()
     if not found:
         raise StabilityError(
             "the stable step cannot be estimated: no largest eigenvalue was found",

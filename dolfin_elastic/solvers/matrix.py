@@ -34,6 +34,8 @@ class TangentMatrix:
         self._native = fem.create_matrix(form, la.BlockMode.expanded)
         self.petsc = self._like_native()
         self._diagonal, self._others = self._places()
+        if PETSc.ScalarType != np.float64 or self._entries() != self._native.indptr[self._rows()]:
+            raise RuntimeError("PETSc's matrix has not the entries of DOLFINx's")
 
     def _rows(self) -> int:
         dofmap = self._form.function_spaces[0].dofmap
@@ -62,6 +64,9 @@ class TangentMatrix:
     def _global_columns(self) -> npt.NDArray[np.int64]:
         columns = self._native.index_map(1)  # has ghosts that the function space has not
         return columns.local_to_global(self._native.indices.astype(np.int32))
+
+    def _entries(self) -> int:
+        return int(self.petsc.getInfo(PETSc.Mat.InfoType.LOCAL)["nz_used"])
 
     def _places(self) -> tuple[Any, Any]:
         """Which native values go, in which order, to PETSc's own-column and other-column parts.

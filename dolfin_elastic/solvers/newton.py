@@ -14,6 +14,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes.body import Body
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.linear import GMRES, Choice, QuadraticMultigrid, rigid_body_modes
@@ -120,8 +121,6 @@ class Newton:
 
     def _configure(self) -> None:
         self.snes.setOptionsPrefix(PREFIX)
-        if not self.choice.direct:
-            self._attach_modes()
         with self.options.in_force():
             self.snes.setFromOptions()
             if self.snes.ksp.getPC().getType() == "python":
@@ -129,6 +128,9 @@ class Newton:
                 self.snes.ksp.getPC().setPythonContext(self._multigrid)
             self.snes.ksp.setFromOptions()
             self.snes.ksp.getPC().setFromOptions()
+        self.direct = self.snes.ksp.getType() == "preonly"  # the user may have chosen otherwise
+        if not self.direct:
+            self._attach_modes()
         self.judge()
 
     def judge(self) -> None:
@@ -146,7 +148,7 @@ class Newton:
 
     def refresh(self) -> None:
         """Throws the preconditioner away and takes the rigid-body modes anew. Collective."""
-        if not self.choice.direct:
+        if not self.direct:
             self._attach_modes()
             self.snes.ksp.getPC().reset()
             if self._multigrid is not None:
@@ -172,9 +174,15 @@ class Newton:
 
         Args:
             reference: Further force to measure the residual against [N].
+
+        Raises:
+            InputError: A load has no finite value now.
         """
         self.progress = Progress(reference=reference)
         self._external = self.assembler.external_norm()
+        if not np.isfinite(self._external):
+            t = float(self.assembler.problem.t.value)
+            raise InputError(f"a load has no finite value at t = {t:g}", where="load")
 
     def ladder(self) -> tuple[str, ...]:
         """Line searches to try in turn, by PETSc's names.
@@ -212,7 +220,7 @@ class Newton:
         p.converged, p.reason = number > 0, snes_reason(number)
         if number == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
             p.reason += f" ({ksp_reason(self.snes.ksp.getConvergedReason())})"
-        if self.choice.direct:
+        if self.direct:
             p.krylov = 0
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
@@ -228,7 +236,7 @@ class Newton:
         diagonal = P.getDiagonal()
         self._floor = 4 * np.finfo(float).eps * diagonal.norm() * self._cell_size
         diagonal.destroy()
-        if not self.choice.direct and "ksp_rtol" not in self.options.users:
+        if not self.direct and "ksp_rtol" not in self.options.users:
             forcing = LINEAR if a.problem.linear else FORCING
             needed = 0.5 * self._target() / self._norm if self._norm > 0 else forcing
             self.snes.ksp.setTolerances(rtol=min(0.1, max(forcing, needed)))

@@ -17,6 +17,7 @@ from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton, Progress, Tolerance
+from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
@@ -76,9 +77,11 @@ class Statics:
         """Yields the initial state and then one equilibrium a step. Collective.
 
         Raises:
+            InputError: The supports do not hold the body against every rigid motion.
             ConvergenceError: No equilibrium was found even with the smallest step; the problem
                 then holds the last iterate, and all states yielded before are valid.
         """
+        check_held(self.problem)
         log.info("%s", self.choice.why)
         s = self.settings
         assembler = Assembler(self.problem)
