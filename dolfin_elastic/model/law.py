@@ -80,6 +80,33 @@ class Law(Record):
         return 0 if degree == 1 else 2 * (degree - 1)
 
 
+class SplitLaw(Law):
+    """A law with a volumetric part: psi = shape_energy(F) + k/2 volume_strain(F)^2.
+
+    The modulus k is the field that `volume_modulus` names.  Where k is very large or infinite, a
+    pressure p = k volume_strain(F) becomes an unknown of its own: psi is then
+    shape_energy(F) + p volume_strain(F) - p^2/(2k), the perturbed Lagrangian.
+
+    Source: Bonet & Wood (2008), sections 8.6.2 to 8.6.5.
+    """
+
+    volume_modulus: ClassVar[str] = "K"
+    """Name of the field that multiplies the square of the volume strain [Pa]."""
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """Strain energy per reference volume without the volumetric part [J/m^3]."""
+        raise NotImplementedError
+
+    def volume_strain(self, F: Expr) -> Expr:
+        """Measure of the change of volume: 0 at F = I, with derivative I there."""
+        return ufl.det(F) - 1
+
+    def energy(self, F: Expr) -> Expr:
+        """See the class."""
+        k = getattr(self, self.volume_modulus)
+        return self.shape_energy(F) + k / 2 * self.volume_strain(F) ** 2
+
+
 def _to_come() -> float:
     """Stands for a constant until the given ones have been read."""
     return float("nan")

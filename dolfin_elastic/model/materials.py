@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dolfin_elastic.model.law import Isotropic, Law
+from dolfin_elastic.model.law import Isotropic, Law, SplitLaw
 from dolfin_elastic.model.laws.linear_elastic import LinearElastic
 from dolfin_elastic.model.laws.neo_hookean import NeoHookean
 from dolfin_elastic.model.laws.st_venant_kirchhoff import StVenantKirchhoff
@@ -18,6 +18,7 @@ __all__ = [
     "Law",
     "LinearElastic",
     "NeoHookean",
+    "SplitLaw",
     "StVenantKirchhoff",
     "Textbook",
 ]

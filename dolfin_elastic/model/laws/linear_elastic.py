@@ -8,10 +8,10 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.kinematics import infinitesimal_strain
-from dolfin_elastic.model.law import Isotropic
+from dolfin_elastic.model.law import Isotropic, SplitLaw
 
 
-class LinearElastic(Isotropic):
+class LinearElastic(Isotropic, SplitLaw):
     """Hooke's law for small strains.
 
     psi = mu eps:eps + lmbda/2 (tr eps)^2, eps the infinitesimal strain.  Geometry changes are
@@ -24,7 +24,13 @@ class LinearElastic(Isotropic):
     linear: ClassVar[bool] = True
     frame_indifferent: ClassVar[bool] = False
 
-    def energy(self, F: Expr) -> Expr:
-        """See the class."""
+    volume_modulus: ClassVar[str] = "lmbda"
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """mu eps:eps."""
         eps = infinitesimal_strain(F)
-        return self.mu * ufl.inner(eps, eps) + self.lmbda / 2 * ufl.tr(eps) ** 2
+        return self.mu * ufl.inner(eps, eps)
+
+    def volume_strain(self, F: Expr) -> Expr:
+        """tr eps."""
+        return ufl.tr(infinitesimal_strain(F))

@@ -7,10 +7,10 @@ from typing import ClassVar, Literal
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.model.law import Isotropic
+from dolfin_elastic.model.law import Isotropic, SplitLaw
 
 
-class NeoHookean(Isotropic):
+class NeoHookean(Isotropic, SplitLaw):
     """Compressible neo-Hookean rubber.
 
     psi = mu/2 (tr F^T F - 3) - mu ln J + lmbda/2 (ln J)^2.
@@ -21,7 +21,12 @@ class NeoHookean(Isotropic):
     law: Literal["neo-hookean"] = "neo-hookean"
     barrier: ClassVar[bool] = True
 
-    def energy(self, F: Expr) -> Expr:
-        """See the class."""
-        log_J = ufl.ln(ufl.det(F))
-        return self.mu / 2 * (ufl.inner(F, F) - 3) - self.mu * log_J + self.lmbda / 2 * log_J**2
+    volume_modulus: ClassVar[str] = "lmbda"
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """mu/2 (tr F^T F - 3) - mu ln J."""
+        return self.mu / 2 * (ufl.inner(F, F) - 3) - self.mu * ufl.ln(ufl.det(F))
+
+    def volume_strain(self, F: Expr) -> Expr:
+        """ln J."""
+        return ufl.ln(ufl.det(F))

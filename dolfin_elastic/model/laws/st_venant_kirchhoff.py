@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.kinematics import green_strain
-from dolfin_elastic.model.law import Isotropic
+from dolfin_elastic.model.law import Isotropic, SplitLaw
 
 
-class StVenantKirchhoff(Isotropic):
+class StVenantKirchhoff(Isotropic, SplitLaw):
     """Hooke's law between the second Piola-Kirchhoff stress and the Green strain.
 
     psi = mu E:E + lmbda/2 (tr E)^2.  For large rotations with small strains; it softens in
@@ -22,7 +22,13 @@ class StVenantKirchhoff(Isotropic):
 
     law: Literal["st-venant-kirchhoff"] = "st-venant-kirchhoff"
 
-    def energy(self, F: Expr) -> Expr:
-        """See the class."""
+    volume_modulus: ClassVar[str] = "lmbda"
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """mu E:E."""
         E = green_strain(F)
-        return self.mu * ufl.inner(E, E) + self.lmbda / 2 * ufl.tr(E) ** 2
+        return self.mu * ufl.inner(E, E)
+
+    def volume_strain(self, F: Expr) -> Expr:
+        """tr E."""
+        return ufl.tr(green_strain(F))
