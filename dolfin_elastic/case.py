@@ -196,6 +196,9 @@ class Case(Record):
                 loads=self.load,
                 degree=self.mesh.degree,
                 quadrature_degree=self.mesh.quadrature_degree,
+                formulation=self.mesh.formulation,
+                geometry=self.mesh.geometry,
+                thickness=self.mesh.metres_thick,
             )
 
     def make_solver(

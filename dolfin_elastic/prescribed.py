@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
-from dolfin_elastic.meshes.body import Body
+from dolfin_elastic.meshes.body import Body, cell_size
 from dolfin_elastic.model.components import Component
 from dolfin_elastic.model.curves import Amplitude
 from dolfin_elastic.model.supports import Support
@@ -26,6 +26,12 @@ class Prescribed:
 
     Where supports meet, the later one holds.
 
+    Args:
+        body: The mesh and its names.
+        V: Space of the displacement.
+        supports: What is prescribed.
+        axis: The body is axisymmetric: nothing leaves the axis.
+
     Attributes:
         values: Function whose entries at the constrained dofs are the prescribed values.
         bcs: One DOLFINx condition a component, ready for assembly.
@@ -34,7 +40,14 @@ class Prescribed:
         moving: Support's label to the owned entries it holds: its reaction is their sum.
     """
 
-    def __init__(self, body: Body, V: fem.FunctionSpace, supports: Sequence[Support]) -> None:
+    def __init__(
+        self,
+        body: Body,
+        V: fem.FunctionSpace,
+        supports: Sequence[Support],
+        *,
+        axis: bool = False,
+    ) -> None:
         self.values = fem.Function(V)
         self._V = V
         self._x = V.tabulate_dof_coordinates()
@@ -42,10 +55,12 @@ class Prescribed:
         self._entries = [self._of(body, support) for support in supports]
         self._give_to_the_later(body)
         dofs = [dofs for entry in self._entries for dofs in entry[1]]
+        if axis:
+            dofs.append(self._on_axis(body))
         self.dofs = np.unique(np.concatenate(dofs)) if dofs else np.empty(0, dtype=np.int32)
         owned_size = V.dofmap.index_map.size_local * self._bs
         self.owned = self.dofs[self.dofs < owned_size]
-        self.bcs = [self._condition(i) for i in range(self._bs)] if supports else []
+        self.bcs = [self._condition(i) for i in range(self._bs)] if dofs else []
         self.moving = self._reactions_of(owned_size)
         self._t = 0.0
 
@@ -59,6 +74,11 @@ class Prescribed:
         return support, [
             empty if value is None else nodes * self._bs + i for i, value in enumerate(values)
         ]
+
+    def _on_axis(self, body: Body) -> Dofs:
+        """Radial entries on the axis of an axisymmetric body, which stay at zero."""
+        nodes = np.flatnonzero(self._x[:, 0] < 1e-9 * cell_size(body))
+        return (nodes * self._bs).astype(np.int32)
 
     def _give_to_the_later(self, body: Body) -> None:
         """Takes from each support the dofs that a later one prescribes too."""

@@ -20,22 +20,34 @@ from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
 from dolfin_elastic import compiler
-from dolfin_elastic._compat import integration_entities
-from dolfin_elastic.errors import InputError, MeshError
+from dolfin_elastic.errors import InputError, MeshError, nearest
 from dolfin_elastic.formulas import Formula
-from dolfin_elastic.meshes.body import Body, Indices
+from dolfin_elastic.formulation import Formulation, describe, plan, shear_modulus
+from dolfin_elastic.measures import Measures
+from dolfin_elastic.meshes.body import Body, Indices, cell_size
 from dolfin_elastic.model.components import Component, depends_on_time
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
-from dolfin_elastic.model.kinematics import deformation_gradient, embedded, padded
-from dolfin_elastic.model.law import Law
+from dolfin_elastic.model.geometry import (
+    GEOMETRIES,
+    Geometry,
+    Weighted,
+    full_gradient,
+    gradient_variation,
+    weight,
+)
+from dolfin_elastic.model.law import Law, SplitLaw
 from dolfin_elastic.model.loads import Load
+from dolfin_elastic.model.mixed import Mixed
 from dolfin_elastic.model.supports import Support
 from dolfin_elastic.parallel import total
 from dolfin_elastic.prescribed import Prescribed
+from dolfin_elastic.unknowns import Unknowns
 
 log = logging.getLogger("dolfin_elastic")
 Vector = npt.NDArray[np.float64]
 WHOLE = "body"
+UNUSED = 1e-6
+"""Compliance, over 1/shear modulus, of the pressure in parts that have none."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +60,8 @@ class Part:
         cells: Owned local cells of this rank, sorted.
         marker: The part's number in the volume measure.
         density: UFL constant [kg/m^3], or None if not given.
+        compliance: 1/k of the volumetric part [1/Pa] where a pressure carries it, or None.
+        shear: Shear modulus at small strains [Pa], for scales.
     """
 
     name: str
@@ -55,6 +69,8 @@ class Part:
     cells: Indices
     marker: int
     density: Constant | None
+    compliance: Constant | None
+    shear: Constant
 
 
 class Problem:
@@ -70,9 +86,15 @@ class Problem:
         loads: External forces.
         degree: Degree of the displacement on tetrahedra or triangles, 1 or 2.
         quadrature_degree: Overrides the law's own choice for the internal forces.
+        formulation: "displacement"; "mixed", with a pressure for nearly incompressible materials;
+            or "auto": what the materials need.
+        geometry: What a two-dimensional body is: "plane-strain", "plane-stress" or
+            "axisymmetric" (x is the radius, y the axis).
+        thickness: Of a plane body [m].
 
     Attributes:
-        u: The displacement [m]; solvers change it.
+        u: The displacement [m]; solvers change it through `w`.
+        w: All unknowns: the displacement and, in some problems, scalar fields beside it.
         t: UFL constant with the time, used by formulas.
 
     Raises:
@@ -89,30 +111,63 @@ class Problem:
         loads: Sequence[Load] = (),
         degree: int = 1,
         quadrature_degree: int | None = None,
+        formulation: Formulation = "auto",
+        geometry: Geometry = "plane-strain",
+        thickness: float = 1.0,
     ) -> None:
         self.body, self.degree = body, degree
         self.supports, self.loads = tuple(supports), tuple(loads)
         self.quadrature_degree = quadrature_degree
-        self.V = fem.functionspace(body.mesh, ("Lagrange", degree, (body.dim,)))
-        self.u, self.v = fem.Function(self.V, name="displacement"), ufl.TestFunction(self.V)
+        self.geometry = _checked(geometry, body)
         self.t = Constant(body.mesh, 0.0)
         self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
-        self.parts = tuple(self._part(i, name, law) for i, (name, law) in enumerate(laws.items()))
+        fields = plan(laws, formulation, degree, plane_stress=self.geometry == "plane-stress")
+        log.info("unknowns: %s", describe(fields, degree))
+        self.parts = tuple(
+            self._part(i, name, law, name in fields.mixed)
+            for i, (name, law) in enumerate(laws.items())
+        )
         self._check_cover()
-        self.prescribed = Prescribed(body, self.V, self.supports)
+        self.unknowns = Unknowns(body.mesh, degree, fields.extras)
+        self.V, self.u = self.unknowns.V, self.unknowns.u
+        self.W, self.w, self.v = self.unknowns.W, self.unknowns.w, self.unknowns.v
+        self._scale_unknowns()
+        thickness = None if thickness == 1.0 else self.constant(thickness)
+        self.measures = Measures(
+            body,
+            [part.cells for part in self.parts],
+            [load.parts for load in self.loads],
+            weight(self.geometry, self.X, thickness),
+        )
+        self.prescribed = Prescribed(
+            body, self.V, self.supports, axis=self.geometry == "axisymmetric"
+        )
         _ = self.external  # says now what is wrong with a load
 
     # --- materials ---
 
-    def _part(self, index: int, name: str, law: Law) -> Part:
+    def _part(self, index: int, name: str, law: Law, mixed: bool) -> Part:
         whole = name == WHOLE and name not in self.body.regions
         cells = self.body.owned_cells(None if whole else name)
         symbols = {key: self.constant(value) for key, value in law.constants().items()}
         if law.warning:
             log.warning("%s", law.warning)
         density = None if law.density is None else self.constant(law.density)
-        return Part(name, law.with_symbols(symbols), cells, index + 1, density)
+        compliance = None
+        if mixed:
+            assert isinstance(law, SplitLaw)
+            compliance = self.constant(1.0 / getattr(law, law.volume_modulus))
+        shear = self.constant(shear_modulus(law))
+        return Part(name, law.with_symbols(symbols), cells, index + 1, density, compliance, shear)
+
+    def _scale_unknowns(self) -> None:
+        """Gives the scalar fields the size of displacements, see `unknowns`."""
+        h = cell_size(self.body)
+        stiff = max(float(part.shear.value) for part in self.parts)
+        for name, factor in (("pressure", stiff / h), ("stretch", 1 / h)):
+            if self.unknowns.has(name):
+                self.unknowns.scale[name].value = factor
 
     def _check_cover(self) -> None:
         times = np.zeros(len(self.body.owned_cells()), dtype=np.int64)
@@ -137,79 +192,23 @@ class Problem:
         """A number that forms refer to by place, so that changing it compiles nothing."""
         return Constant(self.body.mesh, np.asarray(value, dtype=np.float64))
 
-    # --- where integrals are taken ---
-
-    # Every set of cells or facets that is integrated over has a number of its own.  UFL would join
-    # equal terms on several numbers into one, and DOLFINx 0.9 then takes the wrong kernel for it
-    # where a number carries more than one quadrature degree.
-
-    @cached_property
-    def _region_markers(self) -> dict[tuple[str, ...], int]:
-        sets = dict.fromkeys(load.parts for load in self.loads if load.parts)
-        known = [names for names in sets if all(n in self.body.regions for n in names)]
-        return {names: len(self.parts) + 2 + i for i, names in enumerate(known)}
-
-    @cached_property
-    def _surface_markers(self) -> dict[tuple[str, ...], int]:
-        sets = dict.fromkeys(load.parts for load in self.loads if load.parts)
-        known = [names for names in sets if all(n in self.body.surfaces for n in names)]
-        return {names: 1 + i for i, names in enumerate(known)}
-
-    @property
-    def _plain(self) -> bool:
-        """A single material fills the body: one unnumbered measure, for which nothing is packed."""
-        return len(self.parts) == 1 and not self._region_markers
-
-    @cached_property
-    def dx(self) -> ufl.Measure:
-        """Reference volume, numbered by part, by loaded regions, and as a whole."""
-        if self._plain:
-            return ufl.Measure("dx", domain=self.body.mesh)
-        cells = [(part.marker, part.cells) for part in self.parts]
-        cells.append((len(self.parts) + 1, self.body.owned_cells()))
-        cells += [
-            (marker, np.unique(np.concatenate([self.body.owned_cells(n) for n in names])))
-            for names, marker in self._region_markers.items()
-        ]
-        return ufl.Measure("dx", domain=self.body.mesh, subdomain_data=cells)
-
-    def volume(self, part: Part | None, quadrature_degree: int) -> ufl.Measure:
-        """Reference volume of a part, or of the whole body."""
-        rule = {"quadrature_degree": quadrature_degree}
-        if self._plain:
-            return self.dx(metadata=rule)
-        return self.dx(part.marker if part else len(self.parts) + 1, metadata=rule)
-
-    @cached_property
-    def _ds(self) -> ufl.Measure:
-        tdim = self.body.mesh.topology.dim
-        self.body.mesh.topology.create_connectivity(tdim, tdim - 1)
-        self.body.mesh.topology.create_connectivity(tdim - 1, tdim)
-        sides = []
-        for names, marker in self._surface_markers.items():
-            facets = np.unique(np.concatenate([self.body.owned_facets(n) for n in names]))
-            sides.append((marker, integration_entities(self.body.mesh, facets)))
-        return ufl.Measure("ds", domain=self.body.mesh, subdomain_data=sides)
-
     # --- what loads find on the body (model.loads.Site) ---
 
-    def volumes(self, regions: Sequence[str]) -> ufl.Measure:
+    def volumes(self, regions: Sequence[str]) -> Weighted:
         """Reference volume of regions, or of the whole body."""
         for name in regions:
             self.body.region(name)
         if not regions:
             return self.volume(None, 2 * self._order)
-        rule = {"quadrature_degree": 2 * self._order}
-        return self.dx(self._region_markers[tuple(regions)], metadata=rule)
+        return self.measures.regions(regions, 2 * self._order)
 
-    def areas(self, surfaces: Sequence[str]) -> ufl.Measure:
+    def areas(self, surfaces: Sequence[str]) -> Weighted:
         """Reference area of surfaces."""
         for name in surfaces:
             self.body.surface(name)
-        rule = {"quadrature_degree": 2 * self._order}
-        return self._ds(self._surface_markers[tuple(surfaces)], metadata=rule)
+        return self.measures.surfaces(surfaces, 2 * self._order)
 
-    def densities(self, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
+    def densities(self, regions: Sequence[str]) -> list[tuple[Expr, Weighted]]:
         """Density and reference volume, material by material."""
         if regions:
             cells = np.concatenate([self.body.region(name) for name in regions])
@@ -257,30 +256,76 @@ class Problem:
     def _scalar(self, value: Component) -> Expr:
         if not isinstance(value, Formula):
             return self.constant(float(value or 0.0))
-        X = ufl.SpatialCoordinate(self.body.mesh)
+        X = self.X
         z = X[2] if self.body.dim == 3 else self.constant(0.0)
         return value.ufl(x=X[0], y=X[1], z=z, t=self.t)
 
     # --- the one sum of terms ---
 
-    @cached_property
-    def internal(self) -> ufl.Form:
-        """Internal virtual work: the integral of P(F) : grad v."""
-        F = embedded(deformation_gradient(self.u))
-        grad_v = padded(ufl.grad(self.v))
-        return sum(
-            ufl.inner(part.law.stress(F), grad_v) * self._internal_volume(part)
-            for part in self.parts
+    def F(self, w: Expr) -> Expr:
+        """The 3x3 deformation gradient of a function of all unknowns."""
+        return full_gradient(
+            self.geometry, self.unknowns.displacement(w), self.X, self._extra("stretch", w)
         )
 
-    def _internal_volume(self, part: Part) -> ufl.Measure:
+    def response(self, part: Part, w: Expr) -> Law | Mixed:
+        """A part's law, with the pressure of a function of all unknowns where it has one."""
+        if part.compliance is None:
+            return part.law
+        assert isinstance(part.law, SplitLaw)
+        return Mixed(part.law, self.unknowns.extra("pressure", w), part.compliance)
+
+    def _extra(self, name: str, w: Expr) -> Expr | None:
+        return self.unknowns.extra(name, w) if self.unknowns.has(name) else None
+
+    @cached_property
+    def internal(self) -> ufl.Form:
+        """Internal virtual work: the integral of P(F) : grad v, and the pressure's equation."""
+        test = ufl.TestFunction(self.W)
+        F = self.F(self.w)
+        dF = gradient_variation(self.geometry, self.v, self.X, self._extra("stretch", test))
+        work = sum(
+            ufl.inner(self.response(part, self.w).stress(F), dF) * self._internal_volume(part)
+            for part in self.parts
+        )
+        if not self.unknowns.has("pressure"):
+            return work
+        q = self.unknowns.extra("pressure", test)
+        return work + sum(self._pressure_terms(part, F, q) for part in self.parts)
+
+    def _pressure_terms(self, part: Part, F: Expr, q: Expr) -> ufl.Form:
+        """The pressure's equation in a part.
+
+        With linear elements it is stabilised by what the pressure differs from its mean over each
+        cell: Bochev, Dohrmann & Gunzburger, SIAM J. Numer. Anal. 44 (2006), (2.9).  The mean's
+        square is the square at the middle.  Where a part needs no pressure it is kept at zero.
+        """
+        p = self.unknowns.extra("pressure", self.w)
+        if part.compliance is None:
+            return -UNUSED / part.shear * p * q * self.volume(part, 2)
+        response = self.response(part, self.w)
+        assert isinstance(response, Mixed)
+        terms = q * response.gap(F) * self._internal_volume(part)
+        if self.unknowns.stabilised:
+            pq = p * q / part.shear
+            terms -= pq * self.volume(part, 2) - pq * self.volume(part, 0)
+        return terms
+
+    def _internal_volume(self, part: Part) -> Weighted:
         return self.volume(part, self.rule(part))
+
+    def volume(self, part: Part | None, quadrature_degree: int) -> Weighted:
+        """Reference volume of a part, or of the whole body."""
+        return self.measures.filled(part.marker if part else None, quadrature_degree)
 
     def rule(self, part: Part) -> int:
         """Quadrature degree of a part's internal forces."""
         if self.quadrature_degree is not None:
             return self.quadrature_degree
-        return part.law.quadrature_degree(self._order)
+        degree = part.law.quadrature_degree(self._order)
+        if part.compliance is not None or self.geometry == "axisymmetric":
+            return max(degree, 2)  # fields that vary inside a linear element, too
+        return degree
 
     @property
     def _order(self) -> int:
@@ -300,15 +345,18 @@ class Problem:
     @cached_property
     def tangent(self) -> ufl.Form:
         """Derivative of the residual with respect to u."""
-        return ufl.derivative(self.residual, self.u, ufl.TrialFunction(self.V))
+        return ufl.derivative(self.residual, self.w, ufl.TrialFunction(self.W))
 
     @cached_property
     def strain_energy(self) -> ufl.Form | None:
         """Stored energy of the whole body; None when a law has none."""
         if not self.has_energy:
             return None
-        F = embedded(deformation_gradient(self.u))
-        return sum(part.law.energy(F) * self._internal_volume(part) for part in self.parts)
+        F = self.F(self.w)
+        return sum(
+            self.response(part, self.w).energy(F) * self._internal_volume(part)
+            for part in self.parts
+        )
 
     def inertia(self, a: Expr, v: Expr) -> ufl.Form:
         """Virtual work of the inertia forces, the integral of density a . v (consistent mass)."""
@@ -331,8 +379,18 @@ class Problem:
 
     @property
     def num_dofs(self) -> int:
-        """Displacement components on all ranks, prescribed ones included."""
-        return int(self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs)
+        """Unknowns on all ranks, prescribed ones included."""
+        return int(self.W.dofmap.index_map.size_global * self.W.dofmap.index_map_bs)
+
+    @property
+    def mixed(self) -> bool:
+        """There is a pressure beside the displacement."""
+        return self.unknowns.has("pressure")
+
+    @cached_property
+    def X(self) -> Expr:
+        """Reference coordinates."""
+        return ufl.SpatialCoordinate(self.body.mesh)
 
     @cached_property
     def jit(self) -> dict[str, object]:
@@ -356,3 +414,32 @@ class Problem:
         for factor, amplitude in self._amplitudes:
             factor.value = (amplitude or default).at(t)
         self.prescribed.move_to(t, default)
+
+
+def _checked(geometry: Geometry, body: Body) -> Geometry:
+    """The kind of a two-dimensional body; a three-dimensional one is what it is. Collective.
+
+    Raises:
+        InputError: There is no such kind, or the body cannot be of it.
+    """
+    if geometry not in GEOMETRIES:
+        raise InputError(
+            f"unknown geometry '{geometry}'",
+            where="mesh.geometry",
+            expected=nearest(geometry, GEOMETRIES),
+        )
+    if body.dim == 3 and geometry != "plane-strain":
+        raise InputError(
+            f"a three-dimensional body is not '{geometry}'",
+            where="mesh.geometry",
+            expected="leave it out",
+        )
+    if geometry == "axisymmetric":
+        inside = body.mesh.geometry.x[:, 0] < -1e-9 * cell_size(body)
+        if count := int(total(body.comm, int(inside.sum()))):
+            raise InputError(
+                f"{count} points of the mesh have a negative radius x",
+                where="mesh.geometry",
+                expected="an axisymmetric body lies at x >= 0 and turns about y",
+            )
+    return geometry

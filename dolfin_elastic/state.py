@@ -22,6 +22,7 @@ class State:
         step: 0 for the initial state, then 1, 2, ...
         t: Time [s] in motion; the load parameter from 0 to 1 in statics.
         u: Displacement [m], reference configuration.
+        w: All unknowns, where there are others beside u.
         v: Velocity [m/s], in motion only.
         a: Mean acceleration of the step [m/s^2], in motion only; 0 in the initial state.
         load_factor: Share of the load that is on, in statics; 1 in motion.
@@ -42,6 +43,7 @@ class State:
     step: int
     t: float
     u: fem.Function
+    w: fem.Function | None = None
     v: fem.Function | None = None
     a: fem.Function | None = None
     load_factor: float = 1.0

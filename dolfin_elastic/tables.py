@@ -23,8 +23,10 @@ from dolfin_elastic.errors import (
     UnitError,
     nearest,
 )
+from dolfin_elastic.formulation import Formulation
 from dolfin_elastic.meshes import Body, Selector, box_body, read_body, rectangle_body
 from dolfin_elastic.meshes.selectors import MeshLength
+from dolfin_elastic.model.geometry import Geometry
 from dolfin_elastic.model.law import Law
 from dolfin_elastic.model.materials import MATERIALS
 from dolfin_elastic.problem import Problem
@@ -82,6 +84,10 @@ class MeshTable(Record):
         size: Size of the elements, for CAD files only.
         unit: Unit of length of the mesh and of bare numbers about it.
         degree: Degree of the displacement in the elements, 1 or 2.
+        formulation: "displacement", "mixed" (with a pressure, for nearly incompressible materials)
+            or "auto".
+        geometry: What a two-dimensional body is: "plane-strain", "plane-stress" or "axisymmetric".
+        thickness: Of a plane body; 1 m by default.
         quadrature_degree: Overrides the degree of exactness of the internal forces' integral.
     """
 
@@ -91,6 +97,9 @@ class MeshTable(Record):
     size: MeshLength | None = None
     unit: str = "m"
     degree: Literal[1, 2] = 1
+    formulation: Formulation = "auto"
+    geometry: Geometry = "plane-strain"
+    thickness: MeshLength | None = None
     quadrature_degree: Annotated[int, Field(ge=0, le=20)] | None = None
 
     @field_validator("unit")
@@ -123,6 +132,11 @@ class MeshTable(Record):
     def scale(self) -> float:
         """Metres per unit of length of the mesh."""
         return to_si(f"1 {self.unit}", "m")
+
+    @property
+    def metres_thick(self) -> float:
+        """Thickness of a plane body [m]."""
+        return 1.0 if self.thickness is None else self._in_unit(self.thickness) * self.scale
 
     def _in_unit(self, length: float | str) -> float:
         return to_si(length, "m") / self.scale if isinstance(length, str) else float(length)

@@ -108,3 +108,17 @@ class Body:
             regions={**self.regions, **(regions or {})},
             surfaces={**self.surfaces, **(surfaces or {})},
         )
+
+
+def span(body: Body) -> float:
+    """Diagonal of the body's bounding box [m]. Collective."""
+    x = body.mesh.geometry.x
+    corners = np.concatenate([x.max(axis=0, initial=-np.inf), -x.min(axis=0, initial=np.inf)])
+    everywhere = np.empty_like(corners)
+    body.comm.Allreduce(corners, everywhere, op=MPI.MAX)
+    return float(np.linalg.norm(everywhere[:3] + everywhere[3:]))
+
+
+def cell_size(body: Body) -> float:
+    """About the edge length of a cell [m]. Collective."""
+    return span(body) / float(body.num_cells ** (1 / body.dim))

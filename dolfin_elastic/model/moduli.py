@@ -49,6 +49,8 @@ _TO_LAME: dict[tuple[str, str], Callable[[float, float], tuple[float, float]]] =
 def complete(**given: float) -> Moduli:
     """All constants of a stable isotropic solid from any two.
 
+    Poisson's ratio may be 0.5, for an incompressible solid: K and lmbda are infinite then.
+
     Args:
         **given: Exactly two of E, nu, K, lmbda, mu (Pa; nu is a pure number).
 
@@ -66,6 +68,8 @@ def complete(**given: float) -> Moduli:
             expected="give any two of " + ", ".join(NAMES),
         )
     _check_each(given)
+    if given.get("nu") == 0.5:
+        return _incompressible(given)
     try:
         lmbda, mu = _TO_LAME[names](given[names[0]], given[names[1]])
     except ZeroDivisionError:
@@ -74,6 +78,18 @@ def complete(**given: float) -> Moduli:
     if not (mu > 0 and K > 0 and math.isfinite(K)):
         raise _unstable(given)
     return Moduli(**{**{"E": E, "nu": nu, "K": K, "lmbda": lmbda, "mu": mu}, **given})
+
+
+def _incompressible(given: dict[str, float]) -> Moduli:
+    """nu = 0.5: a volume that cannot change; E or mu is the other constant."""
+    if "E" not in given and "mu" not in given:
+        raise InputError(
+            "an incompressible solid has no finite bulk modulus",
+            where="nu",
+            expected="give E or mu beside nu = 0.5",
+        )
+    mu = given.get("mu", given.get("E", 0.0) / 3)
+    return Moduli(E=given.get("E", 3 * mu), nu=0.5, K=math.inf, lmbda=math.inf, mu=mu)
 
 
 def _engineering(lmbda: float, mu: float, given: dict[str, float]) -> tuple[float, float, float]:
@@ -94,11 +110,11 @@ def _check_each(given: dict[str, float]) -> None:
                 where=name,
                 expected=f"{name} must be positive",
             )
-    if "nu" in given and not -1 < given["nu"] < 0.5:
+    if "nu" in given and not -1 < given["nu"] <= 0.5:
         raise InputError(
             f"{given['nu']:g} is not a possible Poisson's ratio",
             where="nu",
-            expected="nu must lie above -1 and below 0.5 (rubber: 0.49 to 0.4999)",
+            expected="nu must lie above -1 and not above 0.5 (rubber: 0.49 to 0.5)",
         )
 
 

@@ -15,7 +15,6 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.compiler import compile_expression, compile_forms
 from dolfin_elastic.errors import InputError
-from dolfin_elastic.model.kinematics import deformation_gradient, embedded
 from dolfin_elastic.results.fields import FIELDS, known
 from dolfin_elastic.results.grid import Grid, to_nodes
 from dolfin_elastic.state import State
@@ -43,7 +42,7 @@ class Evaluator:
     def __init__(self, problem: Problem, names: Iterable[str]) -> None:
         self.problem, self.names = problem, known(names)
         self.grid = Grid(problem.V)
-        self.u = fem.Function(problem.V)
+        self.w = fem.Function(problem.W)
         needed = (other for name in self.names for other in (name, *FIELDS[name].needs))
         self.cell_names = tuple(name for name in known(needed) if FIELDS[name].formula)
         self._kernels = [self._kernel(part) for part in problem.parts] if self.cell_names else []
@@ -51,7 +50,7 @@ class Evaluator:
             _ = self.residual
 
     def _kernel(self, part: Part) -> fem.Expression:
-        law, F = part.law, embedded(deformation_gradient(self.u))
+        law, F = self.problem.response(part, self.w), self.problem.F(self.w)
         if "energy_density" in self.cell_names and not law.has_energy:
             raise InputError(
                 f"the law of '{part.name}' has no strain energy",
@@ -66,7 +65,7 @@ class Evaluator:
     @cached_property
     def residual(self) -> fem.Form:
         """Compiled residual at this evaluator's own displacement; the same kernel as a solver's."""
-        form = ufl.replace(self.problem.residual, {self.problem.u: self.u})
+        form = ufl.replace(self.problem.residual, {self.problem.w: self.w})
         return compile_forms(self.problem.body.comm, [form], self.problem.jit)[0]
 
     def __call__(self, state: State, more: Iterable[str] = ()) -> dict[str, Array]:
@@ -83,7 +82,7 @@ class Evaluator:
         Raises:
             InputError: A field of motion is asked for in statics, or the reverse.
         """
-        self.u.x.array[:] = state.u.x.array
+        self.w.x.array[:] = (state.w or state.u).x.array
         source = Source(self, state, self._cells())
         return {name: source.get(name) for name in (*self.names, *more)}
 
@@ -133,6 +132,9 @@ class Source:
             )
         return self._padded(function.x.array)
 
+    def _own(self) -> int:
+        return int(self.evaluator.grid.own_points * self.evaluator.grid.mesh.geometry.dim)
+
     def _padded(self, array: Array) -> Array:
         grid = self.evaluator.grid
         dim = grid.mesh.geometry.dim
@@ -150,7 +152,8 @@ class Source:
             )
         force = fem.assemble_vector(self.evaluator.residual)
         force.scatter_reverse(la.InsertMode.add)
-        return self._padded(force.array)
+        places = self.evaluator.problem.unknowns.places
+        return self._padded(force.array[places(np.arange(self._own(), dtype=np.int32))])
 
     def averaged(self, name: str) -> Array:
         """A cell field, averaged at the owned points."""

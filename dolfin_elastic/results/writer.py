@@ -42,7 +42,7 @@ class Kept:
             state,
             **{
                 name: self._copy(name, function)
-                for name in ("u", "v", "a")
+                for name in ("u", "w", "v", "a")
                 if (function := getattr(state, name)) is not None
             },
         )

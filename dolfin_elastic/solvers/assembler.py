@@ -57,10 +57,19 @@ class Assembler:
         compiled = compile_forms(self.comm, forms, problem.jit)
         self._residual, self._tangent = compiled[:2]
         self._external = compiled[2] if problem.external is not None else None
-        self._map, self._bs = problem.V.dofmap.index_map, problem.V.dofmap.index_map_bs
+        self._map, self._bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
+        self._dim = problem.body.dim
         self.size = self._map.size_local * self._bs
         self.balance, self._lift = self._vector(), self._vector()
-        self._fixed = problem.prescribed.owned
+        held, places = problem.prescribed, problem.unknowns.places
+        self._held = held.owned
+        self._fixed = places(held.owned)
+        self._moves = places(np.arange(_owned(problem.V), dtype=np.int32))
+        if problem.w is problem.u:
+            self._values, self._bcs = held.values, held.bcs
+        else:
+            self._values = fem.Function(problem.W)
+            self._bcs = [fem.dirichletbc(self._values, places(held.dofs))]
         self._is_free = np.ones(self.size, dtype=bool)
         self._is_free[self._fixed] = False
         self.free = self.held = self.gap = 0.0
@@ -84,13 +93,14 @@ class Assembler:
     # --- displacement in and out ---
 
     def get(self, x: PETSc.Vec) -> None:
-        """Copies the problem's displacement into a vector."""
-        x.array_w[:] = self.problem.u.x.array[: self.size]
+        """Copies the problem's unknowns into a vector."""
+        x.array_w[:] = self.problem.w.x.array[: self.size]
 
     def put(self, x: PETSc.Vec) -> None:
-        """Copies a vector into the problem's displacement, ghosts included."""
-        self.problem.u.x.array[: self.size] = x.array_r
-        self.problem.u.x.scatter_forward()
+        """Copies a vector into the problem's unknowns, ghosts included."""
+        self.problem.w.x.array[: self.size] = x.array_r
+        self.problem.w.x.scatter_forward()
+        self.problem.unknowns.tell()
 
     # --- residual and tangent ---
 
@@ -105,10 +115,8 @@ class Assembler:
         with stage("assemble"):
             self.put(x)
             self.assemble_balance()
-            wanted = self.problem.prescribed.values.x.array[self._fixed]
-            difference = self.problem.u.x.array[self._fixed] - (
-                wanted if target is None else target
-            )
+            wanted = self.problem.prescribed.values.x.array[self._held]
+            difference = self.problem.u.x.array[self._held] - (wanted if target is None else target)
             out = self.balance.array[: self.size]
             self._measure(out, difference)
             if self.gap > 0.0 and np.isfinite(self.free):
@@ -133,16 +141,14 @@ class Assembler:
 
     def _lifted(self, difference: Vector) -> Vector:
         """K (g - x) of the prescribed columns, for the free rows."""
-        u = self.problem.u.x.array
-        values = self.problem.prescribed.values
+        w, values = self.problem.w.x.array, self._values
         kept = values.x.array.copy()
         try:
-            values.x.array[:] = u
+            values.x.array[:] = w
             values.x.array[self._fixed] -= difference
             values.x.scatter_forward()
             self._lift.array[:] = 0.0
-            bcs = self.problem.prescribed.bcs
-            fem.apply_lifting(self._lift.array, [self._tangent], [bcs], [u], -1.0)
+            fem.apply_lifting(self._lift.array, [self._tangent], [self._bcs], [w], -1.0)
             self._lift.scatter_reverse(la.InsertMode.add)
         finally:
             values.x.array[:] = kept
@@ -161,7 +167,7 @@ class Assembler:
             self.put(x)
             if self.problem.linear and shift == self._shift:
                 return
-            self._filled.assemble(self.problem.prescribed.bcs)
+            self._filled.assemble(self._bcs)
             self._shift = shift
 
     def forget_tangent(self) -> None:
@@ -196,22 +202,24 @@ class Assembler:
         forces = self.balance.array[: self.size]
         if more is not None:
             forces = forces + more
+        forces = forces[self._moves]
         held = self.problem.prescribed.moving
-        local = np.zeros((len(held), self._bs))
+        local = np.zeros((len(held), self._dim))
         for row, dofs in zip(local, held.values(), strict=True):
-            np.add.at(row, dofs % self._bs, forces[dofs])
+            np.add.at(row, dofs % self._dim, forces[dofs])
         sums = self.comm.allreduce(local, op=MPI.SUM)
         return dict(zip(held, sums, strict=True))
 
     def max_displacement(self) -> float:
         """Largest length of a nodal displacement [m]."""
-        lengths = np.linalg.norm(self.problem.u.x.array[: self.size].reshape(-1, self._bs), axis=1)
+        u = self.problem.u.x.array[: len(self._moves)].reshape(-1, self._dim)
+        lengths = np.linalg.norm(u, axis=1)
         return float(self.comm.allreduce(float(np.max(lengths, initial=0.0)), op=MPI.MAX))
 
     def largest_unbalance(self) -> tuple[float, Vector]:
         """Largest free nodal force of the last residual [N] and the node's place X [m]."""
-        forces = np.where(self._is_free, self.balance.array[: self.size], 0.0)
-        norms = np.linalg.norm(forces.reshape(-1, self._bs), axis=1)
+        forces = np.where(self._is_free, self.balance.array[: self.size], 0.0)[self._moves]
+        norms = np.linalg.norm(forces.reshape(-1, self._dim), axis=1)
         norms = np.where(np.isfinite(norms), norms, np.inf)
         node = int(np.argmax(norms)) if len(norms) else -1
         places = self.problem.V.tabulate_dof_coordinates()
@@ -221,6 +229,10 @@ class Assembler:
     def destroy(self) -> None:
         """Frees the matrix. Collective."""
         self._filled.destroy()
+
+
+def _owned(V: fem.FunctionSpace) -> int:
+    return int(V.dofmap.index_map.size_local * V.dofmap.index_map_bs)
 
 
 def compiled(problem: Problem, forms: Sequence[ufl.Form]) -> list[fem.Form]:

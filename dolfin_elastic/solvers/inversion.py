@@ -8,7 +8,6 @@ import numpy.typing as npt
 import ufl
 
 from dolfin_elastic.compiler import compile_expression
-from dolfin_elastic.model.kinematics import deformation_gradient
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.timing import stage
 
@@ -24,7 +23,7 @@ class JacobianWatch:
         mesh = problem.body.mesh
         kind = getattr(basix.CellType, mesh.topology.cell_name())
         points, _ = basix.make_quadrature(kind, max(problem.rule(part) for part in problem.parts))
-        J = ufl.det(deformation_gradient(problem.u))
+        J = ufl.det(problem.F(problem.w))
         self._J = compile_expression(mesh.comm, J, points, problem.jit)
         self._problem, self._points = problem, points
         self._cells = problem.body.owned_cells()

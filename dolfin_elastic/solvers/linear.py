@@ -26,6 +26,10 @@ DIRECT_LIMIT = {2: 150_000, 3: 20_000}
 """Largest number of unknowns that are factorised by default, by dimension."""
 
 
+MIXED_LIMIT = {2: 400_000, 3: 150_000}
+"""The same with a pressure beside the displacement."""
+
+
 class LinearSettings(Record):
     """How linear systems are solved; all of it is chosen by itself by default.
 
@@ -56,6 +60,8 @@ class Choice:
 def choose(problem: Problem, settings: LinearSettings) -> Choice:
     """Chooses a linear solver for a problem and says why."""
     dofs, limit = problem.num_dofs, DIRECT_LIMIT[problem.body.dim]
+    if problem.w is not problem.u:
+        limit = MIXED_LIMIT[problem.body.dim]
     direct = settings.method == "direct" or (settings.method == "auto" and dofs <= limit)
     symmetric = problem.has_energy
     size = f"{dofs} unknowns"

@@ -11,11 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.errors import InputError
-from dolfin_elastic.meshes.body import Body
+from dolfin_elastic.meshes.body import cell_size, span
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.linear import GMRES, Choice, QuadraticMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.options import PREFIX, Options, ksp_reason, snes_reason
@@ -107,8 +106,7 @@ class Newton:
         self._floor = self._first = self._norm = 0.0
         self._line_search = ""
         body = assembler.problem.body
-        self.span = _diagonal(body)
-        self._cell_size = self.span / body.num_cells ** (1 / body.dim)
+        self.span, self._cell_size = span(body), cell_size(body)
         self._multigrid: QuadraticMultigrid | None = None
         self._owns = snes is None
         self.options = Options({**_SNES, **choice.options, **(defaults or {})}, users or {})
@@ -289,15 +287,6 @@ class Newton:
             self.snes.destroy()
         self._x.destroy()
         self._f.destroy()
-
-
-def _diagonal(body: Body) -> float:
-    """Diagonal of the body's bounding box [m]. Collective."""
-    x = body.mesh.geometry.x
-    corners = np.concatenate([x.max(axis=0, initial=-np.inf), -x.min(axis=0, initial=np.inf)])
-    everywhere = np.empty_like(corners)
-    body.comm.Allreduce(corners, everywhere, op=MPI.MAX)
-    return float(np.linalg.norm(everywhere[:3] + everywhere[3:]))
 
 
 _SNES: dict[str, Any] = {

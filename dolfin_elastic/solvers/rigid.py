@@ -40,8 +40,12 @@ def free_motions(problem: Problem) -> list[str]:
     x = problem.V.tabulate_dof_coordinates()[:, :dim]
     centre, size = _frame(x, problem.body.comm)
     rows = _rigid((x[held // dim] - centre) / size)[np.arange(len(held)), held % dim]
+    if problem.geometry == "axisymmetric":  # of rigid motions only the one along the axis is one
+        rows = rows[:, 1:2]
     values, vectors = np.linalg.eigh(total(problem.body.comm, rows.T @ rows))
     null = vectors[:, values <= _ROUND_OFF * max(values[-1], 1.0)]
+    if problem.geometry == "axisymmetric":
+        return ["move along y"] * null.shape[1]
     return _said(null, dim)
 
 

@@ -125,24 +125,25 @@ class _Stepping:
 
     def _attempt(self, t: float, goal: float) -> Progress:
         """Tries to go to a load factor; the displacement is put back if that fails."""
-        u = self.problem.u.x.array
-        start = u.copy()
+        w = self.problem.w.x.array
+        start = w.copy()
         self.problem.set_time(goal, default=RAMP)
         self.problem.prescribed.check_finite()
         for line_search in self.newton.ladder():
             if self._count > 1:
                 self.newton.refresh()
-            u[:] = start
+            w[:] = start
             progress = self.newton.solve(line_search)
             if "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
-                u[:] = start
+                w[:] = start
                 progress = self.newton.solve(line_search)
             self._refuse_inverted(progress)
             if progress.converged:
                 return progress
             log.debug("line search '%s' fails: %s", line_search, progress.reason)
-        self._failed = u.copy()
-        u[:] = start
+        self._failed = w.copy()
+        w[:] = start
+        self.problem.unknowns.tell()
         return progress
 
     def _refuse_inverted(self, progress: Progress) -> None:
@@ -161,7 +162,8 @@ class _Stepping:
             )
             return size
         force, place = self.assembler.largest_unbalance()
-        self.problem.u.x.array[:] = self._failed
+        self.problem.w.x.array[:] = self._failed
+        self.problem.unknowns.tell()
         raise ConvergenceError(
             f"no equilibrium beyond load factor {t:.6g}: {progress.reason}, Newton iterations: "
             f"{progress.newton}; the largest force out of balance, {force:.3g} N, is at "
@@ -179,6 +181,7 @@ class _Stepping:
             t=t,
             load_factor=t,
             u=problem.u,
+            w=problem.w,
             newton=progress.newton,
             krylov=progress.krylov,
             reason=progress.reason,

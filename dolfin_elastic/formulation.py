@@ -1,0 +1,123 @@
+"""Which unknowns a problem needs: a pressure where the material hardly changes its volume."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.model.law import Law, SplitLaw
+from dolfin_elastic.unknowns import Extra
+
+log = logging.getLogger("dolfin_elastic")
+Formulation = Literal["auto", "displacement", "mixed"]
+
+STIFF_IN_VOLUME = 0.45
+"""Poisson's ratio above which displacements alone lose accuracy."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is solved for beside the displacement.
+
+    Attributes:
+        mixed: Names of the materials whose volumetric part a pressure carries.
+        extras: The scalar fields.
+    """
+
+    mixed: frozenset[str]
+    extras: tuple[Extra, ...]
+
+
+def plan(
+    laws: Mapping[str, Law],
+    formulation: Formulation,
+    degree: int,
+    *,
+    plane_stress: bool,
+) -> Plan:
+    """Decides from the materials and says so in the log.
+
+    The pressure of quadratic elements is linear (Taylor & Hood, Computers & Fluids 1 (1973));
+    with linear elements it is linear too, and stabilised.  In plane stress the volume can change
+    through the thickness, and everything beside the displacement belongs to one cell.
+
+    Raises:
+        InputError: A material cannot be computed so.
+    """
+    nearly = {name for name, law in laws.items() if _poisson(law) > STIFF_IN_VOLUME}
+    exactly = {name for name, law in laws.items() if not math.isfinite(_volume_modulus(law))}
+    _check(laws, exactly, formulation)
+    split = {name for name, law in laws.items() if isinstance(law, SplitLaw)}
+    mixed: set[str] = set()
+    if formulation == "mixed":
+        mixed = nearly & split or split
+    elif formulation == "auto" and (
+        exactly or (degree > 1 and nearly & split and not plane_stress)
+    ):
+        mixed = exactly | (nearly & split)
+    extras = []
+    if plane_stress:
+        extras.append(Extra("stretch", degree - 1, continuous=False))
+    if mixed:
+        extras.append(
+            Extra("pressure", degree - 1, continuous=False)
+            if plane_stress
+            else Extra("pressure", 1, continuous=True)
+        )
+    return Plan(frozenset(mixed), tuple(extras))
+
+
+def _check(laws: Mapping[str, Law], exactly: set[str], formulation: Formulation) -> None:
+    for name in sorted(exactly):
+        if formulation == "displacement" or not isinstance(laws[name], SplitLaw):
+            raise InputError(
+                f"'{name}' is incompressible: it needs a pressure beside the displacement",
+                where="mesh.formulation"
+                if isinstance(laws[name], SplitLaw)
+                else f"materials.{name}",
+                expected='"auto" or "mixed"'
+                if isinstance(laws[name], SplitLaw)
+                else f"the law '{laws[name].name()}' has no volumetric part; nu below 0.5",
+            )
+    if formulation == "mixed" and not any(isinstance(law, SplitLaw) for law in laws.values()):
+        raise InputError(
+            "no material has a volumetric part that a pressure could carry",
+            where="mesh.formulation",
+            expected='"displacement"',
+        )
+
+
+def describe(plan: Plan, degree: int) -> str:
+    """The unknowns in words, for the log."""
+    if not plan.mixed:
+        return f"displacement, P{degree}"
+    pressure = next(extra for extra in plan.extras if extra.name == "pressure")
+    kind = "P" if pressure.continuous else "DG"
+    stabilised = ", stabilised" if pressure.continuous and degree == 1 else ""
+    return (
+        f"displacement P{degree} and pressure {kind}{pressure.degree}{stabilised} "
+        f"(nearly incompressible: {', '.join(sorted(plan.mixed))})"
+    )
+
+
+def _volume_modulus(law: Law) -> float:
+    for name in ("K", "lmbda"):
+        value = getattr(law, name, None)
+        if isinstance(value, int | float) and math.isinf(value):
+            return math.inf
+    return float(getattr(law, law.volume_modulus)) if isinstance(law, SplitLaw) else 0.0
+
+
+def _poisson(law: Law) -> float:
+    value = getattr(law, "nu", None)
+    return float(value) if isinstance(value, int | float) else 0.0
+
+
+def shear_modulus(law: Law) -> float:
+    """Shear modulus at small strains, or what comes close [Pa]."""
+    value = getattr(law, "mu", None)
+    return float(value) if isinstance(value, int | float) else 1.0

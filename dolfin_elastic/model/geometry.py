@@ -1,0 +1,73 @@
+"""Two-dimensional bodies as parts of three-dimensional ones: deformation gradient and measure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.model.kinematics import deformation_gradient, padded
+
+Geometry = Literal["plane-strain", "plane-stress", "axisymmetric"]
+GEOMETRIES: tuple[str, ...] = get_args(Geometry)
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """A measure that also counts what the mesh does not show: thickness or circumference.
+
+    Attributes:
+        weight: Factor of every integrand; None: 1.
+        measure: UFL measure of the mesh.
+    """
+
+    weight: Expr | None
+    measure: ufl.Measure
+
+    def __rmul__(self, integrand: Any) -> ufl.Form:
+        """The integral's form."""
+        return (integrand if self.weight is None else integrand * self.weight) * self.measure
+
+
+def weight(geometry: Geometry, x: Expr, thickness: Expr | None) -> Expr | None:
+    """What a plane body's integrals are multiplied by.
+
+    Args:
+        geometry: Kind of body.
+        x: Reference coordinates; x[0] is the radius of an axisymmetric body, x[1] its axis.
+        thickness: Of a plane body; None: 1.
+    """
+    return 2 * ufl.pi * x[0] if geometry == "axisymmetric" else thickness
+
+
+def full_gradient(geometry: Geometry, u: Expr, x: Expr, stretch: Expr | None) -> Expr:
+    """The 3x3 deformation gradient of a displacement.
+
+    Args:
+        geometry: Kind of body, if it is two-dimensional.
+        u: Displacement, 2 or 3 components.
+        x: Reference coordinates.
+        stretch: Displacement gradient out of the plane, F33 - 1, in plane stress.
+
+    In an axisymmetric body F33 is current over reference circumference, 1 + u_r/r.
+
+    Source: Holzapfel, Nonlinear Solid Mechanics (2000), section 2.4 (gradient in cylindrical
+    coordinates).
+    """
+    F = deformation_gradient(u)
+    if len(u) == 3:
+        return F
+    if geometry == "axisymmetric":
+        return padded(F, 1 + u[0] / x[0])
+    return padded(F, 1.0 if stretch is None else 1 + stretch)
+
+
+def gradient_variation(geometry: Geometry, v: Expr, x: Expr, stretch: Expr | None) -> Expr:
+    """What a virtual displacement, and a virtual stretch, do to `full_gradient`."""
+    if len(v) == 3:
+        return ufl.grad(v)
+    if geometry == "axisymmetric":
+        return padded(ufl.grad(v), v[0] / x[0])
+    return padded(ufl.grad(v), 0.0 if stretch is None else stretch)
