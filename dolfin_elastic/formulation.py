@@ -50,7 +50,7 @@ def plan(
     """
     nearly = {name for name, law in laws.items() if _poisson(law) > STIFF_IN_VOLUME}
     exactly = {name for name, law in laws.items() if not math.isfinite(_volume_modulus(law))}
-    _check(laws, exactly, formulation)
+    _check(laws, exactly, formulation, degree)
     split = {name for name, law in laws.items() if isinstance(law, SplitLaw)}
     mixed: set[str] = set()
     if formulation == "mixed":
@@ -71,17 +71,21 @@ def plan(
     return Plan(frozenset(mixed), tuple(extras))
 
 
-def _check(laws: Mapping[str, Law], exactly: set[str], formulation: Formulation) -> None:
+def _check(
+    laws: Mapping[str, Law], exactly: set[str], formulation: Formulation, degree: int
+) -> None:
     for name in sorted(exactly):
-        if formulation == "displacement" or not isinstance(laws[name], SplitLaw):
+        if not isinstance(laws[name], SplitLaw):
             raise InputError(
-                f"'{name}' is incompressible: it needs a pressure beside the displacement",
-                where="mesh.formulation"
-                if isinstance(laws[name], SplitLaw)
-                else f"materials.{name}",
-                expected='"auto" or "mixed"'
-                if isinstance(laws[name], SplitLaw)
-                else f"the law '{laws[name].name()}' has no volumetric part; nu below 0.5",
+                f"the law '{laws[name].name()}' cannot be incompressible",
+                where=f"materials.{name}.nu",
+                expected="nu must lie below 0.5: it has no volumetric part",
+            )
+        if formulation == "displacement" or (formulation == "auto" and degree == 1):
+            raise InputError(
+                "an incompressible material needs a pressure beside the displacement",
+                where=f"materials.{name}.nu",
+                expected='mesh.formulation = "mixed" or mesh.degree = 2, or nu below 0.5',
             )
     if formulation == "mixed" and not any(isinstance(law, SplitLaw) for law in laws.values()):
         raise InputError(

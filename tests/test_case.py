@@ -150,11 +150,17 @@ MISTAKES = {
         "true",
         'materials.steel.E: True is not a number; expected a number in Pa, for example "210 GPa"',
     ),
+    "nu 0.51": (
+        "nu = 0.3",
+        "nu = 0.51",
+        "materials.steel.nu: 0.51 is not a possible Poisson's ratio; nu must lie above -1 "
+        "and not above 0.5 (rubber: 0.49 to 0.5)",
+    ),
     "nu 0.5": (
         "nu = 0.3",
         "nu = 0.5",
-        "materials.steel.nu: 0.5 is not a possible Poisson's ratio; nu must lie above -1 "
-        "and below 0.5 (rubber: 0.49 to 0.4999)",
+        "materials.steel.nu: an incompressible material needs a pressure beside the displacement; "
+        'mesh.formulation = "mixed" or mesh.degree = 2, or nu below 0.5',
     ),
     "one const": (
         "nu = 0.3\n",

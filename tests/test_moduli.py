@@ -74,7 +74,8 @@ def test_given_constants_stay_as_given(pair):
         ({"E": -1.0, "nu": 0.3}, "-1 is not a possible E"),
         ({"E": 0.0, "nu": 0.3}, "0 is not a possible E"),
         ({"E": float("nan"), "nu": 0.3}, "nan is not a possible E"),
-        ({"E": 1.0, "nu": 0.5}, "below 0.5"),
+        ({"E": 1.0, "nu": 0.51}, "not above 0.5"),
+        ({"K": 1.0, "nu": 0.5}, "no finite bulk modulus"),
         ({"E": 1.0, "nu": -1.0}, "above -1"),
         ({"E": 1.0, "nu": float("nan")}, "Poisson"),
         ({"E": 1.0, "mu": 0.3}, "no stable elastic solid has E = 1, mu = 0.3"),  # nu = 2/3
@@ -110,4 +111,12 @@ def test_laws_read_units_and_the_name_lambda():
     with pytest.raises(InputError, match="two elastic constants"):
         NeoHookean(E=1e6)
     with pytest.raises(InputError, match="not a possible Poisson"):
-        NeoHookean(E=1e6, nu=0.5)
+        NeoHookean(E=1e6, nu=0.6)
+
+
+@pytest.mark.parametrize("given", [{"E": 3e6}, {"mu": 1e6}])
+def test_incompressible_solid(given):
+    """nu = 0.5: E = 3 mu, and a volume that cannot change."""
+    found = complete(**given, nu=0.5)
+    assert (found.E, found.mu, found.nu) == (3e6, 1e6, 0.5)
+    assert found.K == found.lmbda == float("inf")

@@ -38,6 +38,8 @@ class Assembler:
             entries at prescribed dofs are the reactions.
         free: Norm of the free entries of the last residual [N].
         held: Norm of its prescribed entries (reactions) [N].
+        moves: Owned entries of all unknowns that are displacements, in the displacement's order.
+        fixed: Owned entries of all unknowns that are prescribed.
         gap: Largest |x - g| over prescribed entries at the last residual [m].
     """
 
@@ -63,15 +65,15 @@ class Assembler:
         self.balance, self._lift = self._vector(), self._vector()
         held, places = problem.prescribed, problem.unknowns.places
         self._held = held.owned
-        self._fixed = places(held.owned)
-        self._moves = places(np.arange(_owned(problem.V), dtype=np.int32))
+        self.fixed = places(held.owned)
+        self.moves = places(np.arange(_owned(problem.V), dtype=np.int32))
         if problem.w is problem.u:
             self._values, self._bcs = held.values, held.bcs
         else:
             self._values = fem.Function(problem.W)
             self._bcs = [fem.dirichletbc(self._values, places(held.dofs))]
         self._is_free = np.ones(self.size, dtype=bool)
-        self._is_free[self._fixed] = False
+        self._is_free[self.fixed] = False
         self.free = self.held = self.gap = 0.0
         with stage("assemble"):
             self._filled = TangentMatrix(self._tangent)
@@ -122,7 +124,7 @@ class Assembler:
             if self.gap > 0.0 and np.isfinite(self.free):
                 out = out + self._lifted(difference)
             f.array_w[:] = out
-            f.array_w[self._fixed] = difference
+            f.array_w[self.fixed] = difference
 
     def assemble_balance(self) -> None:
         """Out-of-balance nodal forces at the problem's displacement into `balance`."""
@@ -132,7 +134,7 @@ class Assembler:
 
     def _measure(self, out: Vector, difference: Vector) -> None:
         with np.errstate(over="ignore"):
-            squares = [np.sum(np.square(out[self._is_free])), np.sum(np.square(out[self._fixed]))]
+            squares = [np.sum(np.square(out[self._is_free])), np.sum(np.square(out[self.fixed]))]
         sums = self.comm.allreduce(np.array(squares), op=MPI.SUM)
         self.free, self.held = (float(value) for value in np.sqrt(sums))
         # NaN would come out of a maximum on some ranks only.
@@ -145,7 +147,7 @@ class Assembler:
         kept = values.x.array.copy()
         try:
             values.x.array[:] = w
-            values.x.array[self._fixed] -= difference
+            values.x.array[self.fixed] -= difference
             values.x.scatter_forward()
             self._lift.array[:] = 0.0
             fem.apply_lifting(self._lift.array, [self._tangent], [self._bcs], [w], -1.0)
@@ -202,7 +204,7 @@ class Assembler:
         forces = self.balance.array[: self.size]
         if more is not None:
             forces = forces + more
-        forces = forces[self._moves]
+        forces = forces[self.moves]
         held = self.problem.prescribed.moving
         local = np.zeros((len(held), self._dim))
         for row, dofs in zip(local, held.values(), strict=True):
@@ -212,13 +214,13 @@ class Assembler:
 
     def max_displacement(self) -> float:
         """Largest length of a nodal displacement [m]."""
-        u = self.problem.u.x.array[: len(self._moves)].reshape(-1, self._dim)
+        u = self.problem.u.x.array[: len(self.moves)].reshape(-1, self._dim)
         lengths = np.linalg.norm(u, axis=1)
         return float(self.comm.allreduce(float(np.max(lengths, initial=0.0)), op=MPI.MAX))
 
     def largest_unbalance(self) -> tuple[float, Vector]:
         """Largest free nodal force of the last residual [N] and the node's place X [m]."""
-        forces = np.where(self._is_free, self.balance.array[: self.size], 0.0)[self._moves]
+        forces = np.where(self._is_free, self.balance.array[: self.size], 0.0)[self.moves]
         norms = np.linalg.norm(forces.reshape(-1, self._dim), axis=1)
         norms = np.where(np.isfinite(norms), norms, np.inf)
         node = int(np.argmax(norms)) if len(norms) else -1

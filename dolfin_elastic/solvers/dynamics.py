@@ -157,7 +157,8 @@ class _Alpha:
         self._mean = fem.Function(problem.V, name="acceleration")
         self.shift = problem.constant(0.0)
         inertia = problem.inertia(self.a, problem.v)
-        mass = problem.inertia(ufl.TrialFunction(problem.V), problem.v)
+        trial = problem.unknowns.displacement(ufl.TrialFunction(problem.W))
+        mass = problem.inertia(trial, problem.v)
         self.assembler = Assembler(problem, extra=inertia, extra_tangent=self.shift * mass)
         self.measure = ConsistentMass(problem, self.v)
         self.strain = Strain(problem)
@@ -216,7 +217,7 @@ class _Alpha:
         ts.setErrorIfStepFails(False)
         self.newton.judge()
         self.assembler.get(self._U)
-        self._V.array_w[:] = self.v.x.array[: self.assembler.size]
+        self._V.array_w[self.assembler.moves] = self.v.x.array[: len(self.assembler.moves)]
         ts.setSolution2(self._U, self._V)
 
     # --- what TS asks for ---
@@ -230,7 +231,7 @@ class _Alpha:
             self._error = error
             F.set(np.nan)
             return
-        self.a.x.array[: self.assembler.size] = A.array_r
+        self.a.x.array[: len(self.assembler.moves)] = A.array_r[self.assembler.moves]
         self.a.x.scatter_forward()
         share = (t - self._start) / self._dt()
         self.assembler.residual(U, F, target=(1 - share) * self._from + share * self._to)
@@ -275,7 +276,7 @@ class _Alpha:
         yield self._state(0, 0.0)
         t = 0.0
         while t < s.end * (1 - 1e-12):
-            before = self.problem.u.x.array[: self.assembler.size].copy()
+            before = self.problem.w.x.array[: self.assembler.size].copy()
             t, step = self._step(t), step + 1
             self._add_work(before)
             if step % s.every == 0 or t >= s.end * (1 - 1e-12):
@@ -325,12 +326,14 @@ class _Alpha:
 
     def _accept(self, dt: float) -> None:
         """Takes displacement, velocity and mean acceleration over from TS."""
-        size = self.assembler.size
+        moves = self.assembler.moves
+        size = len(moves)
         U, V = self.ts.getSolution2()
         self.assembler.put(U)
-        self._mean.x.array[:size] = (V.array_r - self.v.x.array[:size]) / dt
+        v = V.array_r[moves]
+        self._mean.x.array[:size] = (v - self.v.x.array[:size]) / dt
         self._mean.x.scatter_forward()
-        self.v.x.array[:size] = V.array_r
+        self.v.x.array[:size] = v
         self.v.x.scatter_forward()
 
     def _failure(self, t: float) -> ConvergenceError:
@@ -371,10 +374,10 @@ class _Alpha:
 
     def _add_work(self, before: Any) -> None:
         """Work of loads and supports, with the forces of the stage within the step."""
-        du = self.problem.u.x.array[: self.assembler.size] - before
+        du = self.problem.w.x.array[: self.assembler.size] - before
         forces = self.assembler.external_forces().copy()
-        held = self.problem.prescribed.owned
-        forces[held] += self.assembler.balance.array[held]
+        fixed = self.assembler.fixed
+        forces[fixed] += self.assembler.balance.array[fixed]
         self._external_work += work(self.problem, forces, du)
 
     def _energies(self) -> dict[str, float]:
@@ -394,6 +397,7 @@ class _Alpha:
             step=step,
             t=t,
             u=self.problem.u,
+            w=self.problem.w,
             v=self.v,
             a=self._mean,
             newton=0 if first else self._newton,

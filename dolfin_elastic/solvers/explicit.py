@@ -67,6 +67,13 @@ class SymplecticEuler:
                 where="mesh.degree",
                 expected="degree = 1",
             )
+        if problem.w is not problem.u:
+            raise InputError(
+                "'symplectic-euler' solves for displacements only",
+                where="mesh.formulation",
+                expected='formulation = "displacement" (not for plane stress), or the scheme '
+                "'generalized-alpha'",
+            )
         self.problem, self.v, self.end, self.every = problem, v, end, every
         self.safety, self._chosen = safety, dt
         self.a = fem.Function(problem.V, name="acceleration")

@@ -64,6 +64,7 @@ def set_initial(
     v.x.array[held.dofs] = (later - u.x.array[held.dofs]) / moment
     u.x.scatter_forward()
     v.x.scatter_forward()
+    problem.unknowns.take()
     _check_finite(problem, "displacement", u)
     _check_finite(problem, "velocity", v)
 
