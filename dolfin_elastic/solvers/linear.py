@@ -26,7 +26,7 @@ DIRECT_LIMIT = {2: 150_000, 3: 20_000}
 """Largest number of unknowns that are factorised by default, by dimension."""
 
 
-MIXED_LIMIT = {2: 400_000, 3: 150_000}
+MIXED_LIMIT = {2: 100_000, 3: 10_000}
 """The same with a pressure beside the displacement."""
 
 
@@ -60,8 +60,11 @@ class Choice:
 def choose(problem: Problem, settings: LinearSettings) -> Choice:
     """Chooses a linear solver for a problem and says why."""
     dofs, limit = problem.num_dofs, DIRECT_LIMIT[problem.body.dim]
-    if problem.w is not problem.u:
+    several = problem.w is not problem.u
+    if several:
         limit = MIXED_LIMIT[problem.body.dim]
+    if problem.unknowns.has("stretch"):  # only ever in a plane, where factorising is cheap
+        limit = max(limit, dofs)
     direct = settings.method == "direct" or (settings.method == "auto" and dofs <= limit)
     symmetric = problem.has_energy
     size = f"{dofs} unknowns"
@@ -70,15 +73,16 @@ def choose(problem: Problem, settings: LinearSettings) -> Choice:
     if direct:
         kind = "Cholesky-like LDL^T" if symmetric else "LU"
         return Choice(True, _direct(symmetric), f"direct solver (MUMPS, {kind}): {size}")
-    krylov = "CG" if symmetric else "GMRES"
+    krylov = "CG" if symmetric and not several else "GMRES"
     grid = (
         "GAMG with rigid-body modes"
         if problem.degree == 1
         else "multigrid from quadratic to linear elements, then GAMG with rigid-body modes"
     )
-    return Choice(
-        False, _iterative(problem, symmetric), f"iterative solver ({krylov}, {grid}): {size}"
-    )
+    if several:
+        grid = f"pressure by its mass matrix, displacement by {grid}"
+    options = _iterative(problem, symmetric and not several)
+    return Choice(False, options, f"iterative solver ({krylov}, {grid}): {size}")
 
 
 def _direct(symmetric: bool) -> dict[str, Any]:
@@ -101,9 +105,10 @@ def _iterative(problem: Problem, symmetric: bool) -> dict[str, Any]:
     }
     if not symmetric:
         krylov |= GMRES
-    if problem.degree == 1:
-        return {**krylov, "pc_type": "gamg", **GAMG}
-    return {**krylov, "pc_type": "python", **QUADRATIC}
+    inner = GAMG if problem.degree == 1 else QUADRATIC
+    if problem.w is not problem.u:
+        return {**krylov, "pc_type": "python", **{f"u_{k}": value for k, value in inner.items()}}
+    return {**krylov, "pc_type": "gamg" if problem.degree == 1 else "python", **inner}
 
 
 GMRES: dict[str, Any] = {"ksp_type": "gmres", "ksp_gmres_restart": 100, "ksp_pc_side": "right"}

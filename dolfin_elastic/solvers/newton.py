@@ -18,6 +18,7 @@ from dolfin_elastic.meshes.body import cell_size, span
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.linear import GMRES, Choice, QuadraticMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.options import PREFIX, Options, ksp_reason, snes_reason
+from dolfin_elastic.solvers.schur import SchurSplit
 from dolfin_elastic.timing import stage
 
 log = logging.getLogger("dolfin_elastic")
@@ -107,7 +108,7 @@ class Newton:
         self._line_search = ""
         body = assembler.problem.body
         self.span, self._cell_size = span(body), cell_size(body)
-        self._multigrid: QuadraticMultigrid | None = None
+        self._multigrid: QuadraticMultigrid | SchurSplit | None = None
         self._owns = snes is None
         self.options = Options({**_SNES, **choice.options, **(defaults or {})}, users or {})
         self.snes = PETSc.SNES().create(assembler.comm) if snes is None else snes
@@ -122,7 +123,12 @@ class Newton:
         with self.options.in_force():
             self.snes.setFromOptions()
             if self.snes.ksp.getPC().getType() == "python":
-                self._multigrid = QuadraticMultigrid(self.assembler.problem)
+                problem = self.assembler.problem
+                self._multigrid = (
+                    SchurSplit(problem, self.assembler)
+                    if problem.mixed
+                    else QuadraticMultigrid(problem)
+                )
                 self.snes.ksp.getPC().setPythonContext(self._multigrid)
             self.snes.ksp.setFromOptions()
             self.snes.ksp.getPC().setFromOptions()
@@ -139,7 +145,7 @@ class Newton:
     def _attach_modes(self) -> None:
         """Rigid-body modes of the current places, which multigrid must keep."""
         problem = self.assembler.problem
-        if problem.degree == 1:
+        if problem.degree == 1 and not problem.mixed:
             modes = rigid_body_modes(problem.V, problem.u.x.array)
             self.assembler.matrix.setNearNullSpace(modes)
             modes.destroy()
