@@ -22,9 +22,18 @@ from ufl.core.expr import Expr
 from dolfin_elastic import compiler
 from dolfin_elastic.errors import InputError, MeshError, nearest
 from dolfin_elastic.formulas import Formula
-from dolfin_elastic.formulation import Formulation, describe, plan, shear_modulus
+from dolfin_elastic.formulation import (
+    STIFF_IN_VOLUME,
+    Formulation,
+    Plan,
+    describe,
+    locking,
+    plan,
+    poisson,
+    shear_modulus,
+)
 from dolfin_elastic.measures import Measures
-from dolfin_elastic.meshes.body import Body, Indices, cell_size
+from dolfin_elastic.meshes.body import Body, Indices, cell_size, span
 from dolfin_elastic.model.components import Component, depends_on_time
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.model.geometry import (
@@ -124,6 +133,7 @@ class Problem:
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
         fields = plan(laws, formulation, degree, plane_stress=self.geometry == "plane-stress")
         log.info("unknowns: %s", describe(fields, degree))
+        self._warn_of_locking(laws, fields)
         self.parts = tuple(
             self._part(i, name, law, name in fields.mixed)
             for i, (name, law) in enumerate(laws.items())
@@ -160,6 +170,21 @@ class Problem:
             compliance = self.constant(1.0 / getattr(law, law.volume_modulus))
         shear = self.constant(shear_modulus(law))
         return Part(name, law.with_symbols(symbols), cells, index + 1, density, compliance, shear)
+
+    def _warn_of_locking(self, laws: Mapping[str, Law], fields: Plan) -> None:
+        if self.degree > 1 or self.geometry == "plane-stress":
+            return
+        across = span(self.body) / cell_size(self.body)
+        for name, law in laws.items():
+            nu = poisson(law)
+            if name not in fields.mixed and nu > STIFF_IN_VOLUME:
+                log.warning(
+                    "linear elements lock at nu = %g ('%s'): displacements may come out about "
+                    '%.1f times too small; use mesh.formulation = "mixed" or mesh.degree = 2',
+                    nu,
+                    name,
+                    locking(nu, across),
+                )
 
     def _scale_unknowns(self) -> None:
         """Gives the scalar fields the size of displacements, see `unknowns`."""

@@ -26,6 +26,10 @@ class Weighted:
     weight: Expr | None
     measure: ufl.Measure
 
+    def __call__(self, **kwargs: Any) -> Weighted:
+        """The same with another quadrature rule, see `ufl.Measure`."""
+        return Weighted(self.weight, self.measure(**kwargs))
+
     def __rmul__(self, integrand: Any) -> ufl.Form:
         """The integral's form."""
         return (integrand if self.weight is None else integrand * self.weight) * self.measure
