@@ -127,7 +127,7 @@ class Problem:
         self.body, self.degree = body, degree
         self.supports, self.loads = tuple(supports), tuple(loads)
         self.quadrature_degree = quadrature_degree
-        self.geometry = _checked(geometry, body)
+        self.geometry = _checked(geometry, thickness, body)
         self.t = Constant(body.mesh, 0.0)
         self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
@@ -441,7 +441,7 @@ class Problem:
         self.prescribed.move_to(t, default)
 
 
-def _checked(geometry: Geometry, body: Body) -> Geometry:
+def _checked(geometry: Geometry, thickness: float, body: Body) -> Geometry:
     """The kind of a two-dimensional body; a three-dimensional one is what it is. Collective.
 
     Raises:
@@ -452,6 +452,16 @@ def _checked(geometry: Geometry, body: Body) -> Geometry:
             f"unknown geometry '{geometry}'",
             where="mesh.geometry",
             expected=nearest(geometry, GEOMETRIES),
+        )
+    if thickness != 1.0 and (body.dim == 3 or geometry == "axisymmetric"):
+        raise InputError(
+            "such a body has no thickness", where="mesh.thickness", expected="leave it out"
+        )
+    if not (np.isfinite(thickness) and thickness > 0):
+        raise InputError(
+            f"{thickness:g} is not a possible thickness",
+            where="mesh.thickness",
+            expected="a positive length",
         )
     if body.dim == 3 and geometry != "plane-strain":
         raise InputError(
