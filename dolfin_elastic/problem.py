@@ -179,11 +179,12 @@ class Problem:
             nu = poisson(law)
             if name not in fields.mixed and nu > STIFF_IN_VOLUME:
                 log.warning(
-                    "linear elements lock at nu = %g ('%s'): displacements may come out about "
-                    '%.1f times too small; use mesh.formulation = "mixed" or mesh.degree = 2',
+                    "linear elements lock at nu = %g ('%s'): expect the body to be %.2g to %.2g "
+                    'times too stiff on this mesh; use mesh.formulation = "mixed" or '
+                    "mesh.degree = 2",
                     nu,
                     name,
-                    locking(nu, across),
+                    *locking(nu, across),
                 )
 
     def _scale_unknowns(self) -> None:

@@ -19,6 +19,7 @@ CHECKED = {  # what a script says last about its number
     "duck": r"width 7\d\.\d\d mm -> 48\.000 mm",
     "bridge": r"imbalance over weight: \d\.\de-(09|1\d)",
     "cantilever": r"largest difference: \d\.\de-0[4-9]",
+    "rubber": r"P2/P1 torque off by \d\.\de-0[4-9]",
     "jelly": r"difference of the periods: \d\.\de-0[3-9]",
 }
 pytestmark = pytest.mark.usefixtures("serial_only")
