@@ -21,6 +21,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic import compiler
 from dolfin_elastic._compat import integration_entities
+from dolfin_elastic.bench.gate import gate
 from dolfin_elastic.errors import InputError, MeshError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.meshes.body import Body, Indices
@@ -77,7 +78,8 @@ class Problem:
 
     Raises:
         MeshError: A name does not exist, or the materials do not cover the body exactly once.
-        InputError: A vector with the wrong number of components, a missing density.
+        InputError: A vector with the wrong number of components, a missing density, an energy of
+            the user's own that is no material.
     """
 
     def __init__(
@@ -98,6 +100,7 @@ class Problem:
         self.t = Constant(body.mesh, 0.0)
         self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
+        gate({f"materials.{name}": law for name, law in laws.items()}, body.comm)
         self.parts = tuple(self._part(i, name, law) for i, (name, law) in enumerate(laws.items()))
         self._check_cover()
         self.prescribed = Prescribed(body, self.V, self.supports)
