@@ -157,6 +157,57 @@ def check(
         show_check(found)
 
 
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def material(
+    context: typer.Context,
+    what: Annotated[str, typer.Argument(metavar="FILE|LAW", hidden=True)],
+    *,
+    only: Annotated[
+        str | None, typer.Option("--material", metavar="NAME", help="One material of the file.")
+    ] = None,
+    stretch: Annotated[
+        float, typer.Option("--stretch", help="Largest stretch of the curves.")
+    ] = 2.0,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="DIR", help="Write curves (CSV, PNG) here."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
+) -> None:
+    """Try a material on the bench, before there is any mesh.
+
+    \b
+      dolfin-elastic material case.toml
+      dolfin-elastic material case.toml --material gel --output bench
+      dolfin-elastic material neo-hookean --E '10 MPa' --nu 0.45
+
+    Checks what every material must keep, says how far it goes, and draws its curves: uniaxial,
+    equibiaxial, planar, simple shear, volumetric.
+    """
+    if launched_rank() == 0:
+        _bench(what, only, context.args, stretch, output, json)
+
+
+@app.command()
+def materials(
+    json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
+) -> None:
+    """List the material laws, and typical constants with their sources."""
+    if launched_rank():
+        return
+    from dataclasses import asdict
+
+    from dolfin_elastic.bench.typical import TYPICAL
+    from dolfin_elastic.bench_files import listed
+    from dolfin_elastic.bench_screen import as_json, show_laws
+    from dolfin_elastic.screen import console
+
+    if json:
+        print(as_json({"laws": listed(), "typical": [asdict(item) for item in TYPICAL]}))
+    else:
+        show_laws(console(), listed(), TYPICAL)
+
+
 @app.command()
 def new(
     file: Annotated[Path, typer.Argument(metavar="[FILE]", hidden=True)] = Path("case.toml"),
@@ -194,6 +245,32 @@ def info() -> None:
     show_versions(found)
     for line in advice if launched_rank() == 0 else ():
         print(f"warning: {line}", file=sys.stderr)
+
+
+def _bench(
+    what: str, only: str | None, words: list[str], stretch: float, output: Path | None, json: bool
+) -> None:
+    """Tries materials and shows what was found; rank 0 only."""
+    from dolfin_elastic.bench.report import bench
+    from dolfin_elastic.bench_files import constants_of, laws_of, write
+    from dolfin_elastic.bench_screen import as_json, bench_table, show_bench
+    from dolfin_elastic.case import located
+    from dolfin_elastic.screen import console
+
+    laws, tables, failed = laws_of(what, constants_of(words), only), {}, ""
+    for name, law in laws.items():
+        with located(what if name == what else f"{what}: materials.{name}"):
+            found = bench(law, largest=stretch)
+        files = write(name, found, output) if output else []
+        tables[name] = bench_table(found)
+        if not json:
+            show_bench(console(), name, found, files)
+        if found.failed:
+            failed = failed or f"{name}: {found.failed[0].check}: {found.failed[0].text}"
+    if json:
+        print(as_json(tables))
+    if failed:
+        raise CaseError(failed, where=what)
 
 
 # --- a run ---

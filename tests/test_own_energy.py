@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import math
+import tomllib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +15,18 @@ import ufl
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dolfin_elastic import Energy, Gravity, NeoHookean, Problem, SplitEnergy, Statics, Support
-from dolfin_elastic import Traction, box_body, rectangle_body
+from dolfin_elastic import (
+    Energy,
+    Gravity,
+    NeoHookean,
+    Problem,
+    SplitEnergy,
+    Statics,
+    Support,
+    Traction,
+    box_body,
+    rectangle_body,
+)
 from dolfin_elastic.bench.checks import sound
 from dolfin_elastic.bench.pointwise import Point
 from dolfin_elastic.case import Case
@@ -191,7 +203,7 @@ def test_volumetric_part(volumetric):
 
 def test_simo_taylor_has_no_seam():
     """Series and closed form meet at |J - 1| = 0.1 with three derivatives."""
-    law = Energy(lambda J: simo_taylor(J))
+    law = Energy(simo_taylor)
     for J in (0.9, 1.1):
         inside, outside = (
             [
@@ -219,7 +231,10 @@ def test_simo_taylor_has_no_seam():
         ({"energi": "J"}, "materials.gel: unknown key 'energi'; did you mean 'energy'?"),
         ({"formula": "J"}, "materials.gel: unknown key 'formula'"),
         ({"parameters": {"mu": "1 foo", "lmbda": 1}}, "materials.gel.parameters.mu: unknown unit"),
-        ({"parameters": {"mu": True, "lmbda": 1}}, "materials.gel.parameters.mu: True is not a num"),
+        (
+            {"parameters": {"mu": True, "lmbda": 1}},
+            "materials.gel.parameters.mu: True is not a num",
+        ),
         ({"parameters": 3}, "materials.gel.parameters: 3 is wrong; expected {mu"),
         ({"parameters": {"J": 1}}, "materials.gel.parameters.J: the name 'J' is taken"),
         ({"parameters": {"exp": 1}}, "materials.gel.parameters.exp: the name 'exp' is taken"),
@@ -245,7 +260,10 @@ def test_refused_with_the_place(change, message):
 @pytest.mark.parametrize(
     ("energy", "reason"),
     [
-        ("mu/2*(I1bar - 2) + k*ln(J)^2", "no energy at rest: psi(I) = 5e+05 J/m^3; subtract 500000"),
+        (
+            "mu/2*(I1bar - 2) + k*ln(J)^2",
+            "no energy at rest: psi(I) = 5e+05 J/m^3; subtract 500000",
+        ),
         ("mu/2*(I1 - 3) + k*ln(J)^2", "it is the pressure -1e+06 Pa: subtract 1000000*ln(J)"),
         ("mu*(F11 - 1)^2 + k*ln(J)^2", "frame indifference: largest difference"),
         ("mu*sqrt(I1 - 3) + k*ln(J)^2", "finite values: the energy is not finite at strains"),
@@ -268,8 +286,6 @@ def test_no_run_starts_with_it(comm, energy, reason):
 
 def test_case_reads_back():
     case = case_of({**GEL, "volumetric": "log", "K": "1 GPa", "fibre": [0, 3, 4]})
-    import tomllib
-
     assert Case.from_dict(tomllib.loads(case.to_toml())) == case
     assert "law" not in case.to_dict()["materials"]["gel"]
     assert case.to_dict()["materials"]["gel"]["energy"] == NEO
@@ -329,9 +345,9 @@ def test_other_numbers_compile_nothing(comm):
 # --- any text at all ---
 
 NAMES = ["mu", "J", "I1", "F12", "C33", "lambda2", "x", "import", "None", "__class__", "I9"]
+ODD = ["**", "1e3", "1e999", "()", "lambda:", "eval(", "é", "²", "\x00", "𝒙"]
 PIECES = st.sampled_from(
-    [*NAMES, *FUNCTIONS, *"+-*/^(),.<>=[]{}\"'`;:@%&|~!\\ \n\t0123456789"]
-    + ["**", "1e3", "1e999", "()", "lambda:", "eval(", "é", "²", "\x00", "𝒙"]
+    [*NAMES, *FUNCTIONS, *"+-*/^(),.<>=[]{}\"'`;:@%&|~!\\ \n\t0123456789", *ODD]
 )
 TEXTS = st.one_of(st.lists(PIECES, max_size=25).map("".join), st.text(max_size=60))
 
@@ -354,16 +370,18 @@ def test_no_text_does_anything_but_arithmetic(text):
     except FormulaError:
         return
     except InputError as error:  # a text without deformation, or without its parameter
-        assert "the energy does not" in str(error)
+        refused = str(error)
+    else:
+        refused = ""
+    assert not refused or "the energy does not" in refused
+    if refused:
         return
     tree = ast.parse("(" + text.strip().replace("^", "**").replace("\n", " ") + ")")
     allowed = ast.Call | ast.Name | ast.Load | ast.BinOp | ast.UnaryOp | ast.Constant | ast.Compare
     operators = ast.operator | ast.unaryop | ast.cmpop | ast.Module | ast.Expr
     assert all(isinstance(node, allowed | operators) for node in ast.walk(tree))
-    try:
+    with suppress(InputError):
         sound(law)
-    except InputError:
-        pass
 
 
 def _pair(text: str, value: Any) -> tuple[str, Any]:

@@ -139,7 +139,7 @@ def finite(trial: Trial) -> Iterator[Finding]:
         parts = {"energy": trial.point.energy, **parts}
     F = np.concatenate([I[None], trial.near])
     for name, program in parts.items():
-        bad = ~np.isfinite(program(F).reshape(len(F), -1)).all(axis=1)
+        bad: Array = np.asarray(~np.isfinite(program(F).reshape(len(F), -1)).all(axis=1))
         if bad.any():
             place = "at rest" if bad[0] else "at strains of a few per cent"
             yield _found("finite values", False, f"the {name} is not finite {place}")

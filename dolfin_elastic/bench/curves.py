@@ -126,9 +126,7 @@ def _branch(point: Point, mode: Mode, targets: Array) -> _Branch:
             if found is not None:
                 done, value, F = done + share, trial, found
             elif (share := share / 2) < 0.5**_HALVINGS:
-                branch.end = (
-                    f"{mode.name} ends at {mode.symbol} {value:.4g}: no state with free sides follows"
-                )
+                branch.end = f"{mode.name} ends at {mode.symbol} {value:.4g}: no state with free sides follows"
                 return branch
         value = float(target)
         branch.states.append((value, F))
@@ -139,7 +137,7 @@ def _prescribed(point: Point, mode: Mode, targets: Array) -> _Branch:
     if not len(targets):
         return _Branch([])
     F = np.array([mode.place(float(value)) for value in targets])
-    fine = np.isfinite(point.stress(F)).all(axis=(1, 2))
+    fine: Array = np.asarray(np.isfinite(point.stress(F)).all(axis=(1, 2)))
     count = len(fine) if fine.all() else int(np.argmin(fine))
     branch = _Branch([(float(v), f) for v, f in zip(targets[:count], F[:count], strict=True)])
     if count < len(fine):

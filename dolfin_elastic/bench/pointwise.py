@@ -82,9 +82,9 @@ def _rank(e: Expr) -> tuple[tuple[int, ...], int]:
 def _aligned(e: Expr, free: Sequence[int], rank: int) -> Callable[[Array], Array]:
     """Gives an operand's array the axes of the result: `free` indices, `rank` more, points."""
     own, own_rank = _rank(e)
-    index = tuple(slice(None) if i in own else None for i in free)
-    index += (None,) * (rank - own_rank) + (Ellipsis,)
-    return lambda a: a[index]
+    index: list[Any] = [slice(None) if i in own else None for i in free]
+    index += [None] * (rank - own_rank)
+    return lambda a: a[(*index, ...)]
 
 
 def _elementwise(e: Expr, function: Callable[..., Array]) -> Step:
@@ -146,38 +146,40 @@ def _constant(value: Any) -> Step:
     return lambda args: array
 
 
+def _passed(e: Expr) -> Step:
+    return lambda args: args[0]
+
+
+def _function(e: MathFunction) -> Step:
+    return _elementwise(e, _FUNCTIONS.get(e._name) or getattr(np, e._name))
+
+
+_MAKERS: dict[type[Expr], Callable[[Any], Step]] = {
+    Zero: lambda e: _constant(np.zeros((*e.ufl_index_dimensions, *e.ufl_shape))),
+    ScalarValue: lambda e: _constant(float(e)),
+    Identity: lambda e: _constant(np.eye(e.ufl_shape[0])),
+    Variable: _passed,
+    Conj: _passed,  # all numbers are real
+    Real: _passed,
+    Indexed: _indexed,
+    ComponentTensor: _component_tensor,
+    ListTensor: _list_tensor,
+    IndexSum: _index_sum,
+    Conditional: lambda e: _elementwise(e, np.where),
+    MathFunction: _function,
+    Abs: lambda e: _elementwise(e, np.abs),
+    NotCondition: lambda e: _elementwise(e, np.logical_not),
+}
+
+
 def _step(e: Expr) -> Step:
     """What has to be done for one node of an expression."""
     name = type(e).__name__
-    match e:
-        case Zero():
-            return _constant(np.zeros((*e.ufl_index_dimensions, *e.ufl_shape)))
-        case ScalarValue():
-            return _constant(float(e))
-        case Identity():
-            return _constant(np.eye(e.ufl_shape[0]))
-        case Variable() | Conj() | Real():  # all numbers are real
-            return lambda args: args[0]
-        case Indexed():
-            return _indexed(e)
-        case ComponentTensor():
-            return _component_tensor(e)
-        case ListTensor():
-            return _list_tensor(e)
-        case IndexSum():
-            return _index_sum(e)
-        case Conditional():
-            return _elementwise(e, np.where)
-        case MathFunction():
-            return _elementwise(e, _FUNCTIONS.get(e._name) or getattr(np, e._name))
-        case Abs():
-            return _elementwise(e, np.abs)
-        case NotCondition():
-            return _elementwise(e, np.logical_not)
-    if name == "Sign":
-        return _elementwise(e, np.sign)
     if name in _BINARY:
         return _elementwise(e, _BINARY[name])
+    for kind, make in _MAKERS.items():
+        if isinstance(e, kind):
+            return make(e)
     raise NotImplementedError(f"a material's energy cannot have a UFL {name} at a point")
 
 

@@ -21,7 +21,7 @@ _PAIRS = tuple((i, j) for i in range(3) for j in range(3))
 _STRETCHES = ("lambda1", "lambda2", "lambda3")
 COMPONENTS = frozenset(f"{tensor}{i + 1}{j + 1}" for tensor in "FCE" for i, j in _PAIRS)
 """F11 to F33, C11 to C33, E11 to E33."""
-PLAIN = (*"J I1 I2 I3 I1bar I2bar".split(), *_STRETCHES)
+PLAIN = (*["J", "I1", "I2", "I3", "I1bar", "I2bar"], *_STRETCHES)
 """Scalars of every material."""
 ALONG = ("I4", "I5", "I4bar")
 """Scalars along a fibre a: a.C a, a.C^2 a, J^-2/3 a.C a."""
@@ -66,7 +66,9 @@ def values(
     tensors: dict[str, Expr] = {"F": F, "C": C, "E": green_strain(F)}
     makers: dict[str, Callable[[], Expr]] = {
         "J": lambda: ufl.det(F),
-        **{f"I{k + 1}": lambda k=k: invariants(C)[k] for k in range(3)},
+        "I1": lambda: invariants(C)[0],
+        "I2": lambda: invariants(C)[1],
+        "I3": lambda: invariants(C)[2],
         "I1bar": lambda: isochoric_invariants(C)[0],
         "I2bar": lambda: isochoric_invariants(C)[1],
         **_fibres(F, C, fibre, fibre2),

@@ -30,7 +30,5 @@ def principal_stretches(F: Expr) -> tuple[Expr, Expr, Expr]:
     p = 2 * ufl.sqrt((ufl.inner(dev, dev) / 2 + _SHAPE * q**2) / 3)
     r = 4 * ufl.det(dev) / p**3
     angle = ufl.atan2(ufl.sqrt(1 - r**2 + _ROOT), r) / 3
-    first, last, middle = (
-        ufl.sqrt(q + p * ufl.cos(angle + 2 * math.pi / 3 * k)) for k in range(3)
-    )
+    first, last, middle = (ufl.sqrt(q + p * ufl.cos(angle + 2 * math.pi / 3 * k)) for k in range(3))
     return first, middle, last
