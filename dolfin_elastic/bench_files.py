@@ -194,7 +194,6 @@ def _panel(axis: Any, curve: Curve) -> None:
     size, unit = next((u for u in _UNITS if top >= u[0]), _UNITS[-1])
     axis.plot(curve.values, nominal / size, label=f"nominal P{i + 1}{j + 1}", color="#1f5f8b")
     axis.plot(curve.values, true / size, "--", label=f"Cauchy {i + 1}{j + 1}", color="#b0562f")
-    axis.set_ylim(-1.1 * top / size, 1.1 * top / size)
     axis.plot([curve.mode.rest], [0], "o", color="#303840", markersize=3)
     axis.set(title=curve.mode.name, xlabel=curve.mode.symbol, ylabel=f"stress [{unit}]")
     axis.grid(color="#dde1e5")

@@ -34,6 +34,7 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
 \b
   dolfin-elastic new beam.toml              write a first case that runs as it is
   dolfin-elastic check beam.toml            what will be computed, and what is wrong
+  dolfin-elastic material beam.toml         try its materials at a point
   dolfin-elastic run beam.toml              compute it
   mpirun -n 4 dolfin-elastic run beam.toml  the same on four cores
 

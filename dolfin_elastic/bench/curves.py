@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +12,11 @@ from dolfin_elastic.bench.pointwise import Array, Point
 _ITERATIONS = 25
 _HALVINGS = 6
 _LARGEST_CHANGE = 0.5
+_LEAST_VOLUME = 0.2
+"""Of the step before: P = F S vanishes at F = 0 too, which is no state of equilibrium."""
+_SMALL = 1e-3
+_EXACT, _GOOD = 1e-14, 1e-9
+"""Stress over stiffness: good enough at once, and where it gets no better."""
 _FREE_SIDES = ((1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _FREE_THICKNESS = ((2, 2), (0, 2), (1, 2))
 Pairs = tuple[tuple[int, int], ...]
@@ -126,7 +130,8 @@ def _branch(point: Point, mode: Mode, targets: Array) -> _Branch:
             if found is not None:
                 done, value, F = done + share, trial, found
             elif (share := share / 2) < 0.5**_HALVINGS:
-                branch.end = f"{mode.name} ends at {mode.symbol} {value:.4g}: no state with free sides follows"
+                where = f"{mode.name} ends at {mode.symbol} {value:.4g}"
+                branch.end = f"{where}: no state with free sides follows"
                 return branch
         value = float(target)
         branch.states.append((value, F))
@@ -149,43 +154,41 @@ def _prescribed(point: Point, mode: Mode, targets: Array) -> _Branch:
 def _balanced(point: Point, mode: Mode, value: float, F: Array, trial: float) -> Array | None:
     """The state at `trial` near F, by Newton's method with the tangent; None if there is none."""
     rows, columns = np.array(mode.free).T
-    G = mode.place(trial)
-    before = F[rows, columns]
-    G[rows, columns] = before + _predicted(point, mode, F, trial - value)
-    best, scale = np.inf, 0.0
+    A, G = point.tangent(F[None])[0], mode.place(trial)
+    before, scale = F[rows, columns], float(np.abs(A).max())
+    G[rows, columns] = before + _predicted(A, mode, trial - value)
+    last = np.inf
     for _ in range(_ITERATIONS):
-        P = point.stress(G[None])[0]
-        A = point.tangent(G[None])[0]
-        matrix = A[rows[:, None], columns[:, None], rows, columns]
-        residual = P[rows, columns]
-        if not (np.isfinite(matrix).all() and np.isfinite(residual).all()):
-            return None
-        scale = max(scale, float(np.abs(A).max()))
+        residual = point.stress(G[None])[0][rows, columns]
         size = float(np.abs(residual).max())
-        if size <= 1e-9 * scale and size >= best / 4:
-            break  # as small as round-off lets it be
-        best = min(best, size)
-        try:
-            G[rows, columns] -= np.linalg.solve(matrix, residual)
-        except np.linalg.LinAlgError:
+        if size <= _EXACT * scale or (size <= _GOOD * scale and size > last / 4):
+            return G  # as small as round-off lets it be
+        last = size
+        change = _solved(point.tangent(G[None])[0], mode, residual)
+        G[rows, columns] -= change
+        far = np.abs(G[rows, columns] - before).max() > _LARGEST_CHANGE
+        crushed = np.linalg.det(G) < _LEAST_VOLUME * np.linalg.det(F)
+        if far or crushed or not np.isfinite(change).all():
             return None
-        if np.linalg.det(G) <= 0 or np.abs(G[rows, columns] - before).max() > _LARGEST_CHANGE:
-            return None
-    else:
-        return None
-    return G
+    return None
 
 
-def _predicted(point: Point, mode: Mode, F: Array, step: float) -> Any:
+def _predicted(A: Array, mode: Mode, step: float) -> Array:
     """Change of the free components along the tangent of the path."""
     rows, columns = np.array(mode.free).T
-    A = point.tangent(F[None])[0]
-    change = np.array([[A[r, c] for r, c in mode.free]])[0]
-    sign = np.sign(step) or 1.0
-    ahead = mode.place(mode.rest + 1e-3 * sign) - mode.place(mode.rest)
-    driven = np.einsum("nij,ij->n", change, ahead) / (1e-3 * sign)
+    ahead = (mode.place(mode.rest + _SMALL) - mode.place(mode.rest)) / _SMALL
+    driven = np.einsum("ijkl,kl->ij", A, ahead)[rows, columns]
+    change = -step * _solved(A, mode, driven)
+    return np.where(np.isfinite(change), change, 0.0)
+
+
+def _solved(A: Array, mode: Mode, right: Array) -> Array:
+    """Solves with the part of the tangent that belongs to the free components; else nan."""
+    rows, columns = np.array(mode.free).T
     matrix = A[rows[:, None], columns[:, None], rows, columns]
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        return np.full(len(rows), np.nan)
     try:
-        return -np.linalg.solve(matrix, driven) * step
+        return np.asarray(np.linalg.solve(matrix, right))
     except np.linalg.LinAlgError:
-        return np.zeros(len(rows))
+        return np.full(len(rows), np.nan)

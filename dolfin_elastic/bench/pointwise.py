@@ -89,6 +89,8 @@ def _aligned(e: Expr, free: Sequence[int], rank: int) -> Callable[[Array], Array
 
 def _elementwise(e: Expr, function: Callable[..., Array]) -> Step:
     free, rank = _rank(e)
+    if all(_rank(o) == (free, rank) for o in e.ufl_operands):
+        return lambda args: function(*args)
     parts = [_aligned(o, free, rank) for o in e.ufl_operands]
     return lambda args: function(*(part(a) for part, a in zip(parts, args, strict=True)))
 

@@ -32,7 +32,7 @@ def _trend(psi: Array, J: Array, scale: float) -> str:
     if np.isposinf(psi).any() or psi[-1] > 1e3 * abs(psi[-2]):
         return "grows without bound"
     rise = np.diff(psi)
-    if rise[-1] > 1e-3 * scale and rise[-1] > 1.5 * rise[-2] > 0:
+    if rise[-1] > 1e-3 * scale and rise[-1] >= 0.9 * rise[-2] > 0:
         return "grows without bound"
     side = "does not resist inversion" if J[-1] < 1 else "does not resist a change of volume"
     return f"stays at {psi[-1]:.4g} J/m^3: {side}"

@@ -15,7 +15,7 @@ from dolfin_elastic.model.law import Law
 from dolfin_elastic.schema import within
 
 LARGEST = 2.0
-_POINTS = 40
+_POINTS = 30
 
 
 @dataclass(frozen=True)
