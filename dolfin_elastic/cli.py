@@ -185,8 +185,14 @@ def material(
     Checks what every material must keep, says how far it goes, and draws its curves: uniaxial,
     equibiaxial, planar, simple shear, volumetric.
     """
-    if launched_rank() == 0:
-        _bench(what, only, context.args, stretch, output, json)
+    from mpi4py import MPI
+
+    # On all ranks: PETSc starts with it, which is collective.
+    from dolfin_elastic.bench_files import constants_of
+    from dolfin_elastic.parallel import on_root
+
+    constants = constants_of(context.args)
+    on_root(MPI.COMM_WORLD, lambda: _bench(what, only, constants, stretch, output, json))
 
 
 @app.command()
@@ -194,8 +200,6 @@ def materials(
     json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
 ) -> None:
     """List the material laws, and typical constants with their sources."""
-    if launched_rank():
-        return
     from dataclasses import asdict
 
     from dolfin_elastic.bench.typical import TYPICAL
@@ -203,6 +207,8 @@ def materials(
     from dolfin_elastic.bench_screen import as_json, show_laws
     from dolfin_elastic.screen import console
 
+    if launched_rank():
+        return
     if json:
         print(as_json({"laws": listed(), "typical": [asdict(item) for item in TYPICAL]}))
     else:
@@ -249,16 +255,21 @@ def info() -> None:
 
 
 def _bench(
-    what: str, only: str | None, words: list[str], stretch: float, output: Path | None, json: bool
+    what: str,
+    only: str | None,
+    constants: dict[str, Any],
+    stretch: float,
+    output: Path | None,
+    json: bool,
 ) -> None:
     """Tries materials and shows what was found; rank 0 only."""
     from dolfin_elastic.bench.report import bench
-    from dolfin_elastic.bench_files import constants_of, laws_of, write
+    from dolfin_elastic.bench_files import laws_of, write
     from dolfin_elastic.bench_screen import as_json, bench_table, show_bench
     from dolfin_elastic.case import located
     from dolfin_elastic.screen import console
 
-    laws, tables, failed = laws_of(what, constants_of(words), only), {}, ""
+    laws, tables, failed = laws_of(what, constants, only), {}, ""
     for name, law in laws.items():
         with located(what if name == what else f"{what}: materials.{name}"):
             found = bench(law, largest=stretch)

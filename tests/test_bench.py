@@ -16,6 +16,8 @@ import pytest
 import test_laws as gate
 import ufl
 from mpi4py import MPI
+from test_cli import PROGRAM
+from test_cli import started as launched
 
 from dolfin_elastic import Energy, LinearElastic, NeoHookean, StVenantKirchhoff
 from dolfin_elastic.bench.checks import Trial, checks, finite_twin, sound
@@ -362,6 +364,20 @@ def test_commands(words, code, said, tmp_path):
     assert said in done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["m.toml"]
+
+
+@ALONE
+def test_on_two_ranks_it_is_said_once(tmp_path):
+    (tmp_path / "m.toml").write_text(FILE)
+    process = launched([*PROGRAM, "material", "m.toml"], tmp_path, 2)
+    out, errors = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert out.count("elliptic, uniaxial") == 2  # two materials
+    assert errors.count("error: m.toml: a b: no stress at rest") == 1
+    process = launched([*PROGRAM, "materials"], tmp_path, 2)
+    out, _ = process.communicate(timeout=120)
+    assert process.returncode == 0
+    assert out.count("Treloar") == 1
 
 
 @ALONE

@@ -14,6 +14,7 @@ import pytest
 import ufl
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from test_cli import PROGRAM, started
 
 from dolfin_elastic import (
     Energy,
@@ -289,6 +290,30 @@ def test_case_reads_back():
     assert Case.from_dict(tomllib.loads(case.to_toml())) == case
     assert "law" not in case.to_dict()["materials"]["gel"]
     assert case.to_dict()["materials"]["gel"]["energy"] == NEO
+
+
+@pytest.mark.usefixtures("serial_only")
+@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("command", ["run", "check"])
+def test_the_command_line_stops_at_once(command, ranks, tmp_path):
+    """Exit code 2, one message, nothing written."""
+    text = """\
+[mesh]
+box = {size = [1, 1, 1], cells = [2, 2, 2]}
+[materials.gel]
+energy = "mu/2*(I1 - 3) + k/2*ln(J)^2"
+parameters = {mu = "0.4 MPa", k = "2 MPa"}
+[[support]]
+on = "left"
+"""
+    (tmp_path / "gel.toml").write_text(text)
+    process = started([*PROGRAM, command, "gel.toml"], tmp_path, ranks)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 2
+    said = "error: gel.toml: materials.gel.energy: no stress at rest: largest of P(I) = 4e+05 Pa"
+    assert errors.count(said) == 1
+    assert "subtract 400000*ln(J)" in errors
+    assert [path.name for path in tmp_path.iterdir()] == ["gel.toml"]
 
 
 # --- through the whole solver ---
