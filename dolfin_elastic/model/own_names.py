@@ -54,7 +54,7 @@ def values(
 
     I1, I2, I3 are the invariants of C (Bonet & Wood, 6.16), I1bar = I1 J^-2/3 and I2bar = I2 J^-4/3
     (6.51), lambda1 >= lambda2 >= lambda3 the principal stretches, I4 = a.C a, I5 = a.C^2 a
-    (G. Holzapfel, Nonlinear Solid Mechanics, 2000, 6.200) and I8 = (a.C b)(a.b).
+    (G. Holzapfel, Nonlinear Solid Mechanics, 2000, section 6.7) and I8 = (a.C b)(a.b).
 
     Args:
         F: Deformation gradient, shape (3, 3).
