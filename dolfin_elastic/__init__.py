@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.materials import NeoHookean as NeoHookean
     from dolfin_elastic.model.materials import StVenantKirchhoff as StVenantKirchhoff
     from dolfin_elastic.model.materials import Textbook as Textbook
+    from dolfin_elastic.model.own import Energy as Energy
+    from dolfin_elastic.model.own import SplitEnergy as SplitEnergy
     from dolfin_elastic.model.supports import Support as Support
     from dolfin_elastic.problem import Problem as Problem
     from dolfin_elastic.results.outputs import History as History
@@ -50,6 +52,7 @@ _PLACES = {
     "run": ("run",),
     "meshes": ("Body", "Selector", "box_body", "name_parts", "read_body", "rectangle_body"),
     "model.materials": ("LinearElastic", "NeoHookean", "StVenantKirchhoff", "Textbook"),
+    "model.own": ("Energy", "SplitEnergy"),
     "model.supports": ("Support",),
     "model.loads": ("BodyForce", "Gravity", "Traction"),
     "problem": ("Problem",),

@@ -243,6 +243,21 @@ def read_case(path: str | PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD) -> 
     return on_root(comm, lambda: Case.from_dict(_read_file(file), Path(file).parent, file=file))
 
 
+def read_materials(path: str | PathLike[str]) -> dict[str, Material]:
+    """The materials of a case file, whatever else is in it or is not yet. Not collective.
+
+    Raises:
+        InputError: With file, dotted key, and what is expected.
+    """
+    file = str(path)
+    tables = _read_file(file)
+    with located(file, "materials"):
+        found = named(tables.get("materials", {}), Material.read)
+        if not found:
+            raise InputError("there is no material", expected="write [materials.NAME]")
+    return found
+
+
 def _read_file(file: str) -> dict[str, Any]:
     text = ""
     try:

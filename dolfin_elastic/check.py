@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfin_elastic.bench.gate import gate
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.errors import CaseError, MeshError, nearest
 from dolfin_elastic.meshes.body import Body, Indices
@@ -119,6 +120,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_names(case, body)
         _check_components(case, body)
         _check_materials(case.materials, body)
+        gate({f"materials.{key_text(n)}": m.law for n, m in case.materials.items()}, body.comm)
         _check_densities(case)
         _check_fields(case)
         if explicit(case) and case.mesh.degree > 1:

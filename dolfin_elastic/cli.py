@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from click.exceptions import ClickException, Exit
 
+from dolfin_elastic.cli_materials import material, materials
 from dolfin_elastic.errors import CaseError, ElasticError, SolveError
 from dolfin_elastic.petsc_words import petsc_options, start_petsc
 from dolfin_elastic.version import __version__
@@ -34,6 +35,7 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
 \b
   dolfin-elastic new beam.toml              write a first case that runs as it is
   dolfin-elastic check beam.toml            what will be computed, and what is wrong
+  dolfin-elastic material beam.toml         try its materials at a point
   dolfin-elastic run beam.toml              compute it
   mpirun -n 4 dolfin-elastic run beam.toml  the same on four cores
 
@@ -155,6 +157,10 @@ def check(
         from dolfin_elastic.screen import show_check
 
         show_check(found)
+
+
+app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(material)
+app.command()(materials)
 
 
 @app.command()

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 import ufl
+from ufl.algebra import Abs
+from ufl.constantvalue import ScalarValue, Zero
 from ufl.core.expr import Expr
 
 
@@ -41,6 +43,10 @@ def _choose(condition: Any, then: Any, otherwise: Any) -> Any:
     if isinstance(condition, bool | np.bool_):
         return then if condition else otherwise
     return ufl.conditional(condition, then, otherwise)
+
+
+def _abs(a: Expr) -> Expr:
+    return a if isinstance(a, Abs) else abs(a)  # UFL ties abs(abs(a)) into an endless loop
 
 
 def _sign(a: Expr) -> Expr:
@@ -84,7 +90,7 @@ FUNCTIONS: dict[str, Operation] = {
     "log": _op(np.log, ufl.ln),
     "log10": _op(np.log10, lambda a: ufl.ln(a) / math.log(10.0)),
     "sqrt": _op(np.sqrt, ufl.sqrt),
-    "abs": _op(np.abs, abs),
+    "abs": _op(np.abs, _abs),
     "sign": _op(np.sign, _sign),
     "min": _op(_fold(np.minimum), _fold(ufl.min_value), 2, math.inf),
     "max": _op(_fold(np.maximum), _fold(ufl.max_value), 2, math.inf),
@@ -108,10 +114,15 @@ def symbolic(operation: Operation, args: list[Any]) -> Any:
     if any(isinstance(arg, Expr) for arg in args):
         if operation.symbolic is not _choose or isinstance(args[0], Expr):
             args = [arg if isinstance(arg, Expr) else _literal(arg) for arg in args]
-        return operation.symbolic(*args)
+        return _folded(operation.symbolic(*args))
     with np.errstate(all="ignore"):
         result = operation.numeric(*args)
     return bool(result) if isinstance(result, np.bool_) else float(result)
+
+
+def _folded(result: Any) -> Any:
+    # "0*x + 9" is a number again.  As UFL's whole numbers, 9^9^9^9 would be worked out exactly.
+    return float(result) if isinstance(result, ScalarValue | Zero) else result
 
 
 _SMALL = 1e6

@@ -20,6 +20,7 @@ from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
 from dolfin_elastic import compiler
+from dolfin_elastic.bench.gate import gate
 from dolfin_elastic.errors import InputError, MeshError, nearest
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.formulation import (
@@ -108,7 +109,8 @@ class Problem:
 
     Raises:
         MeshError: A name does not exist, or the materials do not cover the body exactly once.
-        InputError: A vector with the wrong number of components, a missing density.
+        InputError: A vector with the wrong number of components, a missing density, an energy of
+            the user's own that is no material.
     """
 
     def __init__(
@@ -131,6 +133,7 @@ class Problem:
         self.t = Constant(body.mesh, 0.0)
         self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
+        gate({f"materials.{name}": law for name, law in laws.items()}, body.comm)
         fields = plan(laws, formulation, degree, plane_stress=self.geometry == "plane-stress")
         log.info("unknowns: %s", describe(fields, degree))
         self._warn_of_locking(laws, fields)

@@ -159,6 +159,9 @@ def known_keys(model: type[BaseModel]) -> list[str]:
     keys = []
     for name, info in model.model_fields.items():
         alias = info.validation_alias
+        if isinstance(alias, str):  # the attribute has another name, which is no key
+            keys.append(alias)
+            continue
         others = alias.choices if isinstance(alias, AliasChoices) else ()
         keys += [name, *(str(other) for other in others if other != name)]
     return keys

@@ -29,6 +29,7 @@ from dolfin_elastic.meshes.selectors import MeshLength
 from dolfin_elastic.model.geometry import Geometry
 from dolfin_elastic.model.law import Law
 from dolfin_elastic.model.materials import MATERIALS
+from dolfin_elastic.model.own import Own, read_energy
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, Picture, Summary, Xdmf
@@ -185,6 +186,9 @@ class Material(Record):
             raise InputError(
                 f"{shown(table)} is no material", expected="write its table as [materials.NAME]"
             )
+        if "energy" in table:
+            own = read_energy({key: value for key, value in table.items() if key != "on"})
+            return cls(law=own, on=table.get("on"))
         law = pick(MATERIALS, table, "law")
         return cls(
             law=law(**{key: value for key, value in table.items() if key != "on"}),
@@ -193,7 +197,8 @@ class Material(Record):
 
     def table(self) -> dict[str, Any]:
         """Back to a case file's table."""
-        law = {"law": self.law.name(), **written(self.law)}
+        named = {} if isinstance(self.law, Own) else {"law": self.law.name()}
+        law = {**named, **written(self.law)}
         return law if self.on is None else {**law, "on": self.on}
 
 
@@ -340,4 +345,4 @@ def selector(value: Any) -> Selector:
 
 def written(record: Record) -> dict[str, Any]:
     """A record as the table it was read from, without what was left out."""
-    return record.model_dump(exclude_unset=True, exclude_none=True)
+    return record.model_dump(exclude_unset=True, exclude_none=True, by_alias=True)

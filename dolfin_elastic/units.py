@@ -111,6 +111,24 @@ def _from_text(text: str, unit: str) -> float:
     return float(number * quantity.to(unit or "dimensionless").magnitude)
 
 
+def to_base(value: float | str) -> float:
+    """A number, or a text with a number and any unit, in SI base units: ``"2 kN/mm"`` is 2e6.
+
+    Raises:
+        UnitError: Not a finite number, or an unknown unit.
+    """
+    match = _NUMBER.fullmatch(value) if isinstance(value, str) else None
+    if match is None or not match[2]:
+        return to_si(value, "")
+    number, name = float(match[1]), match[2]
+    for units in COMMON.values():
+        if name in units:
+            return _finite(number * units[name], value)
+    if not _known(name):
+        raise UnitError(f"unknown unit '{name}' in '{value}'", expected='for example "0.4 MPa"')
+    return _finite(float(_registry().Quantity(number, name).to_base_units().magnitude), value)
+
+
 def _finite(number: float, written: object) -> float:
     if not math.isfinite(number):
         raise UnitError(f"{written!r} is not a finite number")

@@ -20,6 +20,7 @@ CHECKED = {  # what a script says last about its number
     "bridge": r"imbalance over weight: \d\.\de-(09|1\d)",
     "cantilever": r"largest difference: \d\.\de-0[4-9]",
     "rubber": r"P2/P1 torque off by \d\.\de-0[4-9]",
+    "own_energy": r"block against bench: \d\.\de-(0[89]|1\d)",
     "jelly": r"difference of the periods: \d\.\de-0[3-9]",
 }
 pytestmark = pytest.mark.usefixtures("serial_only")
@@ -47,7 +48,7 @@ def launched(command: list[str], folder: Path, ranks: int) -> str:
 
 
 def test_all_there() -> None:
-    """Five demos, each with a script whose number is known here."""
+    """Seven demos, each with a script whose number is known here."""
     assert {path.stem for path in SCRIPTS} == set(CHECKED)
 
 
