@@ -85,7 +85,7 @@ def order(residuals: tuple[float, ...], floor: float) -> float:
 @pytest.mark.parametrize("load", ["traction", "displacement"])
 @pytest.mark.parametrize("name", [n for n, kind in MATERIALS.items() if not kind.linear])
 def test_quadratic(name, load):
-    law = MATERIALS[name](E=E, nu=NU)
+    law = MATERIALS[name](**MATERIALS[name].example)
     problem = block(law) if load == "traction" else stretched(law, 0.2)
     *_, state = Statics(problem, rtol=1e-13).steps()
     # Round-off of the nodal forces of this mesh is 1e-10 N.

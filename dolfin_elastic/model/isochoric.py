@@ -52,8 +52,8 @@ class Volumetric(SplitLaw):
 
     Attributes:
         volumetric: The energy of volume changes: "simo-taylor", K/4 (J^2 - 1 - 2 ln J);
-            "quadratic", K/2 (J - 1)^2, which does not resist inversion; "log", K/2 (ln J)^2, which
-            softens beyond J = e.
+            "quadratic", K/2 (J - 1)^2, soft in strong compression; "log", K/2 (ln J)^2, soft beyond
+            J = e.
     """
 
     volumetric: Literal["simo-taylor", "quadratic", "log"] = "simo-taylor"
@@ -103,6 +103,25 @@ class Isochoric(Volumetric):
     def small_strain(self) -> moduli.Moduli | None:
         """See `Law.small_strain`."""
         return moduli.complete(mu=self.shear(), nu=self.nu)
+
+
+def isochoric_part(F: Expr) -> Expr:
+    """C of the isochoric part of F: J^-2/3 F^T F (Bonet & Wood, 2008, (3.71))."""
+    return ufl.det(F) ** (-2 / 3) * F.T * F
+
+
+def isochoric_stress(psi: Callable[[Expr], Expr], F: Expr) -> Expr:
+    """First Piola-Kirchhoff stress of an energy of the isochoric C.
+
+    P = J^-2/3 (F S - (S:C)/3 F^-T) with S = 2 dpsi/dC, for anisotropic energies: a tangent made
+    from this compiles several times faster than one from derivatives through F.
+
+    Source: G. A. Holzapfel, Nonlinear Solid Mechanics (2000), (6.90)-(6.91).
+    """
+    C = ufl.variable(isochoric_part(F))
+    S, J = 2 * ufl.sym(ufl.diff(psi(C), C)), ufl.det(F)
+    FS = F * S
+    return J ** (-2 / 3) * (FS - ufl.inner(FS, F) / (3 * J) * cofactor(F))
 
 
 def invariants(F: Expr) -> tuple[Expr, Expr]:

@@ -10,7 +10,7 @@ from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.directions import Direction, direction
-from dolfin_elastic.model.isochoric import Volumetric
+from dolfin_elastic.model.isochoric import Volumetric, isochoric_part, isochoric_stress
 from dolfin_elastic.units import Number, Stress
 
 
@@ -51,12 +51,20 @@ class Guccione(Volumetric):
         "fibre": [1, 0.5, 0.2],
     }
 
-    def shape_energy(self, F: Expr) -> Expr:
+    def _psi(self, C: Expr) -> Expr:
         """C/2 (exp Q - 1), Q by the products of E and f that need no direction across."""
-        E = (ufl.det(F) ** (-2 / 3) * F.T * F - ufl.Identity(3)) / 2
+        E = (C - ufl.Identity(3)) / 2
         f = direction(self.fibre)
         e = E * f
         along, drawn = ufl.inner(f, e) ** 2, ufl.inner(e, e)
         across = ufl.inner(E, E) - 2 * drawn + along
         Q = self.bf * along + self.bt * across + 2 * self.bfs * (drawn - along)
         return self.C / 2 * (ufl.exp(Q) - 1)
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """C/2 (exp Q - 1)."""
+        return self._psi(isochoric_part(F))
+
+    def shape_stress(self, F: Expr) -> Expr:
+        """Its derivative."""
+        return isochoric_stress(self._psi, F)

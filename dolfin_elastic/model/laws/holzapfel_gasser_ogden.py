@@ -10,7 +10,7 @@ from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.directions import Direction, direction
-from dolfin_elastic.model.isochoric import Volumetric
+from dolfin_elastic.model.isochoric import Volumetric, isochoric_part, isochoric_stress
 from dolfin_elastic.units import Number, Stress
 
 
@@ -60,7 +60,13 @@ class HolzapfelGasserOgden(Volumetric):
 
     def shape_energy(self, F: Expr) -> Expr:
         """Matrix and fibres."""
-        C = ufl.det(F) ** (-2 / 3) * F.T * F
+        return self._psi(isochoric_part(F))
+
+    def shape_stress(self, F: Expr) -> Expr:
+        """Its derivative."""
+        return isochoric_stress(self._psi, F)
+
+    def _psi(self, C: Expr) -> Expr:
         I1 = ufl.tr(C)
         families = [f for f in (self.fibre, self.fibre2) if f is not None]
         fibres = sum(self._family(C, I1, direction(f)) for f in families)
