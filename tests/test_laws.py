@@ -18,7 +18,15 @@ from mpi4py import MPI
 from ufl.algorithms import expand_derivatives
 from ufl.utils.stacks import StackDict
 
-from dolfin_elastic import NeoHookean, Problem, Statics, StVenantKirchhoff, Support, box_body
+from dolfin_elastic import (
+    FixedCorotated,
+    NeoHookean,
+    Problem,
+    Statics,
+    StVenantKirchhoff,
+    Support,
+    box_body,
+)
 from dolfin_elastic.meshes import Body
 from dolfin_elastic.model.kinematics import cauchy_from_first
 from dolfin_elastic.model.law import Law
@@ -291,6 +299,11 @@ def test_energy_and_stress_as_in_the_literature(name, F):
             1.088942307692e5,
             (6.7980769231e5, 2.4615384615e5, 2.1153846154e4, 1.4519230769e5),
         ),
+        (
+            "fixed-corotated",
+            7.160511523210e4,
+            (3.8768167597e5, 1.3414045708e5, -9.1404570830e3, 1.3768167597e5),
+        ),
     ],
 )
 def test_patch_state_numbers(name, W, P):
@@ -307,6 +320,7 @@ def test_patch_state_numbers(name, W, P):
             "st-venant-kirchhoff",
             (1.730769230769e6, 6.730769230769e5, 2.884615384615e5, 1.057692307692e6),
         ),
+        ("fixed-corotated", (5.064301642309e5, 8.120985307699e4, 0, 4.252203111539e5)),
     ],
 )
 def test_simple_shear(name, sigma):
@@ -315,6 +329,31 @@ def test_simple_shear(name, sigma):
     cauchy = point(name).stress(F) @ F.T
     found = cauchy[0, 0], cauchy[1, 1], cauchy[2, 2], cauchy[0, 1]
     np.testing.assert_allclose(found, sigma, rtol=1e-12, atol=1e-12 * E)
+
+
+def test_fixed_corotated_patch_state_in_space():
+    """Numbers of an independent code, printed to 11 digits."""
+    F = np.array([[1.2, 0.3, -0.1], [0.1, 0.9, 0.2], [-0.2, 0.1, 1.1]])
+    P = [
+        [2.1333916289e5, 1.5382426793e5, -9.3473059046e4],
+        [1.2663776126e5, 1.7686574503e3, 1.1414765130e5],
+        [-1.2041526342e5, 9.4158897996e4, 1.3855124035e5],
+    ]
+    assert point("fixed-corotated").energy(F) == pytest.approx(9.314583286970e4, rel=1e-12)
+    np.testing.assert_allclose(point("fixed-corotated").stress(F), P, rtol=0, atol=2e-10 * 2e5)
+
+
+@pytest.mark.parametrize("name", ["corotated", "fixed-corotated"])
+def test_corotated_laws_go_through_inversion(name):
+    """With signed stretches: P = U diag(dpsi/ds) V^T, smooth where J = 0."""
+    law, Q, R = make(name), rotation(3), rotation(4)
+    s = np.array([1.1, 0.9, -0.3])
+    volume = law.lmbda * ((s.prod() - 1) * s.prod() / s if "fixed" in name else s.sum() - 3)
+    P = Q @ np.diag(2 * law.mu * (s - 1) + volume) @ R
+    np.testing.assert_allclose(point(name).stress(Q @ np.diag(s) @ R), P, rtol=0, atol=1e-9 * E)
+    for crushed in (np.diag([1.1, 0.9, 0.0]), np.diag([1.1, 0.9, -1e-9])):
+        numeric = differences(point(name).stress, crushed)
+        np.testing.assert_allclose(point(name).tangent(crushed), numeric, rtol=0, atol=1e-5 * E)
 
 
 # --- homogeneous states through the whole solver ---
@@ -355,7 +394,7 @@ def homogeneous(
 SIZE = (1.0, 0.7, 0.5)
 FREE = "free"
 ROLLERS = {"left": [0, FREE, FREE], "front": [FREE, 0, FREE], "bottom": [FREE, FREE, 0]}
-KINDS = {"svk": StVenantKirchhoff, "nh": NeoHookean}
+KINDS = {"svk": StVenantKirchhoff, "nh": NeoHookean, "fcr": FixedCorotated}
 
 
 @pytest.mark.parametrize(
@@ -365,6 +404,8 @@ KINDS = {"svk": StVenantKirchhoff, "nh": NeoHookean}
         ("svk", 1.5, 0.790569415042, 9.375000000000e5),
         ("nh", 0.8, 1.067338369279, -2.400053819880e5),
         ("nh", 1.5, 0.880174591807, 3.782801763943e5),
+        ("fcr", 0.8, 1.062133499295, -2.173019913748e5),
+        ("fcr", 1.5, 0.869332099770, 4.428686154255e5),
     ],
 )
 def test_uniaxial(comm, law, stretch, lateral, P11):
@@ -382,6 +423,8 @@ def test_uniaxial(comm, law, stretch, lateral, P11):
         ("svk", 1.2, 0.789212989539, 3.771428571429e5),
         ("nh", 1.2, 0.842587004051, 2.339894681426e5),
         ("nh", 1.5, 0.652018518357, 4.679158594152e5),
+        ("fcr", 1.2, 0.814026299311, 2.508894123980e5),
+        ("fcr", 1.5, 0.560260586319, 5.109582880700e5),
     ],
 )
 def test_equibiaxial(comm, law, stretch, lateral, P11):
@@ -403,6 +446,8 @@ def test_equibiaxial(comm, law, stretch, lateral, P11):
         ("svk", 0.8, 1.074376895826, -1.582417582418e5),
         ("nh", 1.5, 0.824923642240, 4.024361498652e5),
         ("nh", 0.8, 1.094876055994, -2.686315278790e5),
+        ("fcr", 1.5, 0.790697674419, 4.694845446603e5),
+        ("fcr", 0.8, 1.081081081081, -2.381300219138e5),
     ],
 )
 def test_plane_strain_tension(comm, law, stretch, lateral, P11):

@@ -89,7 +89,8 @@ def test_quadratic(name, load):
     problem = block(law) if load == "traction" else stretched(law, 0.2)
     *_, state = Statics(problem, rtol=1e-13).steps()
     # Round-off of the nodal forces of this mesh is 1e-10 N.
-    assert order(state.residuals, floor=1e-8) >= 1.8, state.residuals
+    # Between two and three residuals the estimate scatters: linear convergence gives 1.
+    assert order(state.residuals, floor=1e-8) >= 1.6, state.residuals
     assert state.newton <= 7
     assert len(state.residuals) == state.newton + 1
 
