@@ -27,7 +27,7 @@ def simo_taylor(J: Expr) -> Expr:
     g = t sqrt(2 (2 - t)/(1 - t)^2 - 2 t s) with s = (artanh t - t)/t^3 = 1/3 + t^2/5 + t^4/7 + ...:
     smooth at J = 1.
 
-    Source: J. C. Simo and R. L. Taylor, Comput. Methods Appl. Mech. Eng. 33 (1982) 27.
+    Source: J. C. Simo and R. L. Taylor, Comput. Methods Appl. Mech. Eng. 35 (1982) 107.
     """
     t = (J - 1) / (J + 1)
     series: Any = 0.0
@@ -106,7 +106,7 @@ class Isochoric(Volumetric):
 
 
 def isochoric_part(F: Expr) -> Expr:
-    """C of the isochoric part of F: J^-2/3 F^T F (Bonet & Wood, 2008, (3.71))."""
+    """C of the isochoric part of F: J^-2/3 F^T F (Flory, Trans. Faraday Soc. 57 (1961) 829)."""
     return ufl.det(F) ** (-2 / 3) * F.T * F
 
 
@@ -116,7 +116,7 @@ def isochoric_stress(psi: Callable[[Expr], Expr], F: Expr) -> Expr:
     P = J^-2/3 (F S - (S:C)/3 F^-T) with S = 2 dpsi/dC, for anisotropic energies: a tangent made
     from this compiles several times faster than one from derivatives through F.
 
-    Source: G. A. Holzapfel, Nonlinear Solid Mechanics (2000), (6.90)-(6.91).
+    Source: G. A. Holzapfel, Nonlinear Solid Mechanics (2000), section 6.4.
     """
     C = ufl.variable(isochoric_part(F))
     S, J = 2 * ufl.sym(ufl.diff(psi(C), C)), ufl.det(F)

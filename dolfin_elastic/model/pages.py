@@ -19,6 +19,11 @@ from pydantic_core import PydanticUndefined
 from dolfin_elastic.model.law import Isotropic, Law, SplitLaw
 from dolfin_elastic.model.materials import MATERIALS
 
+COST = """\
+The first run with a law compiles its forms: residual and tangent together take 1 to 7 seconds for
+quadratic elements on a busy machine of two cores (`hencky` the longest, then `ogden` with three
+terms), and as long again for each further material.  Later runs find them in the cache; changing a
+constant compiles nothing, an `ogden` with another number of terms does."""
 _SECTION = re.compile(r"^Attributes:\n((?:    .*\n?|\n)+)", re.MULTILINE)
 _KEY = re.compile(r"^    (\w+): (.*(?:\n     .*)*)", re.MULTILINE)
 SPELT = {"lmbda": "lambda"}
@@ -99,9 +104,6 @@ def overview() -> str:
 
 def _first_line(kind: type[Law]) -> str:
     return inspect.cleandoc(kind.__doc__ or "").partition("\n")[0]
-
-
-COST = ""
 
 
 def pages() -> dict[str, str]:

@@ -23,7 +23,7 @@ class ArrudaBoyce(Isochoric):
     to the stretch at which its chains are drawn straight, from two constants with a meaning.  The
     shear modulus at small strains is mu (1 + 3/(5 limit^2) + 99/(175 limit^4) + ...).
 
-    Source: E. M. Arruda and M. C. Boyce, J. Mech. Phys. Solids 41 (1993) 389, (16).
+    Source: E. M. Arruda and M. C. Boyce, J. Mech. Phys. Solids 41 (1993) 389.
 
     Attributes:
         mu: Rubbery modulus [Pa].

@@ -20,7 +20,7 @@ class Gent(Isochoric):
     rubber and soft tissue that stiffen without bound: I1 - 3 stays below the limit, and load steps
     must be small near it.  Neo-Hooke for an endless limit.
 
-    Source: A. N. Gent, Rubber Chem. Technol. 69 (1996) 59, (3).
+    Source: A. N. Gent, Rubber Chem. Technol. 69 (1996) 59.
 
     Attributes:
         mu: Shear modulus at small strains [Pa].

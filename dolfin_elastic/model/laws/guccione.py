@@ -21,7 +21,7 @@ class Guccione(Volumetric):
     + 2 bfs (Efs^2 + Efn^2), E the Green strain of J^-1/3 F, f along the fibre, s and n across.
     Fibres usually follow the wall: they may vary in space.
 
-    Source: J. M. Guccione, A. D. McCulloch and L. K. Waldman, J. Biomech. Eng. 113 (1991) 42, (1).
+    Source: J. M. Guccione, A. D. McCulloch and L. K. Waldman, J. Biomech. Eng. 113 (1991) 42.
 
     Attributes:
         C: Stiffness [Pa].

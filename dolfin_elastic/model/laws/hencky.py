@@ -25,7 +25,7 @@ class Hencky(Isotropic, SplitLaw):
     moderate strains, for which it keeps Hooke's constants well beyond small strains; it softens
     at stretches above e.
 
-    Source: L. Anand, J. Appl. Mech. 46 (1979) 78; Bonet & Wood (2008), (6.88).
+    Source: L. Anand, J. Appl. Mech. 46 (1979) 78; Bonet & Wood (2008), section 6.6.
     """
 
     law: Literal["hencky"] = "hencky"

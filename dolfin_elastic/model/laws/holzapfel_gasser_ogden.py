@@ -22,8 +22,8 @@ class HolzapfelGasserOgden(Volumetric):
     families with e_i > 0.  For arteries and other tissue with collagen.  Where a family goes slack
     the tangent jumps, which may cost Newton's method an iteration or two.
 
-    Source: T. C. Gasser, R. W. Ogden and G. A. Holzapfel, J. R. Soc. Interface 3 (2006) 15,
-    (3.2)-(3.4); without dispersion G. A. Holzapfel et al., J. Elasticity 61 (2000) 1.
+    Source: T. C. Gasser, R. W. Ogden and G. A. Holzapfel, J. R. Soc. Interface 3 (2006) 15;
+    without dispersion G. A. Holzapfel et al., J. Elasticity 61 (2000) 1.
 
     Attributes:
         mu: Shear modulus of the matrix [Pa].

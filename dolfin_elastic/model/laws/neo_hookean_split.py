@@ -17,7 +17,7 @@ class NeoHookeanSplit(Isotropic, Volumetric):
     K/4 (J^2 - 1 - 2 ln J) for the volume.  For rubber that is nearly incompressible, and to compare
     with programs that split the energy so.
 
-    Source: J. C. Simo and R. L. Taylor, Comput. Methods Appl. Mech. Eng. 33 (1982) 27.
+    Source: J. C. Simo and R. L. Taylor, Comput. Methods Appl. Mech. Eng. 35 (1982) 107.
     """
 
     law: Literal["neo-hookean-split"] = "neo-hookean-split"

@@ -22,7 +22,7 @@ class Ogden(Isochoric):
     mu at small strains = sum_p mu_p alpha_p / 2.  Some programs write 2 mu_p/alpha_p^2: their
     mu_p are alpha_p/2 times these.
 
-    Source: R. W. Ogden, Proc. R. Soc. A 326 (1972) 565, (22); Bonet & Wood (2008), section 6.6.
+    Source: R. W. Ogden, Proc. R. Soc. A 326 (1972) 565; Bonet & Wood (2008), section 6.6.
 
     Attributes:
         mu: A modulus for each term [Pa].

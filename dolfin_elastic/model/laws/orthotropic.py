@@ -29,7 +29,7 @@ class Orthotropic(Law):
     rolled and printed parts.  nu12 is the contraction along 2 under tension along 1:
     nu12/E1 = nu21/E2.
 
-    Source: S. G. Lekhnitskii, Theory of Elasticity of an Anisotropic Body (1981), section 5.
+    Source: S. G. Lekhnitskii, Theory of Elasticity of an Anisotropic Body (1981).
 
     Attributes:
         E1: Young's modulus along axis 1 [Pa].
