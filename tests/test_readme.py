@@ -134,7 +134,7 @@ def test_examples_for_contributors(folder: Path, comm: MPI.Comm) -> None:
     rod = box_body(size=[1, 0.1, 0.1], cells=[8, 1, 1], comm=comm)
     problem = Problem(
         rod,
-        names["BlatzKo"](mu="1 MPa", density=1000),
+        names["Foam"](mu="1 MPa", density=1000),
         supports=[Support(on="left")],
         loads=[names["Centrifugal"](value=[0, 0, 2])],
     )

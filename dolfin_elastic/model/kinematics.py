@@ -73,8 +73,18 @@ def embedded(F: Expr) -> Expr:
 
 
 def cofactor(F: Expr) -> Expr:
-    """cof F = J F^-T, which turns area vectors: n da = cof F N dA (Nanson, 4.68)."""
-    return ufl.det(F) * ufl.inv(F).T
+    """cof F = J F^-T, which turns area vectors: n da = cof F N dA (Nanson, 4.68).
+
+    The matrix of the minors: a polynomial, also where J = 0.
+    """
+    if F.ufl_shape == (2, 2):
+        return ufl.as_matrix([[F[1, 1], -F[1, 0]], [-F[0, 1], F[0, 0]]])
+
+    def minor(i: int, j: int) -> Expr:
+        a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+        return F[a, c] * F[b, d] - F[a, d] * F[b, c]
+
+    return ufl.as_matrix([[minor(i, j) for j in range(3)] for i in range(3)])
 
 
 # Conversions between stress measures.  P first Piola-Kirchhoff (force over reference area),

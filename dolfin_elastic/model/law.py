@@ -10,6 +10,7 @@ from pydantic import AliasChoices, Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model import moduli
+from dolfin_elastic.model.directions import numbers
 from dolfin_elastic.schema import Record
 from dolfin_elastic.units import Density, Number, Stress
 
@@ -39,6 +40,10 @@ class Law(Record):
     """Rotating the body rotates its stress and leaves its energy."""
     warning: ClassVar[str] = ""
     """Said once in every run that uses the law."""
+    directions: ClassVar[tuple[str, ...]] = ()
+    """Fields that are vectors in the undeformed body; `model.directions.direction` reads them."""
+    example: ClassVar[Mapping[str, Any]] = {}
+    """Constants as a case file gives them, for the law's page and for tests."""
 
     @classmethod
     def name(cls) -> str:
@@ -59,13 +64,23 @@ class Law(Record):
         F = ufl.variable(F)
         return ufl.diff(self.energy(F), F)
 
-    def constants(self) -> dict[str, float]:
-        """Name and value of every number in the law, also of those that follow from others."""
-        return {
-            name: float(value)
-            for name, value in self.__dict__.items()
-            if isinstance(value, int | float) and name != "density"
-        }
+    def small_strain(self) -> moduli.Moduli | None:
+        """The constants of the isotropic solid that the law is at small strains; None: of none."""
+        return None
+
+    def constants(self) -> dict[str, float | list[float]]:
+        """Name and value of every number in the law, also of those that follow from others.
+
+        Lists are constants of several values: how many is the form's, what they are is not.
+        """
+        found: dict[str, float | list[float]] = {}
+        for name, value in self.__dict__.items():
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                found[name] = float(value)
+            elif (values := numbers(value)) is not None:
+                found[name] = values + [0.0] * (3 - len(values) if name in self.directions else 0)
+        found.pop("density", None)
+        return found
 
     def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
         """A twin whose constants are UFL expressions, so that forms do not hold the numbers."""
@@ -101,13 +116,28 @@ class SplitLaw(Law):
         """Measure of the change of volume: 0 at F = I, with derivative I there."""
         return ufl.det(F) - 1
 
+    def shape_stress(self, F: Expr) -> Expr:
+        """Derivative of the shape energy with respect to F [Pa]."""
+        F = ufl.variable(F)
+        return ufl.diff(self.shape_energy(F), F)
+
+    def volume_gradient(self, F: Expr) -> Expr:
+        """Derivative of the volume strain with respect to F."""
+        F = ufl.variable(F)
+        return ufl.diff(self.volume_strain(F), F)
+
     def energy(self, F: Expr) -> Expr:
         """See the class."""
         k = getattr(self, self.volume_modulus)
         return self.shape_energy(F) + k / 2 * self.volume_strain(F) ** 2
 
+    def stress(self, F: Expr) -> Expr:
+        """First Piola-Kirchhoff stress [Pa], part by part."""
+        k = getattr(self, self.volume_modulus)
+        return self.shape_stress(F) + k * self.volume_strain(F) * self.volume_gradient(F)
 
-def _to_come() -> float:
+
+def to_come() -> float:
     """Stands for a constant until the given ones have been read."""
     return float("nan")
 
@@ -123,13 +153,13 @@ class Isotropic(Law):
         mu: Shear modulus [Pa].
     """
 
-    E: Stress = Field(default_factory=_to_come)
-    nu: Number = Field(default_factory=_to_come)
-    K: Stress = Field(default_factory=_to_come)
-    lmbda: Stress = Field(
-        default_factory=_to_come, validation_alias=AliasChoices("lmbda", "lambda")
-    )
-    mu: Stress = Field(default_factory=_to_come)
+    E: Stress = Field(default_factory=to_come)
+    nu: Number = Field(default_factory=to_come)
+    K: Stress = Field(default_factory=to_come)
+    lmbda: Stress = Field(default_factory=to_come, validation_alias=AliasChoices("lmbda", "lambda"))
+    mu: Stress = Field(default_factory=to_come)
+
+    example: ClassVar[Mapping[str, Any]] = {"E": "1 MPa", "nu": 0.3}
 
     def model_post_init(self, context: Any) -> None:
         """Fills in the three constants that were not given."""
@@ -137,3 +167,7 @@ class Isotropic(Law):
             name: getattr(self, name) for name in moduli.NAMES if name in self.model_fields_set
         }
         self.__dict__.update(vars(moduli.complete(**given)))
+
+    def small_strain(self) -> moduli.Moduli | None:
+        """See `Law.small_strain`."""
+        return moduli.Moduli(**{name: getattr(self, name) for name in moduli.NAMES})

@@ -3,22 +3,67 @@
 from __future__ import annotations
 
 from dolfin_elastic.model.law import Isotropic, Law, SplitLaw
+from dolfin_elastic.model.laws.arruda_boyce import ArrudaBoyce
+from dolfin_elastic.model.laws.blatz_ko import BlatzKo
+from dolfin_elastic.model.laws.corotated import Corotated
+from dolfin_elastic.model.laws.fixed_corotated import FixedCorotated
+from dolfin_elastic.model.laws.gent import Gent
+from dolfin_elastic.model.laws.guccione import Guccione
+from dolfin_elastic.model.laws.hencky import Hencky
+from dolfin_elastic.model.laws.holzapfel_gasser_ogden import HolzapfelGasserOgden
 from dolfin_elastic.model.laws.linear_elastic import LinearElastic
+from dolfin_elastic.model.laws.mooney_rivlin import MooneyRivlin
 from dolfin_elastic.model.laws.neo_hookean import NeoHookean
+from dolfin_elastic.model.laws.neo_hookean_split import NeoHookeanSplit
+from dolfin_elastic.model.laws.ogden import Ogden
+from dolfin_elastic.model.laws.orthotropic import Orthotropic
 from dolfin_elastic.model.laws.st_venant_kirchhoff import StVenantKirchhoff
 from dolfin_elastic.model.laws.textbook import Textbook
+from dolfin_elastic.model.laws.yeoh import Yeoh
 
 MATERIALS: dict[str, type[Law]] = {
-    kind.name(): kind for kind in (LinearElastic, StVenantKirchhoff, NeoHookean, Textbook)
+    kind.name(): kind
+    for kind in (
+        LinearElastic,
+        Orthotropic,
+        StVenantKirchhoff,
+        Corotated,
+        FixedCorotated,
+        Hencky,
+        NeoHookean,
+        NeoHookeanSplit,
+        MooneyRivlin,
+        Yeoh,
+        Ogden,
+        ArrudaBoyce,
+        Gent,
+        BlatzKo,
+        Guccione,
+        HolzapfelGasserOgden,
+        Textbook,
+    )
 }
 
 __all__ = [
     "MATERIALS",
+    "ArrudaBoyce",
+    "BlatzKo",
+    "Corotated",
+    "FixedCorotated",
+    "Gent",
+    "Guccione",
+    "Hencky",
+    "HolzapfelGasserOgden",
     "Isotropic",
     "Law",
     "LinearElastic",
+    "MooneyRivlin",
     "NeoHookean",
+    "NeoHookeanSplit",
+    "Ogden",
+    "Orthotropic",
     "SplitLaw",
     "StVenantKirchhoff",
     "Textbook",
+    "Yeoh",
 ]

@@ -1,0 +1,65 @@
+"""Directions in the undeformed body, along which a law differs from across: fibres, axes.
+
+In a record a direction is a list of three components (two in a plane).  A law reads it through
+`direction`, to which a list of numbers and a UFL vector are the same.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+import ufl
+from pydantic import BeforeValidator
+from ufl.core.expr import Expr
+
+from dolfin_elastic.errors import InputError
+
+
+def numbers(value: Any) -> list[float] | None:
+    """A list of numbers as floats; None for anything else."""
+    if not isinstance(value, list | tuple) or not value:
+        return None
+    if any(isinstance(item, bool) or not isinstance(item, int | float) for item in value):
+        return None
+    return [float(item) for item in value]
+
+
+def _read(value: Any) -> list[Any]:
+    if not isinstance(value, list | tuple) or len(value) not in (2, 3):
+        raise InputError(
+            f"{value!r} is not a direction",
+            expected="expected a list of 3 components (2 in a plane), for example [1, 0, 0]",
+        )
+    known = numbers(value)
+    if known is None:
+        return list(value)
+    if not all(map(math.isfinite, known)) or not any(known):
+        raise InputError(
+            f"{list(value)!r} has no direction",
+            expected="expected finite components that are not all zero",
+        )
+    return known
+
+
+Direction = Annotated[list[Any], BeforeValidator(_read)]
+"""The type of a law's field that holds a direction of any length but zero."""
+
+
+def direction(value: Any) -> Expr:
+    """A direction as a UFL unit vector with three components.
+
+    Args:
+        value: A list of numbers, or a UFL vector of any length; two components lie in the plane.
+    """
+    vector = value if isinstance(value, Expr) else ufl.as_vector(list(value))
+    if len(vector) == 2:
+        vector = ufl.as_vector([vector[0], vector[1], 0])
+    return vector / ufl.sqrt(ufl.inner(vector, vector))
+
+
+def frame(axis1: Any, axis2: Any) -> tuple[Expr, Expr, Expr]:
+    """Three orthonormal UFL vectors: along axis1, across it towards axis2, and across both."""
+    first, towards = direction(axis1), direction(axis2)
+    second = direction(towards - ufl.inner(towards, first) * first)
+    return first, second, ufl.cross(first, second)

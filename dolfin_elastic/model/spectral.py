@@ -1,0 +1,152 @@
+"""Energies of principal stretches, without eigenvectors: exact and smooth where stretches meet.
+
+An energy of the stretches is written in invariants that are smooth in F, and its stress by the
+chain rule on them: differentiating the formulas for the eigenvalues through F takes a compiler
+minutes, and eigenvectors do not exist where stretches meet, as they do at F = I.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.model.kinematics import cofactor
+
+CLOSE = 1e-4
+"""Value of j2 below which series stand for the eigenvalues: stretches within about one per cent."""
+ORDER = 8
+"""Powers of the deviator in the series: its next term is below round-off."""
+SPLIT = 1e-12
+"""Keeps the angle differentiable where two stretches meet; costs the energy 1e-13 of itself."""
+CRUSHED = 1e-6
+"""Smallest squared stretch, over their mean, that the cosine gives well."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What an isochoric energy of the stretches may be written in.
+
+    Attributes:
+        d: det C / q^3, q = tr C / 3; NaN where J < 0.
+        squares: Squared stretches over q, exact where they are well apart.
+        powers: Traces of the powers 0, 1, ... `ORDER` of C/q - I, for series where all are close.
+        close: UFL condition: the series hold.
+    """
+
+    d: Expr
+    squares: tuple[Expr, Expr, Expr]
+    powers: tuple[Any, ...]
+    close: Expr
+
+    def total(self, f: Callable[[Expr], Expr], series: list[Any]) -> Expr:
+        """Sum of f(square) over the three; series: Taylor coefficients of f at 1."""
+        near = sum(c * s for c, s in zip(series, self.powers, strict=True))
+        return ufl.conditional(self.close, near, sum(f(square) for square in self.squares))
+
+
+def _cosine(j2: Expr, j3: Expr) -> Expr:
+    """cos(3 theta) = 4 j3/p^3; where stretches are close, what is differentiable."""
+    return 4 * j3 / (2 * ufl.sqrt(ufl.max_value(j2, CLOSE) / 3)) ** 3
+
+
+def _shape(j2: Expr, j3: Expr, d: Expr, r: Expr) -> Shape:
+    """From the invariants of b = C/q - I.
+
+    The eigenvalues of b are p cos(theta + 2 k pi/3) with p = 2 sqrt(j2/3).  Regularised, theta is
+    even in the gap between stretches that meet, and so must be what is made of it: then errors are
+    of the order of theta squared.  Only where the smallest square would cancel does it follow from
+    the product of all.
+
+    Args:
+        j2: b:b/2.
+        j3: Determinant of b.
+        d: Product of the squares, 1 - j2 + j3.
+        r: See `_cosine`.
+
+    Source: O. K. Smith, Commun. ACM 4 (1961) 168 (the eigenvalues).
+    """
+    p = 2 * ufl.sqrt(ufl.max_value(j2, CLOSE) / 3)
+    theta = ufl.atan2(ufl.sqrt(1 - r * r + SPLIT), r) / 3
+    first = 1 + p * ufl.cos(theta)
+    second = 1 + p * ufl.cos(theta - 2 * math.pi / 3)
+    third = 1 + p * ufl.cos(theta + 2 * math.pi / 3)
+    third = ufl.conditional(ufl.lt(third, CRUSHED), d / (first * second), third)
+    powers: list[Any] = [3.0, 0.0, 2 * j2]
+    while len(powers) <= ORDER:  # b^3 = j2 b + j3, Cayley and Hamilton
+        powers.append(j2 * powers[-2] + j3 * powers[-3])
+    return Shape(d, (first, second, third), tuple(powers), ufl.lt(j2, CLOSE))
+
+
+def _invariants(F: Expr) -> tuple[Expr, Expr, Expr, Expr, Expr]:
+    """b = C/q - I, q = tr C / 3, and j2, j3, d."""
+    q = ufl.inner(F, F) / 3
+    b = F.T * F / q - ufl.Identity(3)
+    d = ufl.exp(2 * ufl.ln(ufl.det(F))) / q**3  # the logarithm refuses J < 0, which J^2 would not
+    return b, q, ufl.inner(b, b) / 2, ufl.det(b), d
+
+
+def polar(F: Expr) -> tuple[Expr, Expr]:
+    """Rotation R of F = R U, and tr U.
+
+    With J < 0 the smallest stretch counts as negative, so R stays a rotation and both stay smooth
+    up to where the two smallest stretches add to zero.  x = tr U is a root of
+    x^4 - 2 I1 x^2 - 8 J x + I1^2 - 4 I2 = 0, I1 and I2 invariants of C, and R = dx/dF follows from
+    that: R = ((x^2 + I1) F - 2 F C + 2 x cof F)/(x^3 - I1 x - 2 J).
+
+    Source: L. P. Franca, Comput. Math. Appl. 18 (1989) 459 (the quartic); differentiated here.
+    """
+    b, q, j2, j3, _ = _invariants(F)
+    J, root = ufl.det(F), ufl.sqrt(q)
+    shape = _shape(j2, j3, 1 - j2 + j3, _cosine(j2, j3))
+    first, second = (ufl.sqrt(square) for square in shape.squares[:2])
+    near = sum(c * s for c, s in zip(power_series(0.5), shape.powers, strict=True))
+    # The smallest stretch follows from the product of all, with the sign of J.
+    apart = first + second + J / (root**3 * first * second)
+    x = root * ufl.conditional(shape.close, near, apart)
+    I1 = 3 * q
+    upper = (x * x + I1) * F - 2 * q * (F * b + F) + 2 * x * cofactor(F)
+    return upper / ((x * x - I1) * x - 2 * J), x
+
+
+def isochoric_energy(psi: Callable[[Shape], Expr], F: Expr) -> Expr:
+    """An energy of the isochoric stretches, psi, at F."""
+    _, _, j2, j3, d = _invariants(F)
+    return psi(_shape(j2, j3, d, _cosine(j2, j3)))
+
+
+def isochoric_stress(psi: Callable[[Shape], Expr], F: Expr) -> Expr:
+    """First Piola-Kirchhoff stress of psi, by the chain rule on j2 and j3.
+
+    dj2/dF = 2/q (F b - 2/3 j2 F) and dj3/dF = 2/q (F b^2 - (2/3 j2 + j3) F), from b = C/q - I.
+    """
+    b, q, *values = _invariants(F)
+    j2, j3, d, r = (ufl.variable(value) for value in (*values, _cosine(values[0], values[1])))
+    energy = psi(_shape(j2, j3, d, r))
+    # Where stretches meet the angle's derivatives are large, and cancel only along dr/dF = 0:
+    # they are taken once, by r, and then along j2 and j3.
+    by_r, by_d = ufl.diff(energy, r), ufl.diff(energy, d)
+    safe = ufl.max_value(j2, CLOSE)
+    by_j2 = ufl.diff(energy, j2) - by_d - by_r * 1.5 * r / safe
+    by_j3 = ufl.diff(energy, j3) + by_d + by_r * 4 / (2 * ufl.sqrt(safe / 3)) ** 3
+    Fb = F * b
+    along_F = 2 / 3 * j2 * (by_j2 + by_j3) + j3 * by_j3
+    return 2 / q * (by_j2 * Fb + by_j3 * (Fb * b) - along_F * F)
+
+
+def power_series(exponent: Any) -> list[Any]:
+    """Taylor coefficients of (1 + b)^exponent."""
+    terms: list[Any] = [1.0]
+    for n in range(1, ORDER + 1):
+        terms.append(terms[-1] * (exponent - (n - 1)) / n)
+    return terms
+
+
+def square_of_log_series() -> list[float]:
+    """Taylor coefficients of ln(1 + b)^2: 2 (-1)^n H(n-1)/n, H the harmonic numbers."""
+    harmonic = [sum(1 / k for k in range(1, n)) for n in range(ORDER + 1)]
+    return [0.0, 0.0] + [2 * (-1) ** n * harmonic[n] / n for n in range(2, ORDER + 1)]
