@@ -8,6 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from dolfin_elastic.bench.checks import Trial, voigt
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.model.law import Law, SplitLaw
 from dolfin_elastic.unknowns import Extra
@@ -121,20 +124,25 @@ def describe(plan: Plan, degree: int) -> str:
 
 
 def _volume_modulus(law: Law) -> float:
-    for name in ("K", "lmbda"):
-        value = getattr(law, name, None)
-        if isinstance(value, int | float) and math.isinf(value):
-            return math.inf
+    if math.inf in law.constants().values():
+        return math.inf
     return float(getattr(law, law.volume_modulus)) if isinstance(law, SplitLaw) else 0.0
 
 
 def poisson(law: Law) -> float:
-    """Poisson's ratio at small strains; 0 where a law knows none."""
-    value = getattr(law, "nu", None)
-    return float(value) if isinstance(value, int | float) else 0.0
+    """Poisson's ratio at small strains; 0 where a law has no volumetric part."""
+    if (known := law.small_strain()) is not None:
+        return known.nu
+    if not isinstance(law, SplitLaw):
+        return 0.0
+    k, mu = _volume_modulus(law), shear_modulus(law)
+    return 0.5 if math.isinf(k) else (3 * k - 2 * mu) / (2 * (3 * k + mu))
 
 
 def shear_modulus(law: Law) -> float:
-    """Shear modulus at small strains, or what comes close [Pa]."""
-    value = getattr(law, "mu", None)
-    return float(value) if isinstance(value, int | float) else 1.0
+    """Shear modulus at small strains, of anisotropic laws a mean [Pa]."""
+    if (known := law.small_strain()) is not None:
+        return known.mu
+    with np.errstate(all="ignore"):
+        stiffness = voigt(Trial(law).rest)
+    return float(np.mean(np.diag(stiffness)[3:]))

@@ -54,7 +54,7 @@ def _note(check: str, text: str, **values: Any) -> Finding:
 
 def finite_twin(law: Law) -> Law:
     """The law itself, or with a large number in place of an infinite modulus."""
-    endless = [name for name, value in law.constants().items() if np.isinf(value)]
+    endless = [name for name, value in law.constants().items() if np.any(np.isinf(value))]
     if not endless or not isinstance(law, SplitLaw):
         return law
     shape = law.model_copy(update=dict.fromkeys(endless, 0.0))
@@ -212,7 +212,9 @@ def turned_material(trial: Trial) -> Iterator[Finding]:
     elif fibre is None or getattr(trial.law, "fibre2", None) is not None:
         yield _note("isotropy", f"anisotropic ({error:.2g})", error=error)
     else:
-        axis = np.array([float(part) for part in fibre])
+        axis = np.zeros(3)
+        axis[: len(fibre)] = [float(part) for part in fibre]
+        axis /= np.linalg.norm(axis)
         about = _material_error(trial, _about(axis / np.linalg.norm(axis)))
         good = about <= 1e3 * ROUND_OFF
         text = f"the same all round the fibre, to {about:.2g}"

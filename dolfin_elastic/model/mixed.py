@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.law import SplitLaw
@@ -45,6 +44,4 @@ class Mixed:
 
     def stress(self, F: Expr) -> Expr:
         """First Piola-Kirchhoff stress [Pa], the derivative of the energy at fixed p."""
-        F = ufl.variable(F)
-        shape = ufl.diff(self.law.shape_energy(F), F)
-        return shape + self.p * ufl.diff(self.law.volume_strain(F), F)
+        return self.law.shape_stress(F) + self.p * self.law.volume_gradient(F)

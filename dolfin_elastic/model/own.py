@@ -3,37 +3,21 @@
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Self
 
-import ufl
-from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
+from pydantic import Field, PrivateAttr, field_validator, model_validator
 from ufl.core.expr import Expr
 
 from dolfin_elastic.errors import FormulaError, InputError, nearest
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.model import own_names
-from dolfin_elastic.model.law import Law, SplitLaw
+from dolfin_elastic.model.directions import Direction
+from dolfin_elastic.model.isochoric import Volumetric
+from dolfin_elastic.model.law import Law
 from dolfin_elastic.operations import CONSTANTS, FUNCTIONS
 from dolfin_elastic.schema import shown, within
 from dolfin_elastic.units import Stress, to_base
-
-Volumetric = Literal["quadratic", "log", "simo-taylor"]
-
-
-def _direction(value: Any) -> tuple[float, ...]:
-    """A unit vector from three numbers."""
-    if not isinstance(value, list | tuple) or len(value) != 3:
-        raise InputError(f"{shown(value)} is no direction", expected="expected three numbers")
-    numbers = [to_base(part) for part in value]
-    length = math.hypot(*numbers)
-    if not length > 0:
-        raise InputError("the direction has no length", expected="for example [1, 0, 0]")
-    return tuple(number / length for number in numbers)
-
-
-Direction = Annotated[tuple[float, ...], BeforeValidator(_direction)]
 
 
 class Own(Law):
@@ -48,6 +32,8 @@ class Own(Law):
     parameters: dict[str, Any] = Field(default={})
     fibre: Direction | None = None
     fibre2: Direction | None = None
+
+    directions: ClassVar[tuple[str, ...]] = ("fibre", "fibre2")
 
     _sound: bool = PrivateAttr(default=False)
 
@@ -79,12 +65,10 @@ class Own(Law):
         """Notes that the energy need not be tried again."""
         self._sound = True
 
-    def constants(self) -> dict[str, float]:
-        """See `Law.constants`; parameters and fibres have a dot in their names."""
+    def constants(self) -> dict[str, float | list[float]]:
+        """See `Law.constants`; parameters have a dot in their names."""
         found = super().constants()
         found |= {f"parameters.{name}": value for name, value in self.parameters.items()}
-        for key in ("fibre", "fibre2"):
-            found |= {f"{key}.{i}": part for i, part in enumerate(getattr(self, key) or ())}
         return found
 
     def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
@@ -94,12 +78,7 @@ class Own(Law):
             name: symbols.get(f"parameters.{name}", value)
             for name, value in self.parameters.items()
         }
-        fibres = {
-            key: tuple(symbols.get(f"{key}.{i}", part) for i, part in enumerate(parts))
-            for key in ("fibre", "fibre2")
-            if (parts := getattr(self, key)) is not None
-        }
-        return self.model_copy(update={**plain, **fibres, "parameters": inner})
+        return self.model_copy(update={**plain, "parameters": inner})
 
     def written_energy(self, F: Expr) -> Expr:
         """The part of the energy that the user wrote [J/m^3]."""
@@ -113,56 +92,26 @@ class Own(Law):
         return own_names.values(F, wanted, fibre=self.fibre, fibre2=self.fibre2)
 
 
-class WithVolume(SplitLaw):
+class WithVolume(Volumetric):
     """Adds K/2 g(J)^2 to the energy that a user writes, so that a pressure can be an unknown.
 
-    g is J - 1 (`quadratic`), ln J (`log`), or such that K/2 g^2 = K/4 (J^2 - 1 - 2 ln J)
-    (`simo-taylor`).
-
-    Source: J. Simo and R. Taylor, Comput. Methods Appl. Mech. Engrg. 85 (1991) 273; for the
-    others S. Doll and K. Schweizerhof, J. Appl. Mech. 67 (2000) 17.
-
     Attributes:
-        volumetric: Which g.
         K: Bulk modulus [Pa].
     """
 
-    volumetric: Volumetric
     K: Stress = Field(gt=0)
 
     def shape_energy(self, F: Expr) -> Expr:
         """What the user wrote."""
         return self.written_energy(F)  # type: ignore[attr-defined]
 
-    def volume_strain(self, F: Expr) -> Expr:
-        """The function g of the class."""
-        J = ufl.det(F)
-        if self.volumetric == "quadratic":
-            return J - 1
-        return ufl.ln(J) if self.volumetric == "log" else simo_taylor(J)
-
     def energy(self, F: Expr) -> Expr:
         """See the class."""
-        return self.shape_energy(F) + self.K / 2 * self.volume_strain(F) ** 2
+        return Volumetric.energy(self, F)
 
-
-_NEAR, _TERMS = 0.1, 16
-
-
-def simo_taylor(J: Expr) -> Expr:
-    """g(J) with g^2 = (J^2 - 1 - 2 ln J)/2, increasing through 0 at J = 1.
-
-    Near 1 by the power series g^2 = e^2 (1 - e/3 + e^2/4 - e^3/5 + ...), e = J - 1: the closed
-    form is 0/0 there.
-    """
-    e = J - 1
-    near = ufl.lt(abs(e), _NEAR)
-    series = ufl.as_ufl(0.0)
-    for n in reversed(range(3, _TERMS)):
-        series = (1 / n if n % 2 == 0 else -1 / n) + e * series
-    square = ufl.conditional(near, 1, e) ** 2
-    closed = (J**2 - 1 - 2 * ufl.ln(J)) / (2 * square)
-    return e * ufl.sqrt(ufl.conditional(near, 1 + e * series, closed))
+    def stress(self, F: Expr) -> Expr:
+        """See the class."""
+        return Volumetric.stress(self, F)
 
 
 class FormulaEnergy(Own):

@@ -9,6 +9,7 @@ from typing import Any
 import ufl
 from ufl.core.expr import Expr
 
+from dolfin_elastic.model.directions import direction
 from dolfin_elastic.model.kinematics import (
     green_strain,
     invariants,
@@ -59,8 +60,8 @@ def values(
     Args:
         F: Deformation gradient, shape (3, 3).
         wanted: Names, also `F`, `C`, `E` for the whole tensors.
-        fibre: Components of the unit vector a.
-        fibre2: Components of the unit vector b.
+        fibre: Direction a, of any length.
+        fibre2: Direction b.
     """
     C = right_cauchy_green(F)
     tensors: dict[str, Expr] = {"F": F, "C": C, "E": green_strain(F)}
@@ -93,10 +94,10 @@ def _fibres(
     """Names along the fibres to what makes them."""
     if fibre is None:
         return {}
-    a = ufl.as_vector(list(fibre))
+    a = direction(fibre)
     made = _along(F, C, a, ("I4", "I5", "I4bar"))
     if fibre2 is not None:
-        b = ufl.as_vector(list(fibre2))
+        b = direction(fibre2)
         made |= _along(F, C, b, ("I6", "I7", "I6bar"))
         made["I8"] = lambda: ufl.dot(a, C * b) * ufl.dot(a, b)
     return made
