@@ -21,6 +21,7 @@ from dolfin_elastic.solvers.linear import choose
 from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.tables import Material
 from dolfin_elastic.toml_text import key_text
+from dolfin_elastic.varying import Binder
 
 Floats = npt.NDArray[np.float64]
 
@@ -120,6 +121,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_components(case, body)
         _check_materials(case.materials, body)
         _check_densities(case)
+        _check_constants(case, body)
         _check_fields(case)
         if explicit(case) and case.mesh.degree > 1:
             raise CaseError(
@@ -225,6 +227,14 @@ def _check_fields(case: Case) -> None:
                 where=where,
                 expected="leave the field out",
             )
+        if name == "safety_factor" and all(
+            material.law.allowable is None for material in case.materials.values()
+        ):
+            raise CaseError(
+                "no material has an allowable stress",
+                where=where,
+                expected='write for example allowable = "40 MPa" under [materials.NAME]',
+            )
 
 
 # --- materials ---
@@ -279,6 +289,18 @@ def _check_densities(case: Case) -> None:
                 where=f"materials.{key_text(name)}.density",
                 expected=f'{reason} needs it, for example "1100 kg/m^3"',
             )
+
+
+def _check_constants(case: Case, body: Body) -> None:
+    """What varies in space is evaluated wherever it is used."""
+    binder = Binder(body, max(case.mesh.degree, int(body.mesh.geometry.cmap.degree)))
+    own = len(body.owned_cells())
+    filled = [_marked(body, material.regions, own) for material in case.materials.values()]
+    rest = ~np.any(filled, axis=0)
+    for (name, material), marks in zip(case.materials.items(), filled, strict=True):
+        if material.law.deferred():
+            cells = np.flatnonzero(marks if material.regions else rest).astype(np.int32)
+            binder.values(material.law, cells, f"materials.{key_text(name)}")
 
 
 # --- notes and sizes ---

@@ -32,6 +32,7 @@ from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.supports import Support
 from dolfin_elastic.parallel import total
 from dolfin_elastic.prescribed import Prescribed
+from dolfin_elastic.varying import Binder
 
 log = logging.getLogger("dolfin_elastic")
 Vector = npt.NDArray[np.float64]
@@ -44,17 +45,19 @@ class Part:
 
     Attributes:
         name: Material's name.
-        law: The law with UFL constants in place of its numbers.
+        law: The law with UFL expressions in place of its numbers.
         cells: Owned local cells of this rank, sorted.
         marker: The part's number in the volume measure.
-        density: UFL constant [kg/m^3], or None if not given.
+        density: UFL expression [kg/m^3], or None if not given.
+        typical: The law with numbers only, the means of what varies in space.
     """
 
     name: str
     law: Law
     cells: Indices
     marker: int
-    density: Constant | None
+    density: Expr | None
+    typical: Law
 
 
 class Problem:
@@ -108,11 +111,14 @@ class Problem:
     def _part(self, index: int, name: str, law: Law) -> Part:
         whole = name == WHOLE and name not in self.body.regions
         cells = self.body.owned_cells(None if whole else name)
-        symbols = {key: self.constant(value) for key, value in law.constants().items()}
         if law.warning:
             log.warning("%s", law.warning)
-        density = None if law.density is None else self.constant(law.density)
-        return Part(name, law.with_symbols(symbols), cells, index + 1, density)
+        bound = self._binder.bind(law, cells, "" if whole else f"materials.{name}")
+        return Part(name, bound.law, cells, index + 1, bound.density, bound.typical)
+
+    @cached_property
+    def _binder(self) -> Binder:
+        return Binder(self.body, self._order)
 
     def _check_cover(self) -> None:
         times = np.zeros(len(self.body.owned_cells()), dtype=np.int64)
@@ -219,7 +225,7 @@ class Problem:
             return [(self._density_field, self.volumes(regions))]
         return [(self.density(part), self.volume(part, 2 * self._order)) for part in self.parts]
 
-    def density(self, part: Part) -> Constant:
+    def density(self, part: Part) -> Expr:
         """Density of a part's material.
 
         Raises:
@@ -235,12 +241,7 @@ class Problem:
 
     @cached_property
     def _density_field(self) -> fem.Function:
-        field = fem.Function(fem.functionspace(self.body.mesh, ("DG", 0)))
-        for part in self.parts:
-            if part.density is not None:
-                field.x.array[part.cells] = float(part.density.value)
-        field.x.scatter_forward()
-        return field
+        return self._binder.joined([(part.density, part.cells) for part in self.parts])
 
     def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
         """A load's vector, times its amplitude, as a UFL expression."""
