@@ -143,19 +143,20 @@ def _data(main: ElementTree.Element, functions: list[ElementTree.Element]) -> li
     counts = {"cell": _rows(main, "Topology"), "point": _rows(main, "Geometry")}
     for grid in [main, *functions]:
         for attribute in grid.findall("Attribute"):
-            data = _one(attribute)
+            # Without a type it is a float in XDMF; but of a mesh's own grid, DOLFINx's tags.
+            data = _one(attribute, "Int" if grid is main else "Float")
             if data is None or (grid is not main and data.shape[0] != counts[data.centre]):
                 continue
             found[data.name] = data
     return list(found.values())
 
 
-def _one(attribute: ElementTree.Element) -> _Data | None:
+def _one(attribute: ElementTree.Element, usual: str) -> _Data | None:
     centre = {"Cell": "cell", "Node": "point"}.get(attribute.get("Center", "Node"))
     item = attribute.find("DataItem")
     if centre is None or item is None or not item.text:
         return None
-    if centre == "cell" and item.get("NumberType", item.get("DataType", "Int")) != "Float":
+    if centre == "cell" and item.get("NumberType", item.get("DataType", usual)) != "Float":
         return None  # numbers of regions
     file, _, path = item.text.strip().partition(":")
     rows, *columns = (int(n) for n in item.get("Dimensions", "0").split())
