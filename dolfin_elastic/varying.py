@@ -233,9 +233,11 @@ class Binder:
         """Value and place where the distance is largest, of all ranks; None: none is above -1."""
         own: tuple[float, list[float], float] | None = None
         if (distance > -1).any():
-            i, j = np.unravel_index(int(np.argmax(distance)), distance.shape)
-            place = [float(x) for x in self._places(cells[i : i + 1])[0, j, : self.body.dim]]
-            own = float(distance[i, j]), place, float(values[i, j])
+            at = np.nonzero(distance == distance.max())
+            places = self._places(cells[at[0]])[np.arange(len(at[0])), at[1], : self.body.dim]
+            last = int(np.lexsort(places.T[::-1])[-1])  # of equals the same on any ranks
+            i, j = at[0][last], at[1][last]
+            own = float(distance[i, j]), [float(x) for x in places[last]], float(values[i, j])
         found = [one for one in self.body.comm.allgather(own) if one is not None]
         if not found:
             return None
@@ -262,8 +264,9 @@ class Binder:
             corners[beyond] = table[beyond].mean(axis=1, keepdims=True)
         V = self._space if table.ndim == 2 else self._vector_space
         found = fem.Function(V)
-        rows = found.x.array.reshape(-1, V.dofmap.index_map_bs)
-        rows[V.dofmap.list[cells]] = corners.reshape(*corners.shape[:2], -1)
+        width = V.dofmap.index_map_bs
+        rows = found.x.array.reshape(-1, width)
+        rows[V.dofmap.list[cells]] = corners.reshape(*corners.shape[:2], width)
         found.x.scatter_forward()
         if table.ndim == 2 or self.degree == 0:
             return found

@@ -239,9 +239,10 @@ class Range:
         """How far values lie outside; -1: inside; what is not finite is infinitely far off."""
         above = values >= self.low if self.low_too else values > self.low
         below = values <= self.high if self.high_too else values < self.high
-        far = np.maximum(np.maximum(self.low - values, values - self.high), 0.0)
-        far = np.where(np.isfinite(values), far, np.inf)
-        return np.asarray(np.where(np.isfinite(values) & above & below, -1.0, far))
+        finite = np.isfinite(values)
+        known = np.where(finite, values, 0.0)
+        far = np.maximum(np.maximum(self.low - known, known - self.high), 0.0)
+        return np.asarray(np.where(finite & above & below, -1.0, np.where(finite, far, np.inf)))
 
     def __str__(self) -> str:
         low = f"{'at least' if self.low_too else 'above'} {self.low:g}"

@@ -85,12 +85,12 @@ class Extremes:
 
 
 def _first_largest(values: Array) -> tuple[int, float]:
-    """Index and value of the largest number; -1 where there is none."""
+    """Index and value of the largest number; -inf where none is finite, -1 where there is none."""
     finite = np.where(np.isfinite(values), values, -np.inf)
     if not len(finite):
         return -1, -np.inf
     index = int(np.argmax(finite))
-    return index, float(values[index])
+    return index, float(finite[index])
 
 
 def _numbers(place: Array) -> tuple[float, ...]:
