@@ -261,6 +261,17 @@ def test_another_formula_compiles_nothing() -> None:
         assert one == other
 
 
+def test_the_cache_does_not_grow(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Counted in the folder itself, through solves with other formulas and numbers."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
+    counts = []
+    for E, nu in (("1e6*(1 + x)", 0.3), ("2e9 + 1e9*sin(y)", 0.1)):
+        pulled(bar(2, dim=2), LinearElastic(E=E, nu=nu))
+        COMM.barrier()
+        counts.append(COMM.bcast(len(list(folder.rglob("*.c")))))
+    assert counts[0] == counts[1] >= 2
+
+
 def test_typical_law_has_numbers_only() -> None:
     law = LinearElastic(E="2e6*x", nu=0.25, density=3)
     bound = Binder(bar(8), 1).bind(law, bar(8).owned_cells())

@@ -1,8 +1,8 @@
 """A printed beam with graded infill: its deflection and its safety factor.
 
 Problem
-    A cantilever of length L = 120 mm, width b = 10 mm and height h = 20 mm, printed with an infill
-    i(z) that falls from 1 at the top and the bottom to 0.2 in the middle, carries P = 60 N at its
+    A cantilever of length L = 200 mm, width b = 10 mm and height h = 20 mm, printed with an infill
+    i(z) that falls from 1 at the top and the bottom to 0.2 in the middle, carries P = 40 N at its
     tip.  The infill governs stiffness, E i^1.5, and strength, 40 MPa i^1.5.
 
 Equations
@@ -13,7 +13,7 @@ Equations
     Mechanics of Materials, on composite beams and on strain energy in shear.
 
 Discretisation
-    24 x 2 x 6 little boxes of six quadratic tetrahedra each.  E is linear in each of them, through
+    32 x 2 x 6 little boxes of six quadratic tetrahedra each.  E is linear in each of them, through
     its values at the four points of the quadrature rule.
 
 Result
@@ -26,20 +26,19 @@ Result
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
 
-from dolfin_elastic import read_case
-from dolfin_elastic.results.extremes import extremes
-from dolfin_elastic.run import run
+from dolfin_elastic import read_case, run
 
 HERE = Path(__file__).parent
-L, B, H, P, NU = 0.12, 0.01, 0.02, 60.0, 0.35
+L, B, H, P, NU = 0.2, 0.01, 0.02, 40.0, 0.35
 TOLERANCE = 1e-2
-"""Of the deflection.  The clamp hinders the sideways strain of the first few millimetres, which
-beam theory leaves out: about nu^2 (1 - nu^2)^-1 h / (3 L), less than one per cent."""
+"""Of the deflection.  The clamp hinders the sideways strain near it, which beam theory leaves out:
+that accounts for 8e-3; with nu = 0 in both, 1e-4 remains."""
 
 
 def beam_theory() -> float:
@@ -65,17 +64,18 @@ def tip(u) -> float:
 
 def main():
     case = read_case(HERE / "case.toml")
-    *_, state = run(case)
+    *_, state = run(case)  # to its end, so that the summary is complete
     deflection, expected = -tip(state.u), beam_theory()
     difference = abs(deflection / expected - 1)
-    found = extremes(case.make_problem(case.read_body()), state)["safety_factor"]
     if MPI.COMM_WORLD.rank == 0:
-        place = ", ".join(f"{1e3 * x:.1f}" for x in found.place)
+        summary = json.loads((case.results_folder() / "summary.json").read_text())
+        factor = summary["extremes"]["safety_factor"]
+        place = ", ".join(f"{1e3 * x:.1f}" for x in factor["place"])
         print(f"deflection {1e3 * deflection:.4f} mm, beam theory {1e3 * expected:.4f} mm")
-        print(f"smallest safety factor {found.value:.2f} at ({place}) mm")
+        print(f"smallest safety factor {factor['value']:.2f} at ({place}) mm")
         print(f"difference from beam theory: {difference:.1e} (allowed {TOLERANCE:.0e})")
+        assert factor["value"] > 1
     assert difference < TOLERANCE
-    assert found.value > 1
 
 
 if __name__ == "__main__":
