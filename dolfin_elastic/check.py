@@ -59,6 +59,7 @@ class Report:
         surfaces: The named surfaces.
         regions: The named regions.
         notes: What a user should know.
+        fields: Name, place and range of each field that the mesh carries.
     """
 
     case: str
@@ -72,6 +73,7 @@ class Report:
     surfaces: tuple[PartSize, ...]
     regions: tuple[PartSize, ...]
     notes: tuple[str, ...]
+    fields: tuple[str, ...] = ()
 
 
 def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
@@ -102,6 +104,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         surfaces=_surface_sizes(case, body),
         regions=_region_sizes(case, body),
         notes=(*body.notes, *notes),
+        fields=tuple(f"{name}: {body.fields[name].said(comm)}" for name in sorted(body.fields)),
     )
 
 

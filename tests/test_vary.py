@@ -15,6 +15,7 @@ import pytest
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
+from pydantic import Field
 
 from dolfin_elastic import (
     Dynamics,
@@ -43,6 +44,7 @@ from dolfin_elastic.parallel import on_root
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.extremes import extremes
 from dolfin_elastic.run import run
+from dolfin_elastic.units import Stress
 from dolfin_elastic.varying import Binder
 
 COMM = MPI.COMM_WORLD
@@ -440,7 +442,11 @@ def test_a_case_over_fields_of_a_file(folder: Path) -> None:
         )
         assert Case.from_dict(case.to_dict(), folder).to_dict() == case.to_dict()
         assert "bone" in case.to_toml()
-        assert report(case).cells == 162
+        told = report(case)
+        assert told.cells == 162
+        assert [text.split(":")[0] for text in told.fields] == ["fibre", "rho", "warm"]
+        assert told.fields[0] == "fibre: cells, 3 components"
+        assert told.fields[2] == "warm: points, 18 to 24"
         *_, state = run(case, output=folder / "out")
         return np.array(state.reactions["foot"])
 
@@ -578,7 +584,7 @@ def test_an_xdmf_field_of_the_wrong_size(folder: Path) -> None:
         path.write_text(text.replace('Dimensions="162"', 'Dimensions="100"'))
 
     made(spoil)
-    with pytest.raises(MeshError, match="a.xdmf: the field 'rho': it has 100 rows, fewer than"):
+    with pytest.raises(MeshError, match="a.xdmf: the field 'rho': it has 100 rows, but"):
         read_body(path)
 
 
@@ -589,8 +595,8 @@ class Fibres(Law):
     """Stiff along a direction that varies: for tests only."""
 
     law: str = "fibres"
-    mu: float = 1e6
-    k: float = 1e7
+    mu: Stress = Field(default=1e6, gt=0)
+    k: Stress = 1e7
     fibre: Direction
     linear: ClassVar[bool] = False
     directions: ClassVar[tuple[str, ...]] = ("fibre",)
@@ -640,6 +646,16 @@ def test_directions_of_the_mesh() -> None:
         fibre_energy([0, "x*", 0], body=body)
     with pytest.raises(InputError, match="has 1 component"):
         fibre_energy({"field": "one"}, body=with_fields(body, one=angle))
+
+
+def test_bounds_of_a_law_hold_where_it_varies() -> None:
+    """pydantic's own bounds, for numbers at once and for the rest on the body."""
+    with pytest.raises(InputError, match="mu: -1 is wrong; expected a number above 0"):
+        Fibres(mu=-1, fibre=[1, 0, 0])
+    law = Fibres(mu="1e6*(0.5 - x)", fibre=[1, 0, 0])
+    with pytest.raises(InputError, match="mu: -437500 at .* mu must be above 0"):
+        Problem(bar(4), law)
+    Problem(bar(4), Fibres(mu="1e6*(2 - x)", fibre=[1, 0, 0]))
 
 
 # --- results ---

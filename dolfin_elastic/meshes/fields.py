@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.errors import MeshError
 from dolfin_elastic.meshes.curved import tabulated
-from dolfin_elastic.parallel import agree
+from dolfin_elastic.parallel import agree, largest, smallest
 
 if TYPE_CHECKING:
     from dolfin_elastic.meshes.raw import RawMesh
@@ -38,6 +38,15 @@ class MeshField:
 
     centre: Literal["cell", "point"]
     values: Floats
+
+    def said(self, comm: MPI.Comm) -> str:
+        """Where it belongs and what it is, for people. Collective."""
+        if self.columns > 1:
+            return f"{self.centre}s, {self.columns} components"
+        finite = self.values[np.isfinite(self.values)]
+        low = smallest(comm, float(finite.min(initial=np.inf)))
+        high = largest(comm, float(finite.max(initial=-np.inf)))
+        return f"{self.centre}s, {low:.4g} to {high:.4g}"
 
     @property
     def columns(self) -> int:
@@ -127,8 +136,8 @@ def spread(
 
 def _check_rows(mesh: Mesh, rows: npt.NDArray[np.int64], count: int, centre: str) -> None:
     need = int(mesh.comm.allreduce(int(rows.max(initial=-1)), op=MPI.MAX)) + 1
-    if need > count:
-        raise MeshError(f"it has {count} rows, fewer than there are {centre}s")
+    if need > count or (need < count and centre == "cell"):  # not all points need be in use
+        raise MeshError(f"it has {count} rows, but there are {need} {centre}s")
 
 
 def _sent(comm: MPI.Comm, shape: tuple[int, int], start: int, read: Read | None) -> Floats:

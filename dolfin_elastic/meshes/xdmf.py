@@ -154,7 +154,7 @@ def _data(main: ElementTree.Element, functions: list[ElementTree.Element]) -> li
 def _one(attribute: ElementTree.Element, usual: str) -> _Data | None:
     centre = {"Cell": "cell", "Node": "point"}.get(attribute.get("Center", "Node"))
     item = attribute.find("DataItem")
-    if centre is None or item is None or not item.text:
+    if centre is None or item is None or not (item.text or "").strip():
         return None
     if centre == "cell" and item.get("NumberType", item.get("DataType", usual)) != "Float":
         return None  # numbers of regions
