@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
@@ -164,12 +165,14 @@ class Quantity:
 
     unit: str
 
-    def read(self, value: Any) -> float | Deferred:
-        """A number in SI units; what stands for a number is left as it is."""
-        return value if isinstance(value, Deferred) else to_si(value, self.unit)
+    def read(self, value: Any, bounded: Callable[[float], float]) -> float | Deferred:
+        """A number in SI units and within bounds; what stands for a number is left as it is."""
+        return value if isinstance(value, Deferred) else bounded(to_si(value, self.unit))
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
-        return core_schema.no_info_plain_validator_function(self.read, serialization=as_written)
+        return core_schema.no_info_wrap_validator_function(
+            self.read, handler(source), serialization=as_written
+        )
 
 
 def _as_written(value: Any) -> Any:

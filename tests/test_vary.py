@@ -650,8 +650,9 @@ def test_directions_of_the_mesh() -> None:
 
 def test_bounds_of_a_law_hold_where_it_varies() -> None:
     """pydantic's own bounds, for numbers at once and for the rest on the body."""
-    with pytest.raises(InputError, match="mu: -1 is wrong; expected a number above 0"):
-        Fibres(mu=-1, fibre=[1, 0, 0])
+    for key in ("mu", "density", "allowable"):
+        with pytest.raises(InputError, match=f"{key}: -1.* is wrong; expected a number above 0"):
+            Fibres(**{key: -1, "fibre": [1, 0, 0]})
     law = Fibres(mu="1e6*(0.5 - x)", fibre=[1, 0, 0])
     with pytest.raises(InputError, match="mu: -437500 at .* mu must be above 0"):
         Problem(bar(4), law)

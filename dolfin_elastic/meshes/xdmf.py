@@ -154,11 +154,12 @@ def _data(main: ElementTree.Element, functions: list[ElementTree.Element]) -> li
 def _one(attribute: ElementTree.Element, usual: str) -> _Data | None:
     centre = {"Cell": "cell", "Node": "point"}.get(attribute.get("Center", "Node"))
     item = attribute.find("DataItem")
-    if centre is None or item is None or not (item.text or "").strip():
+    place = (item.text or "").strip() if item is not None else ""
+    if centre is None or item is None or not place:
         return None
     if centre == "cell" and item.get("NumberType", item.get("DataType", usual)) != "Float":
         return None  # numbers of regions
-    file, _, path = item.text.strip().partition(":")
+    file, _, path = place.partition(":")
     rows, *columns = (int(n) for n in item.get("Dimensions", "0").split())
     width = int(np.prod(columns, dtype=np.int64))
     return _Data(attribute.get("Name", ""), centre, file, path, (rows, width))  # type: ignore[arg-type]
