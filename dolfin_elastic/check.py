@@ -22,6 +22,7 @@ from dolfin_elastic.solvers.linear import choose
 from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.tables import Material
 from dolfin_elastic.toml_text import key_text
+from dolfin_elastic.varying import Binder
 
 Floats = npt.NDArray[np.float64]
 
@@ -59,6 +60,7 @@ class Report:
         surfaces: The named surfaces.
         regions: The named regions.
         notes: What a user should know.
+        fields: Name, place and range of each field that the mesh carries.
     """
 
     case: str
@@ -72,6 +74,7 @@ class Report:
     surfaces: tuple[PartSize, ...]
     regions: tuple[PartSize, ...]
     notes: tuple[str, ...]
+    fields: tuple[str, ...] = ()
 
 
 def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
@@ -102,6 +105,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         surfaces=_surface_sizes(case, body),
         regions=_region_sizes(case, body),
         notes=(*body.notes, *notes),
+        fields=tuple(f"{name}: {body.fields[name].said(comm)}" for name in sorted(body.fields)),
     )
 
 
@@ -122,6 +126,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_materials(case.materials, body)
         gate({f"materials.{key_text(n)}": m.law for n, m in case.materials.items()}, body.comm)
         _check_densities(case)
+        _check_constants(case, body)
         _check_fields(case)
         if explicit(case) and case.mesh.degree > 1:
             raise CaseError(
@@ -227,6 +232,14 @@ def _check_fields(case: Case) -> None:
                 where=where,
                 expected="leave the field out",
             )
+        if name == "safety_factor" and all(
+            material.law.allowable is None for material in case.materials.values()
+        ):
+            raise CaseError(
+                "no material has an allowable stress",
+                where=where,
+                expected='write for example allowable = "40 MPa" under [materials.NAME]',
+            )
 
 
 # --- materials ---
@@ -281,6 +294,18 @@ def _check_densities(case: Case) -> None:
                 where=f"materials.{key_text(name)}.density",
                 expected=f'{reason} needs it, for example "1100 kg/m^3"',
             )
+
+
+def _check_constants(case: Case, body: Body) -> None:
+    """What varies in space is evaluated wherever it is used."""
+    binder = Binder(body, max(case.mesh.degree, int(body.mesh.geometry.cmap.degree)))
+    own = len(body.owned_cells())
+    filled = [_marked(body, material.regions, own) for material in case.materials.values()]
+    rest = ~np.any(filled, axis=0)
+    for (name, material), marks in zip(case.materials.items(), filled, strict=True):
+        if material.law.deferred():
+            cells = np.flatnonzero(marks if material.regions else rest).astype(np.int32)
+            binder.values(material.law, cells, f"materials.{key_text(name)}")
 
 
 # --- notes and sizes ---

@@ -7,9 +7,7 @@ same sum.  Source: Bonet & Wood (2008), (5.41).
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -20,25 +18,14 @@ from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
 from dolfin_elastic import compiler
-from dolfin_elastic.bench.gate import gate
-from dolfin_elastic.errors import InputError, MeshError, nearest
+from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
-from dolfin_elastic.formulation import (
-    STIFF_IN_VOLUME,
-    Formulation,
-    Plan,
-    describe,
-    locking,
-    plan,
-    poisson,
-    shear_modulus,
-)
+from dolfin_elastic.formulation import Formulation
 from dolfin_elastic.measures import Measures
-from dolfin_elastic.meshes.body import Body, Indices, cell_size, span
+from dolfin_elastic.meshes.body import Body, cell_size
 from dolfin_elastic.model.components import Component, depends_on_time
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.model.geometry import (
-    GEOMETRIES,
     Geometry,
     Weighted,
     full_gradient,
@@ -50,37 +37,14 @@ from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.mixed import Mixed
 from dolfin_elastic.model.supports import Support
 from dolfin_elastic.parallel import total
+from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
 from dolfin_elastic.prescribed import Prescribed
 from dolfin_elastic.unknowns import Unknowns
+from dolfin_elastic.varying import Binder
 
-log = logging.getLogger("dolfin_elastic")
 Vector = npt.NDArray[np.float64]
-WHOLE = "body"
 UNUSED = 1e-6
 """Compliance, over 1/shear modulus, of the pressure in parts that have none."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """The cells that one material fills.
-
-    Attributes:
-        name: Material's name.
-        law: The law with UFL constants in place of its numbers.
-        cells: Owned local cells of this rank, sorted.
-        marker: The part's number in the volume measure.
-        density: UFL constant [kg/m^3], or None if not given.
-        compliance: 1/k of the volumetric part [1/Pa] where a pressure carries it, or None.
-        shear: Shear modulus at small strains [Pa], for scales.
-    """
-
-    name: str
-    law: Law
-    cells: Indices
-    marker: int
-    density: Constant | None
-    compliance: Constant | None
-    shear: Constant
 
 
 class Problem:
@@ -129,19 +93,13 @@ class Problem:
         self.body, self.degree = body, degree
         self.supports, self.loads = tuple(supports), tuple(loads)
         self.quadrature_degree = quadrature_degree
-        self.geometry = _checked(geometry, thickness, body)
+        self.geometry = checked_geometry(geometry, thickness, body)
         self.t = Constant(body.mesh, 0.0)
         self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
-        gate({f"materials.{name}": law for name, law in laws.items()}, body.comm)
-        fields = plan(laws, formulation, degree, plane_stress=self.geometry == "plane-stress")
-        log.info("unknowns: %s", describe(fields, degree))
-        self._warn_of_locking(laws, fields)
-        self.parts = tuple(
-            self._part(i, name, law, name in fields.mixed)
-            for i, (name, law) in enumerate(laws.items())
+        self.parts, fields = make_parts(
+            body, laws, formulation, degree=degree, order=self._order, geometry=self.geometry
         )
-        self._check_cover()
         self.unknowns = Unknowns(body.mesh, degree, fields.extras)
         self.V, self.u = self.unknowns.V, self.unknowns.u
         self.W, self.w, self.v = self.unknowns.W, self.unknowns.w, self.unknowns.v
@@ -158,38 +116,6 @@ class Problem:
         )
         _ = self.external  # says now what is wrong with a load
 
-    # --- materials ---
-
-    def _part(self, index: int, name: str, law: Law, mixed: bool) -> Part:
-        whole = name == WHOLE and name not in self.body.regions
-        cells = self.body.owned_cells(None if whole else name)
-        symbols = {key: self.constant(value) for key, value in law.constants().items()}
-        if law.warning:
-            log.warning("%s", law.warning)
-        density = None if law.density is None else self.constant(law.density)
-        compliance = None
-        if mixed:
-            assert isinstance(law, SplitLaw)
-            compliance = self.constant(1.0 / getattr(law, law.volume_modulus))
-        shear = self.constant(shear_modulus(law))
-        return Part(name, law.with_symbols(symbols), cells, index + 1, density, compliance, shear)
-
-    def _warn_of_locking(self, laws: Mapping[str, Law], fields: Plan) -> None:
-        if self.degree > 1 or self.geometry == "plane-stress":
-            return
-        across = span(self.body) / cell_size(self.body)
-        for name, law in laws.items():
-            nu = poisson(law)
-            if name not in fields.mixed and nu > STIFF_IN_VOLUME:
-                log.warning(
-                    "linear elements lock at nu = %g ('%s'): expect the body to be %.2g to %.2g "
-                    'times too stiff on this mesh; use mesh.formulation = "mixed" or '
-                    "mesh.degree = 2",
-                    nu,
-                    name,
-                    *locking(nu, across),
-                )
-
     def _scale_unknowns(self) -> None:
         """Gives the scalar fields the size of displacements, see `unknowns`."""
         h = cell_size(self.body)
@@ -197,25 +123,6 @@ class Problem:
         for name, factor in (("pressure", stiff / h), ("stretch", 1 / h)):
             if self.unknowns.has(name):
                 self.unknowns.scale[name].value = factor
-
-    def _check_cover(self) -> None:
-        times = np.zeros(len(self.body.owned_cells()), dtype=np.int64)
-        for part in self.parts:
-            times[part.cells] += 1
-        comm = self.body.comm
-        bare, twice = total(comm, np.array([np.sum(times == 0), np.sum(times > 1)]))
-        if bare:
-            raise MeshError(
-                f"{bare} of {self.body.num_cells} cells have no material",
-                where="materials",
-                expected="every cell needs exactly one",
-            )
-        if twice:
-            raise MeshError(
-                f"{twice} cells have more than one material",
-                where="materials",
-                expected="every cell needs exactly one",
-            )
 
     def constant(self, value: float | Sequence[float]) -> Constant:
         """A number that forms refer to by place, so that changing it compiles nothing."""
@@ -247,7 +154,7 @@ class Problem:
             return [(self._density_field, self.volumes(regions))]
         return [(self.density(part), self.volume(part, 2 * self._order)) for part in self.parts]
 
-    def density(self, part: Part) -> Constant:
+    def density(self, part: Part) -> Expr:
         """Density of a part's material.
 
         Raises:
@@ -263,12 +170,9 @@ class Problem:
 
     @cached_property
     def _density_field(self) -> fem.Function:
-        field = fem.Function(fem.functionspace(self.body.mesh, ("DG", 0)))
-        for part in self.parts:
-            if part.density is not None:
-                field.x.array[part.cells] = float(part.density.value)
-        field.x.scatter_forward()
-        return field
+        return Binder(self.body, self._order).joined(
+            [(part.density, part.cells) for part in self.parts]
+        )
 
     def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
         """A load's vector, times its amplitude, as a UFL expression."""
@@ -443,42 +347,3 @@ class Problem:
         for factor, amplitude in self._amplitudes:
             factor.value = (amplitude or default).at(t)
         self.prescribed.move_to(t, default)
-
-
-def _checked(geometry: Geometry, thickness: float, body: Body) -> Geometry:
-    """The kind of a two-dimensional body; a three-dimensional one is what it is. Collective.
-
-    Raises:
-        InputError: There is no such kind, or the body cannot be of it.
-    """
-    if geometry not in GEOMETRIES:
-        raise InputError(
-            f"unknown geometry '{geometry}'",
-            where="mesh.geometry",
-            expected=nearest(geometry, GEOMETRIES),
-        )
-    if thickness != 1.0 and (body.dim == 3 or geometry == "axisymmetric"):
-        raise InputError(
-            "such a body has no thickness", where="mesh.thickness", expected="leave it out"
-        )
-    if not (np.isfinite(thickness) and thickness > 0):
-        raise InputError(
-            f"{thickness:g} is not a possible thickness",
-            where="mesh.thickness",
-            expected="a positive length",
-        )
-    if body.dim == 3 and geometry != "plane-strain":
-        raise InputError(
-            f"a three-dimensional body is not '{geometry}'",
-            where="mesh.geometry",
-            expected="leave it out",
-        )
-    if geometry == "axisymmetric":
-        inside = body.mesh.geometry.x[:, 0] < -1e-9 * cell_size(body)
-        if count := int(total(body.comm, int(inside.sum()))):
-            raise InputError(
-                f"{count} points of the mesh have a negative radius x",
-                where="mesh.geometry",
-                expected="an axisymmetric body lies at x >= 0 and turns about y",
-            )
-    return geometry

@@ -148,6 +148,8 @@ def show_check(report: Report) -> None:
     units = ("area [m^2]", "volume [m^3]") if report.dim == 3 else ("length [m]", "area [m^2]")
     screen.print(_parts("surface", "facets", units[0], report.surfaces))
     screen.print(_parts("region", "cells", units[1], report.regions))
+    for field in report.fields:
+        screen.print(f"field {field}", soft_wrap=True)
     for note in report.notes:
         screen.print(f"note: {note}", soft_wrap=True)
     screen.print("nothing is wrong")

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from pydantic import BeforeValidator
+from pydantic_core import core_schema
 
 from dolfin_elastic.errors import UnitError
 
@@ -154,13 +156,54 @@ def _expected(unit: str) -> str:
     return f"expected a number in {unit}" + (f', for example "{example}"' if example else "")
 
 
+class Deferred:
+    """Stands in for a number that is known only on a body, where its bounds are checked too."""
+
+    @property
+    def written(self) -> Any:
+        """As it stands in a case file."""
+        raise NotImplementedError
+
+    def __gt__(self, other: object) -> bool:
+        return True
+
+    def __ge__(self, other: object) -> bool:
+        return True
+
+    def __lt__(self, other: object) -> bool:
+        return True
+
+    def __le__(self, other: object) -> bool:
+        return True
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Tells pydantic how a number in `unit` is read and written back."""
+
+    unit: str
+
+    def read(self, value: Any, bounded: Callable[[float], float]) -> float | Deferred:
+        """A number in SI units and within bounds; what stands for a number is left as it is."""
+        return value if isinstance(value, Deferred) else bounded(to_si(value, self.unit))
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
+        return core_schema.no_info_wrap_validator_function(
+            self.read, handler(source), serialization=as_written
+        )
+
+
+def _as_written(value: Any) -> Any:
+    return value.written if isinstance(value, Deferred) else value
+
+
+as_written = core_schema.plain_serializer_function_ser_schema(_as_written)
+"""For pydantic: writes what is deferred as it was read."""
+
+
 def quantity(unit: str) -> Any:
     """A pydantic field type: a float in `unit` that may be written with any compatible unit."""
-
-    def read(value: Any) -> float:
-        return to_si(value, unit)
-
-    return Annotated[float, BeforeValidator(read)]
+    return Annotated[float, Quantity(unit)]
 
 
 if TYPE_CHECKING:

@@ -80,6 +80,13 @@ def test_selectors() -> None:
     assert all(tables.selectors(value) for table in parts.values() for value in table.values())
 
 
+def test_material_that_varies() -> None:
+    """So is that of a material."""
+    (text,) = blocks("toml-material")
+    law = tables.Material.read(tomllib.loads(text)["materials"]["bone"]).law
+    assert set(law.deferred()) == {"E", "nu", "density"}
+
+
 @pytest.mark.usefixtures("serial_only")
 def test_examples_run(tmp_path: Path) -> None:
     """The case and both Python programs."""

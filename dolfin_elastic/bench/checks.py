@@ -258,17 +258,24 @@ def derivatives(trial: Trial) -> Iterator[Finding]:
         pairs.insert(0, ("stress is dpsi/dF", trial.point.energy, trial.point.stress))
     for name, function, derivative in pairs:
         exact = derivative(F)
-        error = float(np.abs(exact - _differences(function, F)).max() / np.abs(exact).max())
+        size = np.abs(exact).max()
+        near, far = (_differences(function, F, step) for step in (_STEP / 4, _STEP))
+        # Where fibres go slack there is no derivative, and two steps give two answers.
+        axes = tuple(range(1, exact.ndim))
+        smooth = np.abs(near - far).max(axis=axes) <= _DIFFERENCES * size
+        if not smooth.any():
+            smooth[:] = True
+        error = float(np.abs(exact - far)[smooth].max() / size)
         good = error <= _DIFFERENCES
         yield _found(name, good, f"largest difference {error:.2g}", error=error)
 
 
-def _differences(f: Any, F: Array) -> Array:
-    D = _STEP * np.eye(9).reshape(9, 1, 3, 3)
+def _differences(f: Any, F: Array, step: float) -> Array:
+    D = step * np.eye(9).reshape(9, 1, 3, 3)
     shifted = np.concatenate([F + k * D for k in (1, -1, 2, -2)]).reshape(-1, 3, 3)
     values = f(shifted)
     a, b, c, d = values.reshape(4, 9, len(F), *values.shape[1:])
-    slopes = (8 * (a - b) - (c - d)) / (12 * _STEP)
+    slopes = (8 * (a - b) - (c - d)) / (12 * step)
     rows = np.moveaxis(slopes, 0, -1)
     return np.asarray(rows.reshape(*rows.shape[:-1], 3, 3))
 

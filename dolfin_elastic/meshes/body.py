@@ -11,6 +11,7 @@ from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfin_elastic.errors import MeshError, nearest
+from dolfin_elastic.meshes.fields import MeshField
 from dolfin_elastic.parallel import total
 
 Indices = npt.NDArray[np.int32]
@@ -27,6 +28,7 @@ class Body:
         regions: Name to the local cells of this rank (owned and ghost), sorted.
         surfaces: Name to the local facets of this rank (owned and ghost), sorted.
         source: Where the mesh came from, for messages.
+        fields: Name to numbers of cells or points that the mesh file carries.
         notes: What was found and mended while reading (flipped cells, unused points ...).
     """
 
@@ -35,6 +37,7 @@ class Body:
     surfaces: Mapping[str, Indices] = field(default_factory=dict)
     source: str = ""
     notes: tuple[str, ...] = ()
+    fields: Mapping[str, MeshField] = field(default_factory=dict)
 
     @property
     def comm(self) -> MPI.Comm:
@@ -77,6 +80,19 @@ class Body:
                 expected=nearest(name, self.surfaces),
             )
         return self.surfaces[name]
+
+    def mesh_field(self, name: str) -> MeshField:
+        """A field that the mesh came with.
+
+        Raises:
+            MeshError: The name does not exist.
+        """
+        if name not in self.fields:
+            raise MeshError(
+                f"no field '{name}' in {self.source or 'the mesh'}",
+                expected=nearest(name, self.fields),
+            )
+        return self.fields[name]
 
     def owned_cells(self, name: str | None = None) -> Indices:
         """Local cells of a region (of the whole body by default) that this rank owns."""

@@ -14,6 +14,7 @@ from mpi4py import MPI
 from dolfin_elastic.errors import MeshError
 from dolfin_elastic.meshes.body import Body, Indices
 from dolfin_elastic.meshes.clean import cleaned
+from dolfin_elastic.meshes.fields import distributed
 from dolfin_elastic.meshes.raw import RawMesh, match_rows
 from dolfin_elastic.meshes.shapes import facet_nodes, prepare_facets
 from dolfin_elastic.parallel import agree
@@ -48,7 +49,7 @@ def build_body(
     regions = _regions(mesh, raw)
     surfaces, lost = _surfaces(mesh, raw)
     notes = comm.bcast(raw.notes if raw else None)
-    return Body(mesh, regions, surfaces, source, (*notes, *lost))
+    return Body(mesh, regions, surfaces, source, (*notes, *lost), distributed(mesh, raw))
 
 
 def _on_root_only(comm: MPI.Comm, action: Callable[[], RawMesh], source: str) -> RawMesh | None:

@@ -79,7 +79,8 @@ def _duplicates(raw: RawMesh) -> RawMesh:
     again = np.setdiff1d(np.arange(len(order)), keep)
     note = f"{count} cells stood twice (kept once) {places(_midpoints(raw, again), count)}"
     regions = {name: np.unique(first[rows]) for name, rows in raw.regions.items()}
-    return _noted(raw, note, cells=raw.cells[keep], regions=regions)
+    data = {name: values[keep] for name, values in raw.cell_data.items()}
+    return _noted(raw, note, cells=raw.cells[keep], regions=regions, cell_data=data)
 
 
 def _used(raw: RawMesh) -> RawMesh:
@@ -95,7 +96,15 @@ def _used(raw: RawMesh) -> RawMesh:
         lost += [] if inside.all() else [f"{np.count_nonzero(~inside)} of '{name}'"]
         surfaces[name] = new[facets[inside]]
     note = f"{unused} of {len(used)} points belong to no cell (dropped)"
-    raw = _noted(raw, note, points=raw.points[used], cells=new[raw.cells], surfaces=surfaces)
+    data = {name: values[used] for name, values in raw.point_data.items()}
+    raw = _noted(
+        raw,
+        note,
+        points=raw.points[used],
+        cells=new[raw.cells],
+        surfaces=surfaces,
+        point_data=data,
+    )
     return (
         _noted(raw, f"facets that belong to no cell (dropped): {', '.join(lost)}") if lost else raw
     )

@@ -33,6 +33,12 @@ def _gradients(nodes: Floats, degree: int, points: Floats) -> Floats:
     return np.asarray(np.einsum("nkg,tpk->npgt", nodes, table[1 : tdim + 1, :, :, 0]))
 
 
+def tabulated(mesh: Mesh, points: Floats) -> Floats:
+    """Shape functions of the mesh's cells at reference points, shape (points, nodes). Local."""
+    element = _element(mesh.topology.dim, mesh.geometry.cmap.degree)
+    return np.asarray(element.tabulate(0, points)[0, :, :, 0], dtype=np.float64)
+
+
 def cell_jacobians(mesh: Mesh, points: Floats) -> Floats:
     """det(dx/dX) of each local cell at reference points, shape (cells, points). Local."""
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree

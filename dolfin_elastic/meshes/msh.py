@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from dolfin_elastic.errors import MeshError
 from dolfin_elastic.meshes.raw import Block, Floats, Ints
+from dolfin_elastic.meshes.views import View, data_rows, views
 
 _TYPES = {
     1: ("line", 2),
@@ -58,11 +59,22 @@ _TYPES = {
 
 @dataclass(frozen=True)
 class MshFile:
-    """Points (in the file's unit), elements, and remarks."""
+    """Points (in the file's unit), elements with their data, remarks, and data of points."""
 
     points: Floats
     blocks: list[Block]
     notes: list[str]
+    point_data: dict[str, Floats] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Elements of one type: their numbers in the file, groups of each, and nodes."""
+
+    kind: int
+    tags: Ints
+    groups: Ints
+    nodes: Ints
 
 
 class OtherVersionError(Exception):
@@ -146,7 +158,8 @@ def read_msh(path: Path) -> MshFile:
     """
     data = path.read_bytes()
     version, binary, swap = _header(data)
-    sections = _sections(data)
+    every = _sections(data)
+    sections = {name: parts[0] for name, parts in every.items()}
     names = _names(sections.get("PhysicalNames", b""))
     if "PartitionedEntities" in sections:
         raise MeshError(
@@ -165,7 +178,12 @@ def read_msh(path: Path) -> MshFile:
         groups = _entities4(numbers("Entities")) if sections.get("Entities", b"").strip() else {}
         tags, points = _nodes4(numbers("Nodes"))
         found = list(_elements4(numbers("Elements"), groups))
-    return _named(points, tags, found, names)
+    of_cells, of_points = (
+        views(every.get(kind, []), kind, binary=binary, swap=swap)
+        for kind in ("ElementData", "NodeData")
+    )
+    mesh = _named(points, tags, found, names, of_cells)
+    return replace(mesh, point_data=data_rows(of_points, tags))
 
 
 def _header(data: bytes) -> tuple[float, bool, bool]:
@@ -182,9 +200,9 @@ def _header(data: bytes) -> tuple[float, bool, bool]:
     return version, binary, binary and head[4] == b"\0\0\0\1"
 
 
-def _sections(data: bytes) -> dict[str, bytes]:
-    """The text between $Name and $EndName; of repeated sections the first."""
-    found: dict[str, bytes] = {}
+def _sections(data: bytes) -> dict[str, list[bytes]]:
+    """The texts between $Name and $EndName, of repeated sections one each."""
+    found: dict[str, list[bytes]] = {}
     at = 0
     while (start := data.find(b"$", at)) >= 0:
         line_end = data.find(b"\n", start)
@@ -192,7 +210,7 @@ def _sections(data: bytes) -> dict[str, bytes]:
         end = data.find(f"$End{name}".encode("latin-1"), line_end)
         if line_end < 0 or end < 0:
             raise MeshError(f"section ${name[:40]} has no end; the file is damaged or cut short")
-        found.setdefault(name, data[line_end + 1 : end])
+        found.setdefault(name, []).append(data[line_end + 1 : end])
         at = end + len(name) + 4
     return found
 
@@ -210,8 +228,8 @@ def _nodes2(numbers: _Numbers, binary: bool) -> tuple[Ints, Floats]:
     return numbers.points(count)
 
 
-def _elements2(numbers: _Numbers, binary: bool) -> Iterator[tuple[int, Ints, Ints]]:
-    """Yields (type, group of each element, nodes) of runs of elements alike."""
+def _elements2(numbers: _Numbers, binary: bool) -> Iterator[_Run]:
+    """Runs of elements alike, with the group of each."""
     count, words, at = numbers.line(), numbers.rest(), 0
     while count > 0:
         head = words[at : at + 3]
@@ -228,7 +246,8 @@ def _elements2(numbers: _Numbers, binary: bool) -> Iterator[tuple[int, Ints, Int
         alike = [] if blocked else [0, 1, 2] if binary else [1, 2]
         rows = _run(words[at + skip :], width, alike, int(head[1]) if blocked else count, blocked)
         groups = rows[:, lead] if tags > 0 else np.zeros(len(rows), dtype=np.int64)
-        yield kind, groups, rows[:, lead + tags :]
+        own = rows[:, 3 if binary and not blocked else 0]
+        yield _Run(kind, own, groups, rows[:, lead + tags :])
         at += skip + rows.size
         count -= len(rows)
 
@@ -274,35 +293,35 @@ def _nodes4(numbers: _Numbers) -> tuple[Ints, Floats]:
     return np.concatenate(tags), np.concatenate(points)
 
 
-def _elements4(
-    numbers: _Numbers, entities: dict[tuple[int, int], Ints]
-) -> Iterator[tuple[int, Ints, Ints]]:
-    """Yields (type, groups of the whole block, nodes)."""
+def _elements4(numbers: _Numbers, entities: dict[tuple[int, int], Ints]) -> Iterator[_Run]:
+    """The blocks, each with its groups."""
     for _ in range(numbers.sizes(4)[0]):
         dim, entity, kind = (int(n) for n in numbers.ints(3))
         width = 1 + _nodes_of(kind)
         rows = numbers.sizes(width * int(numbers.sizes(1)[0])).reshape(-1, width)
         groups = entities.get((dim, entity), np.empty(0, dtype=np.int64))
-        yield kind, np.broadcast_to(groups, (len(rows), len(groups))), rows[:, 1:]
+        of_each = np.broadcast_to(groups, (len(rows), len(groups)))
+        yield _Run(kind, rows[:, 0], of_each, rows[:, 1:])
 
 
 def _named(
     points: Floats,
     tags: Ints,
-    found: list[tuple[int, Ints, Ints]],
+    found: list[_Run],
     names: dict[tuple[int, int], str],
+    data: dict[str, View],
 ) -> MshFile:
     order = np.argsort(tags)
     blocks, used = [], set()
-    for kind, groups, nodes in found:
-        block = Block(_TYPES[kind][0], _rows(tags, order, nodes))
+    for run in found:
+        block = Block(_TYPES[run.kind][0], _rows(tags, order, run.nodes))
         parts: dict[str, Ints] = {}
-        for group in np.unique(groups[groups != 0]):
-            rows = np.flatnonzero((groups.reshape(len(nodes), -1) == group).any(axis=1))
+        for group in np.unique(run.groups[run.groups != 0]):
+            rows = np.flatnonzero((run.groups.reshape(len(run.nodes), -1) == group).any(axis=1))
             name = names.get((block.dim, int(group)), str(group))
             parts[name] = np.union1d(rows, parts.get(name, rows))
             used.add((block.dim, int(group)))
-        blocks.append(Block(block.kind, block.nodes, parts))
+        blocks.append(Block(block.kind, block.nodes, parts, data_rows(data, run.tags)))
     empty = [name for key, name in names.items() if key not in used]
     notes = (
         [f"no elements carry the name{'s' if len(empty) > 1 else ''} {', '.join(empty)} (left out)"]

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfin_elastic.errors import MeshError
+from dolfin_elastic.meshes.fields import columned
 from dolfin_elastic.meshes.raw import Block, Floats, Ints
 
 # Integer cell data that are references of the format itself: their number is the name.
@@ -23,12 +24,13 @@ _MOST = 200  # more distinct integers than this are data, not names
 
 @dataclass(frozen=True)
 class OtherFile:
-    """Points (in the file's unit), elements, sets of points, and remarks."""
+    """Points (in the file's unit), elements, sets and data of points, and remarks."""
 
     points: Floats
     blocks: list[Block]
     point_sets: dict[str, Ints] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    point_data: dict[str, Floats] = field(default_factory=dict)
 
 
 def read_other(path: Path) -> OtherFile:
@@ -42,7 +44,7 @@ def read_other(path: Path) -> OtherFile:
     if points.ndim != 2 or len(points) == 0:
         raise MeshError("the mesh has no points", where=path.name)
     blocks = [
-        Block(cells.type, _nodes(cells, path), _parts(mesh, i))
+        Block(cells.type, _nodes(cells, path), _parts(mesh, i), _cell_data(mesh, i))
         for i, cells in enumerate(mesh.cells)
     ]
     sets: dict[str, Ints] = {
@@ -50,7 +52,28 @@ def read_other(path: Path) -> OtherFile:
         for name, rows in (mesh.point_sets or {}).items()
     }
     sets.update(_tagged(mesh.point_data.get("point_tags"), getattr(mesh, "point_tags", {})))
-    return OtherFile(points, blocks, sets)
+    data = {
+        str(name): columned(values, len(points), str(name))
+        for name, values in mesh.point_data.items()
+        if name != "point_tags" and _is_number(np.asarray(values))
+    }
+    return OtherFile(points, blocks, sets, point_data=data)
+
+
+def _is_number(data: npt.NDArray[Any]) -> bool:
+    return data.dtype.kind in "fiu"
+
+
+def _cell_data(mesh: Any, i: int) -> dict[str, Floats]:
+    """What is measured, not counted: integers that name parts are no fields."""
+    found = {}
+    for name, blocks in mesh.cell_data.items():
+        if name in _IGNORED or name in _REFERENCES or i >= len(blocks):
+            continue
+        data = np.asarray(blocks[i])
+        if _is_number(data) and not by_value(data, name, {}):
+            found[str(name)] = columned(data, len(mesh.cells[i].data), str(name))
+    return found
 
 
 def _read(path: Path) -> Any:

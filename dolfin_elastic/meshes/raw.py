@@ -49,11 +49,13 @@ class Block:
         kind: Element kind in the words of meshio: tetra, tetra10, triangle, triangle6, line ...
         nodes: Rows of `points` (shape (n, k)), vertices first.
         parts: Name to the rows of `nodes` that carry it; names may overlap.
+        data: Name to numbers of each element, shape (n, columns).
     """
 
     kind: str
     nodes: Ints
     parts: Mapping[str, Ints] = field(default_factory=dict)
+    data: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def dim(self) -> int:
@@ -72,6 +74,8 @@ class RawMesh:
         regions: Name to rows of `cells`.
         surfaces: Name to the facets' vertices (rows of `points`), shape (F, dim).
         notes: What was found and mended.
+        cell_data: Name to numbers of each cell, shape (M, columns).
+        point_data: Name to numbers of each point, shape (N, columns).
     """
 
     points: Floats
@@ -80,6 +84,8 @@ class RawMesh:
     regions: Mapping[str, Ints] = field(default_factory=dict)
     surfaces: Mapping[str, Ints] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    cell_data: Mapping[str, Floats] = field(default_factory=dict)
+    point_data: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def dim(self) -> int:
@@ -94,6 +100,7 @@ def assemble(
     source: str,
     dim: int | None = None,
     point_sets: Mapping[str, Ints] | None = None,
+    point_data: Mapping[str, Floats] | None = None,
     notes: Iterable[str] = (),
 ) -> RawMesh:
     """Makes one body of the elements of the highest dimension.
@@ -106,6 +113,7 @@ def assemble(
         source: The file, for messages.
         dim: 2 or 3 to choose the elements; by default the highest found.
         point_sets: Name to rows of `points`; each becomes the surface of the facets within it.
+        point_data: Name to numbers of each point; left out where cells have data of that name.
         notes: What is known already.
 
     Raises:
@@ -129,7 +137,20 @@ def assemble(
     regions = {name: np.unique(r) for name, r in _gather(solid, rows).items()}
     cells = np.concatenate([b.nodes for b in solid])
     notes = (*notes, *_left_out(blocks, dim))
-    return RawMesh(points, cells, order, regions, surfaces, notes)
+    cell_data = _cell_data(solid)
+    at_points = {n: data for n, data in (point_data or {}).items() if n not in cell_data}
+    return RawMesh(points, cells, order, regions, surfaces, notes, cell_data, at_points)
+
+
+def _cell_data(solid: Sequence[Block]) -> dict[str, Floats]:
+    """The blocks' data one below the other, NaN where a block has none."""
+    found = {}
+    for name in dict.fromkeys(name for block in solid for name in block.data):
+        width = max(block.data[name].shape[1] for block in solid if name in block.data)
+        rows = [block.data.get(name, np.full((len(block.nodes), width), np.nan)) for block in solid]
+        if all(part.shape[1] == width for part in rows):
+            found[name] = np.concatenate(rows)
+    return found
 
 
 def _order(solid: Sequence[Block], blocks: Sequence[Block], dim: int, source: str) -> int:

@@ -31,7 +31,8 @@ def read_body(
     """Reads a mesh, or meshes a CAD file, and gives it the names the file has.
 
     Collective.  Gmsh physical groups, Abaqus sets, MED groups and integer references of other
-    formats become named regions (cells) and surfaces (facets).
+    formats become named regions (cells) and surfaces (facets); other data of cells and points
+    become fields.
 
     Args:
         path: .msh; .xdmf; .inp, .vtu, .vtk, .med, .mesh and whatever else meshio reads;
@@ -103,7 +104,14 @@ def _msh(path: Path, dim: int | None) -> RawMesh:
         from dolfin_elastic.meshes.cad import converted
 
         found = converted(path)
-    return assemble(found.points, found.blocks, source=path.name, dim=dim, notes=found.notes)
+    return assemble(
+        found.points,
+        found.blocks,
+        source=path.name,
+        dim=dim,
+        notes=found.notes,
+        point_data=found.point_data,
+    )
 
 
 def _cad(path: Path, size: float | None, dim: int | None) -> RawMesh:
@@ -124,6 +132,7 @@ def _abaqus(path: Path, dim: int | None) -> RawMesh:
         dim=dim,
         notes=found.notes,
         point_sets=found.point_sets,
+        point_data=found.point_data,
     )
 
 
@@ -138,4 +147,5 @@ def _meshio(path: Path, dim: int | None) -> RawMesh:
         dim=dim,
         notes=found.notes,
         point_sets=found.point_sets,
+        point_data=found.point_data,
     )

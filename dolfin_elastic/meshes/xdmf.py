@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 from xml.etree import ElementTree
 
 import numpy as np
@@ -16,6 +17,7 @@ from dolfin_elastic._compat import read_meshtags, reads_attributes_by_name
 from dolfin_elastic.errors import MeshError
 from dolfin_elastic.meshes.body import Body, Indices
 from dolfin_elastic.meshes.build import build_body, make_mesh
+from dolfin_elastic.meshes.fields import Floats, MeshField, spread
 from dolfin_elastic.meshes.raw import RawMesh, assemble
 from dolfin_elastic.meshes.shares import check_shares
 from dolfin_elastic.parallel import on_root
@@ -43,6 +45,17 @@ class _Tags:
 
 
 @dataclass(frozen=True)
+class _Data:
+    """Numbers of cells or points in an HDF5 file."""
+
+    name: str
+    centre: Literal["cell", "point"]
+    file: str
+    path: str
+    shape: tuple[int, int]
+
+
+@dataclass(frozen=True)
 class _Contents:
     """What the file holds; `grid` is empty where DOLFINx cannot read it."""
 
@@ -50,6 +63,7 @@ class _Contents:
     dim: int
     spatial: int
     tags: tuple[_Tags, ...]
+    data: tuple[_Data, ...] = ()
 
 
 def read_xdmf(path: Path, *, comm: MPI.Comm, scale: float, dim: int | None) -> Body:
@@ -70,7 +84,8 @@ def read_xdmf(path: Path, *, comm: MPI.Comm, scale: float, dim: int | None) -> B
     try:
         with XDMFFile(comm, str(path), "r") as file:
             body = Body(_mesh(file, contents, scale), source=path.name)
-            return _tagged(body, file, contents)
+            body = _tagged(body, file, contents)
+        return replace(body, fields={d.name: _field(body, path, d) for d in contents.data})
     except RuntimeError as error:
         raise MeshError(f"cannot be read: {error}", where=path.name) from None
     except MeshError as error:
@@ -107,7 +122,8 @@ def _contents(path: Path) -> _Contents:
     if len(_tags(main)) > 1 and not reads_attributes_by_name():
         return _Contents("", 0, 0, ())
     tags = [t for g in grids if _kind(g) in _DIMS for t in _tags(g)]
-    return _Contents(main.get("Name", ""), _DIMS[kind], width, tuple(tags))
+    data = _data(main, [g for g in root.iter("Grid") if g.find("Topology") is None])
+    return _Contents(main.get("Name", ""), _DIMS[kind], width, tuple(tags), tuple(data))
 
 
 def _tags(grid: ElementTree.Element) -> list[_Tags]:
@@ -119,6 +135,54 @@ def _tags(grid: ElementTree.Element) -> list[_Tags]:
         if attribute.get("Center") == "Cell" and kind in ("Int", "UInt", "Char", "UChar"):
             found.append(_Tags(grid.get("Name", ""), attribute.get("Name", ""), _DIMS[_kind(grid)]))
     return found
+
+
+def _data(main: ElementTree.Element, functions: list[ElementTree.Element]) -> list[_Data]:
+    """Fields of the mesh's grid, and of DOLFINx's grids of functions; of time steps the last."""
+    found: dict[str, _Data] = {}
+    counts = {"cell": _rows(main, "Topology"), "point": _rows(main, "Geometry")}
+    for grid in [main, *functions]:
+        for attribute in grid.findall("Attribute"):
+            # Without a type it is a float in XDMF; but of a mesh's own grid, DOLFINx's tags.
+            data = _one(attribute, "Int" if grid is main else "Float")
+            if data is None or (grid is not main and data.shape[0] != counts[data.centre]):
+                continue
+            found[data.name] = data
+    return list(found.values())
+
+
+def _one(attribute: ElementTree.Element, usual: str) -> _Data | None:
+    centre = {"Cell": "cell", "Node": "point"}.get(attribute.get("Center", "Node"))
+    item = attribute.find("DataItem")
+    place = (item.text or "").strip() if item is not None else ""
+    if centre is None or item is None or not place:
+        return None
+    if centre == "cell" and item.get("NumberType", item.get("DataType", usual)) != "Float":
+        return None  # numbers of regions
+    file, _, path = place.partition(":")
+    rows, *columns = (int(n) for n in item.get("Dimensions", "0").split())
+    width = int(np.prod(columns, dtype=np.int64))
+    return _Data(attribute.get("Name", ""), centre, file, path, (rows, width))  # type: ignore[arg-type]
+
+
+def _rows(grid: ElementTree.Element, part: str) -> int:
+    item = grid.find(f"{part}/DataItem")
+    return int(item.get("Dimensions", "0").split()[0]) if item is not None else 0
+
+
+def _field(body: Body, path: Path, data: _Data) -> MeshField:
+    """Reads a field on rank 0, in pieces. Collective."""
+    import h5py
+
+    def read(start: int, stop: int) -> Floats:
+        with h5py.File(path.parent / data.file, "r") as file:
+            rows = np.asarray(file[data.path][start:stop], dtype=np.float64)
+        return rows.reshape(stop - start, data.shape[1])
+
+    try:
+        return spread(body.mesh, data.centre, data.shape, read if body.comm.rank == 0 else None)
+    except MeshError as error:
+        raise MeshError(f"the field '{data.name}': {error}") from None
 
 
 def _kind(grid: ElementTree.Element) -> str:
@@ -150,7 +214,14 @@ def _by_meshio(path: Path, dim: int | None) -> RawMesh:
     from dolfin_elastic.meshes.other import read_other
 
     found = read_other(path)
-    return assemble(found.points, found.blocks, source=path.name, dim=dim, notes=found.notes)
+    return assemble(
+        found.points,
+        found.blocks,
+        source=path.name,
+        dim=dim,
+        notes=found.notes,
+        point_data=found.point_data,
+    )
 
 
 def _tagged(body: Body, file: XDMFFile, contents: _Contents) -> Body:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 from dolfin_elastic.errors import InputError
@@ -28,12 +29,12 @@ def component(written: Any, unit: str, *, may_be_free: bool = False) -> Componen
     """
     if written == FREE and may_be_free:
         return None
-    if isinstance(written, str) and not is_quantity(written) and not _misspelt_unit(written):
+    if isinstance(written, str) and not is_quantity(written) and not misspelt_unit(written):
         return Formula.parse(written, allowed=COORDINATES)
     return to_si(written, unit)
 
 
-def _misspelt_unit(text: str) -> bool:
+def misspelt_unit(text: str, names: Collection[str] = COORDINATES) -> bool:
     """A number, a blank and a word, "2 mmm": meant as a unit, not as a formula."""
     number, _, word = text.strip().partition(" ")
     try:
@@ -41,7 +42,7 @@ def _misspelt_unit(text: str) -> bool:
     except ValueError:
         return False
     word = word.strip()
-    return word not in COORDINATES and word.replace("/", "").replace("^", "").isalnum()
+    return word not in names and word.replace("/", "").replace("^", "").isalnum()
 
 
 def components(written: Any, unit: str, *, may_be_free: bool = False) -> tuple[Component, ...]:

@@ -6,14 +6,10 @@ In a record a direction is a list of three components (two in a plane).  A law r
 
 from __future__ import annotations
 
-import math
-from typing import Annotated, Any
+from typing import Any
 
 import ufl
-from pydantic import BeforeValidator
 from ufl.core.expr import Expr
-
-from dolfin_elastic.errors import InputError
 
 
 def numbers(value: Any) -> list[float] | None:
@@ -23,27 +19,6 @@ def numbers(value: Any) -> list[float] | None:
     if any(isinstance(item, bool) or not isinstance(item, int | float) for item in value):
         return None
     return [float(item) for item in value]
-
-
-def _read(value: Any) -> list[Any]:
-    if not isinstance(value, list | tuple) or len(value) not in (2, 3):
-        raise InputError(
-            f"{value!r} is not a direction",
-            expected="expected a list of 3 components (2 in a plane), for example [1, 0, 0]",
-        )
-    known = numbers(value)
-    if known is None:
-        return list(value)
-    if not all(map(math.isfinite, known)) or not any(known):
-        raise InputError(
-            f"{list(value)!r} has no direction",
-            expected="expected finite components that are not all zero",
-        )
-    return known
-
-
-Direction = Annotated[list[Any], BeforeValidator(_read)]
-"""The type of a law's field that holds a direction of any length but zero."""
 
 
 def direction(value: Any) -> Expr:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 import ufl
@@ -13,6 +13,7 @@ from dolfin_elastic.errors import InputError
 from dolfin_elastic.model import moduli
 from dolfin_elastic.model.kinematics import cofactor
 from dolfin_elastic.model.law import SplitLaw, to_come
+from dolfin_elastic.model.varying import Range
 from dolfin_elastic.units import Number, Stress
 
 NEAR = 0.15
@@ -91,6 +92,8 @@ class Isochoric(Volumetric):
                 "K and nu given together" if given else "neither K nor nu is given",
                 expected="the volume needs one of them beside the law's own constants",
             )
+        if self.deferred():
+            return
         mu = self.shear()
         if not mu > 0:
             raise InputError(
@@ -99,6 +102,20 @@ class Isochoric(Volumetric):
             )
         full = moduli.complete(mu=mu, **given)
         self.__dict__.update(K=full.K, nu=full.nu)
+
+    def completed(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """See `Law.completed`."""
+        mu = self.model_copy(update=dict(values)).shear()
+        if "K" in self.model_fields_set:
+            K = values["K"]
+            return {**values, "nu": (3 * K - 2 * mu) / (2 * (3 * K + mu))}
+        nu = values["nu"]
+        return {**values, "K": 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))}
+
+    @classmethod
+    def ranges(cls) -> dict[str, Range]:
+        """See `Law.ranges`."""
+        return {**super().ranges(), "K": Range(low=0.0), "nu": Range(low=-1.0, high=0.5)}
 
     def small_strain(self) -> moduli.Moduli | None:
         """See `Law.small_strain`."""

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
 import ufl
-from pydantic import AliasChoices, Field
+from pydantic import AliasChoices, Field, model_validator
 from ufl.core.expr import Expr
 
-from dolfin_elastic.model import moduli
+from dolfin_elastic.model import moduli, varying
 from dolfin_elastic.model.directions import numbers
 from dolfin_elastic.schema import Record
-from dolfin_elastic.units import Density, Number, Stress
+from dolfin_elastic.units import Deferred, Density, Number, Stress
 
 
 class Law(Record):
@@ -20,17 +20,20 @@ class Law(Record):
 
     A subclass gives `energy(F)`, or `stress(F)` when it has no energy.  In both, F is the
     deformation gradient, a UFL tensor of shape (3, 3), also in plane strain, and the fields stand
-    for numbers or UFL constants alike: `self.mu` may be either.
+    for numbers or UFL expressions alike: `self.mu` may be either.  Where a constant varies in space
+    (see `model.varying`) the law is only used after it has been bound to a body.
 
     Attributes:
         law: The law's name in a case file.
         density: Mass per reference volume [kg/m^3]; needed for gravity and for motion.
+        allowable: Von Mises stress that the material may bear [Pa]; needed for safety factors.
     """
 
     law: str = ""
     density: Density | None = Field(
         default=None, gt=0, validation_alias=AliasChoices("density", "rho")
     )
+    allowable: Stress | None = Field(default=None, gt=0)
 
     linear: ClassVar[bool] = False
     """Stress is linear in the displacement gradient."""
@@ -44,6 +47,11 @@ class Law(Record):
     """Fields that are vectors in the undeformed body; `model.directions.direction` reads them."""
     example: ClassVar[Mapping[str, Any]] = {}
     """Constants as a case file gives them, for the law's page and for tests."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_varying(cls, data: Any) -> Any:
+        return varying.constants(cls, data) if isinstance(data, dict) else data
 
     @classmethod
     def name(cls) -> str:
@@ -81,6 +89,19 @@ class Law(Record):
                 found[name] = values + [0.0] * (3 - len(values) if name in self.directions else 0)
         found.pop("density", None)
         return found
+
+    def deferred(self) -> dict[str, Deferred]:
+        """Name and value of everything in the law that varies in space, density included."""
+        return {n: value for n, value in self.__dict__.items() if isinstance(value, Deferred)}
+
+    def completed(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Constants with those that follow from them; of numbers, arrays or UFL expressions."""
+        return dict(values)
+
+    @classmethod
+    def ranges(cls) -> dict[str, varying.Range]:
+        """The values that constants may have, for those that vary."""
+        return {n: varying.Range.of(info.metadata) for n, info in cls.model_fields.items()}
 
     def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
         """A twin whose constants are UFL expressions, so that forms do not hold the numbers."""
@@ -166,8 +187,23 @@ class Isotropic(Law):
         given = {
             name: getattr(self, name) for name in moduli.NAMES if name in self.model_fields_set
         }
-        self.__dict__.update(vars(moduli.complete(**given)))
+        if any(isinstance(value, Deferred) for value in given.values()):
+            moduli.check_given(given)
+            self.__dict__.update({**dict.fromkeys(moduli.NAMES), **given})
+        else:
+            self.__dict__.update(vars(moduli.complete(**given)))
 
     def small_strain(self) -> moduli.Moduli | None:
         """See `Law.small_strain`."""
         return moduli.Moduli(**{name: getattr(self, name) for name in moduli.NAMES})
+
+    def completed(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """See `Law.completed`."""
+        given = {name: values[name] for name in moduli.NAMES if name in self.model_fields_set}
+        return {**values, **moduli.symbolic(given)}
+
+    @classmethod
+    def ranges(cls) -> dict[str, varying.Range]:
+        """See `Law.ranges`."""
+        stable = {name: varying.Range(low=0.0) for name in ("E", "K", "mu")}
+        return {**super().ranges(), **stable, "nu": varying.Range(low=-1.0, high=0.5)}

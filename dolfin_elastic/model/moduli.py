@@ -7,8 +7,9 @@ Landau & Lifshitz, Theory of Elasticity, sections 4 and 5.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from dolfin_elastic.errors import InputError
 
@@ -26,13 +27,13 @@ class Moduli:
     mu: float
 
 
-def _from_E_lmbda(E: float, lmbda: float) -> tuple[float, float]:
-    root = math.sqrt(E * E + 9 * lmbda * lmbda + 2 * E * lmbda)
+def _from_E_lmbda(E: Any, lmbda: Any) -> tuple[Any, Any]:
+    root = (E * E + 9 * lmbda * lmbda + 2 * E * lmbda) ** 0.5
     return lmbda, (E - 3 * lmbda + root) / 4
 
 
 # Each pair to (lmbda, mu).
-_TO_LAME: dict[tuple[str, str], Callable[[float, float], tuple[float, float]]] = {
+_TO_LAME: dict[tuple[str, ...], Callable[[Any, Any], tuple[Any, Any]]] = {
     ("E", "nu"): lambda E, nu: (E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))),
     ("E", "K"): lambda E, K: (3 * K * (3 * K - E) / (9 * K - E), 3 * K * E / (9 * K - E)),
     ("E", "lmbda"): _from_E_lmbda,
@@ -60,14 +61,7 @@ def complete(**given: float) -> Moduli:
     Raises:
         InputError: Not two constants, or such as no stable compressible solid has.
     """
-    names = tuple(name for name in NAMES if name in given)
-    if len(names) != 2 or len(given) != 2:
-        raise InputError(
-            f"two elastic constants are needed, {len(given)} given"
-            + (f" ({', '.join(given)})" if given else ""),
-            expected="give any two of " + ", ".join(NAMES),
-        )
-    _check_each(given)
+    names = check_given(given)
     if given.get("nu") == 0.5:
         return _incompressible(given)
     try:
@@ -90,6 +84,31 @@ def _incompressible(given: dict[str, float]) -> Moduli:
         )
     mu = given.get("mu", given.get("E", 0.0) / 3)
     return Moduli(E=given.get("E", 3 * mu), nu=0.5, K=math.inf, lmbda=math.inf, mu=mu)
+
+
+def check_given(given: Mapping[str, Any]) -> tuple[str, ...]:
+    """The names of the two constants, in the order of `NAMES`.
+
+    Raises:
+        InputError: Not two constants, or a number that is impossible.
+    """
+    names = tuple(name for name in NAMES if name in given)
+    if len(names) != 2 or len(given) != 2:
+        raise InputError(
+            f"two elastic constants are needed, {len(given)} given"
+            + (f" ({', '.join(given)})" if given else ""),
+            expected="give any two of " + ", ".join(NAMES),
+        )
+    _check_each({n: value for n, value in given.items() if isinstance(value, int | float)})
+    return names
+
+
+def symbolic(given: Mapping[str, Any]) -> dict[str, Any]:
+    """All five constants from two that are arrays or UFL expressions; nothing is checked."""
+    names = tuple(name for name in NAMES if name in given)
+    lmbda, mu = _TO_LAME[names](given[names[0]], given[names[1]])
+    E, nu = mu * (3 * lmbda + 2 * mu) / (lmbda + mu), lmbda / (2 * (lmbda + mu))
+    return {**{"E": E, "nu": nu, "K": lmbda + 2 * mu / 3, "lmbda": lmbda, "mu": mu}, **given}
 
 
 def _engineering(lmbda: float, mu: float, given: dict[str, float]) -> tuple[float, float, float]:

@@ -12,9 +12,9 @@ from ufl.core.expr import Expr
 from dolfin_elastic.errors import FormulaError, InputError, nearest
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.model import own_names
-from dolfin_elastic.model.directions import Direction
 from dolfin_elastic.model.isochoric import Volumetric
 from dolfin_elastic.model.law import Law
+from dolfin_elastic.model.varying import Direction
 from dolfin_elastic.operations import CONSTANTS, FUNCTIONS
 from dolfin_elastic.schema import shown, within
 from dolfin_elastic.units import Stress, to_base

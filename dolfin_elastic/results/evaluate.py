@@ -49,7 +49,7 @@ class Evaluator:
         if "reaction" in self.names:
             _ = self.residual
 
-    def _kernel(self, part: Part) -> fem.Expression:
+    def _kernel(self, part: Part) -> _Kernel | None:
         law, F = self.problem.response(part, self.w), self.problem.F(self.w)
         if "energy_density" in self.cell_names and not law.has_energy:
             raise InputError(
@@ -57,10 +57,18 @@ class Evaluator:
                 expected="leave the field 'energy_density' out",
             )
         tensors = [FIELDS[name].formula(law, F) for name in self.cell_names]  # type: ignore[misc]
+        has = np.repeat([t is not None for t in tensors], self._widths)
+        if not has.any():
+            return None
         dim = self.problem.body.dim
         barycentre = np.full((1, dim), 1 / (dim + 1))
-        components = ufl.as_vector([c for t in tensors for c in _components(t)])
-        return compile_expression(self.problem.body.comm, components, barycentre, self.problem.jit)
+        components = ufl.as_vector([c for t in tensors if t is not None for c in _components(t)])
+        comm, jit = self.problem.body.comm, self.problem.jit
+        return _Kernel(compile_expression(comm, components, barycentre, jit), np.flatnonzero(has))
+
+    @property
+    def _widths(self) -> list[int]:
+        return [FIELDS[name].columns for name in self.cell_names]
 
     @cached_property
     def residual(self) -> fem.Form:
@@ -87,16 +95,25 @@ class Evaluator:
         return {name: source.get(name) for name in (*self.names, *more)}
 
     def _cells(self) -> dict[str, Array]:
-        widths = [FIELDS[name].columns for name in self.cell_names]
-        table = np.zeros((self.grid.own_cells, sum(widths)))
+        widths = self._widths
+        table = np.full((self.grid.own_cells, sum(widths)), np.nan)
         for kernel, part in zip(self._kernels, self.problem.parts, strict=False):
-            if len(part.cells):
-                table[part.cells] = kernel.eval(self.grid.mesh, part.cells)
+            if len(part.cells) and kernel is not None:
+                values = kernel.expression.eval(self.grid.mesh, part.cells)
+                table[part.cells[:, None], kernel.columns] = values
         ends = np.cumsum(widths)
         return {
             name: table[:, end - width : end]
             for name, width, end in zip(self.cell_names, widths, ends, strict=True)
         }
+
+
+@dataclass(frozen=True)
+class _Kernel:
+    """What gives all cell fields of one material, and the columns of the table they fill."""
+
+    expression: fem.Expression
+    columns: npt.NDArray[np.int64]
 
 
 def _components(tensor: Expr) -> list[Expr]:

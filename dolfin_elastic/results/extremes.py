@@ -43,22 +43,29 @@ class Extremes:
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
-        self.evaluate = Evaluator(problem, ("displacement", "von_mises", "jacobian"))
+        names = ["displacement", "von_mises", "jacobian"]
+        if any(part.law.allowable is not None for part in problem.parts):
+            names.append("safety_factor")
+        self.evaluate = Evaluator(problem, names)
 
     def of(self, state: State) -> dict[str, Extreme]:
         """Largest ``von_mises`` and ``displacement``, ``min_jacobian``, ``max_jacobian``.
 
-        Collective.
+        Collective.  Where a material has an allowable stress, also the smallest
+        ``safety_factor``.
         """
         values = self.evaluate(state)
         J = values["jacobian"][:, 0]
         lengths = np.linalg.norm(values["displacement"], axis=1)
-        return {
+        found = {
             "von_mises": self._in_cells(values["von_mises"][:, 0]),
             "displacement": self._at_nodes(lengths),
             "min_jacobian": self._in_cells(J, sign=-1),
             "max_jacobian": self._in_cells(J),
         }
+        if "safety_factor" in values:
+            found["safety_factor"] = self._in_cells(values["safety_factor"][:, 0], sign=-1)
+        return found
 
     def _in_cells(self, values: Array, *, sign: int = 1) -> Extreme:
         cell, value = _first_largest(sign * values)
@@ -78,12 +85,12 @@ class Extremes:
 
 
 def _first_largest(values: Array) -> tuple[int, float]:
-    """Index and value of the largest number; -1 where there is none."""
+    """Index and value of the largest number; -inf where none is finite, -1 where there is none."""
     finite = np.where(np.isfinite(values), values, -np.inf)
     if not len(finite):
         return -1, -np.inf
     index = int(np.argmax(finite))
-    return index, float(values[index])
+    return index, float(finite[index])
 
 
 def _numbers(place: Array) -> tuple[float, ...]:

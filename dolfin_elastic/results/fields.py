@@ -35,7 +35,8 @@ class Field:
         centre: Where the values belong.
         unit: SI unit.
         description: One line for listings.
-        formula: For a cell: law and 3x3 deformation gradient to a UFL expression.
+        formula: For a cell: law and 3x3 deformation gradient to a UFL expression; None: the law
+            has no such thing, and its cells get NaN.
         values: For anything else: from a `Source` to this rank's rows.
         needs: Other fields that `values` looks at.
         motion: Exists in motion only.
@@ -47,7 +48,7 @@ class Field:
     centre: Literal["node", "cell"]
     unit: str
     description: str
-    formula: Callable[[Law, Expr], Expr] | None = None
+    formula: Callable[[Law, Expr], Expr | None] | None = None
     values: Callable[[Source], Any] | None = None
     needs: tuple[str, ...] = ()
     motion: bool = False
@@ -68,6 +69,17 @@ def cauchy_stress(law: Law, F: Expr) -> Expr:
 
 def _pressure(law: Law, F: Expr) -> Expr:
     return -ufl.tr(cauchy_stress(law, F)) / 3
+
+
+SAFEST = 1000.0
+"""Safety factors are not followed beyond this: without stress they have no bound."""
+
+
+def _safety_factor(law: Law, F: Expr) -> Expr | None:
+    if law.allowable is None:
+        return None
+    stress = kinematics.von_mises(cauchy_stress(law, F))
+    return law.allowable / ufl.max_value(stress, law.allowable / SAFEST)
 
 
 FIELDS: dict[str, Field] = {
@@ -135,6 +147,29 @@ FIELDS: dict[str, Field] = {
         "J/m^3",
         "strain energy per reference volume",
         lambda law, F: law.energy(F),
+    ),
+    "safety_factor": Field(
+        "scalar",
+        "cell",
+        "",
+        "allowable stress of the material over the von Mises stress, 1000 at most",
+        _safety_factor,
+    ),
+    "young_modulus": Field(
+        "scalar",
+        "cell",
+        "Pa",
+        "Young's modulus of the material",
+        lambda law, F: getattr(law, "E", None),
+        fixed=True,
+    ),
+    "density": Field(
+        "scalar",
+        "cell",
+        "kg/m^3",
+        "mass of the material per reference volume",
+        lambda law, F: law.density,
+        fixed=True,
     ),
     "region": Field(
         "scalar",

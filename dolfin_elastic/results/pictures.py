@@ -51,7 +51,7 @@ def drawable(name: str) -> str:
         InputError: There is no such field, or it is one of numbers without order.
     """
     (name,) = known([name])
-    if FIELDS[name].fixed:
+    if FIELDS[name].fixed and FIELDS[name].formula is None:
         raise InputError(f"a picture cannot show '{name}'", expected="for example von_mises")
     return name
 

@@ -9,6 +9,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.model.law import Isotropic
+from dolfin_elastic.model.varying import Range
 
 
 class BlatzKo(Isotropic):
@@ -27,12 +28,17 @@ class BlatzKo(Isotropic):
     def model_post_init(self, context: Any) -> None:
         """Completes the moduli; a foam gets thinner when it is drawn."""
         super().model_post_init(context)
-        if not 0 < self.lmbda < float("inf"):
+        if not self.deferred() and not 0 < self.lmbda < float("inf"):
             raise InputError(
                 f"the foam's Poisson's ratio is {self.nu:g}",
                 where="nu",
                 expected="nu must lie above 0 and below 0.5 (foam: about 0.25)",
             )
+
+    @classmethod
+    def ranges(cls) -> dict[str, Range]:
+        """See `Law.ranges`."""
+        return {**super().ranges(), "nu": Range(low=0.0, high=0.5)}
 
     def energy(self, F: Expr) -> Expr:
         """See the class."""

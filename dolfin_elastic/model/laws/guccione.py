@@ -9,8 +9,9 @@ import ufl
 from pydantic import Field
 from ufl.core.expr import Expr
 
-from dolfin_elastic.model.directions import Direction, direction
+from dolfin_elastic.model.directions import direction
 from dolfin_elastic.model.isochoric import Volumetric, isochoric_part, isochoric_stress
+from dolfin_elastic.model.varying import Direction
 from dolfin_elastic.units import Number, Stress
 
 
