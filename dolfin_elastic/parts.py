@@ -44,7 +44,7 @@ class Part:
         density: UFL expression [kg/m^3], or None if not given.
         typical: The law with numbers only, the means of what varies in space.
         compliance: 1/k of the volumetric part [1/Pa] where a pressure carries it, or None.
-        shear: Shear modulus at small strains [Pa], for scales.
+        shear: Shear modulus at small strains [Pa], for scales of scalar fields; 1 without any.
     """
 
     name: str
@@ -97,8 +97,7 @@ def make_parts(
     if degree == 1 and geometry != "plane-stress":
         _warn_of_locking(body, typical, fields)
     parts = tuple(
-        _part(body, i + 1, name, cells[name], bound[name], mixed=name in fields.mixed)
-        for i, name in enumerate(laws)
+        _part(body, i + 1, name, cells[name], bound[name], fields) for i, name in enumerate(laws)
     )
     return parts, fields
 
@@ -111,9 +110,9 @@ def _cells(body: Body, name: str) -> Indices:
     return body.owned_cells(None if _is_whole(body, name) else name)
 
 
-def _part(body: Body, marker: int, name: str, cells: Indices, bound: Bound, *, mixed: bool) -> Part:
+def _part(body: Body, marker: int, name: str, cells: Indices, bound: Bound, fields: Plan) -> Part:
     compliance = None
-    if mixed:
+    if name in fields.mixed:
         # A number is written as one, so that an infinite modulus has the compliance 0.
         modulus = getattr(bound.law, bound.law.volume_modulus)  # type: ignore[attr-defined]
         compliance = (
@@ -129,7 +128,7 @@ def _part(body: Body, marker: int, name: str, cells: Indices, bound: Bound, *, m
         bound.density,
         bound.typical,
         compliance,
-        _constant(body, shear_modulus(bound.typical)),
+        _constant(body, shear_modulus(bound.typical) if fields.extras else 1.0),
     )
 
 
