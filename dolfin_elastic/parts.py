@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,11 +94,11 @@ def make_parts(
     for law in laws.values():
         if law.warning:
             log.warning("%s", law.warning)
-    if degree == 1 and geometry != "plane-stress":
-        _warn_of_locking(body, typical, fields)
     parts = tuple(
         _part(body, i + 1, name, cells[name], bound[name], fields) for i, name in enumerate(laws)
     )
+    for note in locking_notes(body, parts, degree, geometry):
+        log.warning("%s", note)
     return parts, fields
 
 
@@ -155,18 +155,22 @@ def _check_cover(body: Body, cells: Mapping[str, Indices]) -> None:
         )
 
 
-def _warn_of_locking(body: Body, laws: Mapping[str, Law], fields: Plan) -> None:
+def locking_notes(body: Body, parts: Sequence[Part], degree: int, geometry: Geometry) -> list[str]:
+    """What to expect of linear elements of nearly incompressible materials. Collective."""
+    if degree > 1 or geometry == "plane-stress":
+        return []
     across = span(body) / cell_size(body)
-    for name, law in laws.items():
-        nu = poisson(law)
-        if name not in fields.mixed and nu > STIFF_IN_VOLUME:
-            log.warning(
-                "linear elements lock at nu = %g ('%s'): expect the body to be %.2g to %.2g "
-                'times too stiff on this mesh; use mesh.formulation = "mixed" or mesh.degree = 2',
-                nu,
-                name,
-                *locking(nu, across),
+    notes = []
+    for part in parts:
+        nu = poisson(part.typical)
+        if part.compliance is None and nu > STIFF_IN_VOLUME:
+            low, high = locking(nu, across)
+            notes.append(
+                f"linear elements lock at nu = {nu:g} ('{part.name}'): expect the body to be "
+                f"{low:.2g} to {high:.3g} times too stiff on this mesh; use "
+                'mesh.formulation = "mixed" or mesh.degree = 2'
             )
+    return notes
 
 
 def checked_geometry(geometry: Geometry, thickness: float, body: Body) -> Geometry:
