@@ -6,10 +6,10 @@ import fcntl
 import hashlib
 import os
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar, cast
 
 import dolfinx
 import ufl
@@ -19,6 +19,7 @@ from mpi4py import MPI
 from dolfin_elastic.parallel import agree, on_root
 from dolfin_elastic.timing import stage
 
+T = TypeVar("T")
 # No -ffast-math: it would hide the NaN and Inf by which an inverted element is seen.
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-g0")
 
@@ -102,7 +103,10 @@ def compile_forms(
     with compiling(comm, jit_options):
         if comm.size > 1:
             _share_out(comm, forms, jit_options)
-        return [fem.form(form, jit_options=jit_options) for form in forms]
+        return [
+            _together(comm, lambda form=form: fem.form(form, jit_options=jit_options))  # type: ignore[misc]
+            for form in forms
+        ]
 
 
 def compile_expression(
@@ -113,7 +117,19 @@ def compile_expression(
 ) -> fem.Expression:
     """Compiles a UFL expression at reference points of a cell. Collective."""
     with compiling(comm, jit_options):
-        return fem.Expression(expression, points, jit_options=jit_options)
+        return _together(comm, lambda: fem.Expression(expression, points, jit_options=jit_options))
+
+
+def _together(comm: MPI.Comm, make: Callable[[], T]) -> T:
+    """What every rank makes, or the error that one of them met, for example in the cache."""
+    error: Exception | None = None
+    made: T | None = None
+    try:
+        made = make()
+    except Exception as caught:  # told to all ranks just below
+        error = caught
+    agree(comm, error)
+    return cast("T", made)
 
 
 def _share_out(comm: MPI.Comm, forms: Sequence[ufl.Form], jit_options: dict[str, Any]) -> None:

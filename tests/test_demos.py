@@ -35,15 +35,18 @@ def launched(command: list[str], folder: Path, ranks: int) -> str:
         for key, value in os.environ.items()
         if not re.match(r"PMIX|PRTE_(?!MCA)|OMPI_(?!MCA|ALLOW)", key)
     }
-    done = subprocess.run(
-        [*launcher, sys.executable, *command],
-        cwd=folder,
-        text=True,
-        capture_output=True,
-        timeout=300,
-        check=False,
-        env={**clean, "PYTHONPATH": str(DEMOS.parent)},
-    )
+    try:
+        done = subprocess.run(
+            [*launcher, sys.executable, *command],
+            cwd=folder,
+            text=True,
+            capture_output=True,
+            timeout=300,
+            check=False,
+            env={**clean, "PYTHONPATH": str(DEMOS.parent)},
+        )
+    except subprocess.TimeoutExpired as late:
+        pytest.fail(f"no end after 300 s:\n{late.stdout!r}\n{late.stderr!r}")
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

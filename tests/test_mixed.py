@@ -7,6 +7,7 @@ References: a manufactured solution at nu = 0.5; Rivlin's torsion of an incompre
 
 from __future__ import annotations
 
+import json
 from functools import cached_property
 from typing import Any
 
@@ -17,6 +18,7 @@ import ufl
 from mpi4py import MPI
 
 from dolfin_elastic import (
+    Case,
     Dynamics,
     Gravity,
     LinearElastic,
@@ -32,6 +34,7 @@ from dolfin_elastic import (
     name_parts,
     read_body,
     rectangle_body,
+    run,
 )
 from dolfin_elastic.compiler import compile_forms
 from dolfin_elastic.errors import InputError
@@ -408,3 +411,20 @@ def test_the_explicit_scheme_has_no_pressure():
     problem = block(NeoHookean(E=1e6, nu=0.4, density=1.0), formulation="mixed")
     with pytest.raises(InputError, match="displacements only"):
         next(Dynamics(problem, scheme="symplectic-euler", end=1.0).steps())
+
+
+def test_the_volume_change_is_reported(folder):
+    """|J - 1| below 1e-3 where nothing is singular: a block sheared between plates."""
+    tables = {
+        "mesh": {"box": {"size": [1, 1, 1], "cells": [3, 3, 3]}, "degree": 2},
+        "materials": {"rubber": {"law": "neo-hookean", "E": 1e6, "nu": 0.4999}},
+        "support": [
+            {"on": ["left", "right", "front", "back"], "displacement": ["0.2*z*t", 0, 0]},
+            {"on": "bottom"},
+            {"on": "top", "displacement": [0.2, 0, 0]},
+        ],
+    }
+    [*_] = run(Case.from_dict(tables), output=folder / "out")
+    summary = json.loads((folder / "out" / "summary.json").read_text())
+    assert summary["volume_change"] < 1e-3
+    assert summary["extremes"]["von_mises"]["part"] == "rubber"

@@ -85,6 +85,9 @@ class SummaryWriter:
             state = self._kept.state
             found = self._extremes.of(state) if state else {}
             extra = {"finished": _now(), "extremes": {k: asdict(e) for k, e in found.items()}}
+            if self.problem.mixed and found:
+                J = [found[name].value for name in ("min_jacobian", "max_jacobian")]
+                extra["volume_change"] = max(abs(value - 1) for value in J)
             self._save(status, str(error) if error else "", extra)
 
     def _save(self, status: str, reason: str = "", extra: Mapping[str, Any] | None = None) -> None:
