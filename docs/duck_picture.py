@@ -14,6 +14,7 @@ from matplotlib.colors import LinearSegmentedColormap
 
 from dolfin_elastic import read_case
 from dolfin_elastic.case import Case
+from dolfin_elastic.results.colours import bar
 from dolfin_elastic.results.evaluate import Evaluator
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -77,11 +78,12 @@ def main():
     right = np.cross(UP, FROM)
     after.points += after["u"] + APART * right / np.linalg.norm(right)
     values = after["von Mises stress [kPa]"]
+    ticks = bar(values[values < np.percentile(values, 99.5)], "").ticks
     plot.add_mesh(
         after,
         scalars="von Mises stress [kPa]",
         cmap=HEAT,
-        clim=[0, float(np.percentile(values, 99.5))],
+        clim=[ticks[0], ticks[-1]],
         scalar_bar_args={
             "vertical": True,
             "position_x": 0.87,
@@ -90,7 +92,8 @@ def main():
             "width": 0.035,
             "fmt": "%.0f",
             "color": "black",
-            "n_labels": 5,
+            "n_labels": len(ticks),
+            "title": "von Mises stress [kPa]\n",
             "title_font_size": 22,
             "label_font_size": 22,
         },
