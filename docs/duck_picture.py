@@ -68,8 +68,8 @@ def main():
         "smooth_shading": True,
         "split_sharp_edges": True,
         "feature_angle": 35,
-        "ambient": 0.25,
-        "diffuse": 0.8,
+        "ambient": 0.4,
+        "diffuse": 0.65,
         "specular": 0.25,
         "specular_power": 20,
     }

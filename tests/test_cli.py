@@ -176,7 +176,7 @@ def test_only_own_files_are_listed(folder: Path) -> None:
         (results / name).touch()
     code, out, err = cli("run", "case.toml", folder=folder)
     assert code == 0, err
-    pictures = "picture_0001.png, picture_0002.png"
+    pictures = "picture_0000.png, picture_0001.png, picture_0002.png"
     assert out.endswith(
         f"results in case_results: history.csv, {pictures}, results.xdmf, summary.json\n"
     )
