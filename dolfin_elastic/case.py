@@ -345,10 +345,8 @@ def _vector(key: str) -> Iterator[None]:
 # --- materials on the body ---
 
 
-def _fill(body: Body, materials: Mapping[str, Material]) -> tuple[Body, Law | dict[str, Law]]:
+def _fill(body: Body, materials: Mapping[str, Material]) -> tuple[Body, dict[str, Law]]:
     """One region a material, so that a problem can be made of them."""
-    if len(materials) == 1 and not next(iter(materials.values())).on:
-        return body, next(iter(materials.values())).law
     index_map = body.mesh.topology.index_map(body.mesh.topology.dim)
     bare = np.ones(index_map.size_local + index_map.num_ghosts, dtype=bool)
     regions, laws = {}, {}

@@ -13,10 +13,11 @@ from mpi4py import MPI
 from dolfin_elastic.bench.gate import gate
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.errors import CaseError, MeshError, nearest
-from dolfin_elastic.meshes.body import Body, Indices
+from dolfin_elastic.meshes.body import Body, Indices, extent
 from dolfin_elastic.meshes.shapes import cell_corners, facet_corners, signed_volumes
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.parallel import total
+from dolfin_elastic.parts import locking_notes
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.solvers.linear import choose
 from dolfin_elastic.solvers.rigid import check_held
@@ -53,6 +54,7 @@ class Report:
         title: The case's title.
         mesh: Where the mesh comes from.
         dim: 3, or 2 for plane strain.
+        extent: Sides of the body's bounding box [m].
         cells: Cells on all ranks.
         unknowns: Displacement components on all ranks.
         analysis: "statics" or "dynamics".
@@ -67,6 +69,7 @@ class Report:
     title: str
     mesh: str
     dim: int
+    extent: tuple[float, ...]
     cells: int
     unknowns: int
     analysis: str
@@ -96,6 +99,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         title=case.title,
         mesh=body.source,
         dim=body.dim,
+        extent=extent(body),
         cells=body.num_cells,
         unknowns=problem.num_dofs,
         analysis="dynamics" if case.dynamics else "statics",
@@ -104,7 +108,11 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         else choose(problem, case.solver).why,
         surfaces=_surface_sizes(case, body),
         regions=_region_sizes(case, body),
-        notes=(*body.notes, *notes),
+        notes=(
+            *body.notes,
+            *notes,
+            *locking_notes(body, problem.parts, problem.degree, problem.geometry),
+        ),
         fields=tuple(f"{name}: {body.fields[name].said(comm)}" for name in sorted(body.fields)),
     )
 

@@ -102,7 +102,8 @@ def run(
       mpirun -n 4 dolfin-elastic run beam.toml -- -ksp_type gmres -log_view
 
     Results go to CASE_results (fields for ParaView, history.csv, summary.json) unless the case or
-    --output says otherwise.  Ctrl-C stops after the current step; what is written stays complete.
+    --output says otherwise.  Ctrl-C, or a file called `stop` in that folder, stops after the
+    current step; what is written stays complete.
     What follows two dashes are PETSc options; they win over the case's own.
     """
     options, of_petsc = petsc_options(petsc or [])
@@ -116,7 +117,7 @@ def run(
     _log_to_screen(comm.rank, logging.WARNING if quiet else logging.INFO)
     read = read_case(case, comm=comm)
     folder = output if output is not None else read.results_folder()
-    stop = Stop()
+    stop = Stop(folder)
     code = _compute(read, folder, options, stop, loud=loud)
     if profile:
         _show_profile(comm)
@@ -147,6 +148,7 @@ def check(
     from dolfin_elastic.check import report
 
     comm = MPI.COMM_WORLD
+    _log_to_screen(comm.rank, logging.ERROR)  # what there is to say is in the report
     found = report(read_case(case, comm=comm), comm=comm)
     if comm.rank == 0 and json:
         from dataclasses import asdict
@@ -206,10 +208,14 @@ def info() -> None:
 
 
 class Stop:
-    """Notes Ctrl-C and SIGTERM; the second one ends the program at once."""
+    """Notes Ctrl-C, SIGTERM and a file called "stop"; a second signal ends the program at once.
 
-    def __init__(self) -> None:
-        self.asked = False
+    Args:
+        folder: Folder of the results, where a file called "stop" may appear.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.asked, self._file = False, folder / "stop"
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._ask)
 
@@ -224,6 +230,9 @@ class Stop:
         """True on all ranks when one was asked to stop. Collective."""
         from dolfin_elastic.parallel import largest
 
+        if comm.rank == 0 and self._file.exists():
+            self.asked = True
+            self._file.unlink(missing_ok=True)
         return largest(comm, float(self.asked)) > 0
 
 
@@ -326,6 +335,8 @@ def guarded() -> int:
     except ClickException as error:
         if launched_rank() == 0:
             error.show()
+            if "No such option" in error.format_message():
+                print("PETSc options stand after two dashes: ... -- -ksp_view", file=sys.stderr)
         return error.exit_code
     except ElasticError as error:
         return _told(error)

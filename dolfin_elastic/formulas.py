@@ -121,7 +121,8 @@ class Formula:
     def _finite(self, result: float, values: dict[str, Any]) -> float:
         if math.isfinite(result):
             return result
-        where = ", ".join(f"{name} = {float(values[name]):g}" for name in sorted(self.names))
+        known = [n for n in sorted(self.names) if not isinstance(values[n], Expr)]
+        where = ", ".join(f"{name} = {float(values[name]):g}" for name in known)
         raise FormulaError(
             f"'{self.text}' is {_not_finite(result)}" + (f" at {where}" if where else "")
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +44,7 @@ class Part:
         density: UFL expression [kg/m^3], or None if not given.
         typical: The law with numbers only, the means of what varies in space.
         compliance: 1/k of the volumetric part [1/Pa] where a pressure carries it, or None.
-        shear: Shear modulus at small strains [Pa], for scales.
+        shear: Shear modulus at small strains [Pa], for scales of scalar fields; 1 without any.
     """
 
     name: str
@@ -94,12 +94,11 @@ def make_parts(
     for law in laws.values():
         if law.warning:
             log.warning("%s", law.warning)
-    if degree == 1 and geometry != "plane-stress":
-        _warn_of_locking(body, typical, fields)
     parts = tuple(
-        _part(body, i + 1, name, cells[name], bound[name], mixed=name in fields.mixed)
-        for i, name in enumerate(laws)
+        _part(body, i + 1, name, cells[name], bound[name], fields) for i, name in enumerate(laws)
     )
+    for note in locking_notes(body, parts, degree, geometry):
+        log.warning("%s", note)
     return parts, fields
 
 
@@ -111,9 +110,9 @@ def _cells(body: Body, name: str) -> Indices:
     return body.owned_cells(None if _is_whole(body, name) else name)
 
 
-def _part(body: Body, marker: int, name: str, cells: Indices, bound: Bound, *, mixed: bool) -> Part:
+def _part(body: Body, marker: int, name: str, cells: Indices, bound: Bound, fields: Plan) -> Part:
     compliance = None
-    if mixed:
+    if name in fields.mixed:
         # A number is written as one, so that an infinite modulus has the compliance 0.
         modulus = getattr(bound.law, bound.law.volume_modulus)  # type: ignore[attr-defined]
         compliance = (
@@ -129,7 +128,7 @@ def _part(body: Body, marker: int, name: str, cells: Indices, bound: Bound, *, m
         bound.density,
         bound.typical,
         compliance,
-        _constant(body, shear_modulus(bound.typical)),
+        _constant(body, shear_modulus(bound.typical) if fields.extras else 1.0),
     )
 
 
@@ -156,18 +155,22 @@ def _check_cover(body: Body, cells: Mapping[str, Indices]) -> None:
         )
 
 
-def _warn_of_locking(body: Body, laws: Mapping[str, Law], fields: Plan) -> None:
+def locking_notes(body: Body, parts: Sequence[Part], degree: int, geometry: Geometry) -> list[str]:
+    """What to expect of linear elements of nearly incompressible materials. Collective."""
+    if degree > 1 or geometry == "plane-stress":
+        return []
     across = span(body) / cell_size(body)
-    for name, law in laws.items():
-        nu = poisson(law)
-        if name not in fields.mixed and nu > STIFF_IN_VOLUME:
-            log.warning(
-                "linear elements lock at nu = %g ('%s'): expect the body to be %.2g to %.2g "
-                'times too stiff on this mesh; use mesh.formulation = "mixed" or mesh.degree = 2',
-                nu,
-                name,
-                *locking(nu, across),
+    notes = []
+    for part in parts:
+        nu = poisson(part.typical)
+        if part.compliance is None and nu > STIFF_IN_VOLUME:
+            low, high = locking(nu, across)
+            notes.append(
+                f"linear elements lock at nu = {nu:g} ('{part.name}'): expect the body to be "
+                f"{low:.2g} to {high:.3g} times too stiff on this mesh; use "
+                'mesh.formulation = "mixed" or mesh.degree = 2'
             )
+    return notes
 
 
 def checked_geometry(geometry: Geometry, thickness: float, body: Body) -> Geometry:

@@ -104,12 +104,12 @@ class Problem:
         self.V, self.u = self.unknowns.V, self.unknowns.u
         self.W, self.w, self.v = self.unknowns.W, self.unknowns.w, self.unknowns.v
         self._scale_unknowns()
-        thickness = None if thickness == 1.0 else self.constant(thickness)
+        depth = None if thickness == 1.0 else self.constant(thickness)
         self.measures = Measures(
             body,
             [part.cells for part in self.parts],
             [load.parts for load in self.loads],
-            weight(self.geometry, self.X, thickness),
+            weight(self.geometry, self.X, depth),
         )
         self.prescribed = Prescribed(
             body, self.V, self.supports, axis=self.geometry == "axisymmetric"
@@ -268,7 +268,13 @@ class Problem:
     @cached_property
     def external(self) -> ufl.Form | None:
         """External virtual work of all loads; None without loads."""
-        return sum(load.virtual_work(self) for load in self.loads) if self.loads else None
+        return sum(map(self._work, range(len(self.loads)))) if self.loads else None
+
+    def _work(self, index: int) -> ufl.Form:
+        try:
+            return self.loads[index].virtual_work(self)
+        except InputError as error:
+            raise (error if error.where else error.at(f"load[{index}].value")) from None
 
     @cached_property
     def residual(self) -> ufl.Form:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import re
 import sys
 import time
@@ -28,8 +29,18 @@ FIRST_LINES = 20
 def console(*, stderr: bool = False) -> Console:
     """A console that is as wide as the terminal, or 100 columns in a file."""
     stream = sys.stderr if stderr else sys.stdout
-    width = None if stream.isatty() else WIDTH
-    return Console(stderr=stderr, width=width, highlight=False, markup=False, emoji=False)
+    # Launchers forward through terminals of their own: what arrives may well be a file.
+    launched = "OMPI_COMM_WORLD_RANK" in os.environ or "PMI_RANK" in os.environ
+    plain = launched or not stream.isatty()
+    width, terminal = (WIDTH, False) if plain else (None, None)
+    return Console(
+        stderr=stderr,
+        width=width,
+        force_terminal=terminal,
+        highlight=False,
+        markup=False,
+        emoji=False,
+    )
 
 
 # --- progress ---
@@ -143,6 +154,7 @@ def show_check(report: Report) -> None:
     screen = console()
     screen.print(f"{report.case}: {report.title}" if report.title else report.case, style="bold")
     screen.print(f"  mesh       {report.mesh}, {report.dim}D, {report.cells} cells")
+    screen.print(f"  extent     {' x '.join(f'{side:.4g}' for side in report.extent)} m")
     screen.print(f"  analysis   {report.analysis}, {report.unknowns} unknowns")
     screen.print(f"  equations  {report.linear_solver}")
     units = ("area [m^2]", "volume [m^3]") if report.dim == 3 else ("length [m]", "area [m^2]")

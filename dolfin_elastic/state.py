@@ -26,8 +26,8 @@ class State:
         v: Velocity [m/s], in motion only.
         a: Mean acceleration of the step [m/s^2], in motion only; 0 in the initial state.
         load_factor: Share of the load that is on, in statics; 1 in motion.
-        newton: Newton iterations of this step.
-        krylov: Linear iterations of this step (0 with a direct solver).
+        newton: Newton iterations since the state before.
+        krylov: Linear iterations since then (0 with a direct solver).
         reason: Why the step counts as converged, PETSc's name.
         residuals: Norm of the free residual before each Newton iteration and after the last [N].
         energies: "strain" [J]; in motion also "kinetic", "external" (work of the loads so far),

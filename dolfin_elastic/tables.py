@@ -37,7 +37,7 @@ from dolfin_elastic.results.outputs import History, Picture, Summary, Xdmf
 from dolfin_elastic.results.outputs import Output as File
 from dolfin_elastic.results.writer import Writer
 from dolfin_elastic.results.xdmf import remove
-from dolfin_elastic.schema import Record, shown, within
+from dolfin_elastic.schema import Record, known_keys, shown, within
 from dolfin_elastic.state import State
 from dolfin_elastic.toml_text import key_text
 from dolfin_elastic.units import to_si
@@ -193,6 +193,10 @@ class Material(Record):
             own = read_energy({key: value for key, value in table.items() if key != "on"})
             return cls(law=own, on=table.get("on"))
         law = pick(MATERIALS, table, "law")
+        known = {*known_keys(law), "on"}
+        for key in table:
+            if key not in known:
+                raise InputError(f"unknown key '{key}'", expected=nearest(str(key), known))
         return cls(
             law=law(**{key: value for key, value in table.items() if key != "on"}),
             on=table.get("on"),

@@ -214,6 +214,7 @@ if TYPE_CHECKING:
     Acceleration: TypeAlias = float
     Velocity: TypeAlias = float
     Time: TypeAlias = float
+    Force: TypeAlias = float
     ForceDensity: TypeAlias = float
 else:
     Number = quantity("")
@@ -223,4 +224,5 @@ else:
     Acceleration = quantity("m/s^2")
     Velocity = quantity("m/s")
     Time = quantity("s")
+    Force = quantity("N")
     ForceDensity = quantity("N/m^3")

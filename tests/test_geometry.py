@@ -27,6 +27,7 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.errors import InputError
+from dolfin_elastic.model.materials import MATERIALS
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.state import State
 
@@ -183,6 +184,29 @@ def test_axisymmetric_bar():
     assert body.comm.allreduce(float(off), op=MPI.MAX) < 1e-11
 
 
+@pytest.mark.parametrize(
+    ("stretch", "pressure"),
+    [(1.1, 0.131562278444), (1.5, 0.428228409097), (2.0, 0.574053572307)],
+)
+def test_incompressible_tube_blown_up(stretch, pressure):
+    """Inner radius 1, outer 2, mu = 1, no axial stretch: closed form of Rivlin (1949)."""
+    n = 32
+    body = rectangle_body(size=(1.0, 1 / 16), cells=(n, 2), origin=(1.0, 0.0))
+    problem = Problem(
+        body,
+        NeoHookean(mu=1.0, nu=0.5),
+        degree=2,
+        supports=[
+            Support(on=["bottom", "top"], displacement=[FREE, 0]),
+            Support(on="left", displacement=[stretch - 1, FREE]),
+        ],
+        geometry="axisymmetric",
+    )
+    *_, state = Statics(problem, steps=4).steps()
+    found = state.reactions["left"][0] / (2 * np.pi * stretch / 16)
+    assert found == pytest.approx(pressure, rel=1e-5)
+
+
 def test_axisymmetric_weight_and_fall():
     """Mass is that of the whole ring: pi (b^2 - a^2) h times density."""
     law = LinearElastic(E=E, nu=NU, density=1000.0)
@@ -203,6 +227,63 @@ def test_thickness_scales_forces_and_energies():
         _, state = pulled(NeoHookean(E=E, nu=NU), 1.2, 1, thickness=thickness)
         answers.append(np.array([state.reactions["right"][0], state.energies["strain"]]))
     np.testing.assert_allclose(answers[1], 0.02 * answers[0], rtol=1e-11)
+
+
+# --- every law ---
+
+POWERFUL = [name for name, kind in MATERIALS.items() if kind(**kind.example).has_energy]
+ROUND = [name for name in POWERFUL if not MATERIALS[name].directions]
+
+
+def bar(law: Any, geometry: str) -> tuple[float, float]:
+    """Force and energy of a unit bar stretched by a fifth, its sides free; symmetric ends."""
+    if geometry == "solid":
+        body = box_body(size=(1.0, 1.0, 1.0), cells=(1, 1, 1))
+        pull, how, free = "right", {}, [FREE, FREE]
+        held = [
+            Support(on="left", displacement=[0, FREE, FREE]),
+            Support(on="front", displacement=[FREE, 0, FREE]),
+            Support(on="bottom", displacement=[FREE, FREE, 0]),
+        ]
+        held.append(Support(on="right", displacement=[0.2, *free]))
+    elif geometry == "plane-stress":
+        body, how, pull = (
+            rectangle_body(size=(1.0, 1.0), cells=(1, 1)),
+            {"geometry": geometry},
+            "right",
+        )
+        held = [
+            Support(on="left", displacement=[0, FREE]),
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="right", displacement=[0.2, FREE]),
+        ]
+    else:
+        body, how, pull = (
+            rectangle_body(size=(1.0, 1.0), cells=(1, 1)),
+            {"geometry": geometry},
+            "top",
+        )
+        held = [
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="top", displacement=[FREE, 0.2]),
+        ]
+    area = np.pi if geometry == "axisymmetric" else 1.0
+    problem = Problem(body, law, supports=held, formulation="displacement", **how)
+    *_, state = Statics(problem, steps=2, rtol=1e-12).steps()
+    force = np.linalg.norm(state.reactions[pull])
+    return force / area, state.energies["strain"] / area
+
+
+@pytest.mark.parametrize(
+    ("name", "geometry"),
+    [(name, "plane-stress") for name in POWERFUL if "fibre" not in MATERIALS[name].directions]
+    + [(name, "axisymmetric") for name in ROUND],
+)
+def test_every_law_is_the_same_in_every_geometry(name, geometry):
+    """A homogeneous uniaxial state is exact in all of them, for laws symmetric to their planes."""
+    axes = {"axis1": [1, 0, 0], "axis2": [0, 1, 0]} if name == "orthotropic" else {}
+    law = MATERIALS[name](**{**MATERIALS[name].example, **axes})
+    np.testing.assert_allclose(bar(law, geometry), bar(law, "solid"), rtol=1e-8)
 
 
 # --- what is refused ---

@@ -37,6 +37,7 @@ from dolfin_elastic.errors import InputError, MeshError
 from dolfin_elastic.meshes import Body
 from dolfin_elastic.meshes.fields import MeshField
 from dolfin_elastic.meshes.shapes import cell_corners
+from dolfin_elastic.model.directions import direction
 from dolfin_elastic.model.kinematics import green_strain
 from dolfin_elastic.model.law import Law
 from dolfin_elastic.model.varying import Direction
@@ -603,7 +604,7 @@ class Fibres(Law):
 
     def energy(self, F: Any) -> Any:
         C, E = F.T * F, green_strain(F)
-        a = self.fibre
+        a = direction(self.fibre)
         return self.mu * ufl.inner(E, E) + self.k / 8 * (ufl.inner(a, C * a) - 1) ** 2
 
 

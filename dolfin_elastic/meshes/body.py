@@ -126,13 +126,18 @@ class Body:
         )
 
 
-def span(body: Body) -> float:
-    """Diagonal of the body's bounding box [m]. Collective."""
-    x = body.mesh.geometry.x
+def extent(body: Body) -> tuple[float, ...]:
+    """Sides of the body's bounding box [m]. Collective."""
+    x = body.mesh.geometry.x[:, : body.dim]
     corners = np.concatenate([x.max(axis=0, initial=-np.inf), -x.min(axis=0, initial=np.inf)])
     everywhere = np.empty_like(corners)
     body.comm.Allreduce(corners, everywhere, op=MPI.MAX)
-    return float(np.linalg.norm(everywhere[:3] + everywhere[3:]))
+    return tuple(float(side) for side in everywhere[: body.dim] + everywhere[body.dim :])
+
+
+def span(body: Body) -> float:
+    """Diagonal of the body's bounding box [m]. Collective."""
+    return float(np.linalg.norm(extent(body)))
 
 
 def cell_size(body: Body) -> float:

@@ -43,11 +43,45 @@ def meshed(path: Path, *, size: float | None, dim: int | None) -> MshFile:
                 else "the file has no volumes to mesh",
                 where=path.name,
             )
+        if size is not None:
+            _check_count(gmsh, size, dim, path.name)
         if not len(gmsh.model.mesh.getElements(dim)[0]):  # a .geo file may mesh by itself
             gmsh.model.mesh.generate(dim)
         found = _saved(gmsh)
     said = "size as in the file" if size is None else f"size {size:g}"
     return MshFile(found.points, found.blocks, [*found.notes, f"meshed by Gmsh, {said}"])
+
+
+MOST = 5e7
+"""Cells that one rank can mesh."""
+
+
+def _check_count(gmsh: Any, size: float, dim: int, name: str) -> None:
+    """Refuses a mesh that would never end: a size in mm in a body in m.
+
+    A cell of edge h fills about h^3/8 (a tetrahedron) or h^2/2 (a triangle).
+    """
+    amount = sum(gmsh.model.occ.getMass(*e) for e in _occ(gmsh, dim)) if _occ(gmsh, dim) else None
+    if amount is None:
+        return
+    count = amount / size**dim * (8 if dim == 3 else 2)
+    if count > MOST:
+        box = gmsh.model.getBoundingBox(-1, -1)
+        extent = " x ".join(f"{box[i + 3] - box[i]:.4g}" for i in range(3))
+        raise MeshError(
+            f"elements of size {size:g} in a body of {extent} would be about {count:.1g}",
+            where=name,
+            expected=f"at most {MOST:.0g}: is mesh.unit right?",
+        )
+
+
+def _occ(gmsh: Any, dim: int) -> list[tuple[int, int]]:
+    """Solids (surfaces in 2D) whose volume OpenCASCADE knows."""
+    return [
+        entity
+        for entity in gmsh.model.getEntities(dim)
+        if entity in gmsh.model.occ.getEntities(dim)
+    ]
 
 
 def _check_end(path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,9 @@ from dolfin_elastic.results.grid import Grid, to_nodes
 from dolfin_elastic.state import State
 
 if TYPE_CHECKING:
-    from dolfin_elastic.problem import Part, Problem
+    from dolfin_elastic.model.law import Law
+    from dolfin_elastic.parts import Part
+    from dolfin_elastic.problem import Problem
 
 Array = npt.NDArray[Any]
 
@@ -50,7 +52,8 @@ class Evaluator:
             _ = self.residual
 
     def _kernel(self, part: Part) -> _Kernel | None:
-        law, F = self.problem.response(part, self.w), self.problem.F(self.w)
+        law = cast("Law", self.problem.response(part, self.w))
+        F = self.problem.F(self.w)
         if "energy_density" in self.cell_names and not law.has_energy:
             raise InputError(
                 f"the law of '{part.name}' has no strain energy",

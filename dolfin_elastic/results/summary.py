@@ -71,7 +71,7 @@ class SummaryWriter:
     def write(self, state: State) -> None:
         """Takes in one step; writes the file if it is older than a second."""
         with timing.stage("output"):
-            self._steps += state.step > 0
+            self._steps = max(self._steps, state.step)
             self._newton += state.newton
             self._krylov += state.krylov
             self._kept.keep(state)

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from pydantic import Field, model_validator
 
 from dolfin_elastic.errors import ConvergenceError, InputError
-from dolfin_elastic.model.components import Component, components
+from dolfin_elastic.model.components import Component, components, depends_on_time
 from dolfin_elastic.parallel import largest
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
@@ -27,7 +27,7 @@ from dolfin_elastic.solvers.newton import Newton, Tolerance
 from dolfin_elastic.solvers.options import PREFIX, ts_reason
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
-from dolfin_elastic.units import Time
+from dolfin_elastic.units import Force, Time
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -63,7 +63,7 @@ class DynamicsSettings(Record):
     initial_displacement: list[Any] = Field(default=[])
     initial_velocity: list[Any] = Field(default=[])
     rtol: float = Field(default=1e-8, gt=0, lt=1)
-    atol: float = Field(default=0.0, ge=0)
+    atol: Force = Field(default=0.0, ge=0)
     max_iterations: int = Field(default=20, ge=1)
     safety: float = Field(default=0.9, gt=0, le=1)
     every: int = Field(default=1, ge=1)
@@ -80,12 +80,24 @@ class DynamicsSettings(Record):
     @cached_property
     def displacement(self) -> tuple[Component, ...]:
         """Initial displacement as numbers and formulas."""
-        return components(self.initial_displacement, "m") if self.initial_displacement else ()
+        return _still("initial_displacement", self.initial_displacement, "m")
 
     @cached_property
     def velocity(self) -> tuple[Component, ...]:
         """Initial velocity as numbers and formulas."""
-        return components(self.initial_velocity, "m/s") if self.initial_velocity else ()
+        return _still("initial_velocity", self.initial_velocity, "m/s")
+
+
+def _still(key: str, written: list[Any], unit: str) -> tuple[Component, ...]:
+    """A vector at the start, where there is no time yet."""
+    found = components(written, unit) if written else ()
+    if depends_on_time(found):
+        raise InputError(
+            "what holds at the start does not depend on t",
+            where=key,
+            expected="a formula in x, y, z",
+        )
+    return found
 
 
 class Dynamics:
@@ -281,6 +293,7 @@ class _Alpha:
             self._add_work(before)
             if step % s.every == 0 or t >= s.end * (1 - 1e-12):
                 yield self._state(step, t)
+                self._newton = self._krylov = 0
 
     def _step(self, t: float) -> float:
         """One step of TS from time t; returns the time reached."""
@@ -293,11 +306,13 @@ class _Alpha:
             self.options.report_unused()
         if self._error is not None:
             raise self._error
-        self._newton = ts.getSNESIterations() - newton
-        self._krylov = 0 if self.newton.direct else ts.getKSPIterations() - linear
+        newton, linear = ts.getSNESIterations() - newton, ts.getKSPIterations() - linear
+        linear = 0 if self.newton.direct else linear
+        self._newton += newton
+        self._krylov += linear
         if ts.getConvergedReason() < 0:
             raise self._failure(t)
-        self._renew()
+        self._renew(linear / max(newton, 1))
         self._accept(float(ts.getTime()) - t)
         return float(ts.getTime())
 
@@ -352,9 +367,12 @@ class _Alpha:
         self.newton.finish()
         return "LINEAR_SOLVE" in self.newton.progress.reason and self.newton.fall_back()
 
-    def _renew(self) -> None:
-        """Lets multigrid begin anew when the body has turned away from the modes it knows."""
-        each = self._krylov / max(self._newton, 1)
+    def _renew(self, each: float) -> None:
+        """Lets multigrid begin anew when the body has turned away from the modes it knows.
+
+        Args:
+            each: Linear iterations of each Newton iteration.
+        """
         if self._usual and each > 1.5 * self._usual + 5:
             self.newton.refresh()
             each = 0.0

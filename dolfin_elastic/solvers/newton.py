@@ -120,7 +120,7 @@ class Newton:
 
     def _configure(self) -> None:
         self.snes.setOptionsPrefix(PREFIX)
-        with self.options.in_force():
+        with self.options.in_force(), self.options.told():
             self.snes.setFromOptions()
             if self.snes.ksp.getPC().getType() == "python":
                 problem = self.assembler.problem
@@ -133,6 +133,10 @@ class Newton:
             self.snes.ksp.setFromOptions()
             self.snes.ksp.getPC().setFromOptions()
         self.direct = self.snes.ksp.getType() == "preonly"  # the user may have chosen otherwise
+        chosen = {name: str(self.choice.options.get(name)) for name in ("ksp_type", "pc_type")}
+        taken = {"ksp_type": self.snes.ksp.getType(), "pc_type": self.snes.ksp.getPC().getType()}
+        if taken != chosen:
+            log.info("PETSc options make it: %s with %s", taken["ksp_type"], taken["pc_type"])
         if not self.direct:
             self._attach_modes()
         self.judge()

@@ -10,6 +10,8 @@ from typing import Any
 
 from petsc4py import PETSc
 
+from dolfin_elastic.errors import InputError
+
 PREFIX = "elastic_"
 log = logging.getLogger("dolfin_elastic")
 
@@ -48,6 +50,26 @@ class Options:
     def change(self, defaults: Mapping[str, Any]) -> None:
         """Changes defaults for all later uses."""
         self._all = {**self._all, **defaults, **self.users}
+
+    @contextmanager
+    def told(self) -> Iterator[None]:
+        """Lets PETSc's refusal of an option of the user be one message.
+
+        Raises:
+            InputError: PETSc cannot do what the user's options ask for.
+        """
+        try:
+            yield
+        except PETSc.Error as error:
+            if not self.users:
+                raise
+            given = ", ".join(f"-{name} {value}" for name, value in self.users.items())
+            said = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
+            raise InputError(
+                f"PETSc refuses the options {given}: {said}",
+                where="solver.petsc",
+                expected="see the manual pages of PETSc",
+            ) from None
 
     def report_unused(self) -> None:
         """Warns once of options of the user that nothing asked for: mistyped ones. Inside."""

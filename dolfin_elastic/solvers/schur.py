@@ -11,6 +11,7 @@ Elman, Silvester & Wathen, Finite Elements and Fast Iterative Solvers (2014), se
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
@@ -45,7 +46,7 @@ class SchurSplit:
         self._pc: PETSc.PC | None = None
         self._multigrid = QuadraticMultigrid(problem) if problem.degree > 1 else None
 
-    def _schur_diagonal(self) -> np.ndarray:
+    def _schur_diagonal(self) -> npt.NDArray[np.float64]:
         """Row sums of the scaled pressure mass matrix, negative, owned entries."""
         problem = self._problem
         scale = problem.unknowns.scale["pressure"]
@@ -70,11 +71,13 @@ class SchurSplit:
         self._B = matrix.createSubMatrix(self._is_u, self._is_p, self._B)
         if self._pc is None:
             self._make(pc)
+        assert self._pc is not None
         self._pc.setOperators(self._K, self._K)
         self._pc.setUp()
 
     def _make(self, pc: PETSc.PC) -> None:
         assert self._K is not None
+        assert self._B is not None
         self._K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self._K.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
         self._attach_modes()
@@ -108,6 +111,7 @@ class SchurSplit:
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Pressure by the diagonal, then displacement by one cycle. Collective."""
         assert self._pc is not None
+        assert self._B is not None
         rows = x.array_r
         p = rows[self._pressures] * self._inverse
         self._p.array_w[:] = p

@@ -20,6 +20,7 @@ from dolfin_elastic.solvers.newton import Newton, Progress, Tolerance
 from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
+from dolfin_elastic.units import Force
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -41,7 +42,7 @@ class StaticsSettings(Record):
 
     steps: int = Field(default=1, ge=1)
     rtol: float = Field(default=1e-8, gt=0, lt=1)
-    atol: float = Field(default=0.0, ge=0)
+    atol: Force = Field(default=0.0, ge=0)
     max_iterations: int = Field(default=30, ge=1)
     min_step: float = Field(default=1e-3, gt=0, le=1)
 

@@ -56,8 +56,8 @@ class Orthotropic(Law):
     G12: Stress = Field(gt=0)
     G13: Stress = Field(gt=0)
     G23: Stress = Field(gt=0)
-    axis1: Direction = Field(default=[1.0, 0.0, 0.0])
-    axis2: Direction = Field(default=[0.0, 1.0, 0.0])
+    axis1: Direction = Field(default=(1.0, 0.0, 0.0))
+    axis2: Direction = Field(default=(0.0, 1.0, 0.0))
 
     linear: ClassVar[bool] = True
     frame_indifferent: ClassVar[bool] = False
