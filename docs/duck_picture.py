@@ -14,6 +14,7 @@ from matplotlib.colors import LinearSegmentedColormap
 
 from dolfin_elastic import read_case
 from dolfin_elastic.case import Case
+from dolfin_elastic.results.colours import bar
 from dolfin_elastic.results.evaluate import Evaluator
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -67,8 +68,8 @@ def main():
         "smooth_shading": True,
         "split_sharp_edges": True,
         "feature_angle": 35,
-        "ambient": 0.25,
-        "diffuse": 0.8,
+        "ambient": 0.4,
+        "diffuse": 0.65,
         "specular": 0.25,
         "specular_power": 20,
     }
@@ -77,11 +78,12 @@ def main():
     right = np.cross(UP, FROM)
     after.points += after["u"] + APART * right / np.linalg.norm(right)
     values = after["von Mises stress [kPa]"]
+    ticks = bar(values[values < np.percentile(values, 99.5)], "").ticks
     plot.add_mesh(
         after,
         scalars="von Mises stress [kPa]",
         cmap=HEAT,
-        clim=[0, float(np.percentile(values, 99.5))],
+        clim=[ticks[0], ticks[-1]],
         scalar_bar_args={
             "vertical": True,
             "position_x": 0.87,
@@ -90,7 +92,8 @@ def main():
             "width": 0.035,
             "fmt": "%.0f",
             "color": "black",
-            "n_labels": 5,
+            "n_labels": len(ticks),
+            "title": "von Mises stress [kPa]\n",
             "title_font_size": 22,
             "label_font_size": 22,
         },

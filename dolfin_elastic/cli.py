@@ -124,7 +124,7 @@ def run(
     if loud:
         from dolfin_elastic.screen import show_files
 
-        show_files(folder)
+        show_files(folder, read.output.listing(folder))
     if code:
         raise Exit(code)
 

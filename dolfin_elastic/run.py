@@ -54,7 +54,7 @@ def run(
     steps = cast(States, solver.steps())
     with located(case.file), closing(steps):
         first = next(steps)  # a fault that only shows at the start leaves no folder behind
-        with case.output.opened(problem, folder, case.frames) as writers:
+        with case.output.opened(problem, folder, case.frames, case.title) as writers:
             for state in chain([first], steps):
                 for writer in writers:
                     writer.write(state)

@@ -238,14 +238,8 @@ def show_profile(rows: Sequence[tuple[str, float, float]], memory: Mapping[str, 
     )
 
 
-def show_files(folder: Path) -> None:
-    """What is in the results' folder."""
-    hidden = (".", "_data")
-    names = sorted(
-        path.name
-        for path in folder.iterdir()
-        if not path.name.startswith(hidden[0]) and not path.stem.endswith(hidden[1])
-    )
+def show_files(folder: Path, names: Iterable[str]) -> None:
+    """What a run has written to its folder."""
     print(f"results in {folder}: {', '.join(names)}")
 
 

@@ -30,11 +30,13 @@ from dolfin_elastic.model.geometry import Geometry
 from dolfin_elastic.model.law import Law
 from dolfin_elastic.model.materials import MATERIALS
 from dolfin_elastic.model.own import Own, read_energy
+from dolfin_elastic.parallel import on_root
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, Picture, Summary, Xdmf
 from dolfin_elastic.results.outputs import Output as File
 from dolfin_elastic.results.writer import Writer
+from dolfin_elastic.results.xdmf import remove
 from dolfin_elastic.schema import Record, known_keys, shown, within
 from dolfin_elastic.state import State
 from dolfin_elastic.toml_text import key_text
@@ -43,6 +45,7 @@ from dolfin_elastic.units import to_si
 T = TypeVar("T")
 log = logging.getLogger("dolfin_elastic")
 Count = Annotated[int, Field(gt=0)]
+_FAILED = "failed_state.xdmf"
 
 
 class Box(Record):
@@ -233,20 +236,34 @@ class Output(Record):
                 )
         return names
 
-    def files(self, frames: int | None = None) -> list[File]:
-        """Everything that is written; `frames` thins the fields unless `every` says how."""
+    def files(self, frames: int | None = None, title: str = "") -> list[File]:
+        """Everything that is written.
+
+        Args:
+            frames: Thins the fields unless `every` says how.
+            title: Of pictures that have none of their own.
+        """
         every = {"frames": frames} if self.every is None else {"every": self.every}
-        return [Xdmf(fields=self.fields, **every), History(), *self.pictures, Summary()]
+        pictures = [
+            p if p.title is not None else p.model_copy(update={"title": title})
+            for p in self.pictures
+        ]
+        return [Xdmf(fields=self.fields, **every), History(), *pictures, Summary()]
+
+    def listing(self, folder: Path) -> list[str]:
+        """What a run has written to its folder, as a user reads it. Not collective."""
+        return sorted({name for file in self.files() for name in file.listing(folder)})
 
     @contextmanager
     def opened(
-        self, problem: Problem, folder: Path, frames: int | None = None
+        self, problem: Problem, folder: Path, frames: int | None = None, title: str = ""
     ) -> Iterator[list[Writer]]:
         """Opens all files and closes them with how it ended: completed, failed or stopped."""
         writers: list[Writer] = []
         ending: tuple[str, object] = ("completed", None)
         try:
-            writers.extend(file.open(problem, folder) for file in self.files(frames))
+            writers.extend(file.open(problem, folder) for file in self.files(frames, title))
+            on_root(problem.body.comm, lambda: remove(folder / _FAILED))
             yield writers
         except ElasticError as error:
             ending = ("failed", error)
@@ -283,7 +300,7 @@ def _write_failed(problem: Problem, folder: Path, state: State) -> None:
     """The state that is no solution, in a file of its own. Collective."""
     fields = ("displacement", "jacobian", "von_mises", "energy_density")
     known = fields if problem.has_energy else fields[:-1]
-    writer = Xdmf(file="failed_state.xdmf", fields=known).open(problem, folder)
+    writer = Xdmf(file=_FAILED, fields=known).open(problem, folder)
     writer.write(state)
     writer.close("failed", None)
 

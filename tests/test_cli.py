@@ -164,6 +164,32 @@ def test_run(folder: Path, ranks: int) -> None:
     assert summary["reactions"]["left"][2] == pytest.approx(-1e4, rel=1e-6)
 
 
+def test_only_own_files_are_listed(folder: Path) -> None:
+    """Files of others stay and are not named; what an older run has left goes."""
+    (folder / "case.toml").write_text(
+        f'title = "A beam"\n{CASE}[output]\npictures = [{{every = 1, field = "material"}}]\n'
+    )
+    results = folder / "case_results"
+    (results / "failed_state_data").mkdir(parents=True)
+    old = ("picture_0007.png", "failed_state.xdmf", "failed_state_data/000000.h5")
+    for name in (*old, "notes.txt"):
+        (results / name).touch()
+    code, out, err = cli("run", "case.toml", folder=folder)
+    assert code == 0, err
+    pictures = "picture_0000.png, picture_0001.png, picture_0002.png"
+    assert out.endswith(
+        f"results in case_results: history.csv, {pictures}, results.xdmf, summary.json\n"
+    )
+    left = {path.name for path in results.iterdir()} - {"results_data"}
+    assert left == {
+        *pictures.split(", "),
+        "history.csv",
+        "results.xdmf",
+        "summary.json",
+        "notes.txt",
+    }
+
+
 def test_quiet_and_folder(folder: Path) -> None:
     """Nothing to say, results where they are wanted."""
     assert cli("run", "case.toml", "-q", "-o", "deep/er", folder=folder) == (0, "", "")

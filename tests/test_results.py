@@ -16,11 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import matplotlib
 import numpy as np
 import numpy.typing as npt
 import pytest
 from dolfinx import fem
-from dolfinx.mesh import create_box, create_rectangle
+from dolfinx.mesh import compute_midpoints, create_box, create_rectangle
 from mpi4py import MPI
 
 from dolfin_elastic import timing
@@ -29,10 +30,12 @@ from dolfin_elastic.meshes.body import Body
 from dolfin_elastic.model.materials import NeoHookean
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.results import files, heavy
+from dolfin_elastic.results import colours, drawing, files, heavy, pictures
+from dolfin_elastic.results.colours import bar
 from dolfin_elastic.results.heavy import Rows
 from dolfin_elastic.results.outputs import OUTPUTS, History, Picture, Summary, Xdmf
 from dolfin_elastic.results.pictures import picture
+from dolfin_elastic.results.surface import Surface
 from dolfin_elastic.state import State
 
 Array = npt.NDArray[Any]
@@ -458,7 +461,7 @@ def test_unknown_fields_and_files_are_refused() -> None:
         Xdmf(fields=["von_mise"])  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"does not end in \.xdmf"):
         Xdmf(file="results.vtu")
-    with pytest.raises(InputError, match="cannot show 'rank'"):
+    with pytest.raises(InputError, match="cannot show 'rank'; one of displacement, .*, material$"):
         Picture(field="rank")
     with pytest.raises(InputError, match="every"):
         Picture(every=0)
@@ -485,19 +488,194 @@ def check_picture(path: Path) -> None:
     assert image[0].min() > 200
 
 
+def names(folder: Path) -> list[str]:
+    """Files of a folder, the same on all ranks."""
+    return on_root(COMM, lambda: sorted(p.name for p in folder.iterdir()))
+
+
 def test_pictures_during_a_run(folder: Path) -> None:
+    """Steps 3, 7, 8, 9 as a solver may show them: each second one or what follows, and the last."""
     problem = make_problem(2)
-    writers = [
-        Picture(every=2, field="displacement").open(problem, folder),
-        Picture(file="last.png").open(problem, folder),
-    ]
+    many, last = Picture(every=2, field="displacement"), Picture(file="last.png")
+    writers = [many.open(problem, folder), last.open(problem, folder)]
+    for step in (3, 7, 8, 9):
+        for writer in writers:
+            writer.write(make_state(problem, step, step / 9))
+    problem.u.x.array[:] = np.nan  # as after a failed step
+    for writer in writers:
+        writer.close("failed", "no convergence")
+    numbered = [f"picture_{step:04d}.png" for step in (3, 7, 8, 9)]
+    assert names(folder) == ["last.png", *numbered]
+    assert on_root(COMM, lambda: many.listing(folder)) == numbered
+    assert on_root(COMM, lambda: last.listing(folder)) == ["last.png"]
+
+
+def test_a_new_run_removes_old_pictures(folder: Path) -> None:
+    """Those with its own names, and no others."""
+    old = ["picture.png", "picture_0000.png", "picture_12345.png"]
+    others = ["my_picture.png", "picture_1.png", "picture_a.png"]
+    on_root(COMM, lambda: [(folder / name).touch() for name in (*old, *others)] and None)
+    Picture(every=2).open(make_problem(2), folder).close()
+    assert names(folder) == others
+
+
+def test_many_pictures_are_listed_briefly(folder: Path) -> None:
+    on_root(COMM, lambda: [(folder / f"a_{n:04d}.png").touch() for n in (2, 9999, 10000)] and None)
+    on_root(COMM, lambda: [(folder / f"a_{n:04d}.png").touch() for n in range(10)] and None)
+    listed = on_root(COMM, lambda: Picture(file="a.png").listing(folder))
+    assert listed == ["a_0000.png ... a_10000.png (12 pictures)"]
+
+
+def test_one_drawer_for_all_pictures(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ends with the last output that draws; a second run gets a new one."""
+    started, ended = [], []
+    begin, end = drawing.Drawer.__init__, drawing.Drawer.close
+    monkeypatch.setattr(drawing.Drawer, "__init__", lambda d: (started.append(d), begin(d))[1])
+    monkeypatch.setattr(drawing.Drawer, "close", lambda d: (ended.append(d), end(d))[1])
+    problem = make_problem(2)
+    writers = [Picture(file=f"{n}.png", every=1).open(problem, folder) for n in "ab"]
     for step in (1, 2):
         for writer in writers:
             writer.write(make_state(problem, step, step / 2))
-    for writer in writers:
-        writer.close()
-    names = on_root(COMM, lambda: sorted(p.name for p in folder.iterdir()))
-    assert names == ["last.png", "picture_0002.png"]
+    root = int(COMM.rank == 0)
+    writers[0].close()
+    assert (len(started), len(ended)) == (root, 0)
+    writers[1].close()
+    assert ended == started
+    images = [on_root(COMM, (folder / f"a_000{n}.png").read_bytes) for n in (1, 2)]
+    assert images[0] != images[1], "each picture is a new one"
+
+
+def test_a_drawer_that_dies(folder: Path) -> None:
+    """An error that says why, and the next picture is drawn by another one."""
+    if COMM.rank:
+        return
+    user, bad = object(), folder / "bad.npz"
+    bad.write_text("no picture")
+    with pytest.raises(OutputError, match="cannot draw a picture: .*pickle"):
+        drawing.SHARED.draw(user, bad, folder / "a.png")
+    assert drawing.SHARED._drawer is None
+    drawing.SHARED.release(user)
+
+
+def image(path: Path) -> Array:
+    """Rows of pixels from the bottom, red, green and blue."""
+    import pyvista
+
+    read = pyvista.read(str(path))
+    return np.asarray(read.point_data.active_scalars)[:, :3].reshape(*read.dimensions[1::-1], 3)
+
+
+def test_colours_are_those_of_the_bar(folder: Path) -> None:
+    """Also where the undeformed body lies over the deformed one."""
+    problem = make_problem(2)
+    problem.u.interpolate(lambda x: np.stack([0.3 + 0.2 * x[0], 0 * x[0]]))
+    picture(problem, State(1, 1.0, problem.u), folder / "a.png", field="jacobian")
+    if COMM.rank == 0:
+        pixels = image(folder / "a.png")[300:800, 100:1200].reshape(-1, 3)
+        shades, counts = np.unique(pixels, axis=0, return_counts=True)
+        coloured = np.ptp(shades, axis=1) > 60
+        assert coloured.any()
+        # det F is 1.2 everywhere, on a bar from 0 to 1.25; neighbouring shades differ by 5.
+        expected = 255 * np.array(matplotlib.colormaps["viridis"](1.2 / 1.25)[:3])
+        assert np.abs(shades[coloured][counts[coloured].argmax()] - expected).max() < 6
+        share = counts[coloured].max() / counts[coloured].sum()
+        assert share > 0.95, "only where lines pass there are other colours"
+
+
+def test_rounding_errors_get_no_colours(folder: Path) -> None:
+    """A body that has only been carried elsewhere has one colour."""
+    problem = make_problem(2)
+    problem.u.interpolate(lambda x: np.stack([0.7 / 3 + 0 * x[0], 0.1 + 0 * x[0]]))
+    picture(problem, State(1, 1.0, problem.u), folder / "a.png")
+    if COMM.rank == 0:
+        middle = image(folder / "a.png")[500:600, 500:700].reshape(-1, 3)
+        assert np.ptp(middle, axis=0).max() < 3
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_pictures_of_materials(folder: Path, dim: int) -> None:
+    """One colour for each, and its name."""
+    mesh = make_problem(dim).body.mesh
+    middle = compute_midpoints(mesh, mesh.topology.dim, np.arange(own_cells(mesh), dtype=np.int32))
+    left = np.flatnonzero(middle[:, 0] < 1).astype(np.int32)
+    right = np.flatnonzero(middle[:, 0] >= 1).astype(np.int32)
+    body = Body(mesh, regions={"left": left, "right": right})
+    rubber = NeoHookean(E=1e6, nu=0.3)
+    problem = Problem(body, {"left": rubber, "right": rubber})
+    state = make_state(problem)
+    for field in ("material", "region"):
+        picture(problem, state, folder / f"{field}.png", field=field, view="z")
+    if COMM.rank == 0:
+        pixels = image(folder / "material.png")
+        assert_hue(pixels[560, 300], "blue")
+        assert_hue(pixels[560, 900], "red")
+
+
+def own_cells(mesh: Any) -> int:
+    return int(mesh.topology.index_map(mesh.topology.dim).size_local)
+
+
+def assert_hue(pixel: Array, hue: str) -> None:
+    assert int(np.argmax(pixel)) == {"red": 0, "blue": 2}[hue], pixel
+
+
+def test_the_line_above_a_picture() -> None:
+    problem = make_problem(2)
+    state = make_state(problem, load_factor=0.6)
+    assert pictures._headline(state, "", 1.0) == "load 60 %"
+    assert pictures._headline(state, "A beam", 10.0) == (
+        "A beam   |   load 60 %   |   displacements \u00d7 10"
+    )
+    moving = make_state(problem, 3, 0.05, v=problem.u)
+    assert pictures._headline(moving, "", 1.0) == "t = 0.05 s"
+
+
+def test_labels_say_what_is_shown() -> None:
+    """A tensor has one colour at a point: its norm."""
+    surface = Surface(
+        np.zeros((1, 3)), np.zeros((3, 3)), {"value": np.array([[1.0], [2e3], [5e4]])}
+    )
+    problem = make_problem(2)
+    labels = [
+        pictures._Painter(problem, field)._coloured(surface)["label"]
+        for field in ("cauchy_stress", "von_mises", "jacobian", "displacement")
+    ]
+    assert labels == [
+        "Cauchy stress\nnorm of the tensor\n[kPa]",
+        "von Mises stress\n[kPa]",
+        "det F",
+        "displacement\n[km]",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("values", "noise", "ticks", "unit"),
+    [
+        ([0.0, 0.4], 0.0, (0, 100, 200, 300, 400), "mPa"),
+        ([-23.0, 21.0], 0.0, (-30, -20, -10, 0, 10, 20, 30), "Pa"),
+        ([1e6, 2.3e6], 0.0, (1, 1.5, 2, 2.5), "MPa"),
+        ([5e-10, 7e-10], 4e-4, (0, 100, 200, 300, 400), "µPa"),
+        ([3.0, 3.0 + 1e-12], 1e-3, (0, 1, 2, 3), "Pa"),
+        ([0.0, np.nan], 0.0, (0, 0.2, 0.4, 0.6, 0.8, 1), "Pa"),
+        ([np.nan], 0.0, (0, 0.2, 0.4, 0.6, 0.8, 1), "Pa"),
+        ([999.9999999999], 0.0, (0, 0.2, 0.4, 0.6, 0.8, 1), "kPa"),
+    ],
+)
+def test_colour_bars(
+    values: list[float], noise: float, ticks: tuple[float, ...], unit: str
+) -> None:
+    found = bar(np.array(values), "Pa", noise)
+    assert (found.ticks, found.unit) == (ticks, unit)
+
+
+@pytest.mark.parametrize(
+    ("ticks", "first", "form"),
+    [((0, 5), "0", "%.0f"), ((0, 2.5, 5), "0.0", "%.1f"), ((0, 1e-7), "0", "%.4g")],
+)
+def test_digits_of_ticks(ticks: tuple[float, ...], first: str, form: str) -> None:
+    assert colours._form(ticks) == form
+    assert form % ticks[0] == first
 
 
 @pytest.mark.parametrize("degree", [1, 2])

@@ -1,17 +1,22 @@
-"""Draws one picture: ``python _draw.py surface.npz picture.png``.
+"""Draws pictures: reads lines "surface.npz<tab>picture.png", and says "drawn" after each.
 
-A program of its own, started by `pictures.py`; it imports nothing of this package, so no MPI.
+A program of its own, started by `drawing.py`; it imports nothing of this package, so no MPI.
 """
 
 from __future__ import annotations
 
+import os
 import sys
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import pyvista as pv
+from vtkmodules.vtkRenderingCore import vtkActor2D, vtkPolyDataMapper2D
 
-_INK, _GHOST = "#303840", "#9aa4ae"
+_INK, _GHOST = "#303840", "#8a939c"
+_NAMED = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#bbbbbb", "#ee8866")
+_MOST_NAMES, _LONGEST_NAME = 16, 16
 _SIZE = (1500, 1100)
 _DIRECTIONS = {
     "isometric": (1.0, -1.25, 0.85),
@@ -25,6 +30,8 @@ _DIRECTIONS = {
 _SHARP = 35.0
 _VISIBLE = 2e-3
 _SHORT = 0.6
+# Size of the line above the body, and how many letters of that size there is room for.
+_HEADLINE, _LETTERS = 15, 85
 # Shares of the picture's width and height that the body may fill, left of the scalar bar.
 _ROOM, _SHIFT = (0.74, 0.8), 0.12
 
@@ -33,7 +40,8 @@ def _surface(data: Any, *, deformed: bool) -> pv.PolyData:
     points = data["points"] + (float(data["scale"]) * data["u"] if deformed else 0.0)
     faces = np.insert(data["triangles"], 0, 3, axis=1)
     mesh = pv.PolyData(points, faces.ravel())
-    mesh.point_data["value"] = data["value"]
+    if "names" not in data:
+        mesh.point_data["value"] = data["value"]
     return mesh
 
 
@@ -65,50 +73,76 @@ def _add_body(plot: pv.Plotter, data: Any) -> Any:
     """Adds the body and its edges; returns what maps values to colours."""
     reference, deformed = _surface(data, deformed=False), _surface(data, deformed=True)
     flat = bool(data["plane"])
+    named = "names" in data
     body = plot.add_mesh(
         deformed,
-        scalars="value",
-        cmap="viridis",
+        **(_by_name(deformed, data["value"]) if named else _by_value(data)),
         smooth_shading=not flat,
         split_sharp_edges=not flat,
         feature_angle=_SHARP,
         lighting=not flat,
-        ambient=0.4,
-        diffuse=0.62,
+        ambient=0.5,
+        diffuse=0.52,
         specular=0.06,
         show_scalar_bar=False,
     )
-    _add_lines(plot, _edges(reference, deformed.points), _INK, 3.5, 1.0)
+    _add_lines(plot, _edges(reference, deformed.points), _INK, 3.5)
     moved = np.abs(deformed.points - reference.points).max()
     if moved > _VISIBLE * reference.length:
-        behind = [0.0, 0.0, -1e-3 * reference.length if flat else 0.0]
-        plot.add_mesh(
-            reference.translate(behind),
-            color=_GHOST,
-            opacity=0.1,
-            lighting=False,
-            show_scalar_bar=False,
-        )
-        _add_lines(plot, _edges(reference, reference.points), _GHOST, 3.0, 1.0)
+        _add_outline(plot, reference)
     return body.mapper
 
 
-def _add_lines(
-    plot: pv.Plotter, lines: pv.PolyData, colour: str, width: float, opacity: float
-) -> None:
+def _add_outline(plot: pv.Plotter, reference: pv.PolyData) -> None:
+    """The undeformed body in lines only: a surface in front would change the other's colours."""
+    edges = _edges(reference, reference.points)
+    if edges.n_points:
+        _add_lines(plot, edges, _GHOST, 2.5)
+    else:  # a rounded body
+        plot.add_silhouette(reference, color=_GHOST, line_width=2.5, decimate=None)
+
+
+def _by_value(data: Any) -> dict[str, Any]:
+    ticks = data["ticks"]
+    return {"scalars": "value", "cmap": "viridis", "clim": [ticks[0], ticks[-1]]}
+
+
+def _by_name(mesh: pv.PolyData, numbers: Any) -> dict[str, Any]:
+    colours = np.array([pv.Color(c).int_rgb for c in _NAMED], dtype=np.uint8)
+    mesh.cell_data["colour"] = colours[np.asarray(numbers) % len(_NAMED)]
+    return {"scalars": "colour", "rgb": True, "preference": "cell"}
+
+
+def _add_lines(plot: pv.Plotter, lines: pv.PolyData, colour: str, width: float) -> None:
     if lines.n_points:
         plot.add_mesh(
             lines,
             color=colour,
             line_width=width,
-            opacity=opacity,
             lighting=False,
             show_scalar_bar=False,
         )
 
 
 def _add_text(plot: pv.Plotter, data: Any, mapper: Any) -> None:
-    plot.add_scalar_bar(
+    if "names" in data:
+        _add_legend(plot, data)
+    else:
+        _add_bar(plot, data, mapper)
+    headline = _plain(str(data["title"]))
+    size = min(_HEADLINE, int(_HEADLINE * _LETTERS / max(len(headline), 1)))
+    plot.add_text(headline, position=(0.03, 0.93), viewport=True, color=_INK, font_size=size)
+    if not bool(data["plane"]):
+        plot.add_axes(color=_INK, line_width=2, viewport=(0, 0, 0.16, 0.2))
+
+
+def _plain(text: str) -> str:
+    """Text in which VTK finds no formulas."""
+    return text.replace("$", "\\$")
+
+
+def _add_bar(plot: pv.Plotter, data: Any, mapper: Any) -> None:
+    bar = plot.add_scalar_bar(
         mapper=mapper,
         title=str(data["label"]) + "\n",
         vertical=True,
@@ -116,18 +150,47 @@ def _add_text(plot: pv.Plotter, data: Any, mapper: Any) -> None:
         position_y=0.2,
         width=0.055,
         height=0.6,
-        n_labels=6,
-        fmt="%.3g",
+        n_labels=len(data["ticks"]),
+        fmt=str(data["form"]),
         color=_INK,
         title_font_size=26,
         label_font_size=24,
     )
-    if str(data["title"]):
+    bar.SetUseCustomLabels(True)
+    bar.SetCustomLabels(pv.convert_array(np.asarray(data["ticks"], dtype=float)))
+
+
+def _add_legend(plot: pv.Plotter, data: Any) -> None:
+    """The names that are seen, each with its colour."""
+    top, left = 0.74, 0.84
+    plot.add_text(
+        str(data["label"]), position=(left, top + 0.05), viewport=True, color=_INK, font_size=13
+    )
+    numbers = np.unique(data["value"])
+    for row, number in enumerate(numbers[:_MOST_NAMES]):
+        name = str(data["names"][number])
+        if len(name) > _LONGEST_NAME:
+            name = name[: _LONGEST_NAME - 1] + "\u2026"
+        height = top - 0.04 * row
+        _add_square(plot, (left, height + 0.004), _NAMED[number % len(_NAMED)])
         plot.add_text(
-            str(data["title"]), position=(0.03, 0.93), viewport=True, color=_INK, font_size=15
+            _plain(name), position=(left + 0.025, height), viewport=True, color=_INK, font_size=11
         )
-    if not bool(data["plane"]):
-        plot.add_axes(color=_INK, line_width=2, viewport=(0, 0, 0.16, 0.2))
+    if len(numbers) > _MOST_NAMES:
+        text = f"and {len(numbers) - _MOST_NAMES} more"
+        height = top - 0.04 * _MOST_NAMES
+        plot.add_text(text, position=(left, height), viewport=True, color=_INK, font_size=11)
+
+
+def _add_square(plot: pv.Plotter, corner: tuple[float, float], colour: str) -> None:
+    x, y = corner[0] * _SIZE[0], corner[1] * _SIZE[1]
+    square = pv.Rectangle([(x, y, 0.0), (x + 22, y, 0.0), (x + 22, y + 22, 0.0)])
+    mapper = vtkPolyDataMapper2D()
+    mapper.SetInputData(square)
+    actor = vtkActor2D()
+    actor.SetMapper(mapper)
+    actor.GetProperty().SetColor(pv.Color(colour).float_rgb)
+    plot.renderer.AddActor2D(actor)
 
 
 def _aim(plot: pv.Plotter, data: Any) -> None:
@@ -157,18 +220,41 @@ def _fill(plot: pv.Plotter, data: Any) -> None:
     plot.reset_camera_clipping_range()
 
 
-def main(source: str, target: str) -> None:
+def draw(plot: pv.Plotter, source: str, target: str) -> None:
     """Draws what is in the file `source` into the file `target`."""
-    data = np.load(source)
-    plot = pv.Plotter(off_screen=True, window_size=list(_SIZE))
-    plot.set_background("#f2f4f6", top="#ffffff")
-    plot.enable_anti_aliasing("ssaa")
+    with np.load(source) as file:
+        data = dict(file)
+    plot.suppress_rendering = True  # until all is there
+    plot.clear()
+    plot.enable_lightkit()
     mapper = _add_body(plot, data)
     _add_text(plot, data, mapper)
     _aim(plot, data)
+    plot.suppress_rendering = False
+    plot.render()
     plot.screenshot(target)
+
+
+def plotter() -> pv.Plotter:
+    """One window for all pictures: a new one would compile its shaders again."""
+    plot = pv.Plotter(off_screen=True, window_size=list(_SIZE))
+    plot.set_background("#f2f4f6", top="#ffffff")
+    plot.enable_anti_aliasing("ssaa")
+    return plot
+
+
+def main() -> None:
+    """Draws until its input ends."""
+    # Libraries may print what they like, but not between the answers.
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    plot = plotter()
+    for line in sys.stdin:
+        draw(plot, *line.rstrip("\n").split("\t"))
+        with suppress(BrokenPipeError):
+            print("drawn", file=answers, flush=True)
     plot.close()
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

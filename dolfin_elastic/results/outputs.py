@@ -14,7 +14,7 @@ from pydantic import Field, field_validator
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.results.fields import known
 from dolfin_elastic.results.history import HistoryWriter
-from dolfin_elastic.results.pictures import PictureWriter, View, drawable
+from dolfin_elastic.results.pictures import PictureWriter, View, drawable, own_files
 from dolfin_elastic.results.summary import SummaryWriter
 from dolfin_elastic.results.writer import Writer
 from dolfin_elastic.results.xdmf import XdmfWriter
@@ -22,6 +22,9 @@ from dolfin_elastic.schema import Record
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem import Problem
+
+
+_MANY = 4
 
 
 class Output(Record):
@@ -42,6 +45,10 @@ class Output(Record):
         """
         raise NotImplementedError
 
+    def listing(self, folder: Path) -> list[str]:
+        """What of it is in the results' folder, as a user reads it. Not collective."""
+        return [self.file] if (folder / self.file).is_file() else []
+
 
 def _suffix(file: str, suffix: str) -> str:
     if not file.endswith(suffix) or file == suffix:
@@ -56,7 +63,7 @@ class Xdmf(Output):
         file: The file to open; the numbers go to a folder of the same name beside it.
         fields: Names from `FIELDS`; by default displacement, von Mises and Cauchy stress, and in
             motion velocity.
-        every: Writes each n-th step; the last one is always written.
+        every: Writes the first state at or after each n-th step, and the last one.
         frames: Instead of that, so many states evenly over the run.
     """
 
@@ -115,7 +122,8 @@ class Picture(Output):
         field: Name from `FIELDS` that colours the surface; of a vector or tensor its length.
         view: Where it is looked at from.
         scale: Magnification of the displacement.
-        every: "last", or n for each n-th step.
+        every: "last"; or n for the first state at or after each n-th step, and the last one.
+        title: Stands above the body; by default the case's title.
     """
 
     file: str = "picture.png"
@@ -123,6 +131,7 @@ class Picture(Output):
     view: View = "isometric"
     scale: float = 1.0
     every: Literal["last"] | int = "last"
+    title: str | None = None
 
     _check_file = field_validator("file")(lambda file: _suffix(file, ".png"))
     _check_field = field_validator("field")(staticmethod(drawable))
@@ -142,8 +151,17 @@ class Picture(Output):
             field=self.field,
             view=self.view,
             scale=self.scale,
+            title=self.title or "",
             every=None if self.every == "last" else self.every,
         )
+
+    def listing(self, folder: Path) -> list[str]:
+        """See `Output.listing`; many pictures are the first and the last."""
+        path = folder / self.file
+        found = [str(p.relative_to(folder)) for p in own_files(path)] if folder.is_dir() else []
+        if len(found) <= _MANY:
+            return found
+        return [f"{found[0]} ... {found[-1]} ({len(found)} pictures)"]
 
 
 OUTPUTS: dict[str, type[Output]] = {

@@ -1,35 +1,35 @@
 """Pictures of the deformed body, without a display.
 
-The surface goes to rank 0, which has it drawn by another process (`_draw.py`): what VTK does wrong
-there, down to a crash, becomes an error message here and not the end of the run.
+The surface goes to rank 0, which has it drawn by another process (`drawing.py`): what VTK does
+wrong there, down to a crash, becomes an error message here and not the end of the run.
 """
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+import re
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from shutil import which
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from dolfinx import la
+from dolfinx.common import IndexMap
 from mpi4py import MPI
 
-from dolfin_elastic.errors import InputError, OutputError
+from dolfin_elastic.errors import InputError, nearest
+from dolfin_elastic.meshes.body import span
 from dolfin_elastic.parallel import agree, on_root
+from dolfin_elastic.results.colours import bar
+from dolfin_elastic.results.drawing import SHARED
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.fields import FIELDS, known
+from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import make_folder, writing
-from dolfin_elastic.results.grid import Grid, to_nodes
+from dolfin_elastic.results.grid import to_nodes
 from dolfin_elastic.results.surface import Surface, gather
-from dolfin_elastic.results.writer import Kept
+from dolfin_elastic.results.writer import Every, Kept
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
@@ -39,20 +39,32 @@ if TYPE_CHECKING:
 Array = npt.NDArray[Any]
 View = Literal["isometric", "x", "y", "z", "-x", "-y", "-z"]
 
-_TIMEOUT = 300
 _NAP = 0.02
-_PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"))
+_NAMED = ("material", "region")
+_LABELS = {
+    "von_mises": "von Mises stress",
+    "von_mises_nodal": "von Mises stress",
+    "cauchy_stress": "Cauchy stress",
+    "first_piola": "first Piola stress",
+    "green_strain": "Green strain",
+    "jacobian": "det F",
+    "young_modulus": "Young's modulus",
+}
 
 
 def drawable(name: str) -> str:
     """The name of a field, if a picture can show it.
 
     Raises:
-        InputError: There is no such field, or it is one of numbers without order.
+        InputError: There is no such field, or it is one of numbers without order or names.
     """
-    (name,) = known([name])
-    if FIELDS[name].fixed and FIELDS[name].formula is None:
-        raise InputError(f"a picture cannot show '{name}'", expected="for example von_mises")
+    allowed = [
+        name for name, row in FIELDS.items() if name in _NAMED or row.formula or not row.fixed
+    ]
+    if name not in FIELDS:
+        raise InputError(f"there is no field '{name}'", expected=nearest(name, allowed))
+    if name not in allowed:
+        raise InputError(f"a picture cannot show '{name}'", expected=f"one of {', '.join(allowed)}")
     return name
 
 
@@ -73,25 +85,32 @@ def picture(
         state: What is shown.
         file: The PNG file.
         field: Name from `FIELDS`; of vectors and tensors the length is shown; values of cells are
-            averaged at the nodes.
+            averaged at the nodes, but for materials and regions.
         scale: Magnification of the displacement.
         view: Along which axis it is looked at; plane bodies are always seen from the front.
-        title: A line above the body.
+        title: Stands above the body, before load or time.
 
     Raises:
         InputError: The field cannot be shown.
         OutputError: The picture cannot be drawn or written.
     """
-    _Painter(problem, field).paint(state, Path(file), scale=scale, view=view, title=title)
+    painter = _Painter(problem, field)
+    try:
+        painter.paint(state, Path(file), scale=scale, view=view, title=title)
+    finally:
+        painter.close()
 
 
 class PictureWriter:
     """Draws pictures during a run, or of its last step.  All of it is collective.
 
+    A new run removes the pictures of an older one that carry its names.
+
     Args:
         problem: The problem that is solved.
         path: The PNG file.
-        every: Each n-th step, with the step's number in the file's name; None: the last only.
+        every: Each n-th step (see `Every`) and the last one, with the step's number in the
+            file's name; None: the last only, without it.
         field: See `picture`.
         options: `scale`, `view` and `title` of `picture`.
     """
@@ -105,35 +124,62 @@ class PictureWriter:
         field: str = "von_mises",
         **options: Any,
     ) -> None:
-        self.path, self.every, self.options = path, every, options
+        self.path, self.options = path, options
+        self._every = None if every is None else Every(every)
         self._kept = Kept()
         with stage("output"):
-            on_root(problem.body.comm, lambda: make_folder(path.parent))
+            on_root(problem.body.comm, self._clear)
             self._painter = _Painter(problem, field)
+
+    def _clear(self) -> None:
+        make_folder(self.path.parent)
+        with writing(self.path):
+            for file in own_files(self.path):
+                file.unlink()
 
     def write(self, state: State) -> None:
         """Draws the step, or keeps it for the end."""
         with stage("output"):
-            if self.every is None:
+            if self._every is None or not self._every.takes(state.step):
                 self._kept.keep(state)
-            elif state.step % self.every == 0:
-                name = f"{self.path.stem}_{state.step:04d}{self.path.suffix}"
-                self._painter.paint(state, self.path.with_name(name), **self.options)
+            else:
+                self._kept.state = None
+                self._paint(state)
+
+    def _paint(self, state: State) -> None:
+        name = f"{self.path.stem}_{state.step:04d}{self.path.suffix}"
+        file = self.path if self._every is None else self.path.with_name(name)
+        self._painter.paint(state, file, **self.options)
 
     def close(self, status: str = "completed", error: object = None) -> None:
-        """Draws the last converged step, if that was asked for."""
-        if self._kept.state:
-            with stage("output"):
-                self._painter.paint(self._kept.state, self.path, **self.options)
+        """Draws the last converged step if it has not been drawn."""
+        try:
+            if self._kept.state:
+                with stage("output"):
+                    self._paint(self._kept.state)
+        finally:
+            self._painter.close()
+
+
+def own_files(path: Path) -> list[Path]:
+    """Pictures that a run has drawn as `path`, in their order. Not collective."""
+    numbered = re.compile(rf"{re.escape(path.stem)}_(\d{{4,}}){re.escape(path.suffix)}")
+    found = [(int(m[1]), p) for p in path.parent.iterdir() if (m := numbered.fullmatch(p.name))]
+    return [*([path] if path.is_file() else []), *(p for _, p in sorted(found))]
 
 
 class _Painter:
     """A field of a problem, ready to be drawn again and again."""
 
     def __init__(self, problem: Problem, field: str) -> None:
-        self.comm, self.field = problem.body.comm, drawable(field)
+        self.problem, self.comm, self.field = problem, problem.body.comm, drawable(field)
         self.dim = problem.body.dim
+        self._noise = _noise(problem, FIELDS[field].unit)
         self._evaluate = Evaluator(problem, [field])
+
+    def close(self) -> None:
+        """There is nothing more to draw."""
+        SHARED.release(self)
 
     def paint(
         self,
@@ -144,14 +190,20 @@ class _Painter:
         view: View = "isometric",
         title: str = "",
     ) -> None:
-        values = self._at_local_nodes(self._evaluate(state)[self.field])
+        values = self._evaluate(state)[self.field]
         grid = self._evaluate.grid
         u = state.u.x.array.reshape(-1, self.dim)
-        surface = gather(grid, {"u": np.pad(u, ((0, 0), (0, 3 - self.dim))), "value": values})
+        fields, of_cells = {"u": np.pad(u, ((0, 0), (0, 3 - self.dim)))}, None
+        if self.field in _NAMED:
+            cells = grid.mesh.topology.index_map(grid.mesh.topology.dim)
+            of_cells = _with_ghosts(cells, values)[:, 0].astype(np.int64)
+        else:
+            fields["value"] = self._at_local_nodes(values)
+        surface = gather(grid, fields, of_cells)
         settings = {
             "scale": scale,
             "view": "z" if self.dim == 2 else view,
-            "title": title,
+            "title": _headline(state, title, scale),
             "plane": self.dim == 2,
         }
         _on_root_alone(self.comm, lambda: self._draw(surface, file, settings))
@@ -160,30 +212,74 @@ class _Painter:
         grid, field = self._evaluate.grid, FIELDS[self.field]
         if field.columns > 1:
             values = np.linalg.norm(values, axis=1, keepdims=True)
-        return to_nodes(grid.V, values) if field.centre == "cell" else _with_ghosts(grid, values)
+        if field.centre == "cell":
+            return to_nodes(grid.V, values)
+        return _with_ghosts(grid.V.dofmap.index_map, values)
 
     def _draw(self, surface: Surface | None, file: Path, settings: Mapping[str, Any]) -> None:
         assert surface is not None
-        factor, unit = _prefix(
-            float(np.abs(surface.values["value"]).max()), FIELDS[self.field].unit
-        )
-        label = self.field.replace("_", " ").replace("von mises", "von Mises stress")
         with writing(file), tempfile.TemporaryDirectory() as scratch:
-            data = Path(scratch) / "surface.npz"
+            data, drawn = Path(scratch) / "surface.npz", Path(scratch) / "picture.png"
             np.savez(
                 data,
                 points=surface.points,
                 triangles=surface.triangles,
                 u=surface.values["u"],
-                value=surface.values["value"][:, 0] / factor,
-                label=f"{label} [{unit}]" if unit else label,
+                **self._coloured(surface),
                 **settings,
             )
-            drawn = Path(scratch) / "picture.png"
-            _run(data, drawn)
+            SHARED.draw(self, data, drawn)
             draft = file.with_name(f".{file.name}.part")
             draft.write_bytes(drawn.read_bytes())
             draft.replace(file)
+
+    def _coloured(self, surface: Surface) -> dict[str, Any]:
+        """Values with the colour bar's range, ticks and label, or with names."""
+        field, label = FIELDS[self.field], _LABELS.get(self.field, self.field.replace("_", " "))
+        if surface.of_cells is not None:
+            first, names = self._names()
+            return {"value": surface.of_cells - first, "names": names, "label": label}
+        values = surface.values["value"][:, 0]
+        found = bar(values, field.unit, self._noise)
+        unit = f"[{found.unit}]" if found.unit else ""
+        if field.shape == "tensor":
+            unit = f"norm of the tensor\n{unit}"
+        return {
+            "value": values / found.factor,
+            "ticks": found.ticks,
+            "form": found.form,
+            "label": f"{label}\n{unit}".strip(),
+        }
+
+    def _names(self) -> tuple[int, list[str]]:
+        """The first number of a field of names, and the names."""
+        if self.field == "material":
+            return 0, [part.name for part in self.problem.parts]
+        return -1, ["no region", *sorted(self.problem.body.regions)]
+
+
+def _headline(state: State, title: str, scale: float) -> str:
+    """Title, load or time, and magnification, as far as there is something to say."""
+    moving = state.v is not None
+    place = f"t = {state.t:.4g} s" if moving else f"load {100 * state.load_factor:.4g} %"
+    larger = "" if scale == 1.0 else f"displacements \u00d7 {scale:g}"
+    return "   |   ".join(filter(None, (title, place, larger)))
+
+
+def _noise(problem: Problem, unit: str) -> float:
+    """Values of a field below this are rounding errors. Collective.
+
+    Stresses and strains are differences of displacements, and lose digits to them.
+    """
+    stiff = min(float(part.shear.value) for part in problem.parts)
+    scales = {
+        "Pa": 1e-9 * stiff,
+        "J/m^3": 1e-14 * stiff,
+        "": 1e-9,
+        "m": 1e-14 * span(problem.body),
+        "N": 1e-14 * stiff * span(problem.body) ** 2,
+    }
+    return scales.get(unit, 0.0)
 
 
 def _on_root_alone(comm: MPI.Comm, action: Callable[[], None]) -> None:
@@ -200,85 +296,9 @@ def _on_root_alone(comm: MPI.Comm, action: Callable[[], None]) -> None:
     agree(comm, error)
 
 
-def _with_ghosts(grid: Grid, values: Array) -> Array:
-    """Values of the owned nodes, completed by those of the ghosts. Collective."""
-    work = la.vector(grid.V.dofmap.index_map, 1)
+def _with_ghosts(index_map: IndexMap, values: Array) -> Array:
+    """Values of what this rank owns, one each, completed by those of the ghosts. Collective."""
+    work = la.vector(index_map, 1)
     work.array[: len(values)] = values[:, 0]
     work.scatter_forward()
     return work.array[:, None].copy()
-
-
-def _prefix(largest: float, unit: str) -> tuple[float, str]:
-    """A factor and a unit with which the largest value reads well."""
-    if unit not in ("Pa", "J/m^3", "m", "N") or not largest:
-        return 1.0, unit
-    factor, prefix = next(((f, p) for f, p in _PREFIXES if largest >= f), _PREFIXES[-1])
-    return factor, prefix + unit
-
-
-def _run(data: Path, drawn: Path) -> None:
-    """Lets the other process draw.
-
-    Raises:
-        OutputError: It could not, with the last thing it said.
-    """
-    script = Path(__file__).with_name("_draw.py")
-    with _display() as environment:
-        try:
-            done = subprocess.run(
-                [sys.executable, "-P", str(script), str(data), str(drawn)],
-                env=environment,
-                capture_output=True,
-                text=True,
-                timeout=_TIMEOUT,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            raise OutputError(f"drawing a picture took longer than {_TIMEOUT} s") from None
-    if done.returncode or not drawn.exists():
-        said = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
-        raise OutputError(f"cannot draw a picture: {said}; pyvista and Xvfb are needed")
-
-
-@contextmanager
-def _display() -> Iterator[dict[str, str]]:
-    """An environment with a display: one of our own, for a real one would flash windows."""
-    # A child that believes to be an MPI rank may try to join the run.
-    mine = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_", "PMI_"))}
-    if not which("Xvfb"):
-        yield mine
-        return
-    server, number = _start_xvfb()
-    try:
-        yield {**mine, "DISPLAY": f":{number}"}
-    finally:
-        server.terminate()
-        server.wait()
-
-
-def _start_xvfb() -> tuple[subprocess.Popen[bytes], int]:
-    """Starts a server on a display number that it finds free itself."""
-    read, write = os.pipe()
-    server = subprocess.Popen(
-        [
-            "Xvfb",
-            "-displayfd",
-            str(write),
-            "-screen",
-            "0",
-            "1600x1200x24",
-            "-nolisten",
-            "tcp",
-            "-terminate",
-        ],
-        pass_fds=[write],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    os.close(write)
-    with os.fdopen(read) as answer:
-        number = answer.readline().strip()
-    if not number:
-        server.wait()
-        raise OutputError("cannot draw a picture: Xvfb did not start")
-    return server, int(number)

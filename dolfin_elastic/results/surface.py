@@ -28,25 +28,29 @@ class Surface:
         triangles: Rows of `points`, shape (n, 3), seen from outside counter-clockwise.
         points: Reference configuration [m], shape (m, 3).
         values: Name to values at the points, shape (m, columns).
+        of_cells: Values of the cells that the triangles belong to, shape (n,), if asked for.
     """
 
     triangles: Array
     points: Array
     values: dict[str, Array]
+    of_cells: Array | None = None
 
 
-def gather(grid: Grid, values: dict[str, Array]) -> Surface | None:
+def gather(grid: Grid, values: dict[str, Array], of_cells: Array | None = None) -> Surface | None:
     """The body's surface on rank 0, None on the others; of a plane body all cells. Collective.
 
     Args:
         grid: The body's points and cells.
         values: Name to values at the local points (ghosts included), shape (points, columns).
+        of_cells: Values of the local cells (ghosts included), shape (cells,), or None.
     """
-    triangles = _triangles(grid)
+    triangles, cells = _triangles(grid)
     used, local = np.unique(triangles, return_inverse=True)
     numbers = grid.V.dofmap.index_map.local_to_global(used.astype(np.int32))
     points = grid.V.tabulate_dof_coordinates()[used]
-    own = (local.reshape(-1, 3), numbers, points, {k: v[used] for k, v in values.items()})
+    mine = None if of_cells is None else of_cells[cells]
+    own = (local.reshape(-1, 3), numbers, points, {k: v[used] for k, v in values.items()}, mine)
     parts = _to_root(grid.mesh.comm, own)
     return _joined(parts) if grid.mesh.comm.rank == 0 else None
 
@@ -66,23 +70,26 @@ def _joined(parts: list[Any]) -> Surface:
     points = np.concatenate([part[2] for part in parts])[first]
     names = parts[0][3]
     values = {k: np.concatenate([part[3][k] for part in parts])[first] for k in names}
-    return Surface(triangles, points, values)
+    shares = [part[4] for part in parts]
+    of_cells = None if shares[0] is None else np.concatenate(shares)
+    return Surface(triangles, points, values, of_cells)
 
 
-def _triangles(grid: Grid) -> Array:
-    """Local points of this rank's share of the surface, shape (n, 3)."""
+def _triangles(grid: Grid) -> tuple[Array, Array]:
+    """Local points of this rank's share of the surface, shape (n, 3), and the cell of each."""
     if grid.mesh.topology.dim == 2:
-        return _split(_upward(grid.V, grid.V.dofmap.list[: grid.own_cells]))
+        own = np.arange(grid.own_cells)
+        return _split(_upward(grid.V, grid.V.dofmap.list[own]), own)
     cells, sides = _outer_sides(grid.mesh)
     nodes = np.array([sorted(grid.V.dofmap.dof_layout.entity_closure_dofs(2, i)) for i in range(4)])
     faces = np.take_along_axis(grid.V.dofmap.list[cells], nodes[sides], axis=1)
-    return _split(_outward(grid.V, faces, grid.V.dofmap.list[cells, sides]))
+    return _split(_outward(grid.V, faces, grid.V.dofmap.list[cells, sides]), cells)
 
 
-def _split(faces: Array) -> Array:
+def _split(faces: Array, cells: Array) -> tuple[Array, Array]:
     if faces.shape[1] == _CORNERS:
-        return faces
-    return faces[:, _QUARTERS].reshape(-1, 3)
+        return faces, cells
+    return faces[:, _QUARTERS].reshape(-1, 3), np.repeat(cells, len(_QUARTERS))
 
 
 def _outward(V: fem.FunctionSpace, faces: Array, opposite: Array) -> Array:

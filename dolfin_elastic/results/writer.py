@@ -1,4 +1,4 @@
-"""What every output is once it is open, and how a state is kept for later."""
+"""What every output is once it is open, which states it takes, and how one is kept for later."""
 
 from __future__ import annotations
 
@@ -23,6 +23,27 @@ class Writer(Protocol):
             status: "completed" or "failed".
             error: Why it failed.
         """
+
+
+class Every:
+    """Which states are taken: the first one at or after each n-th step.
+
+    A solver may not show every step; then the steps it shows need not be multiples of n.
+
+    Args:
+        n: Steps from one taken state to the next.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.n = n
+        self._taken = -1
+
+    def takes(self, step: int) -> bool:
+        """True if this state is taken. To be asked once for each."""
+        due = step // self.n > self._taken
+        if due:
+            self._taken = step // self.n
+        return due
 
 
 class Kept:

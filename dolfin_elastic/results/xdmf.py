@@ -34,7 +34,7 @@ from dolfin_elastic.results.fields import DEFAULT, FIELDS, IN_MOTION
 from dolfin_elastic.results.files import make_folder, replace_text, writing
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.heavy import Rows
-from dolfin_elastic.results.writer import Kept
+from dolfin_elastic.results.writer import Every, Kept
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
@@ -51,7 +51,7 @@ class XdmfWriter:
         problem: The problem that is solved.
         path: The `.xdmf` file; the heavy data go to a folder beside it.
         fields: Names from `FIELDS`; None: displacement and stresses, in motion also velocity.
-        every: Writes each n-th step, and always the last one.
+        every: Writes each n-th step (see `Every`), and always the last one.
         frames: Instead of that, as many states as this, evenly over the run, and the last one.
 
     Raises:
@@ -69,9 +69,9 @@ class XdmfWriter:
         frames: int | None = None,
     ) -> None:
         self.problem, self.path, self.fields = problem, path, fields
-        self.every, self.frames = every, frames
+        self.every, self.frames = Every(every), frames
         self.comm = problem.body.comm
-        self.data = path.with_name(f"{path.stem}_data")
+        self.data = _data(path)
         self._frames: list[str] = []
         self._kept = Kept()
         self._pending = False
@@ -80,13 +80,8 @@ class XdmfWriter:
             on_root(self.comm, self._clear)
 
     def _clear(self) -> None:
-        """Removes the results of an earlier run: first what names them, then themselves."""
         make_folder(self.data)
-        with writing(self.path):
-            self.path.unlink(missing_ok=True)
-            for file in self.data.iterdir():
-                if _OURS.fullmatch(file.name):
-                    file.unlink()
+        clear(self.path)
 
     def write(self, state: State) -> None:
         """Writes one step; on return it can be opened, whatever happens next."""
@@ -99,7 +94,7 @@ class XdmfWriter:
 
     def _due(self, state: State) -> bool:
         if self.frames is None:
-            return state.step % self.every == 0
+            return self.every.takes(state.step)
         return state.done * self.frames >= len(self._frames)
 
     def _write(self, state: State) -> None:
@@ -140,6 +135,41 @@ class XdmfWriter:
             with stage("output"):
                 self._write(self._kept.state)
             self._pending = False
+
+
+def clear(path: Path) -> None:
+    """Removes the results of an earlier run. Not collective.
+
+    First what names them, then themselves; files of others stay.
+
+    Args:
+        path: The `.xdmf` file; it need not exist.
+
+    Raises:
+        OutputError: They cannot be removed.
+    """
+    with writing(path):
+        path.unlink(missing_ok=True)
+        for file in _data(path).glob("*.h5"):
+            if _OURS.fullmatch(file.name):
+                file.unlink()
+
+
+def remove(path: Path) -> None:
+    """As `clear`, and the folder of the numbers goes, too, if it is empty. Not collective.
+
+    Raises:
+        OutputError: They cannot be removed.
+    """
+    clear(path)
+    data = _data(path)
+    with writing(data):
+        if data.is_dir() and not any(data.iterdir()):
+            data.rmdir()
+
+
+def _data(path: Path) -> Path:
+    return path.with_name(f"{path.stem}_data")
 
 
 def _mesh(grid: Grid) -> dict[str, Rows]:
