@@ -19,6 +19,7 @@ from dolfin_elastic.model.loads import Load
 from dolfin_elastic.parallel import total
 from dolfin_elastic.parts import locking_notes
 from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.solvers.explicit import check_explicit
 from dolfin_elastic.solvers.linear import choose
 from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.tables import Material
@@ -55,6 +56,7 @@ class Report:
         mesh: Where the mesh comes from.
         dim: 3, or 2 for plane strain.
         extent: Sides of the body's bounding box [m].
+        geometry: "solid", or what a plane mesh is.
         cells: Cells on all ranks.
         unknowns: Displacement components on all ranks.
         analysis: "statics" or "dynamics".
@@ -69,6 +71,7 @@ class Report:
     title: str
     mesh: str
     dim: int
+    geometry: str
     extent: tuple[float, ...]
     cells: int
     unknowns: int
@@ -91,14 +94,17 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     body = case.read_body(comm)
     notes = check(case, body)
     problem = case.make_problem(body)
-    if case.dynamics is None:
-        with located(case.file):
+    with located(case.file):
+        if case.dynamics is None:
             check_held(problem)
+        elif explicit(case):
+            check_explicit(problem)
     return Report(
         case=case.file,
         title=case.title,
         mesh=body.source,
         dim=body.dim,
+        geometry=case.mesh.geometry if body.dim == 2 else "solid",
         extent=extent(body),
         cells=body.num_cells,
         unknowns=problem.num_dofs,

@@ -54,7 +54,9 @@ def plan(
     nearly = {name for name, law in laws.items() if poisson(law) > STIFF_IN_VOLUME}
     exactly = {name for name, law in laws.items() if not math.isfinite(_volume_modulus(law))}
     _check(laws, exactly, formulation, degree)
-    split = {name for name, law in laws.items() if isinstance(law, SplitLaw)}
+    split = {
+        name for name, law in laws.items() if isinstance(law, SplitLaw) and _volume_modulus(law) > 0
+    }
     mixed: set[str] = set()
     if formulation == "mixed":
         mixed = nearly & split or split
@@ -90,7 +92,8 @@ def _check(
                 where=f"materials.{name}.nu",
                 expected='mesh.formulation = "mixed" or mesh.degree = 2, or nu below 0.5',
             )
-    if formulation == "mixed" and not any(isinstance(law, SplitLaw) for law in laws.values()):
+    carried = (isinstance(law, SplitLaw) and _volume_modulus(law) > 0 for law in laws.values())
+    if formulation == "mixed" and not any(carried):
         raise InputError(
             "no material has a volumetric part that a pressure could carry",
             where="mesh.formulation",
@@ -106,14 +109,12 @@ def locking(nu: float, cells_across: float) -> tuple[float, float]:
     of the body.  Found at nu = 0.4999: a tube under pressure 0.013 x, Cook's membrane 0.06 x to
     0.8 x, a cylinder twisted 2 x.
     """
-    x = 2 * nu / (1 - 2 * nu) / cells_across**2
+    x = 2 * nu / max(1 - 2 * nu, 1e-9) / cells_across**2
     return 1 + 0.013 * x, 1 + 2 * x
 
 
 def describe(plan: Plan, degree: int) -> str:
-    """The unknowns in words, for the log."""
-    if not plan.mixed:
-        return f"displacement, P{degree}"
+    """The unknowns of a mixed problem in words, for the log."""
     pressure = next(extra for extra in plan.extras if extra.name == "pressure")
     kind = "P" if pressure.continuous else "DG"
     stabilised = ", stabilised" if pressure.continuous and degree == 1 else ""
@@ -145,4 +146,5 @@ def shear_modulus(law: Law) -> float:
         return known.mu
     with np.errstate(all="ignore"):
         stiffness = voigt(Trial(law).rest)
-    return float(np.mean(np.diag(stiffness)[3:]))
+    mu = float(np.mean(np.diag(stiffness)[3:]))
+    return mu if np.isfinite(mu) and mu > 0 else 1.0

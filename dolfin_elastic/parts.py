@@ -80,7 +80,6 @@ def make_parts(
         MeshError: A name does not exist, or the materials do not cover the body exactly once.
         InputError: A material that cannot be, or not so.
     """
-    gate({f"materials.{name}": law for name, law in laws.items()}, body.comm)
     binder = Binder(body, order)
     cells = {name: _cells(body, name) for name in laws}
     _check_cover(body, cells)
@@ -89,8 +88,10 @@ def make_parts(
         for name, law in laws.items()
     }
     typical = {name: b.typical for name, b in bound.items()}
+    gate({f"materials.{name}": law for name, law in typical.items()}, body.comm)
     fields = plan(typical, formulation, degree, plane_stress=geometry == "plane-stress")
-    log.info("unknowns: %s", describe(fields, degree))
+    if fields.mixed:
+        log.info("unknowns: %s", describe(fields, degree))
     for law in laws.values():
         if law.warning:
             log.warning("%s", law.warning)
@@ -115,10 +116,9 @@ def _part(body: Body, marker: int, name: str, cells: Indices, bound: Bound, fiel
     if name in fields.mixed:
         # A number is written as one, so that an infinite modulus has the compliance 0.
         modulus = getattr(bound.law, bound.law.volume_modulus)  # type: ignore[attr-defined]
+        number = modulus.value if isinstance(modulus, Constant) else modulus
         compliance = (
-            _constant(body, 1.0 / float(modulus.value))
-            if isinstance(modulus, Constant)
-            else 1.0 / modulus
+            1.0 / modulus if isinstance(number, Expr) else _constant(body, 1.0 / float(number))
         )
     return Part(
         name,

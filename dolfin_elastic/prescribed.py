@@ -54,9 +54,12 @@ class Prescribed:
         self._bs = V.dofmap.index_map_bs
         self._entries = [self._of(body, support) for support in supports]
         self._give_to_the_later(body)
+        on_axis = self._on_axis(body) if axis else np.empty(0, dtype=np.int32)
+        for k, (support, parts) in enumerate(self._entries):  # nothing leaves the axis
+            self._entries[k] = (support, [np.setdiff1d(part, on_axis) for part in parts])
         dofs = [dofs for entry in self._entries for dofs in entry[1]]
         if axis:
-            dofs.append(self._on_axis(body))
+            dofs.append(on_axis)
         self.dofs = np.unique(np.concatenate(dofs)) if dofs else np.empty(0, dtype=np.int32)
         owned_size = V.dofmap.index_map.size_local * self._bs
         self.owned = self.dofs[self.dofs < owned_size]

@@ -153,7 +153,8 @@ def show_check(report: Report) -> None:
     """The report of a check."""
     screen = console()
     screen.print(f"{report.case}: {report.title}" if report.title else report.case, style="bold")
-    screen.print(f"  mesh       {report.mesh}, {report.dim}D, {report.cells} cells")
+    kind = "" if report.dim == 3 else f" ({report.geometry})"
+    screen.print(f"  mesh       {report.mesh}, {report.dim}D{kind}, {report.cells} cells")
     screen.print(f"  extent     {' x '.join(f'{side:.4g}' for side in report.extent)} m")
     screen.print(f"  analysis   {report.analysis}, {report.unknowns} unknowns")
     screen.print(f"  equations  {report.linear_solver}")

@@ -10,7 +10,7 @@ Formulas are evaluated, not compiled: another formula compiles nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -44,7 +44,8 @@ class Bound:
     Attributes:
         law: The law with UFL expressions in place of its numbers.
         density: UFL expression [kg/m^3], or None if not given.
-        typical: The law with numbers only, the means of what varies: for scales and choices.
+        typical: The law with numbers only, for scales and choices: means of what varies, but the
+            largest Poisson's ratio.
     """
 
     law: Law
@@ -292,9 +293,30 @@ class Binder:
             if table.ndim == 2:
                 sums = comm.allreduce(np.array([table.sum(), table.size]), op=MPI.SUM)
                 means[name] = float(sums[0] / max(sums[1], 1))
-            else:
-                means[name] = (1.0, 0.0, 0.0)
-        return law.model_copy(update=law.completed({**numbers, **means}))
+        means |= _across(law, values)
+        every = law.completed({**numbers, **values})
+        nu = every.get("nu")
+        typical = law.completed({**numbers, **means})
+        if isinstance(nu, np.ndarray) and nu.ndim == 2:
+            typical["nu"] = largest(comm, float(nu.max(initial=-1.0)))
+        return law.model_copy(update=typical)
+
+
+def _across(law: Law, values: Mapping[str, Floats]) -> dict[str, tuple[float, ...]]:
+    """Directions that stand for those that vary: across each other and those given."""
+    given = [
+        np.resize(np.append(np.asarray(known, dtype=float), 0.0), 3)
+        for name in law.directions
+        if (known := getattr(law, name)) is not None and not isinstance(known, Deferred)
+    ]
+    found: dict[str, tuple[float, ...]] = {}
+    for name in law.directions:
+        if name in values:
+            axes = np.eye(3)
+            best = min(axes, key=lambda axis: max((abs(axis @ g) for g in given), default=0.0))
+            given.append(best)
+            found[name] = tuple(float(x) for x in best)
+    return found
 
 
 def _numbers(law: Law) -> dict[str, Any]:

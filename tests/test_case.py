@@ -17,6 +17,7 @@ from mpi4py import MPI
 from dolfin_elastic.case import Case, read_case
 from dolfin_elastic.check import report
 from dolfin_elastic.errors import InputError
+from dolfin_elastic.model.materials import MATERIALS
 from dolfin_elastic.solvers.rigid import free_motions
 from dolfin_elastic.starter import starter
 
@@ -108,8 +109,7 @@ MISTAKES = {
     "law missing": (
         'law = "linear-elastic"\n',
         "",
-        "materials.steel.law: this key is missing; known: linear-elastic, "
-        "st-venant-kirchhoff, neo-hookean, textbook",
+        "materials.steel.law: this key is missing; known: " + ", ".join(MATERIALS),
     ),
     "kind": (
         '"traction"',

@@ -43,6 +43,7 @@ from dolfin_elastic.meshes.build import make_mesh
 from dolfin_elastic.model.loads import Load, Site
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.extremes import extremes
+from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.solvers.assembler import integral
 from dolfin_elastic.solvers.linear import LinearSettings
 
@@ -428,3 +429,125 @@ def test_the_volume_change_is_reported(folder):
     summary = json.loads((folder / "out" / "summary.json").read_text())
     assert summary["volume_change"] < 1e-3
     assert summary["extremes"]["von_mises"]["part"] == "rubber"
+
+
+# --- what goes together with it ---
+
+
+def strip(degree: int = 2, nu: float = 0.4999, **how: Any) -> Problem:
+    """A clamped strip pulled by a sudden traction."""
+    return Problem(
+        rectangle_body(size=(1.0, 0.25), cells=(8, 2)),
+        NeoHookean(E=1e6, nu=nu, density=1000.0),
+        degree=degree,
+        supports=[Support(on="left")],
+        loads=[Traction(on="right", value=[1e4, 0])],
+        **how,
+    )
+
+
+def test_adaptive_steps_judge_the_displacement_only():
+    """As many steps as with displacements alone at nu = 0.3, and the same end at that nu."""
+    found = []
+    for formulation in ("displacement", "mixed"):
+        problem = strip(nu=0.3, formulation=formulation)
+        states = Dynamics(problem, end=0.02, dt=1e-3, adaptive=True).steps()
+        *_, state = states
+        found.append((state.step, state.max_displacement))
+    assert found[1][0] == pytest.approx(found[0][0], rel=0.2)
+    assert found[1][1] == pytest.approx(found[0][1], rel=2e-2)
+    *_, state = Dynamics(strip(), end=0.02, dt=1e-3, adaptive=True).steps()
+    assert state.max_displacement > 1e-3
+
+
+def test_the_pressure_does_not_swing_from_step_to_step():
+    """It follows the waves in the strip; extrapolated from the stage it would double and vanish."""
+    problem = strip()
+    low = []
+    for state in Dynamics(problem, end=0.01, dt=5e-4, spectral_radius=1.0).steps():
+        if state.step:
+            values = Evaluator(problem, ["pressure"])(state)["pressure"]
+            comm = problem.body.comm
+            low.append(comm.allreduce(float(values.min(initial=np.inf)), op=MPI.MIN))
+    assert np.ptp(low) < 0.6 * abs(np.median(low))
+
+
+@pytest.mark.parametrize("geometry", ["plane-strain", "plane-stress"])
+def test_motion_starts_with_the_energy_of_its_shape(geometry):
+    """An initial stretch has the energy of the static state of the same shape at once."""
+    energies = []
+    for formulation in ("displacement", "mixed"):
+        problem = Problem(
+            rectangle_body(size=(1.0, 1.0), cells=(2, 2)),
+            NeoHookean(E=1e6, nu=0.49, density=1000.0),
+            formulation=formulation,
+            geometry=geometry,
+        )
+        first = next(Dynamics(problem, end=1.0, dt=0.1, initial_displacement=["0.1*x", 0]).steps())
+        energies.append(first.energies["strain"])
+    assert energies[0] == pytest.approx(energies[1], rel=1e-8)
+    if geometry == "plane-stress":  # free sides across the plane, held ones in it
+        assert energies[0] < 0.5 * 1e6 / (1 - 0.49**2) * 0.1**2 * 1.1
+
+
+@pytest.mark.parametrize(("degree", "nu"), [(1, 0.5), (2, 0.5), (1, 0.3)])
+def test_axisymmetric_patch(degree, nu):
+    """A cylinder pressed evenly has one pressure everywhere, also at the axis."""
+    body = rectangle_body(size=(1.0, 1.0), cells=(4, 4))
+    problem = Problem(
+        body,
+        LinearElastic(E=1e6, nu=nu),
+        degree=degree,
+        formulation="mixed",
+        geometry="axisymmetric",
+        supports=[
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="top", displacement=[FREE, -0.01]),
+        ],
+    )
+    *_, state = Statics(problem, rtol=1e-12).steps()
+    values = Evaluator(problem, ["pressure", "von_mises"])(state)
+    assert largest(body.comm, values["pressure"] - 1e4 / 3) < 1e-6 * 1e4
+    assert largest(body.comm, values["von_mises"] - 1e4) < 1e-6 * 1e4
+
+
+def test_nothing_leaves_the_axis():
+    body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
+    pushed = Support(on="left", displacement=[0.01, FREE])
+    problem = Problem(
+        body,
+        NeoHookean(E=1e6, nu=0.3),
+        geometry="axisymmetric",
+        supports=[pushed, Support(on="bottom", displacement=[FREE, 0])],
+    )
+    *_, state = Statics(problem).steps()
+    assert state.max_displacement < 1e-12
+
+
+def test_every_field_of_a_mixed_problem():
+    """Constants of the material, its allowable stress, and what is made of the pressure."""
+    law = NeoHookean(E=1e6, nu=0.5, density=1000.0, allowable=1e5)
+    problem = block(law, 2, loads=[Traction(on="right", value=[1e3, 0])])
+    *_, state = Statics(problem).steps()
+    names = [name for name, field in FIELDS.items() if not field.motion]
+    values = Evaluator(problem, names)(state)
+    for name in names:
+        bad = problem.body.comm.allreduce(int(np.count_nonzero(~np.isfinite(values[name]))))
+        assert not bad, name
+    assert largest(problem.body.comm, values["density"] - 1000) < 1e-9
+    assert "safety_factor" in extremes(problem, state)
+
+
+def test_a_material_is_judged_by_its_largest_poisson_ratio():
+    problem = block(NeoHookean(E=1e6, nu="where(x < 0.7, 0.3, 0.499)"), 2)
+    assert problem.mixed
+    incompressible = NeoHookean(E="1e6*(1 + x)", nu=0.5)
+    problem = block(incompressible, 2, loads=[Traction(on="right", value=[1e3, 0])])
+    assert problem.mixed
+    *_, state = Statics(problem).steps()
+    assert state.max_displacement > 1e-4
+
+
+def test_a_law_without_volumetric_stiffness_needs_no_pressure():
+    with pytest.raises(InputError, match="no material has a volumetric part"):
+        block(NeoHookean(E=1e6, nu=0.0), formulation="mixed")

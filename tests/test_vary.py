@@ -701,7 +701,7 @@ def test_safety_factor_in_a_case(folder: Path) -> None:
     summary = on_root(COMM, lambda: json.loads((folder / "out/summary.json").read_text()))
     found = summary["extremes"]["safety_factor"]
     assert found["value"] == pytest.approx(4, rel=1e-9)
-    assert found["part"] == "body" and len(found["place"]) == 3
+    assert found["part"] == "part" and len(found["place"]) == 3
     del tables["materials"]["part"]["allowable"]
     with pytest.raises(InputError, match="no material has an allowable stress"):
         report(Case.from_dict(tables, folder))

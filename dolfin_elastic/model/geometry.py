@@ -26,6 +26,10 @@ class Weighted:
     weight: Expr | None
     measure: ufl.Measure
 
+    def ufl_domain(self) -> Any:
+        """The mesh in UFL."""
+        return self.measure.ufl_domain()
+
     def __call__(self, **kwargs: Any) -> Weighted:
         """The same with another quadrature rule, see `ufl.Measure`."""
         return Weighted(self.weight, self.measure(**kwargs))

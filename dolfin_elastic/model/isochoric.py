@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
@@ -110,6 +111,8 @@ class Isochoric(Volumetric):
             K = values["K"]
             return {**values, "nu": (3 * K - 2 * mu) / (2 * (3 * K + mu))}
         nu = values["nu"]
+        if moduli.is_half(nu):
+            return {**values, "K": math.inf}
         return {**values, "K": 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))}
 
     @classmethod

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from ufl.core.expr import Expr
 
@@ -30,8 +31,11 @@ class Mixed:
     p: Expr
     compliance: Expr
 
-    linear = property(lambda self: self.law.linear)
-    has_energy = property(lambda self: self.law.has_energy)
+    def __getattr__(self, name: str) -> Any:
+        """What else a law has: its constants, density, allowable stress."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.law, name)
 
     def gap(self, F: Expr) -> Expr:
         """What the pressure's equation makes zero: g - p/k."""

@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from dolfin_elastic.errors import InputError
 
 NAMES = ("E", "nu", "K", "lmbda", "mu")
@@ -103,9 +105,19 @@ def check_given(given: Mapping[str, Any]) -> tuple[str, ...]:
     return names
 
 
+def is_half(nu: Any) -> bool:
+    """Poisson's ratio is the number 0.5, or a UFL constant of that value."""
+    return isinstance(getattr(nu, "value", nu), float | np.ndarray) and np.all(
+        np.asarray(getattr(nu, "value", nu)) == 0.5
+    )
+
+
 def symbolic(given: Mapping[str, Any]) -> dict[str, Any]:
     """All five constants from two that are arrays or UFL expressions; nothing is checked."""
     names = tuple(name for name in NAMES if name in given)
+    if is_half(given.get("nu")):
+        mu = given["mu"] if "mu" in given else given["E"] / 3
+        return {**{"E": 3 * mu, "K": math.inf, "lmbda": math.inf, "mu": mu}, **given}
     lmbda, mu = _TO_LAME[names](given[names[0]], given[names[1]])
     E, nu = mu * (3 * lmbda + 2 * mu) / (lmbda + mu), lmbda / (2 * (lmbda + mu))
     return {**{"E": E, "nu": nu, "K": lmbda + 2 * mu / 3, "lmbda": lmbda, "mu": mu}, **given}

@@ -31,6 +31,7 @@ class Assembler:
         problem: Whose residual and tangent; its `u` is changed by every evaluation.
         extra: Terms added to the residual, for example inertia.
         extra_tangent: Their contribution to the tangent.
+        still: All displacements are held where they are: only the scalar fields are unknown.
 
     Attributes:
         matrix: The tangent; owned here.
@@ -49,6 +50,7 @@ class Assembler:
         *,
         extra: ufl.Form | None = None,
         extra_tangent: ufl.Form | None = None,
+        still: bool = False,
     ) -> None:
         self.problem, self.comm = problem, problem.body.comm
         residual = problem.residual if extra is None else problem.residual + extra
@@ -71,7 +73,11 @@ class Assembler:
             self._values, self._bcs = held.values, held.bcs
         else:
             self._values = fem.Function(problem.W)
-            self._bcs = [fem.dirichletbc(self._values, places(held.dofs))]
+            dofs = np.arange(len(problem.u.x.array), dtype=np.int32) if still else held.dofs
+            self._bcs = [fem.dirichletbc(self._values, places(dofs))]
+        if still:
+            self._held = np.arange(_owned(problem.V), dtype=np.int32)
+            self.fixed = self.moves
         self._is_free = np.ones(self.size, dtype=bool)
         self._is_free[self.fixed] = False
         self.free = self.held = self.gap = 0.0
@@ -217,6 +223,11 @@ class Assembler:
         u = self.problem.u.x.array[: len(self.moves)].reshape(-1, self._dim)
         lengths = np.linalg.norm(u, axis=1)
         return float(self.comm.allreduce(float(np.max(lengths, initial=0.0)), op=MPI.MAX))
+
+    def max_unknown(self) -> float:
+        """Largest entry of all unknowns [m]."""
+        own = self.problem.w.x.array[: self.size]
+        return float(self.comm.allreduce(float(np.max(np.abs(own), initial=0.0)), op=MPI.MAX))
 
     def largest_unbalance(self) -> tuple[float, Vector]:
         """Largest free nodal force of the last residual [N] and the node's place X [m]."""

@@ -15,14 +15,14 @@ from pydantic import Field, model_validator
 
 from dolfin_elastic.errors import ConvergenceError, InputError
 from dolfin_elastic.model.components import Component, components, depends_on_time
-from dolfin_elastic.parallel import largest
+from dolfin_elastic.parallel import largest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.explicit import SymplecticEuler
 from dolfin_elastic.solvers.initial import set_initial
 from dolfin_elastic.solvers.linear import LinearSettings, choose
-from dolfin_elastic.solvers.motion import ConsistentMass, Strain, work
+from dolfin_elastic.solvers.motion import ConsistentMass, Strain, lumped, work
 from dolfin_elastic.solvers.newton import Newton, Tolerance
 from dolfin_elastic.solvers.options import PREFIX, ts_reason
 from dolfin_elastic.state import State
@@ -151,6 +151,9 @@ class Dynamics:
             march.destroy()
 
 
+UNJUDGED = 1e100
+"""Error that scalar fields, which follow from the displacement, may have in a step [m]."""
+
 FAILURES = 8
 """Times that one step is made smaller, to a quarter each, before it is given up."""
 
@@ -174,7 +177,7 @@ class _Alpha:
         self.assembler = Assembler(problem, extra=inertia, extra_tangent=self.shift * mass)
         self.measure = ConsistentMass(problem, self.v)
         self.strain = Strain(problem)
-        choice = choose(problem, dynamics.linear)
+        choice = choose(problem, dynamics.linear, moving=True)
         log.info("%s", choice.why)
         self.ts = PETSc.TS().create(problem.body.comm)
         self._F = self.assembler.create_vector()
@@ -187,7 +190,7 @@ class _Alpha:
             defaults={"snes_linesearch_type": "basic"},
             users=dynamics.petsc,
             snes=self.ts.getSNES(),
-            to_first=True,
+            moving=True,
         )
         self.options = self.newton.options
         self.options.change(self._defaults())
@@ -195,6 +198,9 @@ class _Alpha:
         self._from = self._to = problem.prescribed.values.x.array[problem.prescribed.owned]
         self._external_work = 0.0
         self._start, self._known_dt = 0.0, 0.0
+        self._mass = np.abs(lumped(problem, self.assembler))
+        self._norm_of_mass = float(np.sqrt(total(problem.body.comm, np.sum(self._mass**2))))
+        self._extras = np.setdiff1d(np.arange(self.assembler.size), self.assembler.moves)
         self._newton = self._krylov = 0
         self._usual = 0.0
         self._error: InputError | None = None
@@ -245,6 +251,8 @@ class _Alpha:
             return
         self.a.x.array[: len(self.assembler.moves)] = A.array_r[self.assembler.moves]
         self.a.x.scatter_forward()
+        forces = self._mass * A.array_r[self.assembler.moves]
+        self.newton.inertia = float(np.sqrt(total(self.problem.body.comm, np.sum(forces**2))))
         share = (t - self._start) / self._dt()
         self.assembler.residual(U, F, target=(1 - share) * self._from + share * self._to)
 
@@ -261,6 +269,7 @@ class _Alpha:
         P: PETSc.Mat,
     ) -> None:
         self.shift.value = shift_a
+        self.newton.mass = shift_a * self._norm_of_mass
         self.assembler.tangent(U, shift_a)
         self.newton.note_tangent(P)
 
@@ -285,6 +294,7 @@ class _Alpha:
         with stage("assemble"):
             self.problem.set_time(0.0)
             self.assembler.assemble_balance()
+        self._settle()
         yield self._state(0, 0.0)
         t = 0.0
         while t < s.end * (1 - 1e-12):
@@ -294,6 +304,29 @@ class _Alpha:
             if step % s.every == 0 or t >= s.end * (1 - 1e-12):
                 yield self._state(step, t)
                 self._newton = self._krylov = 0
+
+    def _settle(self) -> None:
+        """Finds the scalar fields that belong to an initial displacement. Collective."""
+        problem = self.problem
+        exactly = any(
+            isinstance(part.compliance, fem.Constant) and float(part.compliance.value) == 0.0
+            for part in problem.parts
+        )
+        if not len(self._extras) or exactly or self.assembler.max_displacement() == 0.0:
+            return  # an exactly incompressible body's pressure does not follow from its shape
+        still = Assembler(problem, still=True)
+        newton = Newton(still, choose(problem, LinearSettings(method="direct")), Tolerance())
+        start = problem.prescribed.values.x.array.copy()
+        try:
+            problem.prescribed.values.x.array[:] = problem.u.x.array
+            newton.solve("basic")
+        finally:
+            problem.prescribed.values.x.array[:] = start
+            newton.destroy()
+            still.destroy()
+        self.assembler.get(self._U)
+        self.ts.setSolution2(self._U, self._V)
+        self.assembler.assemble_balance()
 
     def _step(self, t: float) -> float:
         """One step of TS from time t; returns the time reached."""
@@ -344,6 +377,10 @@ class _Alpha:
         moves = self.assembler.moves
         size = len(moves)
         U, V = self.ts.getSolution2()
+        # The scheme would extrapolate scalar fields, which have no inertia, from the stage, and
+        # they would swing from step to step; they are taken from the stage itself.
+        if len(self._extras):
+            U.array_w[self._extras] = self.problem.w.x.array[self._extras]
         self.assembler.put(U)
         v = V.array_r[moves]
         self._mean.x.array[:size] = (v - self.v.x.array[:size]) / dt
@@ -388,7 +425,14 @@ class _Alpha:
         smallest = 1e-6 * self.newton.span
         self._scale = max(self._scale, largest(self.problem.body.comm, local), smallest)
         tolerance = self.settings.tolerance
-        self.ts.setTolerances(rtol=tolerance, atol=tolerance * self._scale)
+        atol: Any = tolerance * self._scale
+        if len(self._extras):
+            atol = self.assembler.create_vector()
+            atol.set(tolerance * self._scale)
+            atol.array_w[self._extras] = UNJUDGED
+        self.ts.setTolerances(rtol=tolerance, atol=atol)
+        if len(self._extras):
+            atol.destroy()
 
     def _add_work(self, before: Any) -> None:
         """Work of loads and supports, with the forces of the stage within the step."""

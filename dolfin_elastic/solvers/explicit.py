@@ -11,16 +11,15 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 import numpy.typing as npt
-import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from dolfin_elastic.errors import InputError, StabilityError
 from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.solvers.assembler import Assembler, compiled
-from dolfin_elastic.solvers.motion import LumpedMass, Strain
+from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.motion import LumpedMass, Strain, lumped
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
@@ -60,26 +59,13 @@ class SymplecticEuler:
         safety: float,
         every: int,
     ) -> None:
-        if problem.degree != 1:
-            raise InputError(
-                "'symplectic-euler' needs linear elements: quadratic ones have no "
-                "positive lumped mass",
-                where="mesh.degree",
-                expected="degree = 1",
-            )
-        if problem.w is not problem.u:
-            raise InputError(
-                "'symplectic-euler' solves for displacements only",
-                where="mesh.formulation",
-                expected='formulation = "displacement" (not for plane stress), or the scheme '
-                "'generalized-alpha'",
-            )
+        check_explicit(problem)
         self.problem, self.v, self.end, self.every = problem, v, end, every
         self.safety, self._chosen = safety, dt
         self.a = fem.Function(problem.V, name="acceleration")
         self.assembler = Assembler(problem)
         self.strain = Strain(problem)
-        self.mass = self._lumped()
+        self.mass = lumped(problem, self.assembler)
         self.measure = LumpedMass(problem, v, self.mass)
         self.dt = self._first_step()
         self._local_work = 0.0
@@ -88,16 +74,6 @@ class SymplecticEuler:
         self._dt_done = self.dt
         self._interval = RECHECK[0]
         self._initial = 0.0
-
-    def _lumped(self) -> Vector:
-        """Row sums of the mass matrix, owned entries [kg]. Collective."""
-        bs = self.problem.body.dim
-        ones = ufl.as_vector([self.problem.constant(1.0)] * bs)
-        form = compiled(self.problem, [self.problem.inertia(ones, self.problem.v)])[0]
-        mass = la.vector(self.problem.V.dofmap.index_map, bs)
-        fem.assemble_vector(mass.array, form)
-        mass.scatter_reverse(la.InsertMode.add)
-        return mass.array[: self.assembler.size].copy()
 
     # --- the stable step ---
 
@@ -268,6 +244,28 @@ class SymplecticEuler:
             momenta={"linear": linear, "angular": angular},
             max_displacement=self.assembler.max_displacement(),
             done=t / self.end,
+        )
+
+
+def check_explicit(problem: Problem) -> None:
+    """The scheme needs a lumped mass, and displacements as the only unknowns.
+
+    Raises:
+        InputError: It cannot compute this problem.
+    """
+    if problem.degree != 1:
+        raise InputError(
+            "'symplectic-euler' needs linear elements: quadratic ones have no positive lumped mass",
+            where="mesh.degree",
+            expected="degree = 1",
+        )
+    if problem.w is not problem.u:
+        stretch = problem.unknowns.has("stretch")
+        raise InputError(
+            "'symplectic-euler' solves for displacements only",
+            where="mesh.geometry" if stretch else "mesh.formulation",
+            expected=f"{'not plane stress' if stretch else 'displacement'}, or the scheme "
+            "'generalized-alpha'",
         )
 
 

@@ -30,6 +30,10 @@ MIXED_LIMIT = {2: 100_000, 3: 10_000}
 """The same with a pressure beside the displacement."""
 
 
+MIXED_MOVING = {2: 400_000, 3: 150_000}
+"""The same in motion, where short steps make the pressure hard for iterations."""
+
+
 class LinearSettings(Record):
     """How linear systems are solved; all of it is chosen by itself by default.
 
@@ -57,15 +61,14 @@ class Choice:
     why: str
 
 
-def choose(problem: Problem, settings: LinearSettings) -> Choice:
+def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) -> Choice:
     """Chooses a linear solver for a problem and says why."""
     dofs, limit = problem.num_dofs, DIRECT_LIMIT[problem.body.dim]
     several = problem.w is not problem.u
     if several:
-        limit = MIXED_LIMIT[problem.body.dim]
-    if problem.unknowns.has("stretch"):  # only ever in a plane, where factorising is cheap
-        limit = max(limit, dofs)
+        limit = (MIXED_MOVING if moving else MIXED_LIMIT)[problem.body.dim]
     direct = settings.method == "direct" or (settings.method == "auto" and dofs <= limit)
+    direct = direct or problem.unknowns.has("stretch")  # only ever in a plane: cheap to factorise
     symmetric = problem.has_energy
     size = f"{dofs} unknowns"
     if settings.method != "auto":
@@ -183,7 +186,12 @@ class QuadraticMultigrid:
         body = problem.body
         self._coarse_space = fem.functionspace(body.mesh, ("Lagrange", 1, (body.dim,)))
         self._P = interpolation_matrix(self._coarse_space, problem.V)
-        coarse = Prescribed(body, self._coarse_space, problem.supports)
+        coarse = Prescribed(
+            body,
+            self._coarse_space,
+            problem.supports,
+            axis=problem.geometry == "axisymmetric",
+        )
         self._fixed = self._P.createVecRight()
         self._fixed.array_w[coarse.owned] = 1.0
         self._scale_interpolation(problem.prescribed.owned)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 from mpi4py import MPI
 
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.solvers.assembler import compiled, integral
+from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
 
 Vector = npt.NDArray[np.float64]
 
@@ -64,6 +64,8 @@ class ConsistentMass:
         local = np.array([fem.assemble_scalar(form) for form in self._forms])
         sums = self._problem.body.comm.allreduce(local, op=MPI.SUM)
         dim = self._problem.body.dim
+        if self._problem.geometry == "axisymmetric":  # what a section has is not the ring's
+            sums[1], sums[1 + dim :] = 0.0, 0.0
         return float(sums[0]), sums[1 : 1 + dim], sums[1 + dim :]
 
 
@@ -96,6 +98,17 @@ class LumpedMass:
         local = np.concatenate([[0.5 * np.sum(p * v)], p.sum(axis=0), spin])
         sums = self._problem.body.comm.allreduce(local, op=MPI.SUM)
         return float(sums[0]), sums[1 : 1 + shape[1]], sums[1 + shape[1] :]
+
+
+def lumped(problem: Problem, assembler: Assembler) -> Vector:
+    """Row sums of the mass matrix at the owned displacements [kg]. Collective."""
+    ones = ufl.as_vector([problem.constant(1.0)] * problem.body.dim)
+    form = compiled(problem, [problem.inertia(ones, problem.v)])[0]
+    index_map, bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
+    mass = la.vector(index_map, bs)
+    fem.assemble_vector(mass.array, form)
+    mass.scatter_reverse(la.InsertMode.add)
+    return np.asarray(mass.array[assembler.moves])
 
 
 def work(problem: Problem, forces: Vector, du: Vector) -> float:

@@ -86,8 +86,12 @@ class Newton:
         defaults: More PETSc options, for example the line search.
         users: The user's PETSc options; they win.
         snes: A SNES made elsewhere (by TS); its functions are then set elsewhere too.
-        to_first: Measure the residual against the first one of each solve too: what motion needs,
-            where inertia may balance everything without loads or reactions.
+        moving: Forces of inertia belong to what the residual is measured against, and their share
+            of the tangent to its round-off: whoever calls keeps `inertia` and `mass` up to date.
+
+    Attributes:
+        inertia: Norm of the forces of inertia at the present iterate [N], in motion.
+        mass: Norm of the mass's share of the tangent's diagonal [N/m], in motion.
     """
 
     def __init__(
@@ -99,10 +103,11 @@ class Newton:
         defaults: Mapping[str, Any] | None = None,
         users: Mapping[str, Any] | None = None,
         snes: PETSc.SNES | None = None,
-        to_first: bool = False,
+        moving: bool = False,
     ) -> None:
         self.assembler, self.choice, self.tolerance = assembler, choice, tolerance
-        self.progress, self._to_first = Progress(), to_first
+        self.progress, self._moving = Progress(), moving
+        self.inertia, self.mass = 0.0, 0.0
         self._external = 0.0
         self._floor = self._first = self._norm = 0.0
         self._line_search = ""
@@ -242,7 +247,9 @@ class Newton:
         """Sets the linear tolerance and the round-off floor from a fresh tangent. Collective."""
         a = self.assembler
         diagonal = P.getDiagonal()
-        self._floor = 4 * np.finfo(float).eps * diagonal.norm() * self._cell_size
+        # Round-off of the stress is that of F = I + grad u, that of inertia is that of u.
+        stiff = max(float(diagonal.norm()) - self.mass, 0.0) * self._cell_size
+        self._floor = 4 * np.finfo(float).eps * (stiff + self.mass * a.max_unknown())
         diagonal.destroy()
         if not self.direct and "ksp_rtol" not in self.options.users:
             forcing = LINEAR if a.problem.linear else FORCING
@@ -252,8 +259,8 @@ class Newton:
     def _target(self) -> float:
         a, p = self.assembler, self.progress
         reference = max(self._external, a.held, p.reference)
-        if self._to_first and p.residuals:
-            reference = max(reference, p.residuals[0])
+        if self._moving:
+            reference = max(reference, self.inertia)
         return max(self.tolerance.rtol * reference, self.tolerance.atol, self._floor)
 
     def _test(
@@ -284,7 +291,7 @@ class Newton:
         norms = self.progress.residuals
         return (
             self._line_search == "bt"
-            and not self._to_first
+            and not self._moving
             and len(norms) > STALL
             and norms[-1] > 0.7 * norms[-1 - STALL]
         )

@@ -78,8 +78,9 @@ class SchurSplit:
     def _make(self, pc: PETSc.PC) -> None:
         assert self._K is not None
         assert self._B is not None
-        self._K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self._K.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+        if self._problem.has_energy:
+            self._K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            self._K.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
         self._attach_modes()
         self._pc = PETSc.PC().create(comm=self._K.comm)
         self._pc.setOptionsPrefix(pc.getOptionsPrefix() + "u_")
