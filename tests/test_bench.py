@@ -32,7 +32,7 @@ from dolfin_elastic.model.law import Law
 from dolfin_elastic.model.materials import MATERIALS
 from dolfin_elastic.model.own import SplitEnergy, read_energy
 
-# A material at a point has no ranks; what its commands do on two is tried in processes of their own.
+# A material at a point has no ranks; commands on two are tried in processes of their own.
 pytestmark = pytest.mark.usefixtures("serial_only")
 
 E, NU = gate.E, gate.NU

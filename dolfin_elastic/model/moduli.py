@@ -107,9 +107,8 @@ def check_given(given: Mapping[str, Any]) -> tuple[str, ...]:
 
 def is_half(nu: Any) -> bool:
     """Poisson's ratio is the number 0.5, or a UFL constant of that value."""
-    return isinstance(getattr(nu, "value", nu), float | np.ndarray) and np.all(
-        np.asarray(getattr(nu, "value", nu)) == 0.5
-    )
+    value = getattr(nu, "value", nu)
+    return isinstance(value, float | np.ndarray) and bool(np.all(np.asarray(value) == 0.5))
 
 
 def symbolic(given: Mapping[str, Any]) -> dict[str, Any]:

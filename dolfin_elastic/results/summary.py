@@ -84,7 +84,10 @@ class SummaryWriter:
         with timing.stage("output"):
             state = self._kept.state
             found = self._extremes.of(state) if state else {}
-            extra = {"finished": _now(), "extremes": {k: asdict(e) for k, e in found.items()}}
+            extra: dict[str, Any] = {
+                "finished": _now(),
+                "extremes": {k: asdict(e) for k, e in found.items()},
+            }
             if self.problem.mixed and found:
                 J = [found[name].value for name in ("min_jacobian", "max_jacobian")]
                 extra["volume_change"] = max(abs(value - 1) for value in J)
