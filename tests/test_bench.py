@@ -392,3 +392,8 @@ def test_commands_in_json(tmp_path):
     assert (tmp_path / "b/a_b.png").exists()
     out = json.loads(started(tmp_path, "materials", "--json").stdout)
     assert {row["law"] for row in out["laws"]} == set(MATERIALS)
+
+
+def test_what_varies_in_space_is_not_for_the_bench():
+    with pytest.raises(InputError, match="E: this constant varies in space"):
+        bench(NeoHookean(E="1e6*(1 + x)", nu=0.3))

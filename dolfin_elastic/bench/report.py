@@ -56,6 +56,10 @@ def bench(law: Law, *, largest: float = LARGEST) -> Bench:
         raise InputError(
             f"{largest:g} is no largest stretch", where="--stretch", expected="above 1"
         )
+    for name in law.deferred():
+        raise InputError(
+            "this constant varies in space", where=name, expected="the bench tries numbers"
+        )
     trial = Trial(law)
     try:
         findings = checks(trial)
