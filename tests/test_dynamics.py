@@ -402,7 +402,7 @@ def test_adaptive_steps_with_moving_supports():
     body = rectangle_body(size=(1.0, 0.5), cells=(4, 2))
     moved = Support(on="left", displacement=["0.01*sin(200*t)", 0])
     ends = []
-    for tolerance in (1e-4, 1e-6):
+    for tolerance in (1e-3, 1e-5):
         problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), supports=[moved])
         held = problem.prescribed.owned
         worst = 0.0
@@ -414,7 +414,7 @@ def test_adaptive_steps_with_moving_supports():
         assert body.comm.allreduce(float(worst), op=MPI.MAX) < 1e-14
         assert state.t == pytest.approx(0.02, rel=1e-12)
         ends.append(value_at(problem, problem.u.x.array, (1.0, 0.25)))
-    # The looser tolerance allows 1e-4 of the largest displacement or velocity a step.
+    # The looser tolerance allows 1e-3 of the largest displacement or velocity a step.
     assert np.linalg.norm(ends[0] - ends[1]) < 0.05 * np.linalg.norm(ends[1])
 
 

@@ -9,10 +9,21 @@ import sys
 import pytest
 from conftest import ROOT
 
-POINTS = ("bench", "curves", "formulas", "kinematics", "moduli", "reference_energies", "units")
-"""Files of tests on numbers and texts alone, in which no mesh and no rank takes part."""
-RATES = ("laws", "law_input", "manufactured")
-"""Convergence and laws: at 2 ranks they show what ranks can do to them."""
+POINTS = (
+    "bench",
+    "curves",
+    "formulas",
+    "kinematics",
+    "manufactured",
+    "moduli",
+    "reference_energies",
+    "units",
+)
+"""Files of tests on numbers and texts, and on rates, in which ranks take no part of their own."""
+RATES = ("laws", "law_input", "own_energy")
+"""Laws: what ranks can do to them shows at 2."""
+LONG = "not picture and not drawer and not colour and not adaptive and not second_order"
+"""Tests of one rank's drawings and of many small steps, which take long where ranks share cores."""
 
 
 @pytest.mark.parametrize("ranks", [2, 3])
@@ -38,6 +49,7 @@ def test_everything_again_on_several_ranks(serial_only, ranks, tmp_path):
         "-p",
         "no:cacheprovider",
         str(ROOT / "tests"),
+        *(("-k", LONG) if ranks > 2 else ()),
         *(f"--ignore={ROOT / 'tests' / f'test_{name}.py'}" for name in left_out),
     ]
     done = subprocess.run(
