@@ -10,25 +10,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
-import numpy as np
-import numpy.typing as npt
 import ufl
-from dolfinx import fem
 from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
 from dolfin_elastic import compiler
 from dolfin_elastic.errors import InputError
-from dolfin_elastic.formulas import Formula
 from dolfin_elastic.formulation import Formulation
 from dolfin_elastic.measures import Measures
 from dolfin_elastic.meshes.body import Body, cell_size
-from dolfin_elastic.model.components import Component, depends_on_time
+from dolfin_elastic.model.components import depends_on_time
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.model.geometry import (
     Geometry,
     Weighted,
-    full_gradient,
     gradient_variation,
     weight,
 )
@@ -36,13 +31,11 @@ from dolfin_elastic.model.law import Law, SplitLaw
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.mixed import Mixed
 from dolfin_elastic.model.supports import Support
-from dolfin_elastic.parallel import total
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
 from dolfin_elastic.prescribed import Prescribed
+from dolfin_elastic.site import BodySite
 from dolfin_elastic.unknowns import Unknowns
-from dolfin_elastic.varying import Binder
 
-Vector = npt.NDArray[np.float64]
 UNUSED = 1e-6
 """Compliance, over 1/shear modulus, of the pressure in parts that have none."""
 
@@ -69,7 +62,10 @@ class Problem:
     Attributes:
         u: The displacement [m]; solvers change it through `w`.
         w: All unknowns: the displacement and, in some problems, scalar fields beside it.
+        site: What loads find on the body.
+        constant: Makes a number that forms refer to by place, so that changing it compiles nothing.
         t: UFL constant with the time, used by formulas.
+        X: Reference coordinates (UFL).
 
     Raises:
         MeshError: A name does not exist, or the materials do not cover the body exactly once.
@@ -94,8 +90,6 @@ class Problem:
         self.supports, self.loads = tuple(supports), tuple(loads)
         self.quadrature_degree = quadrature_degree
         self.geometry = checked_geometry(geometry, thickness, body)
-        self.t = Constant(body.mesh, 0.0)
-        self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
         self.parts, fields = make_parts(
             body, laws, formulation, degree=degree, order=self._order, geometry=self.geometry
@@ -104,13 +98,15 @@ class Problem:
         self.V, self.u = self.unknowns.V, self.unknowns.u
         self.W, self.w, self.v = self.unknowns.W, self.unknowns.w, self.unknowns.v
         self._scale_unknowns()
-        depth = None if thickness == 1.0 else self.constant(thickness)
+        depth = None if thickness == 1.0 else Constant(body.mesh, float(thickness))
         self.measures = Measures(
             body,
             [part.cells for part in self.parts],
-            [load.parts for load in self.loads],
-            weight(self.geometry, self.X, depth),
+            [term.parts for term in self.loads],
+            weight(self.geometry, ufl.SpatialCoordinate(body.mesh), depth),
         )
+        self.site = BodySite(body, self.unknowns, self.parts, self.measures, self.geometry)
+        self.constant, self.t, self.X = self.site.constant, self.site.t, self.site.X
         self.prescribed = Prescribed(
             body, self.V, self.supports, axis=self.geometry == "axisymmetric"
         )
@@ -124,82 +120,11 @@ class Problem:
             if self.unknowns.has(name):
                 self.unknowns.scale[name].value = factor
 
-    def constant(self, value: float | Sequence[float]) -> Constant:
-        """A number that forms refer to by place, so that changing it compiles nothing."""
-        return Constant(self.body.mesh, np.asarray(value, dtype=np.float64))
-
-    # --- what loads find on the body (model.loads.Site) ---
-
-    def volumes(self, regions: Sequence[str]) -> Weighted:
-        """Reference volume of regions, or of the whole body."""
-        for name in regions:
-            self.body.region(name)
-        if not regions:
-            return self.volume(None, 2 * self._order)
-        return self.measures.regions(regions, 2 * self._order)
-
-    def areas(self, surfaces: Sequence[str]) -> Weighted:
-        """Reference area of surfaces."""
-        for name in surfaces:
-            self.body.surface(name)
-        return self.measures.surfaces(surfaces, 2 * self._order)
-
-    def densities(self, regions: Sequence[str]) -> list[tuple[Expr, Weighted]]:
-        """Density and reference volume, material by material."""
-        if regions:
-            cells = np.concatenate([self.body.region(name) for name in regions])
-            for part in self.parts:
-                if total(self.body.comm, int(np.isin(part.cells, cells).any())):
-                    self.density(part)
-            return [(self._density_field, self.volumes(regions))]
-        return [(self.density(part), self.volume(part, 2 * self._order)) for part in self.parts]
-
-    def density(self, part: Part) -> Expr:
-        """Density of a part's material.
-
-        Raises:
-            InputError: The material has none.
-        """
-        if part.density is None:
-            raise InputError(
-                "weight and motion need a density",
-                where=f"materials.{part.name}",
-                expected='for example density = "1100 kg/m^3"',
-            )
-        return part.density
-
-    @cached_property
-    def _density_field(self) -> fem.Function:
-        return Binder(self.body, self._order).joined(
-            [(part.density, part.cells) for part in self.parts]
-        )
-
-    def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
-        """A load's vector, times its amplitude, as a UFL expression."""
-        if len(values) != self.body.dim:
-            raise InputError(
-                f"{len(values)} components given, the body has {self.body.dim}", where="load"
-            )
-        factor = self.constant(1.0)
-        self._amplitudes.append((factor, amplitude))
-        if not any(isinstance(value, Formula) for value in values):
-            return factor * self.constant([float(value) for value in values])  # type: ignore[arg-type]
-        return factor * ufl.as_vector([self._scalar(value) for value in values])
-
-    def _scalar(self, value: Component) -> Expr:
-        if not isinstance(value, Formula):
-            return self.constant(float(value or 0.0))
-        X = self.X
-        z = X[2] if self.body.dim == 3 else self.constant(0.0)
-        return value.ufl(x=X[0], y=X[1], z=z, t=self.t)
-
     # --- the one sum of terms ---
 
     def F(self, w: Expr) -> Expr:
         """The 3x3 deformation gradient of a function of all unknowns."""
-        return full_gradient(
-            self.geometry, self.unknowns.displacement(w), self.X, self._extra("stretch", w)
-        )
+        return self.site.deformation(w)
 
     def response(self, part: Part, w: Expr) -> Law | Mixed:
         """A part's law, with the pressure of a function of all unknowns where it has one."""
@@ -283,14 +208,22 @@ class Problem:
 
     def _work(self, index: int) -> ufl.Form:
         try:
-            return self.loads[index].virtual_work(self)
+            return self.loads[index].virtual_work(self.site)
         except InputError as error:
             raise (error if error.where else error.at(f"load[{index}].value")) from None
 
     @cached_property
+    def holding(self) -> dict[str, ufl.Form]:
+        """Virtual work of the forces by which springs and obstacles hold the body, by label."""
+        return {}
+
+    @cached_property
     def residual(self) -> ufl.Form:
         """Internal minus external virtual work."""
-        return self.internal if self.external is None else self.internal - self.external
+        residual = self.internal if self.external is None else self.internal - self.external
+        for work in self.holding.values():
+            residual -= work
+        return residual
 
     @cached_property
     def tangent(self) -> ufl.Form:
@@ -311,7 +244,7 @@ class Problem:
     def inertia(self, a: Expr, v: Expr) -> ufl.Form:
         """Virtual work of the inertia forces, the integral of density a . v (consistent mass)."""
         return sum(
-            self.density(part) * ufl.inner(a, v) * self.volume(part, 2 * self._order)
+            self.site.density(part) * ufl.inner(a, v) * self.volume(part, 2 * self._order)
             for part in self.parts
         )
 
@@ -319,13 +252,20 @@ class Problem:
 
     @property
     def has_energy(self) -> bool:
-        """All laws derive from an energy: the tangent is symmetric."""
+        """All laws derive from an energy."""
         return all(part.law.has_energy for part in self.parts)
+
+    @property
+    def symmetric(self) -> bool:
+        """The tangent is symmetric: laws and loads derive from potentials."""
+        return self.has_energy and all(load.conservative for load in self.loads)
 
     @property
     def linear(self) -> bool:
         """The residual is linear in u."""
-        return all(part.law.linear for part in self.parts)
+        return all(part.law.linear for part in self.parts) and not any(
+            load.follows for load in self.loads
+        )
 
     @property
     def num_dofs(self) -> int:
@@ -338,20 +278,16 @@ class Problem:
         return self.unknowns.has("pressure")
 
     @cached_property
-    def X(self) -> Expr:
-        """Reference coordinates."""
-        return ufl.SpatialCoordinate(self.body.mesh)
-
-    @cached_property
     def jit(self) -> dict[str, object]:
         """Options for the form compiler. Collective."""
         return compiler.options(self.body.comm)
 
     @property
     def loads_change(self) -> bool:
-        """The applied nodal forces depend on time, in motion."""
-        curved = any(amplitude not in (None, CONSTANT) for _, amplitude in self._amplitudes)
-        return curved or any(depends_on_time(load.values) for load in self.loads)
+        """The applied nodal forces change in motion: with time, or with the body's shape."""
+        return self.site.changes or any(
+            load.follows or depends_on_time(load.values) for load in self.loads
+        )
 
     def set_time(self, t: float, *, default: Amplitude = CONSTANT) -> None:
         """Puts loads and prescribed displacements to time t. Not collective.
@@ -360,7 +296,5 @@ class Problem:
             t: Time [s], or load parameter from 0 to 1.
             default: Amplitude of all that name none.
         """
-        self.t.value = t
-        for factor, amplitude in self._amplitudes:
-            factor.value = (amplitude or default).at(t)
+        self.site.set_time(t, default)
         self.prescribed.move_to(t, default)

@@ -37,6 +37,7 @@ class State:
             time within the step.
         momenta: In motion "linear" [kg m/s] and "angular" [kg m^2/s] about the origin.
         max_displacement: Largest length of u over the body's nodes [m].
+        numbers: Further results by name, for example the volume of a cavity [SI units].
         done: Share of the whole run that is done, 0 to 1.
     """
 
@@ -55,4 +56,5 @@ class State:
     reactions: Mapping[str, Vector] = field(default_factory=dict)
     momenta: Mapping[str, Vector] = field(default_factory=dict)
     max_displacement: float = 0.0
+    numbers: Mapping[str, float] = field(default_factory=dict)
     done: float = 0.0

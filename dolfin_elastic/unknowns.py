@@ -50,11 +50,12 @@ class Unknowns:
         W: Space of all unknowns; V itself when there are no others.
         w: All unknowns; `u` itself when there are no others.
         v: Test function of the displacement.
+        degree: Degree of the displacement.
         scale: Extra's name to what its unknown is multiplied by (UFL constant, 1 at first).
     """
 
     def __init__(self, mesh: Mesh, degree: int, extras: Sequence[Extra] = ()) -> None:
-        self.extras, self._degree = tuple(extras), degree
+        self.extras, self.degree = tuple(extras), degree
         cell = mesh.basix_cell()
         vector = basix.ufl.element("Lagrange", cell, degree, shape=(mesh.geometry.dim,))
         self._dofs: Dofs | None = None
@@ -91,7 +92,7 @@ class Unknowns:
     def stabilised(self) -> bool:
         """The pressure is as rich as the displacement and needs to be held."""
         return any(
-            e.name == "pressure" and e.continuous and e.degree == self._degree for e in self.extras
+            e.name == "pressure" and e.continuous and e.degree == self.degree for e in self.extras
         )
 
     def has(self, name: str) -> bool:

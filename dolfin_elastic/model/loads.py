@@ -16,10 +16,18 @@ from dolfin_elastic.schema import Record
 
 
 class Site(Protocol):
-    """What a load finds on the body it acts on; given by the problem."""
+    """What a load finds on the body it acts on; see `site.BodySite`."""
 
     v: Expr
     """Virtual displacement."""
+    u: Expr
+    """Displacement, of the unknowns: derivatives see it."""
+    F: Expr
+    """The 3x3 deformation gradient."""
+    X: Expr
+    """Reference coordinates."""
+    N: Expr
+    """Outward unit normal of the reference surface."""
 
     def volumes(self, regions: Sequence[str]) -> ufl.Measure:
         """Reference volume of regions, of the whole body if there are none."""
@@ -30,8 +38,14 @@ class Site(Protocol):
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
         """Density [kg/m^3] and reference volume, material by material."""
 
+    def constant(self, value: float | Sequence[float]) -> Expr:
+        """A number that can change without compiling anything."""
+
     def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
         """The vector at a point of the body, times the amplitude (None: as the solver decides)."""
+
+    def scalar(self, value: Component, amplitude: Amplitude | None) -> Expr:
+        """A number or formula at a point of the body, times the amplitude."""
 
 
 class Load(Record):
@@ -52,6 +66,10 @@ class Load(Record):
     """SI unit of `value`."""
     needs_density: ClassVar[bool] = False
     """The load is proportional to mass."""
+    follows: ClassVar[bool] = False
+    """The load depends on the displacement."""
+    conservative: ClassVar[bool] = True
+    """The load has a potential, so its part of the tangent is symmetric."""
 
     @model_validator(mode="after")
     def _read_components(self) -> Load:

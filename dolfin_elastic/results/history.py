@@ -31,6 +31,7 @@ class HistoryWriter:
     * ``strain_energy`` [J] if the material has one; in motion ``kinetic_energy``,
       ``external_energy`` (work of the loads so far), ``total_energy``,
     * ``reaction_<support>_x``, ``_y``, ``_z`` [N] for each support,
+    * further results by name, for example of obstacles and cavities,
     * in motion ``momentum_x`` ... [kg m/s] and ``angular_momentum_x`` ... [kg m^2/s].
 
     A row is on disk when `write` returns.
@@ -97,6 +98,7 @@ def row(state: State) -> dict[str, Number]:
     for name, column in (("linear", "momentum"), ("angular", "angular_momentum")):
         if name in state.momenta:
             values.update(_components(column, state.momenta[name]))
+    values.update(state.numbers)
     return {name: v if isinstance(v, int) else float(v) for name, v in values.items()}
 
 

@@ -131,6 +131,7 @@ class SummaryWriter:
             "strain_energy": state.energies.get("strain") if state else None,
             "energies": dict(state.energies) if state else {},
             "reactions": dict(state.reactions) if state else {},
+            "numbers": dict(state.numbers) if state else {},
         }
 
     def _timings(self) -> dict[str, float]:

@@ -58,9 +58,12 @@ class Assembler:
         forms = [residual, tangent]
         if problem.external is not None:
             forms.append(problem.external)
+        forms += problem.holding.values()
         compiled = compile_forms(self.comm, forms, problem.jit)
         self._residual, self._tangent = compiled[:2]
         self._external = compiled[2] if problem.external is not None else None
+        first = len(compiled) - len(problem.holding)
+        self._holding = dict(zip(problem.holding, compiled[first:], strict=True))
         self._map, self._bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
         self._dim = problem.body.dim
         self.size = self._map.size_local * self._bs
@@ -85,7 +88,7 @@ class Assembler:
             self._filled = TangentMatrix(self._tangent)
         self.matrix = self._filled.petsc
         self._shift: float | None = None
-        if problem.has_energy:
+        if problem.symmetric:
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
 
@@ -202,7 +205,7 @@ class Assembler:
     # --- what is known of the solution ---
 
     def reactions(self, more: Vector | None = None) -> dict[str, Vector]:
-        """Force of each support on the body [N], from `balance` as it stands.
+        """Force of each support and obstacle on the body [N], from `balance` as it stands.
 
         Args:
             more: Nodal forces to add, owned entries, for example inertia that is not in `balance`.
@@ -216,7 +219,18 @@ class Assembler:
         for row, dofs in zip(local, held.values(), strict=True):
             np.add.at(row, dofs % self._dim, forces[dofs])
         sums = self.comm.allreduce(local, op=MPI.SUM)
-        return dict(zip(held, sums, strict=True))
+        found = dict(zip(held, sums, strict=True))
+        for label, form in self._holding.items():
+            found[label] = found.get(label, 0.0) + self._resultant(form)
+        return found
+
+    def _resultant(self, form: fem.Form) -> Vector:
+        """Sum of the nodal forces of a virtual work [N]."""
+        forces = self._vector()
+        fem.assemble_vector(forces.array, form)
+        forces.scatter_reverse(la.InsertMode.add)
+        nodal = forces.array[self.moves].reshape(-1, self._dim)
+        return np.asarray(self.comm.allreduce(nodal.sum(axis=0), op=MPI.SUM))
 
     def max_displacement(self) -> float:
         """Largest length of a nodal displacement [m]."""

@@ -90,7 +90,7 @@ class SymplecticEuler:
             scale.array_w[self.problem.prescribed.owned] = 0.0
             self.assembler.matrix.diagonalScale(scale, scale)
             self.assembler.forget_tangent()
-            largest = _largest_eigenvalue(self.assembler.matrix, self.problem.has_energy)
+            largest = _largest_eigenvalue(self.assembler.matrix, self.problem.symmetric)
             x.destroy()
             scale.destroy()
         return float(2 / np.sqrt(largest)) if largest > 0 else np.inf

@@ -69,7 +69,7 @@ def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) 
         limit = (MIXED_MOVING if moving else MIXED_LIMIT)[problem.body.dim]
     direct = settings.method == "direct" or (settings.method == "auto" and dofs <= limit)
     direct = direct or problem.unknowns.has("stretch")  # only ever in a plane: cheap to factorise
-    symmetric = problem.has_energy
+    symmetric = problem.symmetric
     size = f"{dofs} unknowns"
     if settings.method != "auto":
         size += f", '{settings.method}' asked for"
@@ -225,7 +225,7 @@ class QuadraticMultigrid:
     def _prepare(self, pc: PETSc.PC, matrix: PETSc.Mat) -> None:
         assert self._coarse is not None
         self._coarse.setBlockSizes(self._fixed.getBlockSize(), self._fixed.getBlockSize())
-        if self._problem.has_energy:
+        if self._problem.symmetric:
             self._coarse.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self._coarse.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
         self._attach_modes()

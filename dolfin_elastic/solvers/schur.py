@@ -78,7 +78,7 @@ class SchurSplit:
     def _make(self, pc: PETSc.PC) -> None:
         assert self._K is not None
         assert self._B is not None
-        if self._problem.has_energy:
+        if self._problem.symmetric:
             self._K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self._K.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
         self._attach_modes()

@@ -1,0 +1,173 @@
+"""What loads, supports and obstacles find on the body they act on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.fem import Constant
+from ufl.core.expr import Expr
+
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.formulas import Formula
+from dolfin_elastic.measures import Measures
+from dolfin_elastic.meshes.body import Body
+from dolfin_elastic.model.components import Component
+from dolfin_elastic.model.curves import CONSTANT, Amplitude
+from dolfin_elastic.model.geometry import Geometry, Weighted, full_gradient
+from dolfin_elastic.parallel import total
+from dolfin_elastic.parts import Part
+from dolfin_elastic.unknowns import Unknowns
+from dolfin_elastic.varying import Binder
+
+
+class BodySite:
+    """A body as terms of virtual work see it (`model.loads.Site`). Collective.
+
+    Args:
+        body: The mesh and its names.
+        unknowns: What is solved for.
+        parts: The materials on the body.
+        measures: Where integrals are taken.
+        geometry: Kind of a two-dimensional body.
+
+    Attributes:
+        body: The mesh and its names.
+        v: Virtual displacement (UFL).
+        u: Displacement (UFL, of the unknowns, so that derivatives see it).
+        X: Reference coordinates (UFL).
+        N: Outward unit normal of the reference surface (UFL).
+        t: Time [s] or load parameter (UFL constant).
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        unknowns: Unknowns,
+        parts: Sequence[Part],
+        measures: Measures,
+        geometry: Geometry,
+    ) -> None:
+        self.body, self.unknowns, self.parts = body, unknowns, parts
+        self.measures, self.geometry = measures, geometry
+        self.v = unknowns.v
+        self.u = unknowns.displacement(unknowns.w)
+        self.X = ufl.SpatialCoordinate(body.mesh)
+        self.N = ufl.FacetNormal(body.mesh)
+        self.t = Constant(body.mesh, 0.0)
+        self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
+
+    def constant(self, value: float | Sequence[float]) -> Constant:
+        """A number that forms refer to by place, so that changing it compiles nothing."""
+        return Constant(self.body.mesh, np.asarray(value, dtype=np.float64))
+
+    @property
+    def order(self) -> int:
+        """Degree of the displacement or of the mesh's curved cells, whichever is higher."""
+        return max(self.unknowns.degree, int(self.body.mesh.geometry.cmap.degree))
+
+    def deformation(self, w: Expr) -> Expr:
+        """The 3x3 deformation gradient of a function of all unknowns."""
+        stretch = self.unknowns.extra("stretch", w) if self.unknowns.has("stretch") else None
+        return full_gradient(self.geometry, self.unknowns.displacement(w), self.X, stretch)
+
+    @cached_property
+    def F(self) -> Expr:
+        """The 3x3 deformation gradient of the present unknowns."""
+        return self.deformation(self.unknowns.w)
+
+    # --- where integrals are taken ---
+
+    def volumes(self, regions: Sequence[str]) -> Weighted:
+        """Reference volume of regions, or of the whole body."""
+        for name in regions:
+            self.body.region(name)
+        if not regions:
+            return self.measures.filled(None, 2 * self.order)
+        return self.measures.regions(regions, 2 * self.order)
+
+    def areas(self, surfaces: Sequence[str]) -> Weighted:
+        """Reference area of surfaces."""
+        for name in surfaces:
+            self.body.surface(name)
+        return self.measures.surfaces(surfaces, 2 * self.order)
+
+    def densities(self, regions: Sequence[str]) -> list[tuple[Expr, Weighted]]:
+        """Density and reference volume, material by material."""
+        if regions:
+            cells = np.concatenate([self.body.region(name) for name in regions])
+            for part in self.parts:
+                if total(self.body.comm, int(np.isin(part.cells, cells).any())):
+                    self.density(part)
+            return [(self._density_field, self.volumes(regions))]
+        degree = 2 * self.order
+        return [
+            (self.density(part), self.measures.filled(part.marker, degree)) for part in self.parts
+        ]
+
+    def density(self, part: Part) -> Expr:
+        """Density of a part's material.
+
+        Raises:
+            InputError: The material has none.
+        """
+        if part.density is None:
+            raise InputError(
+                "weight and motion need a density",
+                where=f"materials.{part.name}",
+                expected='for example density = "1100 kg/m^3"',
+            )
+        return part.density
+
+    @cached_property
+    def _density_field(self) -> fem.Function:
+        return Binder(self.body, self.order).joined(
+            [(part.density, part.cells) for part in self.parts]
+        )
+
+    # --- values ---
+
+    def factor(self, amplitude: Amplitude | None) -> Constant:
+        """A constant that follows an amplitude (None: as the solver decides)."""
+        factor = self.constant(1.0)
+        self._amplitudes.append((factor, amplitude))
+        return factor
+
+    def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
+        """A vector at a point of the body, times its amplitude, as a UFL expression."""
+        if len(values) != self.body.dim:
+            raise InputError(
+                f"{len(values)} components given, the body has {self.body.dim}", where="load"
+            )
+        factor = self.factor(amplitude)
+        if not any(isinstance(value, Formula) for value in values):
+            return factor * self.constant([float(value) for value in values])  # type: ignore[arg-type]
+        return factor * ufl.as_vector([self.value(value) for value in values])
+
+    def scalar(self, value: Component, amplitude: Amplitude | None) -> Expr:
+        """A number or formula at a point of the body, times its amplitude."""
+        return self.factor(amplitude) * self.value(value)
+
+    def value(self, value: Component) -> Expr:
+        """A number or a formula in x, y, z and t at a point of the body."""
+        if not isinstance(value, Formula):
+            return self.constant(float(value or 0.0))
+        X = self.X
+        z = X[2] if self.body.dim == 3 else self.constant(0.0)
+        return value.ufl(x=X[0], y=X[1], z=z, t=self.t)
+
+    # --- time ---
+
+    @property
+    def changes(self) -> bool:
+        """An amplitude changes in motion, where those without one are constant."""
+        return any(amplitude not in (None, CONSTANT) for _, amplitude in self._amplitudes)
+
+    def set_time(self, t: float, default: Amplitude) -> None:
+        """Puts all amplitudes and formulas to time t. Not collective."""
+        self.t.value = t
+        for factor, amplitude in self._amplitudes:
+            factor.value = (amplitude or default).at(t)
