@@ -106,6 +106,15 @@ class Prescribed:
             for dofs in [np.concatenate(parts)]
         }
 
+    def pin(self, dofs: Dofs, owned: Dofs) -> None:
+        """Holds the unknowns of a periodic cell's vertex, where there are no supports.
+
+        Args:
+            dofs: Local entries that are these unknowns.
+            owned: One of them for each unknown that this rank owns.
+        """
+        self.dofs, self.owned = np.sort(dofs), owned
+
     def move_to(self, t: float, default: Amplitude) -> None:
         """Sets the values of time t. Not collective.
 

@@ -15,7 +15,9 @@ from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
 from dolfin_elastic import compiler
+from dolfin_elastic.cell import Cell
 from dolfin_elastic.errors import InputError
+from dolfin_elastic.fluctuation import Fluctuation
 from dolfin_elastic.formulation import Formulation
 from dolfin_elastic.measures import Measures
 from dolfin_elastic.meshes.body import Body, cell_size
@@ -30,6 +32,7 @@ from dolfin_elastic.model.geometry import (
 from dolfin_elastic.model.law import Law, SplitLaw
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.mixed import Mixed
+from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports import Support
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
 from dolfin_elastic.prescribed import Prescribed
@@ -58,11 +61,13 @@ class Problem:
         geometry: What a two-dimensional body is: "plane-strain", "plane-stress" or
             "axisymmetric" (x is the radius, y the axis).
         thickness: Of a plane body [m].
+        periodic: Faces that are one, and the macroscopic deformation of the cell they bound.
 
     Attributes:
         u: The displacement [m]; solvers change it through `w`.
         w: All unknowns: the displacement and, in some problems, scalar fields beside it.
         site: What loads find on the body.
+        cell: The macroscopic deformation of a periodic cell, or None.
         constant: Makes a number that forms refer to by place, so that changing it compiles nothing.
         t: UFL constant with the time, used by formulas.
         X: Reference coordinates (UFL).
@@ -85,16 +90,22 @@ class Problem:
         formulation: Formulation = "auto",
         geometry: Geometry = "plane-strain",
         thickness: float = 1.0,
+        periodic: Periodic | None = None,
     ) -> None:
         self.body, self.degree = body, degree
         self.supports, self.loads = tuple(supports), tuple(loads)
         self.quadrature_degree = quadrature_degree
         self.geometry = checked_geometry(geometry, thickness, body)
+        self.cell = None if periodic is None else self._cell(periodic, thickness)
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
         self.parts, fields = make_parts(
             body, laws, formulation, degree=degree, order=self._order, geometry=self.geometry
         )
-        self.unknowns = Unknowns(body.mesh, degree, fields.extras)
+        self.unknowns = (
+            Unknowns(body.mesh, degree, fields.extras)
+            if self.cell is None
+            else Fluctuation(body.mesh, degree, fields.extras, self.cell)
+        )
         self.V, self.u = self.unknowns.V, self.unknowns.u
         self.W, self.w, self.v = self.unknowns.W, self.unknowns.w, self.unknowns.v
         self._scale_unknowns()
@@ -110,7 +121,25 @@ class Problem:
         self.prescribed = Prescribed(
             body, self.V, self.supports, axis=self.geometry == "axisymmetric"
         )
+        if isinstance(self.unknowns, Fluctuation):
+            self.prescribed.pin(*self.unknowns.pinned)
         _ = self.external  # says now what is wrong with a load
+
+    def _cell(self, periodic: Periodic, thickness: float) -> Cell:
+        for key, given in (("support", self.supports), ("load", self.loads)):
+            if given:
+                raise InputError(
+                    f"a periodic cell takes no {key}s: it is loaded by its macroscopic deformation",
+                    where=f"{key}[0]",
+                    expected="leave it out; periodic.gradient and periodic.stress deform the cell",
+                )
+        if self.geometry == "axisymmetric":
+            raise InputError(
+                "an axisymmetric body cannot be repeated along its radius",
+                where="mesh.geometry",
+                expected='"plane-strain" or "plane-stress"',
+            )
+        return Cell(self.body, periodic, thickness)
 
     def _scale_unknowns(self) -> None:
         """Gives the scalar fields the size of displacements, see `unknowns`."""
@@ -298,3 +327,6 @@ class Problem:
         """
         self.site.set_time(t, default)
         self.prescribed.move_to(t, default)
+        if self.cell is not None:
+            self.cell.move_to(t, default)
+            self.unknowns.tell()

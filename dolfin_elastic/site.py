@@ -54,7 +54,7 @@ class BodySite:
         self.body, self.unknowns, self.parts = body, unknowns, parts
         self.measures, self.geometry = measures, geometry
         self.v = unknowns.v
-        self.u = unknowns.displacement(unknowns.w)
+        self.u = unknowns.motion(unknowns.w)
         self.X = ufl.SpatialCoordinate(body.mesh)
         self.N = ufl.FacetNormal(body.mesh)
         self.t = Constant(body.mesh, 0.0)
@@ -72,7 +72,7 @@ class BodySite:
     def deformation(self, w: Expr) -> Expr:
         """The 3x3 deformation gradient of a function of all unknowns."""
         stretch = self.unknowns.extra("stretch", w) if self.unknowns.has("stretch") else None
-        return full_gradient(self.geometry, self.unknowns.displacement(w), self.X, stretch)
+        return full_gradient(self.geometry, self.unknowns.motion(w), self.X, stretch)
 
     @cached_property
     def F(self) -> Expr:

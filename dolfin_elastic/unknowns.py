@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import basix.ufl
 import numpy as np
@@ -19,6 +20,7 @@ from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
 
 Dofs = npt.NDArray[np.int32]
+Element = Any
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ class Unknowns:
 
     Attributes:
         V: Space of the displacement.
+        U: Space of what is unknown of it; V, but that nodes on periodic faces are merged.
         u: The displacement [m], on V.
         W: Space of all unknowns; V itself when there are no others.
         w: All unknowns; `u` itself when there are no others.
@@ -57,24 +60,31 @@ class Unknowns:
     def __init__(self, mesh: Mesh, degree: int, extras: Sequence[Extra] = ()) -> None:
         self.extras, self.degree = tuple(extras), degree
         cell = mesh.basix_cell()
-        vector = basix.ufl.element("Lagrange", cell, degree, shape=(mesh.geometry.dim,))
-        self._dofs: Dofs | None = None
-        if self.extras:
-            scalars = [
-                basix.ufl.element("Lagrange" if e.continuous else "DG", cell, e.degree)
-                for e in self.extras
-            ]
-            self.W = fem.functionspace(mesh, basix.ufl.mixed_element([vector, *scalars]))
-            self.V, dofs = self.W.sub(0).collapse()
-            self._dofs = np.asarray(dofs, dtype=np.int32)
+        elements = [basix.ufl.element("Lagrange", cell, degree, shape=(mesh.geometry.dim,))]
+        elements += [
+            basix.ufl.element("Lagrange" if e.continuous else "DG", cell, e.degree)
+            for e in self.extras
+        ]
+        self.V, self.U, self.W, self._dofs = self._spaces(mesh, elements)
+        if self.W is self.V:
+            self.w = self.u = fem.Function(self.V, name="displacement")
+        else:
             self.w = fem.Function(self.W, name="unknowns")
             self.u = fem.Function(self.V, name="displacement")
-        else:
-            self.V = self.W = fem.functionspace(mesh, vector)
-            self.w = self.u = fem.Function(self.V, name="displacement")
         self.tests = self._split(ufl.TestFunction(self.W))
         self.v = self.tests[0]
         self.scale = {e.name: Constant(mesh, 1.0) for e in self.extras}
+
+    def _spaces(
+        self, mesh: Mesh, elements: Sequence[Element]
+    ) -> tuple[fem.FunctionSpace, fem.FunctionSpace, fem.FunctionSpace, Dofs | None]:
+        """V, U, W, and the entry of W of each entry of V where these differ."""
+        if not self.extras:
+            V = fem.functionspace(mesh, elements[0])
+            return V, V, V, None
+        W = fem.functionspace(mesh, basix.ufl.mixed_element(elements))
+        V, dofs = W.sub(0).collapse()
+        return V, V, W, np.asarray(dofs, dtype=np.int32)
 
     def _split(self, w: Expr) -> tuple[Expr, ...]:
         return tuple(ufl.split(w)) if self.extras else (w,)
@@ -82,6 +92,10 @@ class Unknowns:
     def displacement(self, w: Expr) -> Expr:
         """The displacement in a function, test or trial function of W."""
         return self._split(w)[0]
+
+    def motion(self, w: Expr) -> Expr:
+        """The whole displacement of the body [m], of a function of W."""
+        return self.displacement(w)
 
     def extra(self, name: str, w: Expr) -> Expr:
         """A scalar field in physical units, in a function, test or trial function of W."""
@@ -110,6 +124,27 @@ class Unknowns:
     def places(self, dofs: Dofs) -> Dofs:
         """Entries of the displacement's local array as entries of all unknowns' local array."""
         return dofs if self._dofs is None else self._dofs[dofs]
+
+    @property
+    def moved(self) -> npt.NDArray[np.float64] | None:
+        """Displacement at the nodes of U, where they have one place only."""
+        return self.u.x.array if self.U is self.V else None
+
+    def local(self, dofs: Dofs) -> Dofs:
+        """Entries of the displacement's local array as entries of U."""
+        return dofs
+
+    @property
+    def moves(self) -> Dofs:
+        """Owned entries of all unknowns that belong to the displacement, in the order of U."""
+        size = self.U.dofmap.index_map.size_local * self.U.dofmap.index_map_bs
+        return self.places(np.arange(size, dtype=np.int32))
+
+    def linear(self) -> tuple[fem.FunctionSpace, Dofs]:
+        """U with linear elements, for multigrid, and its owned entries that are held. Collective."""
+        mesh = self.V.mesh
+        space = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
+        return space, np.empty(0, dtype=np.int32)
 
     def tell(self) -> None:
         """Copies the displacement out of all unknowns, after they were changed."""

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.compiler import compile_forms
 from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.macroscopic import Macroscopic
 from dolfin_elastic.solvers.matrix import TangentMatrix
 from dolfin_elastic.timing import stage
 
@@ -42,6 +43,7 @@ class Assembler:
         moves: Owned entries of all unknowns that are displacements, in the displacement's order.
         fixed: Owned entries of all unknowns that are prescribed.
         pressures: How many unknowns are pressures, on all ranks.
+        cell: Macroscopic stress of a periodic cell, or None.
         gap: Largest |x - g| over prescribed entries at the last residual [m].
     """
 
@@ -72,16 +74,17 @@ class Assembler:
         held, places = problem.prescribed, problem.unknowns.places
         self._held = held.owned
         self.fixed = places(held.owned)
-        self.moves = places(np.arange(_owned(problem.V), dtype=np.int32))
+        self.moves = problem.unknowns.moves
         if problem.w is problem.u:
             self._values, self._bcs = held.values, held.bcs
         else:
             self._values = fem.Function(problem.W)
             dofs = np.arange(len(problem.u.x.array), dtype=np.int32) if still else held.dofs
-            self._bcs = [fem.dirichletbc(self._values, places(dofs))]
+            self._bcs = [fem.dirichletbc(self._values, np.unique(places(dofs) // self._bs))]
         if still:
             self._held = np.arange(_owned(problem.V), dtype=np.int32)
             self.fixed = self.moves
+        self.cell = None if problem.cell is None else Macroscopic(problem)
         self.pressures = problem.unknowns.count("pressure")
         self._is_free = np.ones(self.size, dtype=bool)
         self._is_free[self.fixed] = False
@@ -129,7 +132,8 @@ class Assembler:
             self.put(x)
             self.assemble_balance()
             wanted = self.problem.prescribed.values.x.array[self._held]
-            difference = self.problem.u.x.array[self._held] - (wanted if target is None else target)
+            now = self.problem.w.x.array[self.fixed]
+            difference = now - (wanted if target is None else target)
             out = self.balance.array[: self.size]
             self._measure(out, difference)
             if self.gap > 0.0 and np.isfinite(self.free):
@@ -198,7 +202,12 @@ class Assembler:
         self._shift = None
 
     def external_norm(self) -> float:
-        """Norm of the applied nodal forces at the present time [N]."""
+        """Norm of the applied nodal forces at the present time [N].
+
+        A periodic cell's are those by which its neighbours hold it.
+        """
+        if self.cell is not None:
+            return self.cell.force()
         if self._external is None:
             return 0.0
         force = self._vector()
@@ -254,7 +263,7 @@ class Assembler:
 
     def max_displacement(self) -> float:
         """Largest length of a nodal displacement [m]."""
-        u = self.problem.u.x.array[: len(self.moves)].reshape(-1, self._dim)
+        u = self.problem.u.x.array[: _owned(self.problem.V)].reshape(-1, self._dim)
         lengths = np.linalg.norm(u, axis=1)
         return float(self.comm.allreduce(float(np.max(lengths, initial=0.0)), op=MPI.MAX))
 
@@ -269,7 +278,7 @@ class Assembler:
         norms = np.linalg.norm(forces.reshape(-1, self._dim), axis=1)
         norms = np.where(np.isfinite(norms), norms, np.inf)
         node = int(np.argmax(norms)) if len(norms) else -1
-        places = self.problem.V.tabulate_dof_coordinates()
+        places = self.problem.unknowns.U.tabulate_dof_coordinates()
         mine = (float(norms[node]), places[node]) if node >= 0 else (-1.0, np.zeros(3))
         return max(self.comm.allgather(mine), key=lambda pair: pair[0])
 

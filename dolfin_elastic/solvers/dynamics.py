@@ -123,6 +123,12 @@ class Dynamics:
             ConvergenceError: A step found no equilibrium however small it was made.
             StabilityError: The explicit step became larger than the stable one.
         """
+        if self.problem.cell is not None:
+            raise InputError(
+                "a periodic cell has no motion",
+                where="periodic",
+                expected="leave it out, or use [statics]",
+            )
         s = self.settings
         set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
         if s.scheme == "symplectic-euler":

@@ -8,6 +8,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.border import Bordered
 from dolfin_elastic.solvers.inversion import JacobianWatch
 
 HALVINGS = 10
@@ -26,6 +27,7 @@ class InversionGuard:
 
     Args:
         assembler: Of the problem that is solved.
+        bordered: Scalar unknowns beside the fields, on which F may depend.
 
     Attributes:
         rejected: Trial states refused since `begin`.
@@ -33,8 +35,8 @@ class InversionGuard:
         stuck: No part of the last step was without inverted cells.
     """
 
-    def __init__(self, assembler: Assembler) -> None:
-        self._assembler = assembler
+    def __init__(self, assembler: Assembler, bordered: Bordered | None = None) -> None:
+        self._assembler, self._bordered = assembler, bordered
         self.watch = JacobianWatch(assembler.problem)
         self.begin()
 
@@ -55,6 +57,7 @@ class InversionGuard:
         for _ in range(HALVINGS + 1):
             w.array[:size] = x.array_r[:size] - share * step
             w.scatter_forward()
+            self._move_scalars(x, y, share)
             found = self.watch.smallest()
             if found[0] > 0.0:
                 break
@@ -66,3 +69,7 @@ class InversionGuard:
         if share < 1.0:
             y.scale(share)
         return share < 1.0
+
+    def _move_scalars(self, x: PETSc.Vec, y: PETSc.Vec, share: float) -> None:
+        if (bordered := self._bordered) is not None:
+            bordered.border.put(bordered.scalars(x) - share * bordered.scalars(y))

@@ -45,11 +45,12 @@ class PathWatch:
         """Takes in the present equilibrium, whose forces are in the assembler. Collective."""
         a = self._assembler
         forces = a.balance.array[: a.size] + a.external_forces() + a.holding_forces()
-        self._now = (
-            self.energy(),
-            forces[a.moves],
-            a.problem.w.x.array[a.moves].copy(),
-        )
+        forces, moved = forces[a.moves], a.problem.w.x.array[a.moves].copy()
+        if a.cell is not None:
+            whole = a.cell.work()
+            if a.comm.rank == 0:
+                forces, moved = np.append(forces, whole[0]), np.append(moved, whole[1])
+        self._now = self.energy(), forces, moved
 
     def accept(self) -> None:
         """The state looked at last is where the next step begins."""

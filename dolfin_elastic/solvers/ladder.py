@@ -44,11 +44,13 @@ class Ladder:
         """
         newton, problem = self.newton, self.newton.assembler.problem
         w = problem.w.x.array
+        scalars = newton.scalars()
         rejected = 0
         for said, start, line_search in self._rungs(starts):
             if not self._first:
                 newton.refresh()
             self._first = False
+            newton.set_scalars(scalars)
             progress = self._try(start, line_search)
             rejected += progress.rejected
             if progress.converged:
@@ -59,6 +61,7 @@ class Ladder:
         self.failed = w.copy()
         progress.rejected = rejected
         w[:] = starts[0][1]
+        newton.set_scalars(scalars)
         problem.unknowns.tell()
         return progress
 

@@ -68,7 +68,7 @@ class Choice:
 def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) -> Choice:
     """Chooses a linear solver for a problem and says why."""
     dofs, limit = problem.num_dofs, DIRECT_LIMIT[problem.body.dim]
-    several = problem.w is not problem.u
+    several = bool(problem.unknowns.extras)
     if several:
         limit = (MIXED_MOVING if moving else MIXED_LIMIT)[problem.body.dim]
     direct = settings.method == "direct" or (settings.method == "auto" and dofs <= limit)
@@ -114,7 +114,7 @@ def _iterative(problem: Problem, symmetric: bool) -> dict[str, Any]:
     if not symmetric:
         krylov |= GMRES
     inner = GAMG if problem.degree == 1 else QUADRATIC
-    if problem.w is not problem.u:
+    if problem.unknowns.extras:
         return {**krylov, "pc_type": "python", **{f"u_{k}": value for k, value in inner.items()}}
     return {**krylov, "pc_type": "gamg" if problem.degree == 1 else "python", **inner}
 
@@ -189,8 +189,8 @@ class QuadraticMultigrid:
 
     def __init__(self, problem: Problem) -> None:
         body = problem.body
-        self._coarse_space = fem.functionspace(body.mesh, ("Lagrange", 1, (body.dim,)))
-        self._P = interpolation_matrix(self._coarse_space, problem.V)
+        self._coarse_space, pinned = problem.unknowns.linear()
+        self._P = interpolation_matrix(self._coarse_space, problem.unknowns.U)
         coarse = Prescribed(
             body,
             self._coarse_space,
@@ -199,7 +199,8 @@ class QuadraticMultigrid:
         )
         self._fixed = self._P.createVecRight()
         self._fixed.array_w[coarse.owned] = 1.0
-        self._scale_interpolation(problem.prescribed.owned)
+        self._fixed.array_w[pinned] = 1.0
+        self._scale_interpolation(problem.unknowns.local(problem.prescribed.owned))
         self._problem = problem
         self._coarse: PETSc.Mat | None = None
         self._pc: PETSc.PC | None = None
@@ -248,9 +249,12 @@ class QuadraticMultigrid:
     def _attach_modes(self) -> None:
         """Gives the coarse tangent the rigid-body modes of the current places."""
         assert self._coarse is not None
-        u = fem.Function(self._coarse_space)
-        u.interpolate(self._problem.u)
-        modes = rigid_body_modes(self._coarse_space, u.x.array)
+        moved = None
+        if self._problem.cell is None:  # places of merged nodes are not known to the space
+            u = fem.Function(self._coarse_space)
+            u.interpolate(self._problem.u)
+            moved = u.x.array
+        modes = rigid_body_modes(self._coarse_space, moved)
         self._coarse.setNearNullSpace(modes)
         modes.destroy()
 

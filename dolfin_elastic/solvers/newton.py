@@ -16,7 +16,7 @@ from petsc4py import PETSc
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes.body import cell_size, span
 from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.border import Border, Bordered, python_solver
+from dolfin_elastic.solvers.border import Border, Bordered, Vector, python_solver
 from dolfin_elastic.solvers.guard import PATIENCE, InversionGuard
 from dolfin_elastic.solvers.linear import (
     GMRES,
@@ -164,7 +164,7 @@ class Newton:
 
         A linear problem has one solution only, which is judged when it is found.
         """
-        self.guard = InversionGuard(self.assembler)
+        self.guard = InversionGuard(self.assembler, self._bordered)
         if not self.assembler.problem.linear:
             self.snes.setLineSearchPreCheck(self.guard.shorten)
 
@@ -177,7 +177,7 @@ class Newton:
         """Rigid-body modes of the current places, which multigrid must keep."""
         problem = self.assembler.problem
         if problem.degree == 1 and not problem.mixed:
-            modes = rigid_body_modes(problem.V, problem.u.x.array)
+            modes = rigid_body_modes(problem.unknowns.U, problem.unknowns.moved)
             self.assembler.matrix.setNearNullSpace(modes)
             modes.destroy()
 
@@ -295,6 +295,16 @@ class Newton:
             self.assembler.put(self._x)
         else:
             self._bordered.residual(self._x, self._f)
+
+    def scalars(self) -> Vector:
+        """The scalar unknowns beside the fields."""
+        return np.zeros(0) if self._bordered is None else self._bordered.border.get()
+
+    def set_scalars(self, values: Vector) -> None:
+        """Puts the scalar unknowns back. Not collective."""
+        if self._bordered is not None:
+            self._bordered.border.put(values)
+            self.assembler.problem.unknowns.tell()
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
         if self._bordered is None:

@@ -20,7 +20,7 @@ def check_held(problem: Problem) -> None:
     Raises:
         InputError: It is not.
     """
-    free = free_motions(problem)
+    free = [] if problem.cell is not None else free_motions(problem)  # its neighbours hold a cell
     if free:
         what = "the supports leave the body free" if problem.supports else "there is no support"
         raise InputError(

@@ -97,7 +97,7 @@ class SchurSplit:
     def _attach_modes(self) -> None:
         assert self._K is not None
         if self._multigrid is None:
-            modes = rigid_body_modes(self._problem.V, self._problem.u.x.array)
+            modes = rigid_body_modes(self._problem.unknowns.U, self._problem.unknowns.moved)
             self._K.setNearNullSpace(modes)
             modes.destroy()
 

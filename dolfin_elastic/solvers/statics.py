@@ -24,6 +24,7 @@ from dolfin_elastic.solvers.progress import Progress, Tolerance
 from dolfin_elastic.solvers.relaxation import relax
 from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.solvers.steps import StepSizes
+from dolfin_elastic.solvers.strains import free_strains
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 from dolfin_elastic.units import Force, Length
@@ -130,15 +131,25 @@ class Statics:
                 then holds the last iterate, and all states yielded before are valid.
         """
         check_held(self.problem)
+        self._check_path()
         log.info("%s", self.choice.why)
         assembler = Assembler(self.problem)
-        newton = Newton(assembler, self.choice, self.tolerance, users=self.petsc)
+        border = free_strains(assembler.cell)
+        newton = Newton(assembler, self.choice, self.tolerance, users=self.petsc, border=border)
         newton.watch_inversion()
         try:
             yield from _Stepping(self, assembler, newton).run()
         finally:
             newton.destroy()
             assembler.destroy()
+
+    def _check_path(self) -> None:
+        if self.problem.cell is not None and self.settings.method == "arc-length":
+            raise InputError(
+                "the path of a periodic cell is not followed by its length",
+                where="statics.method",
+                expected='"load"; periodic.gradient prescribes how far the cell is deformed',
+            )
 
     @property
     def tolerance(self) -> Tolerance:
@@ -193,12 +204,13 @@ class _Stepping:
         sizes, t = self.statics.sizes(), 0.0
         while not sizes.done(t) and not self._is_enough():
             goal = sizes.goal(t)
-            start = self.problem.w.x.array.copy()
+            start, scalars = self.problem.w.x.array.copy(), self.newton.scalars()
             progress = self._attempt(t, goal)
             crushed = progress.rejected > 0 or "NAN" in progress.reason
             if not progress.converged or self._jumped(progress):
                 if sizes.failed(t, goal, crushed=crushed and not progress.converged):
                     self._retreat(goal, progress, start)
+                    self.newton.set_scalars(scalars)
                     continue
                 if not progress.converged:
                     progress = self._snap(t, goal, progress)
@@ -326,6 +338,7 @@ class _Stepping:
             max_displacement=assembler.max_displacement(),
             negative=negative,
             limit_points=self._limits,
+            numbers={} if assembler.cell is None else assembler.cell.numbers(),
             done=t / self.settings.end,
         )
 

@@ -1,0 +1,168 @@
+"""Periodic faces: what the cell of a repeated structure is told of the whole."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.formulas import Formula
+from dolfin_elastic.model.components import Component, component
+from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
+from dolfin_elastic.schema import Record
+
+Matrix = tuple[tuple[Component, ...], ...]
+Pair = Annotated[list[str], Field(min_length=2, max_length=2)]
+
+
+class Periodic(Record):
+    """The faces of a cell that is repeated in all directions, and its macroscopic deformation.
+
+    On the faces of a pair u+ - u- = (F - I)(X+ - X-) with the macroscopic deformation gradient F.
+    Source: S. Saeb, P. Steinmann & A. Javili, Appl. Mech. Rev. 68 (2016) 050801, section 3.
+
+    Attributes:
+        pairs: Two opposite surfaces each, as many pairs as the space has dimensions.
+        gradient: F at full load, row by row: numbers, formulas in t, or "free" where the stress is
+            prescribed.
+        stress: Macroscopic first Piola-Kirchhoff stress [Pa] where the gradient is free; 0 by
+            default.
+        curve: Amplitude of F - I and of the stress over time.  Without one, numbers grow with the
+            load steps, and formulas in t are taken as they are.
+    """
+
+    pairs: list[Pair]
+    gradient: list[list[Any]]
+    stress: list[list[Any]] | None = None
+    curve: Curve | None = None
+
+    @model_validator(mode="after")
+    def _read_components(self) -> Periodic:
+        self._check_stresses()
+        self._check_turns()
+        return self
+
+    @cached_property
+    def stretches(self) -> Matrix:
+        """Components of F; None where they are free."""
+        return _matrix(self.gradient, "", "gradient")
+
+    @cached_property
+    def stresses(self) -> Matrix:
+        """Components of the stress; None where they are not prescribed."""
+        if self.stress is None:
+            return tuple(tuple(0.0 if s is None else None for s in row) for row in self.stretches)
+        return _matrix(self.stress, "Pa", "stress")
+
+    @cached_property
+    def free(self) -> tuple[tuple[int, int], ...]:
+        """Places of the free components of F."""
+        return tuple(
+            (i, j)
+            for i, row in enumerate(self.stretches)
+            for j, value in enumerate(row)
+            if value is None
+        )
+
+    @property
+    def dim(self) -> int:
+        """Rows of the gradient."""
+        return len(self.stretches)
+
+    def _check_stresses(self) -> None:
+        if len(self.stresses) != self.dim:
+            raise InputError(
+                f"{len(self.stresses)} rows",
+                where="stress",
+                expected=f"as many as gradient has: {self.dim}",
+            )
+        for i, row in enumerate(self.stresses):
+            for j, value in enumerate(row):
+                if (i, j) not in self.free and value not in (None, 0.0):
+                    raise InputError(
+                        f"F{i + 1}{j + 1} is prescribed, so its stress is a result",
+                        where=f"stress[{i}][{j}]",
+                        expected=f'"free" here, or "free" at gradient[{i}][{j}]',
+                    )
+                if (i, j) in self.free and value is None:
+                    raise InputError(
+                        f"neither F{i + 1}{j + 1} nor its stress is prescribed",
+                        where=f"stress[{i}][{j}]",
+                        expected=f"a stress here, or a number at gradient[{i}][{j}]",
+                    )
+
+    def _check_turns(self) -> None:
+        """At rest the cell turns in a plane by the two shears of that plane and nothing else."""
+        for i, j in self.free:
+            if i < j and (j, i) in self.free:
+                one, two = f"{i + 1}{j + 1}", f"{j + 1}{i + 1}"
+                raise InputError(
+                    f"F{one} and F{two} are both free: the cell can turn",
+                    where=f"gradient[{j}][{i}]",
+                    expected=f"a number for one of them, for example F{two} = 0",
+                )
+
+    def gradient_at(self, t: float, default: Amplitude) -> npt.NDArray[np.float64]:
+        """F at time t, NaN where it is free."""
+        rest = np.eye(self.dim)
+        return rest + self._at(self.stretches, rest, t, default)
+
+    def stress_at(self, t: float, default: Amplitude) -> npt.NDArray[np.float64]:
+        """Prescribed stress at time t [Pa], NaN where it is a result."""
+        found = self._at(self.stresses, np.zeros((self.dim, self.dim)), t, default)
+        given = np.zeros((self.dim, self.dim), dtype=bool)
+        for i, j in self.free:
+            given[i, j] = True
+        return np.where(given, found, np.nan)
+
+    def _at(
+        self, values: Matrix, rest: npt.NDArray[np.float64], t: float, default: Amplitude
+    ) -> npt.NDArray[np.float64]:
+        found = np.full(rest.shape, np.nan)
+        for i, row in enumerate(values):
+            for j, value in enumerate(row):
+                if value is not None:
+                    off = _number(value, t) - rest[i, j]
+                    found[i, j] = off * self._amplitude(value, default).at(t)
+        return found
+
+    def _amplitude(self, value: Component, default: Amplitude) -> Amplitude:
+        if self.curve is not None:
+            return self.curve
+        return CONSTANT if isinstance(value, Formula) else default
+
+
+def _number(value: Component, t: float) -> float:
+    return float(value.evaluate(t=t)) if isinstance(value, Formula) else float(value or 0.0)
+
+
+def _matrix(written: Any, unit: str, key: str) -> Matrix:
+    rows = len(written)
+    if rows not in (2, 3) or any(len(row) != rows for row in written):
+        raise InputError(
+            f"rows of {', '.join(str(len(row)) for row in written)} components",
+            where=key,
+            expected="3 rows of 3 components (in a plane 2 rows of 2)",
+        )
+    return tuple(
+        tuple(_component(item, unit, f"{key}[{i}][{j}]") for j, item in enumerate(row))
+        for i, row in enumerate(written)
+    )
+
+
+def _component(written: Any, unit: str, where: str) -> Component:
+    try:
+        value = component(written, unit, may_be_free=True)
+    except InputError as error:
+        raise error.at(where) from None
+    if isinstance(value, Formula) and (extra := set(value.names) - {"t"}):
+        raise InputError(
+            f"{', '.join(sorted(extra))} in a macroscopic quantity, which has no place",
+            where=where,
+            expected="a formula in t",
+        )
+    return value

@@ -1,0 +1,96 @@
+"""Macroscopic strains of a periodic cell that are unknown, each with a stress that is prescribed."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+
+from dolfin_elastic.parallel import total
+from dolfin_elastic.solvers.border import Border
+from dolfin_elastic.solvers.macroscopic import Macroscopic
+
+Vector = npt.NDArray[np.float64]
+
+ROUND_OFF = 1e-14
+"""Error of the mean stress over the cell's stiffness, of which strains are computed."""
+
+
+class FreeStrains(Border):
+    """Free components of the macroscopic gradient; their stress is prescribed.
+
+    As unknown each is multiplied by the length of the cell, and its equation V (P - P*) divided by
+    it, so that they are a length and a force as those of the nodes are.
+
+    Args:
+        mean: Mean stress of the problem.
+    """
+
+    def __init__(self, mean: Macroscopic) -> None:
+        self._mean, self._cell, problem = mean, mean.cell, mean.problem
+        self._free, self.size = self._cell.free, len(self._cell.free)
+        self.steps = np.full(self.size, 1e-5 * self._cell.length)
+        self._way = problem.constant(np.zeros((problem.body.dim, problem.body.dim)))
+        affine = self._cell.affine(self._way)
+        others = len(ufl.split(problem.w)) - 1 if problem.unknowns.extras else 0
+        ways = ufl.as_vector([*affine, *[0] * others]) if others else affine
+        forms = [
+            ufl.derivative(mean.mean, problem.w, ufl.TestFunction(problem.W)),
+            ufl.derivative(mean.mean, problem.w, ways),
+        ]
+        self._row, self._stiffness = mean.compiled(forms)
+        self._stiff = 0.0
+
+    def get(self) -> Vector:
+        """The free strains times the length of the cell [m]."""
+        return self._cell.free_values() * self._cell.length
+
+    def put(self, values: Vector) -> None:
+        """Sets the free strains."""
+        self._cell.set_free(values / self._cell.length)
+
+    @property
+    def _area(self) -> float:
+        return self._cell.volume / self._cell.length
+
+    def residual(self) -> Vector:
+        """Stress minus prescribed stress, times the area of a face [N]."""
+        gaps = [self._mean.component(*ij) - self._cell.stress[ij] for ij in self._free]
+        return self._area * np.array(gaps)
+
+    def rows(self) -> list[Vector]:
+        """Its derivative with respect to the fields."""
+        found, dofmap = [], self._mean.problem.W.dofmap
+        size = dofmap.index_map.size_local * dofmap.index_map_bs
+        for ij in self._free:
+            self._mean.choose(*ij)
+            row = la.vector(dofmap.index_map, dofmap.index_map_bs)
+            fem.assemble_vector(row.array, self._row)
+            row.scatter_reverse(la.InsertMode.add)
+            found.append(row.array[:size] / self._cell.length)
+        return found
+
+    def corner(self) -> Vector:
+        """Its derivative with respect to the free strains."""
+        comm, found = self._mean.problem.body.comm, np.zeros((self.size, self.size))
+        for b, place in enumerate(self._free):
+            self._way.value[:] = 0.0
+            self._way.value[place] = 1.0
+            for a, ij in enumerate(self._free):
+                self._mean.choose(*ij)
+                found[a, b] = fem.assemble_scalar(self._stiffness)
+        found = total(comm, found) / self._cell.length**2
+        self._stiff = float(np.abs(found).max())
+        return found
+
+    def settled(self, residual: Vector, rtol: float) -> bool:
+        """The stresses are as prescribed, to the tolerance of forces or to round-off."""
+        own = self._mean.force() * np.sqrt(self._cell.pairing.face_nodes)
+        floor = ROUND_OFF * self._stiff * self._cell.length
+        return bool(np.abs(residual).max() <= max(rtol * own, floor))
+
+
+def free_strains(mean: Macroscopic | None) -> FreeStrains | None:
+    """The components of the gradient that are unknown, if there are any. Collective."""
+    return None if mean is None or not mean.cell.free else FreeStrains(mean)
