@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.materials import Yeoh as Yeoh
     from dolfin_elastic.model.own import Energy as Energy
     from dolfin_elastic.model.own import SplitEnergy as SplitEnergy
+    from dolfin_elastic.model.periodic import Periodic as Periodic
     from dolfin_elastic.model.supports import Support as Support
     from dolfin_elastic.problem import Problem as Problem
     from dolfin_elastic.results.outputs import History as History
@@ -84,6 +85,7 @@ _PLACES = {
         "Yeoh",
     ),
     "model.own": ("Energy", "SplitEnergy"),
+    "model.periodic": ("Periodic",),
     "model.supports": ("Support",),
     "model.loads": ("BodyForce", "Gravity", "Traction"),
     "problem": ("Problem",),

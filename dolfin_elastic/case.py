@@ -28,6 +28,7 @@ from dolfin_elastic.errors import CaseError, InputError, nearest
 from dolfin_elastic.meshes import Body, Selector, name_parts
 from dolfin_elastic.model.law import Law
 from dolfin_elastic.model.loads import LOADS, Load
+from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports import Support
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.problem import Problem
@@ -60,6 +61,7 @@ class Case(Record):
         materials: Name to law and place; together they fill the body exactly once.
         support: Prescribed displacements; where they meet the later one holds.
         load: External forces.
+        periodic: Opposite faces that are one, and the macroscopic deformation of the cell.
         statics: Equilibrium under growing load (what is done if nothing is said).
         dynamics: Motion in time.
         solver: How linear systems are solved.
@@ -73,6 +75,7 @@ class Case(Record):
     materials: dict[str, Material]
     support: list[Support] = Field(default=[])
     load: list[Load] = Field(default=[])
+    periodic: Periodic | None = None
     statics: StaticsSettings | None = None
     dynamics: DynamicsSettings | None = None
     solver: LinearSettings = LinearSettings()
@@ -111,6 +114,12 @@ class Case(Record):
             raise InputError(
                 "[statics] and [dynamics] given together",
                 expected="a case has one analysis; leave one of them out",
+            )
+        if self.periodic is not None and self.dynamics is not None:
+            raise InputError(
+                "a periodic cell has no motion",
+                where="dynamics",
+                expected="leave it out, or write [statics]",
             )
         return self
 
@@ -162,7 +171,7 @@ class Case(Record):
         tables["materials"] = {name: item.table() for name, item in self.materials.items()}
         tables["support"] = [written(item) for item in self.support]
         tables["load"] = [{"kind": item.kind, **written(item)} for item in self.load]
-        for key in ("statics", "dynamics", "solver", "output"):
+        for key in ("periodic", "statics", "dynamics", "solver", "output"):
             if key in self.model_fields_set and getattr(self, key) is not None:
                 tables[key] = written(getattr(self, key))
         return {
@@ -199,6 +208,7 @@ class Case(Record):
                 formulation=self.mesh.formulation,
                 geometry=self.mesh.geometry,
                 thickness=self.mesh.metres_thick,
+                periodic=self.periodic,
             )
 
     def make_solver(

@@ -167,6 +167,9 @@ def _check_names(case: Case, body: Body) -> None:
         kind = "surface" if acts_on_surfaces(load) else "region"
         for where, name in _keys(f"load[{i}].on", getattr(load, "on", None)):
             _check_name(where, name, kind, f"a {load.kind} acts on {kind}s", body)
+    for k, pair in enumerate(case.periodic.pairs if case.periodic else ()):
+        for where, name in _keys(f"periodic.pairs[{k}]", pair):
+            _check_name(where, name, "surface", "surfaces come in pairs", body)
     for name, material in case.materials.items():
         for where, region in _keys(f"materials.{key_text(name)}.on", material.on):
             _check_name(where, region, "region", "a material fills regions", body)
@@ -330,7 +333,8 @@ def _notes(case: Case) -> Iterator[str]:
         if material.law.warning:
             yield f"materials.{key_text(name)}: {material.law.warning}"
     moving = any(value not in (None, 0.0) for support in case.support for value in support.values)
-    if case.dynamics is None and not case.load and not moving:
+    still = case.dynamics is None and not case.load and not moving
+    if still and case.periodic is None:
         yield "there is no load and every support is at rest: nothing will move"
 
 
@@ -339,7 +343,10 @@ def _uses(case: Case, name: str, *, surface: bool) -> str:
         load.kind for load in case.load if acts_on_surfaces(load) == surface and name in load.parts
     ]
     if surface:
-        return ", ".join(["support" for s in case.support if name in s.surfaces] + loads)
+        paired = (
+            ["periodic"] if case.periodic and any(name in p for p in case.periodic.pairs) else []
+        )
+        return ", ".join(["support" for s in case.support if name in s.surfaces] + loads + paired)
     return ", ".join([key for key, m in case.materials.items() if name in m.regions] + loads)
 
 

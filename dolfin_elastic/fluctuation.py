@@ -85,7 +85,7 @@ class Fluctuation(Unknowns):
         return entries[: imap.size_local * self._dim]
 
     def linear(self) -> tuple[fem.FunctionSpace, Dofs]:
-        """U with linear elements, for multigrid, and its owned entries that are held. Collective."""
+        """U with linear elements, and its owned entries that are held. Collective."""
         pairing = self.cell.pairing
         plain = fem.functionspace(self.V.mesh, ("Lagrange", 1, (self._dim,)))
         merged = pairing.merged(plain)

@@ -141,7 +141,7 @@ class Unknowns:
         return self.places(np.arange(size, dtype=np.int32))
 
     def linear(self) -> tuple[fem.FunctionSpace, Dofs]:
-        """U with linear elements, for multigrid, and its owned entries that are held. Collective."""
+        """U with linear elements, and its owned entries that are held. Collective."""
         mesh = self.V.mesh
         space = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
         return space, np.empty(0, dtype=np.int32)

@@ -6,12 +6,40 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import displacement_at
 
-from dolfin_elastic import LinearElastic, NeoHookean, Problem, Statics, box_body, rectangle_body
-from dolfin_elastic.model.periodic import Periodic
+from dolfin_elastic import (
+    Case,
+    Dynamics,
+    Gravity,
+    LinearElastic,
+    NeoHookean,
+    NeoHookeanSplit,
+    Periodic,
+    Problem,
+    Selector,
+    Statics,
+    StVenantKirchhoff,
+    Support,
+    box_body,
+    name_parts,
+    rectangle_body,
+)
+from dolfin_elastic.errors import InputError, MeshError
+from dolfin_elastic.meshes import Body
+from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.border import Bordered
+from dolfin_elastic.solvers.linear import LinearSettings, choose
+from dolfin_elastic.solvers.newton import Newton
+from dolfin_elastic.solvers.progress import Tolerance
+from dolfin_elastic.solvers.strains import free_strains
 
 PAIRS = [["left", "right"], ["bottom", "top"]]
 PAIRS3 = [["left", "right"], ["front", "back"], ["bottom", "top"]]
+FREE = "free"
+E, NU = 1e6, 0.3
+SHEARED = [[1.3, 0.2, 0.0], [0.1, 0.9, 0.05], [0.0, -0.1, 1.1]]
+PLANE = [[1.2, 0.1], [0.0, 0.95]]
 
 
 def last(problem: Problem, **settings: Any) -> Any:
@@ -19,20 +47,359 @@ def last(problem: Problem, **settings: Any) -> Any:
     return state
 
 
-def neo_hooke(F: np.ndarray, E: float, nu: float) -> np.ndarray:
+def stress(state: Any, dim: int) -> np.ndarray:
+    dims = range(1, dim + 1)
+    return np.array([[state.numbers[f"P{i}{j}"] for j in dims] for i in dims])
+
+
+def neo_hooke(F: Any) -> np.ndarray:
     """P = mu (F - F^-T) + lmbda ln J F^-T: Bonet & Wood (2008), (6.28)."""
-    mu, lmbda = E / 2 / (1 + nu), E * nu / (1 + nu) / (1 - 2 * nu)
+    F = np.array(F)
+    if len(F) == 2:
+        F = np.block([[F, np.zeros((2, 1))], [np.zeros((1, 2)), np.ones((1, 1))]])
+    mu, lmbda = E / 2 / (1 + NU), E * NU / (1 + NU) / (1 - 2 * NU)
     inverse = np.linalg.inv(F).T
     return mu * (F - inverse) + lmbda * np.log(np.linalg.det(F)) * inverse
 
 
-@pytest.mark.parametrize("degree", [1, 2])
-def test_homogeneous(degree):
-    F = [[1.3, 0.2, 0.0], [0.1, 0.9, 0.05], [0.0, -0.1, 1.1]]
-    body = box_body(size=(1, 2, 1.5), cells=(2, 2, 3))
-    problem = Problem(
-        body, NeoHookean(E=1e6, nu=0.3), degree=degree, periodic=Periodic(pairs=PAIRS3, gradient=F)
+def layered(layers: int = 4, across: int = 2) -> Body:
+    """A unit square whose lower half is one region, its upper half the other."""
+    body = rectangle_body(size=(1, 1), cells=(across, layers))
+    return name_parts(
+        body,
+        regions={
+            "lower": Selector(box=[[0, 0], [1, 0.5]]),
+            "upper": Selector(box=[[0, 0.5], [1, 1]]),
+        },
     )
-    state = last(problem, steps=1)
-    P = np.array([[state.numbers[f"P{i}{j}"] for j in (1, 2, 3)] for i in (1, 2, 3)])
-    np.testing.assert_allclose(P, neo_hooke(np.array(F), 1e6, 0.3), rtol=1e-10)
+
+
+def holed(dim: int, cells: int = 6, law: Any = None, **fields: Any) -> Problem:
+    """A cell with a soft core off its middle: nothing about it is symmetric."""
+    make = rectangle_body if dim == 2 else box_body
+    body = make(size=(1,) * dim, cells=(cells,) * dim)
+    body = name_parts(body, regions={"core": Selector(box=[[0] * dim, [0.5] * dim])})
+    rest = np.setdiff1d(
+        np.arange(body.mesh.topology.index_map(dim).size_local), body.region("core")
+    )
+    body = body.named(regions={"rest": rest.astype(np.int32)})
+    laws = {"core": NeoHookean(E=E / 10, nu=NU), "rest": law or NeoHookean(E=E, nu=NU)}
+    return Problem(body, laws, **fields)
+
+
+# --- a homogeneous cell: P is that of the law, whatever the mesh ---
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_homogeneous(dim, degree):
+    F = PLANE if dim == 2 else SHEARED
+    make, pairs = (rectangle_body, PAIRS) if dim == 2 else (box_body, PAIRS3)
+    # One cell across: a node of it is merged with another of the same cell.
+    body = make(size=(1, 2, 1.5)[:dim], cells=(2, 1, 3)[:dim], origin=(3, 4, 5)[:dim])
+    problem = Problem(
+        body, NeoHookean(E=E, nu=NU), degree=degree, periodic=Periodic(pairs=pairs, gradient=F)
+    )
+    state = last(problem, steps=2)
+    P = neo_hooke(F)
+    # Everything is exact but for round-off in Newton's method.
+    np.testing.assert_allclose(stress(state, dim), P[:dim, :dim], rtol=1e-10)
+    if dim == 2:
+        assert state.numbers["P33"] == pytest.approx(P[2, 2], rel=1e-10)
+    assert state.numbers["F12"] == pytest.approx(F[0][1], rel=1e-14)
+    # The displacement that is shown is the whole one, and the first corner is at rest.
+    far = np.array((4, 6, 6.5)[:dim])
+    moved = displacement_at(problem, tuple(far))
+    wanted = (np.array(F) - np.eye(dim)) @ (far - np.array((3, 4, 5)[:dim]))
+    np.testing.assert_allclose(moved, wanted, rtol=0, atol=1e-12)
+
+
+def test_thickness_and_plane_stress():
+    """P is per area, so the thickness drops out; sigma33 = 0 leaves P11 = E eps / (1 - nu^2)."""
+    body = rectangle_body(size=(2, 1), cells=(2, 2))
+    periodic = Periodic(pairs=PAIRS, gradient=[[1.001, 0], [0, 1]])
+    problem = Problem(
+        body,
+        LinearElastic(E=E, nu=NU),
+        geometry="plane-stress",
+        thickness=0.02,
+        periodic=periodic,
+    )
+    numbers = last(problem).numbers
+    # A linear problem in one step; the mean is exact but for round-off.
+    assert numbers["P11"] == pytest.approx(1e-3 * E / (1 - NU**2), rel=1e-9)
+    assert numbers["P22"] == pytest.approx(1e-3 * E * NU / (1 - NU**2), rel=1e-9)
+    assert abs(numbers["P33"]) < 1e-9 * E * 1e-3
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_mixed(degree):
+    """A pressure beside the displacement is periodic, too."""
+    F = [[1.2, 0.1, 0.0], [0.0, 0.95, 0.0], [0.0, 0.0, 1 / 1.2 / 0.95]]
+    law = NeoHookeanSplit(E=E, nu=0.49)
+    body = box_body(size=(1, 1, 1), cells=(2, 2, 2))
+    periodic = Periodic(pairs=PAIRS3, gradient=F)
+    P = [
+        stress(last(Problem(body, law, degree=degree, formulation=kind, periodic=periodic)), 3)
+        for kind in ("displacement", "mixed")
+    ]
+    # The homogeneous state is in both spaces; K is 50 times the shear modulus.
+    np.testing.assert_allclose(P[1], P[0], rtol=0, atol=1e-8 * E)
+
+
+# --- laminates ---
+
+
+def test_laminate():
+    """Layers of Hooke's law with nu = 0: a mean across the layers, another one along.
+
+    Across, the stress is the same in both and P22 = eps (2/(1/E1 + 1/E2)); along, the strain is,
+    and P11 = eps (E1 + E2)/2.  Shear along layers is as across with G = E/2: P12 + P21 are of
+    eps12 = g/2, P12 = 2 G eps12.  Source: A. Reuss (1929), W. Voigt (1889).
+    """
+    E1, E2, eps = 1e6, 5e6, 1e-2
+    laws = {"lower": LinearElastic(E=E1, nu=0), "upper": LinearElastic(E=E2, nu=0)}
+    harmonic, mean = 2 / (1 / E1 + 1 / E2), (E1 + E2) / 2
+    for gradient, place, wanted in (
+        ([[1, 0], [0, 1 + eps]], "P22", harmonic * eps),
+        ([[1 + eps, 0], [0, 1]], "P11", mean * eps),
+        ([[1, eps], [0, 1]], "P12", harmonic * eps / 2),
+    ):
+        problem = Problem(layered(), laws, periodic=Periodic(pairs=PAIRS, gradient=gradient))
+        numbers = last(problem).numbers
+        # The exact field is linear in each layer, so linear elements hold it.
+        assert numbers[place] == pytest.approx(wanted, rel=1e-9)
+
+
+def test_large_laminate():
+    """Large strains across layers of St Venant-Kirchhoff, nu = 0: P = E/2 (s^3 - s) in each.
+
+    Source: P11 = F11 S11 with S11 = E (s^2 - 1)/2, Bonet & Wood (2008), section 6.4.
+    """
+    E1, E2 = 1e6, 5e6
+    laws = {"lower": StVenantKirchhoff(E=E1, nu=0), "upper": StVenantKirchhoff(E=E2, nu=0)}
+    periodic = Periodic(pairs=PAIRS, gradient=[[1, 0], [0, 1.4]])
+    numbers = last(Problem(layered(), laws, periodic=periodic)).numbers
+    low, high = 1.4, 1.8  # stretch of the soft layer, by halving; both share 2 x 1.4
+    for _ in range(60):
+        middle = (low + high) / 2
+        soft, hard = (E / 2 * (s**3 - s) for E, s in ((E1, middle), (E2, 2.8 - middle)))
+        low, high = (middle, high) if soft < hard else (low, middle)
+    # Equal stress in both is met to Newton's tolerance, 1e-8.
+    assert numbers["P22"] == pytest.approx(E1 / 2 * (low**3 - low), rel=1e-8)
+
+
+# --- free strains ---
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_uniaxial(degree):
+    """Neo-Hookean, E = 1e6, nu = 0.3, pulled by half, free across: the reference of the bench."""
+    gradient = [[1.5, 0, 0], [0, FREE, 0], [0, 0, FREE]]
+    body = box_body(size=(1, 1, 1), cells=(2, 2, 2))
+    problem = Problem(
+        body,
+        NeoHookean(E=E, nu=NU),
+        degree=degree,
+        periodic=Periodic(pairs=PAIRS3, gradient=gradient),
+    )
+    state = last(problem)
+    F = np.diag([1.5, state.numbers["F22"], state.numbers["F33"]])
+    P = neo_hooke(F)
+    assert abs(P[1, 1]) < 1e-8 * P[0, 0]  # the closed form at the strains found
+    assert abs(P[2, 2]) < 1e-8 * P[0, 0]
+    assert state.numbers["P11"] == pytest.approx(P[0, 0], rel=1e-9)
+    assert abs(state.numbers["P22"]) < 1e-8 * P[0, 0]
+
+
+def test_prescribed_stress():
+    """A stress that is prescribed comes out, with the strain of Hooke's law in plane strain."""
+    sigma = 1e3
+    periodic = Periodic(
+        pairs=PAIRS,
+        gradient=[[FREE, FREE], [0, FREE]],
+        stress=[["1 kPa", 200], [0, 0]],
+    )
+    body = rectangle_body(size=(2, 1), cells=(2, 2))
+    numbers = last(Problem(body, LinearElastic(E=E, nu=NU), periodic=periodic)).numbers
+    # eps11 = (1 - nu^2)/E sigma, eps22 = -nu (1 + nu)/E sigma, F12 = 200/G.
+    assert numbers["P11"] == pytest.approx(sigma, rel=1e-8)
+    assert numbers["F11"] - 1 == pytest.approx((1 - NU**2) / E * sigma, rel=1e-8)
+    assert numbers["F22"] - 1 == pytest.approx(-NU * (1 + NU) / E * sigma, rel=1e-8)
+    assert numbers["F12"] == pytest.approx(200 * 2 * (1 + NU) / E, rel=1e-8)
+
+
+def test_bordered_tangent():
+    """The derivative of fields and strains together is that of differences."""
+    gradient = [[1.2, FREE], [0, FREE]]
+    problem = holed(2, cells=2, degree=2, periodic=Periodic(pairs=PAIRS, gradient=gradient))
+    assembler = Assembler(problem)
+    border = free_strains(assembler.cell)
+    newton = Newton(
+        assembler, choose(problem, LinearSettings()), Tolerance(1e-8, 0, 30), border=border
+    )
+    system: Bordered = newton._bordered
+    problem.set_time(1.0)
+    rng = np.random.default_rng(3)
+    x, y, f, g, z = (system.create_vector() for _ in range(5))
+    start, _ = system.matrix.getOwnershipRange()
+    rows, size = len(x.array_r), x.getSize()
+    everything = rng.standard_normal((2, size))
+    x.array_w[:] = 0.02 * everything[0, start : start + rows]
+    y.array_w[:] = everything[1, start : start + rows]
+    # Where the vertex is held rows and columns are replaced: stay there.
+    y.array_w[assembler.fixed] = x.array_w[assembler.fixed] = 0.0
+    system.renew(x)
+    system.matrix.mult(y, z)
+    h = 1e-5
+    for sign, side in ((1, f), (-1, g)):
+        w = x.copy()
+        w.axpy(sign * h, y)
+        system.residual(w, side)
+        w.destroy()
+    difference = (f - g) / (2 * h)
+    # Central differences: h^2 of truncation, 1e-16/h of round-off.
+    assert (difference - z).norm() < 1e-7 * z.norm()
+    newton.destroy()
+    assembler.destroy()
+
+
+# --- cells with something in them ---
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_work(dim):
+    """Hill's lemma: the energy grows by V P : dF, to second order in the step."""
+    pairs = PAIRS if dim == 2 else PAIRS3
+    rest = np.eye(dim).tolist()
+    rest[0][0], rest[0][1] = "1 + 0.3*t", "0.2*t"
+    problem = holed(dim, cells=4 if dim == 2 else 2, periodic=Periodic(pairs=pairs, gradient=rest))
+    states = list(Statics(problem, times=[0.8, 0.82], max_step=0.4).steps())
+    one, two = (next(s for s in states if abs(s.t - t) < 1e-12) for t in (0.8, 0.82))
+    F = [
+        np.array([[s.numbers[f"F{i}{j}"] for j in range(1, dim + 1)] for i in range(1, dim + 1)])
+        for s in (one, two)
+    ]
+    mean = (stress(one, dim) + stress(two, dim)) / 2
+    work = float(np.sum(mean * (F[1] - F[0])))
+    gained = two.energies["strain"] - one.energies["strain"]
+    # The trapezoidal rule's error is (dt)^2/12 P''/P = 3e-5 P''/P.
+    assert gained == pytest.approx(work, rel=3e-5)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_shifted_cell(degree):
+    """The cell may be cut anywhere: a soft core in its corner is the same as one in its middle."""
+    found = []
+    for low in (0.0, 0.25, 0.5):
+        body = rectangle_body(size=(1, 1), cells=(8, 8))
+        body = name_parts(body, regions={"core": Selector(box=[[low] * 2, [low + 0.5] * 2])})
+        own = np.arange(
+            body.mesh.topology.index_map(2).size_local + body.mesh.topology.index_map(2).num_ghosts
+        )
+        rest = np.setdiff1d(own, body.region("core")).astype(np.int32)
+        body = body.named(regions={"rest": rest})
+        laws = {"core": NeoHookean(E=E / 10, nu=NU), "rest": NeoHookean(E=E, nu=NU)}
+        periodic = Periodic(pairs=PAIRS, gradient=[[1.2, 0.1], [0.0, FREE]])
+        state = last(Problem(body, laws, degree=degree, periodic=periodic), rtol=1e-11)
+        found.append([*stress(state, 2).reshape(-1), E * state.numbers["F22"]])
+    # The meshes are the same up to a shift of the lattice: only Newton's tolerance differs.
+    np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=0, atol=1e-8 * E)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("formulation", ["displacement", "mixed"])
+def test_iterative(degree, formulation):
+    """Multigrid on merged nodes finds what the factorisation does."""
+    gradient = [[1.1, 0.1, 0], [0, FREE, 0], [0, 0, 1]]
+    found = []
+    for method in ("direct", "iterative"):
+        problem = holed(
+            3,
+            cells=4,
+            law=NeoHookeanSplit(E=E, nu=0.4),
+            degree=degree,
+            formulation=formulation,
+            periodic=Periodic(pairs=PAIRS3, gradient=gradient),
+        )
+        *_, state = Statics(problem, steps=1, linear=LinearSettings(method=method)).steps()
+        found.append(stress(state, 3))
+        iterations = state.krylov
+    # Equilibrium holds to 1e-8 of the forces in both.
+    np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-7 * np.abs(found[0]).max())
+    assert 0 < iterations < 300
+
+
+# --- what is refused ---
+
+
+def refused(match: str, **fields: Any) -> None:
+    body = rectangle_body(size=(1, 1), cells=(2, 2))
+    given = {"pairs": PAIRS, "gradient": PLANE, **fields}
+    more = {key: given.pop(key) for key in ("supports", "loads") if key in given}
+    with pytest.raises((InputError, MeshError), match=match):
+        Problem(body, NeoHookean(E=E, nu=NU, density=1), periodic=Periodic(**given), **more)
+
+
+def test_refused():
+    refused("2 pairs: a cell", pairs=PAIRS[:1])
+    refused("do not span", pairs=[PAIRS[0], PAIRS[0]])
+    refused("no surface 'up'", pairs=[PAIRS[0], ["bottom", "up"]])
+    refused("has no image on 'top'", pairs=[["left", "top"], PAIRS[1]])
+    refused("2-dimensional", gradient=SHEARED)
+    refused("det F", gradient=[[0, 1], [1, 0]])
+    refused("the cell can turn", gradient=[[1, FREE], [FREE, 1]])
+    refused("so its stress is a result", stress=[[1, 0], [0, 0]])
+    refused("neither F11", gradient=[[FREE, 0], [0, 1]], stress=[[FREE, 0], [0, 0]])
+    refused("has no place", gradient=[["1 + x", 0], [0, 1]])
+    refused("rows of", gradient=[[1, 0], [0]])
+    refused("no supports", supports=[Support(on="left")])
+    refused("no loads", loads=[Gravity()])
+
+
+def test_unlike_meshes():
+    """The first node without an image is named with its place."""
+    body = rectangle_body(size=(1, 1), cells=(4, 4))
+    x = body.mesh.geometry.x
+    x[np.isclose(x[:, 0], 1) & np.isclose(x[:, 1], 0.5), 1] = 0.55
+    periodic = Periodic(pairs=PAIRS, gradient=PLANE)
+    with pytest.raises(InputError, match=r"periodic.pairs\[0\].*\(0, 0.5\).*0.05 m"):
+        Problem(body, NeoHookean(E=E, nu=NU), periodic=periodic)
+
+
+def test_analyses_refused():
+    body = rectangle_body(size=(1, 1), cells=(2, 2))
+    law = NeoHookean(E=E, nu=NU, density=1)
+    problem = Problem(body, law, periodic=Periodic(pairs=PAIRS, gradient=PLANE))
+    with pytest.raises(InputError, match="arc-length|by its length"):
+        list(Statics(problem, method="arc-length").steps())
+    with pytest.raises(InputError, match="no motion"):
+        list(Dynamics(problem, end=1.0, dt=0.1).steps())
+
+
+# --- case files ---
+
+CASE: dict[str, Any] = {
+    "mesh": {"rectangle": {"size": [1, 1], "cells": [2, 2]}},
+    "materials": {"rubber": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3}},
+    "periodic": {
+        "pairs": PAIRS,
+        "gradient": [["1 + 0.2*t", 0.1], [0, FREE]],
+        "stress": [[FREE, FREE], [FREE, "2 kPa"]],
+        "curve": [[0, 0], [1, 1]],
+    },
+}
+
+
+def test_case():
+    case = Case(**CASE)
+    again = Case.from_dict(case.to_dict())
+    assert again == case
+    problem = again.make_problem(again.read_body())
+    *_, state = again.make_solver(problem).steps()
+    assert state.numbers["P22"] == pytest.approx(2e3, abs=1e-8 * E)
+    assert state.numbers["F11"] == pytest.approx(1.2, rel=1e-14)
+    with pytest.raises(InputError, match=r"periodic.gradient\[0\]\[1\]"):
+        Case(**{**CASE, "periodic": {"pairs": PAIRS, "gradient": [[1, "y"], [0, 1]]}})
+    with pytest.raises(InputError, match="no motion"):
+        Case(**CASE, dynamics={"end": 1, "dt": 0.1})

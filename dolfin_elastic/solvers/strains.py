@@ -1,4 +1,4 @@
-"""Macroscopic strains of a periodic cell that are unknown, each with a stress that is prescribed."""
+"""Macroscopic strains of a periodic cell that are unknown, and the stresses prescribed for them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
-from dolfin_elastic.parallel import total
 from dolfin_elastic.solvers.border import Border
 from dolfin_elastic.solvers.macroscopic import Macroscopic
 
@@ -31,15 +30,8 @@ class FreeStrains(Border):
         self._mean, self._cell, problem = mean, mean.cell, mean.problem
         self._free, self.size = self._cell.free, len(self._cell.free)
         self.steps = np.full(self.size, 1e-5 * self._cell.length)
-        self._way = problem.constant(np.zeros((problem.body.dim, problem.body.dim)))
-        affine = self._cell.affine(self._way)
-        others = len(ufl.split(problem.w)) - 1 if problem.unknowns.extras else 0
-        ways = ufl.as_vector([*affine, *[0] * others]) if others else affine
-        forms = [
-            ufl.derivative(mean.mean, problem.w, ufl.TestFunction(problem.W)),
-            ufl.derivative(mean.mean, problem.w, ways),
-        ]
-        self._row, self._stiffness = mean.compiled(forms)
+        row = ufl.derivative(mean.mean, problem.w, ufl.TestFunction(problem.W))
+        self._row = mean.compiled([row])[0]
         self._stiff = 0.0
 
     def get(self) -> Vector:
@@ -72,15 +64,15 @@ class FreeStrains(Border):
         return found
 
     def corner(self) -> Vector:
-        """Its derivative with respect to the free strains."""
-        comm, found = self._mean.problem.body.comm, np.zeros((self.size, self.size))
-        for b, place in enumerate(self._free):
-            self._way.value[:] = 0.0
-            self._way.value[place] = 1.0
-            for a, ij in enumerate(self._free):
-                self._mean.choose(*ij)
-                found[a, b] = fem.assemble_scalar(self._stiffness)
-        found = total(comm, found) / self._cell.length**2
+        """Its derivative with respect to the free strains, by differences."""
+        found, values = np.zeros((self.size, self.size)), self.get()
+        for b, h in enumerate(self.steps):
+            sides = []
+            for moved in (h, -h):
+                self.put(values + moved * (np.arange(self.size) == b))
+                sides.append(self.residual())
+            found[:, b] = (sides[0] - sides[1]) / (2 * h)
+        self.put(values)
         self._stiff = float(np.abs(found).max())
         return found
 
