@@ -49,7 +49,7 @@ class Cell:
         self._origin = Constant(body.mesh, self.pairing.corner[: body.dim])
         self._X = ufl.SpatialCoordinate(body.mesh)
         self.volume = self.pairing.volume * thickness
-        self.stress = np.full((body.dim, body.dim), np.nan)
+        self.stress: Floats = np.full((body.dim, body.dim), np.nan)
 
     @property
     def gradient(self) -> Floats:

@@ -251,7 +251,7 @@ def _renumbered(
     kept = np.ones(size, dtype=bool)
     kept[ids[(root != ids) & (ids >= start) & (ids < end)] - start] = False
     count = int(kept.sum())
-    offset = int(comm.exscan(count) or 0)
+    offset = sum(comm.allgather(count)[: comm.rank])
     numbers = la.vector(imap, 1, dtype=np.int64)
     numbers.array[:size] = np.where(kept, offset + np.cumsum(kept) - 1, -1)
     numbers.scatter_forward()

@@ -60,7 +60,7 @@ class BodySite:
         self.t = Constant(body.mesh, 0.0)
         self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
 
-    def constant(self, value: float | Sequence[float]) -> Constant:
+    def constant(self, value: float | Sequence[float] | Sequence[Sequence[float]]) -> Constant:
         """A number that forms refer to by place, so that changing it compiles nothing."""
         return Constant(self.body.mesh, np.asarray(value, dtype=np.float64))
 

@@ -29,7 +29,7 @@ class Macroscopic:
     def __init__(self, problem: Problem) -> None:
         assert problem.cell is not None
         self.problem, self.cell = problem, problem.cell
-        self._pick = problem.constant(np.zeros((3, 3)))
+        self._pick = problem.constant([[0.0] * 3] * 3)
         F = problem.F(problem.w)
         self.mean = sum(
             ufl.inner(self._pick, problem.response(part, problem.w).stress(F))

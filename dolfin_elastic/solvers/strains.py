@@ -40,7 +40,7 @@ class FreeStrains(Border):
 
     def put(self, values: Vector) -> None:
         """Sets the free strains."""
-        self._cell.set_free(values / self._cell.length)
+        self._cell.set_free(np.asarray(values / self._cell.length, dtype=np.float64))
 
     @property
     def _area(self) -> float:
