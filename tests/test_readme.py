@@ -21,6 +21,7 @@ from dolfin_elastic.case import Case
 from dolfin_elastic.meshes import Cylinder, Selector, Sphere
 from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials import MATERIALS
+from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports import Support
 from dolfin_elastic.operations import FUNCTIONS
 from dolfin_elastic.results.fields import FIELDS
@@ -42,6 +43,7 @@ MODELS: list[type[BaseModel]] = [
     Support,
     *MATERIALS.values(),
     *LOADS.values(),
+    Periodic,
     StaticsSettings,
     DynamicsSettings,
     LinearSettings,
@@ -85,6 +87,12 @@ def test_material_that_varies() -> None:
     (text,) = blocks("toml-material")
     law = tables.Material.read(tomllib.loads(text)["materials"]["bone"]).law
     assert set(law.deferred()) == {"E", "nu", "density"}
+
+
+def test_periodic_cell() -> None:
+    """And that of a cell."""
+    (text,) = blocks("toml-periodic")
+    assert Periodic(**tomllib.loads(text)["periodic"]).free == ((1, 1), (2, 2))
 
 
 @pytest.mark.usefixtures("serial_only")

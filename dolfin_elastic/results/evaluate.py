@@ -172,6 +172,7 @@ class Source:
             )
         force = fem.assemble_vector(self.evaluator.residual)
         force.scatter_reverse(la.InsertMode.add)
+        force.scatter_forward()  # nodes of periodic faces may be unknowns of another rank
         places = self.evaluator.problem.unknowns.places
         return self._padded(force.array[places(np.arange(self._own(), dtype=np.int32))])
 
