@@ -183,11 +183,12 @@ class Pairing:
             distance, match = cKDTree(there).query(here + way)
             bad = np.flatnonzero(distance > self._near)
             if len(bad):
-                dim = self.body.dim
+                first = bad[np.lexsort(here[bad].T[::-1])[0]]
+                place = np.where(np.abs(here[first]) < self._near, 0.0, here[first])
                 raise InputError(
-                    f"the node of '{self.pairs[k][side]}' at {_shown(here[bad[0], :dim])} m has no "
-                    f"image on '{self.pairs[k][1 - side]}': the nearest node is "
-                    f"{distance[bad[0]]:.3g} m from where it should be ({len(bad)} of {len(here)} "
+                    f"the node of '{self.pairs[k][side]}' at {_shown(place[: len(vector)])} m has "
+                    f"no image on '{self.pairs[k][1 - side]}': the nearest node is "
+                    f"{distance[first]:.3g} m from where it should be ({len(bad)} of {len(here)} "
                     "nodes have none)",
                     where=f"periodic.pairs[{k}]",
                     expected="two faces with the same mesh, shifted by one vector (in Gmsh: "
