@@ -228,6 +228,22 @@ def test_prescribed_stress():
     assert numbers["F12"] == pytest.approx(200 * 2 * (1 + NU) / E, rel=1e-8)
 
 
+def test_smaller_steps(caplog):
+    """A step that fails leaves the strains where they were, and smaller ones get there."""
+    gradient = [[0.6, 0.4], [0, FREE]]
+    found = []
+    for settings in ({"steps": 1, "max_iterations": 4}, {"steps": 8}):
+        body = rectangle_body(size=(1, 1), cells=(4, 4))
+        problem = cored(body, degree=2, periodic=Periodic(pairs=PAIRS, gradient=gradient))
+        with caplog.at_level("WARNING"):
+            *_, state = Statics(problem, rtol=1e-11, **settings).steps()
+        found.append([*stress(state, 2).reshape(-1), E * state.numbers["F22"]])
+    if MPI.COMM_WORLD.rank == 0:  # which logs for all
+        assert "a smaller step" in caplog.text
+    # The same equilibrium, to Newton's tolerance.
+    np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-8 * E)
+
+
 def test_bordered_tangent():
     """The derivative of fields and strains together is that of differences."""
     gradient = [[1.2, FREE], [0, FREE]]
