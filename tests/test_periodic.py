@@ -26,6 +26,7 @@ from dolfin_elastic import (
     name_parts,
     rectangle_body,
 )
+from dolfin_elastic.check import check
 from dolfin_elastic.errors import InputError, MeshError
 from dolfin_elastic.meshes import Body
 from dolfin_elastic.solvers.assembler import Assembler
@@ -423,6 +424,9 @@ def test_case():
     *_, state = again.make_solver(problem).steps()
     assert state.numbers["P22"] == pytest.approx(2e3, abs=1e-8 * E)
     assert state.numbers["F11"] == pytest.approx(1.2, rel=1e-14)
+    bad = Case(**{**CASE, "periodic": {"pairs": [["left", "rigth"]], "gradient": PLANE}})
+    with pytest.raises(InputError, match=r"periodic.pairs\[0\]\[1\].*'right'"):
+        check(bad, bad.read_body())
     with pytest.raises(InputError, match=r"periodic.gradient\[0\]\[1\]"):
         Case(**{**CASE, "periodic": {"pairs": PAIRS, "gradient": [[1, "y"], [0, 1]]}})
     with pytest.raises(InputError, match="no motion"):
