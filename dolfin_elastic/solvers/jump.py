@@ -51,6 +51,10 @@ class PathWatch:
             a.problem.w.x.array[a.moves].copy(),
         )
 
+    def finite(self) -> bool:
+        """Whether the energy looked at last is finite, if there is one."""
+        return self._form is None or self._now is None or bool(np.isfinite(self._now[0]))
+
     def accept(self) -> None:
         """The state looked at last is where the next step begins."""
         self._before = self._now

@@ -16,6 +16,7 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.arclength import ArcLength
 from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.inertia import disturb, negative_eigenvalues
 from dolfin_elastic.solvers.jump import PathWatch
 from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.linear import LinearSettings, choose
@@ -33,6 +34,10 @@ log = logging.getLogger("dolfin_elastic")
 
 FIRST = 0.25
 """Share of the load in the first step of a nonlinear problem."""
+
+
+UNSTABLE = "an unstable equilibrium"
+BEYOND = "the strain energy has no finite value: a material is beyond its limit"
 
 
 class StaticsSettings(Record):
@@ -196,45 +201,58 @@ class _Stepping:
             start = self.problem.w.x.array.copy()
             progress = self._attempt(t, goal)
             crushed = progress.rejected > 0 or "NAN" in progress.reason
-            if not progress.converged or self._jumped(progress):
+            fault = self._fault() if progress.converged else progress.reason
+            if fault:
                 if sizes.failed(t, goal, crushed=crushed and not progress.converged):
-                    self._retreat(goal, progress, start)
+                    log.info("load factor %.6g: %s; a smaller step", goal, fault)
+                    self._go_to(start)
                     continue
-                if not progress.converged:
-                    progress = self._snap(t, goal, progress)
-                elif self.settings.snap:
-                    self._say_snapped(t)
-                else:
-                    raise self._failure(t, goal, progress, None)
+                progress = self._elsewhere(t, goal, progress, fault)
             self._watch.accept()
             self._before = t, start
             sizes.succeeded(t, goal, progress.newton)
             t = goal
-            yield self._state(t, progress, self.newton.negative())
+            yield self._state(t, progress, negative_eigenvalues(self.newton))
 
-    def _jumped(self, progress: Progress) -> bool:
-        """The equilibrium that was found lies on another path. Collective."""
-        if self.problem.linear:
-            return False
-        self._watch.look()
-        if self._watch.jumped():
-            progress.reason = "another equilibrium than that of the path"
-            return True
-        return False
-
-    def _retreat(self, goal: float, progress: Progress, start: Vector) -> None:
-        log.warning(
-            "no equilibrium at load factor %.6g (%s): a smaller step", goal, progress.reason
-        )
+    def _go_to(self, start: Vector) -> None:
         self.problem.w.x.array[:] = start
         self.problem.unknowns.tell()
 
-    def _say_snapped(self, t: float) -> None:
+    def _fault(self) -> str:
+        """Why the equilibrium that was found is none that a body would come to. Collective."""
+        if self.problem.linear:
+            return ""
+        self._watch.look()
+        if not self._watch.finite():
+            return BEYOND
+        if (negative_eigenvalues(self.newton) or 0) > 0:
+            return UNSTABLE
+        return "another equilibrium than that of the path" if self._watch.jumped() else ""
+
+    def _elsewhere(self, t: float, goal: float, progress: Progress, fault: str) -> Progress:
+        """Goes on where no step is small enough, or gives up."""
+        progress.reason = fault
+        kept = self.problem.w.x.array.copy() if progress.converged else self.ladder.failed
+        if not self.settings.snap or self.problem.linear or fault == BEYOND or t == 0.0:
+            raise self._failure(t, goal, progress, kept)
+        if not progress.converged or fault == UNSTABLE:
+            if progress.converged:
+                disturb(self.newton)
+            self.newton.refresh()
+            found = relax(self.newton)
+            self._watch.look()
+            if not found.converged or not self._watch.finite():
+                log.debug("flow to another equilibrium: %s", found.reason)
+                raise self._failure(t, goal, progress, kept)
+            progress = found
+        what = "the body buckles" if fault == UNSTABLE else "the body has snapped"
         log.warning(
-            "no equilibrium is near beyond load factor %.6g: the body has snapped to another one; "
+            "no stable equilibrium is near beyond load factor %.6g: %s to another one; "
             'statics.method = "arc-length" shows the path between',
             t,
+            what,
         )
+        return progress
 
     def _is_enough(self) -> bool:
         limit = self.settings.max_displacement
@@ -255,21 +273,6 @@ class _Stepping:
             before, was = self._before
             starts.append(("along the path", now + (goal - t) / (t - before) * (now - was)))
         return self.ladder.solve(starts)
-
-    def _snap(self, t: float, goal: float, progress: Progress) -> Progress:
-        """Lets the body flow to another equilibrium, or gives up."""
-        failed = self.ladder.failed
-        if self.settings.snap and not self.problem.linear:
-            start = self.problem.w.x.array.copy()
-            self.newton.refresh()
-            found = relax(self.newton)
-            if found.converged:
-                self._say_snapped(t)
-                self._watch.look()
-                return found
-            log.debug("flow to another equilibrium: %s", found.reason)
-            self.problem.w.x.array[:] = start
-        raise self._failure(t, goal, progress, failed)
 
     def _failure(
         self, t: float, goal: float, progress: Progress, failed: Vector | None
