@@ -137,6 +137,16 @@ class Assembler:
             f.array_w[:] = out
             f.array_w[self.fixed] = difference
 
+    def norm(self) -> float:
+        """Norm of the residual at the problem's unknowns. Collective."""
+        x, f = self.create_vector(), self.create_vector()
+        self.get(x)
+        self.residual(x, f)
+        norm = float(f.norm())
+        x.destroy()
+        f.destroy()
+        return norm if np.isfinite(norm) else np.inf
+
     def assemble_balance(self) -> None:
         """Out-of-balance nodal forces at the problem's displacement into `balance`."""
         self.balance.array[:] = 0.0

@@ -1,8 +1,11 @@
 """What is tried, in turn, to find an equilibrium at one load: the rungs below smaller steps.
 
-Full Newton steps come first: in bending the residual has to rise before it falls, and a line search
-that forbids it takes several times the iterations.  What full steps cannot do, backtracking may;
-then a start further along the path.  A linear solver that fails gives way to one that stands more.
+A step starts where the last one ended, or further along the path if the residual is smaller there:
+so stretching takes a third fewer iterations, and bending, where a straight continuation stretches
+what only bends, none more.  Full Newton steps come first: in bending the residual has to rise
+before it falls, and a line search that forbids it takes several times the iterations.  What full
+steps cannot do, backtracking may; then the other start.  A linear solver that fails gives way to
+one that stands more.
 """
 
 from __future__ import annotations
@@ -39,12 +42,14 @@ class Ladder:
         """Finds equilibrium from the first start that leads there. Collective.
 
         Args:
-            starts: In words, and as local arrays of all unknowns; the first one is put back
-                where none leads to an equilibrium.
+            starts: In words, and as local arrays of all unknowns: the last equilibrium, which is
+                put back where none leads to another, and perhaps a further one.
         """
         newton, problem = self.newton, self.newton.assembler.problem
         w = problem.w.x.array
-        rejected = 0
+        rejected, first = 0, starts[0][1]
+        if len(starts) > 1 and self._residual(starts[1][1]) < self._residual(first):
+            starts = [("", starts[1][1]), ("from where the last step ended", first)]
         for said, start, line_search in self._rungs(starts):
             if not self._first:
                 newton.refresh()
@@ -58,7 +63,7 @@ class Ladder:
             log.debug("%s, line search '%s': %s", said or "start", line_search, progress.reason)
         self.failed = w.copy()
         progress.rejected = rejected
-        w[:] = starts[0][1]
+        w[:] = first
         problem.unknowns.tell()
         return progress
 
@@ -69,6 +74,14 @@ class Ladder:
             yield said, starts[0][1], line_search
         for said, start in starts[1:]:
             yield said, start, searches[0]
+
+    def _residual(self, start: Vector) -> float:
+        """Norm of the residual at a start; infinite where a cell is inside out. Collective."""
+        assembler, guard = self.newton.assembler, self.newton.guard
+        assembler.problem.w.x.array[:] = start
+        if guard is not None and guard.watch.smallest()[0] <= 0.0:
+            return np.inf
+        return assembler.norm()
 
     def _try(self, start: Vector, line_search: str) -> Progress:
         w = self.newton.assembler.problem.w.x.array
