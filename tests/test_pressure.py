@@ -16,6 +16,7 @@ from dolfin_elastic import (
     Problem,
     Selector,
     Statics,
+    StVenantKirchhoff,
     Support,
     box_body,
     name_parts,
