@@ -24,6 +24,7 @@ import numpy as np
 from mpi4py import MPI
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
+from dolfin_elastic.curve_files import with_curves
 from dolfin_elastic.errors import CaseError, InputError, nearest
 from dolfin_elastic.meshes import Body, Selector, name_parts
 from dolfin_elastic.model.law import Law
@@ -47,6 +48,9 @@ from dolfin_elastic.tables import (
     written,
 )
 from dolfin_elastic.toml_text import toml_text
+
+_CURVED = ("support", "load")
+"""Keys of lists whose tables may have a curve."""
 
 
 class Case(Record):
@@ -147,6 +151,9 @@ class Case(Record):
         """
         with located(file):
             case = cls(**dict(tables))
+            rows = {key: with_curves(getattr(case, key), key, Path(folder)) for key in _CURVED}
+            if any(rows[key] != getattr(case, key) for key in _CURVED):
+                case = case.model_copy(update=rows)
         case._file, case._folder = file, Path(folder)
         return case
 
