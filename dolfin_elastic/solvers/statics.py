@@ -13,9 +13,10 @@ from dolfin_elastic.errors import ConvergenceError
 from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
-from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.linear import LinearSettings, choose
+from dolfin_elastic.solvers.motion import Strain
 from dolfin_elastic.solvers.newton import Newton, Progress, Tolerance
 from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.state import State
@@ -83,6 +84,8 @@ class Statics:
                 then holds the last iterate, and all states yielded before are valid.
         """
         check_held(self.problem)
+        for dashpot in self.problem.dashpots:
+            log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
         s = self.settings
         assembler = Assembler(self.problem)
@@ -101,8 +104,7 @@ class _Stepping:
     def __init__(self, statics: Statics, assembler: Assembler, newton: Newton) -> None:
         self.settings, self.problem = statics.settings, statics.problem
         self.assembler, self.newton = assembler, newton
-        energy = self.problem.strain_energy
-        self._energy = compiled(self.problem, [energy])[0] if energy is not None else None
+        self._strain = Strain(self.problem)
         self._watch = JacobianWatch(self.problem)
         self._count = 0
 
@@ -175,7 +177,6 @@ class _Stepping:
 
     def _state(self, t: float, progress: Progress) -> State:
         problem, assembler = self.problem, self.assembler
-        strain = np.nan if self._energy is None else integral(problem, self._energy)
         self._count += 1
         return State(
             step=self._count - 1,
@@ -187,7 +188,7 @@ class _Stepping:
             krylov=progress.krylov,
             reason=progress.reason,
             residuals=tuple(progress.residuals),
-            energies={"strain": strain},
+            energies={"strain": self._strain.energy(), **self._strain.springs()},
             reactions=assembler.reactions(),
             max_displacement=assembler.max_displacement(),
             done=t,
