@@ -26,7 +26,8 @@ class Assembler:
     tangent there by zero; what the replaced columns would have done is added to the residual
     (lifting).  So the first Newton step moves the boundary and the inside together, and a line
     search can shorten both.  At tilted nodes (`prescribed.tilted`) the same is done along their
-    held directions: rows Q R + P x - N+ g, and Q K Q + P.  All methods are collective.
+    held directions: rows Q R + s (P x - N+ g), and Q K Q + s P, where s is of the size of K lest
+    round-off of K drown P.  All methods are collective.
 
     Args:
         problem: Whose residual and tangent; its `u` is changed by every evaluation.
@@ -100,6 +101,7 @@ class Assembler:
             )
         self.matrix = self._filled.petsc
         self._shift: float | None = None
+        self._scale = 0.0
         if problem.symmetric:
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
@@ -146,7 +148,19 @@ class Assembler:
             f.array_w[:] = out
             f.array_w[self.fixed] = difference
             if self._tilted is not None:
-                f.array_w[self.tilted] = self._tilted.free(out[self.tilted]) + off
+                free = self._tilted.free(out[self.tilted])
+                f.array_w[self.tilted] = free + self._stiffness() * off
+
+    def _stiffness(self) -> float:
+        """Mean size of the tangent's diagonal at the first call, a power of two [N/m]."""
+        if self._scale == 0.0:
+            self._filled.assemble(self._bcs, 0.0)
+            self.forget_tangent()
+            diagonal = self.matrix.getDiagonal()
+            mean = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
+            diagonal.destroy()
+            self._scale = 2.0 ** np.round(np.log2(mean)) if 0.0 < mean < np.inf else 1.0
+        return self._scale
 
     def _differences(self, target: Vector | None) -> tuple[Vector, Vector]:
         """What prescribed entries, and tilted nodes along their directions, are off [m]."""
@@ -200,7 +214,7 @@ class Assembler:
             values.x.array[:] = kept
         return self._lift.array[: self.size]
 
-    def tangent(self, x: PETSc.Vec, shift: float = 0.0, *, unit: float = 1.0) -> None:
+    def tangent(self, x: PETSc.Vec, shift: float = 0.0, *, unit: float | None = None) -> None:
         """Assembles the tangent at x into `matrix`, with ones on prescribed diagonals.
 
         What cannot have changed is left as it is, and so is its factorisation.
@@ -208,12 +222,14 @@ class Assembler:
         Args:
             x: The displacement.
             shift: What the extra tangent is multiplied by.
-            unit: What stands along the held directions of tilted nodes.
+            unit: What stands along the held directions of tilted nodes, if not what fits.
         """
         with stage("assemble"):
             self.put(x)
             if self.problem.linear and shift == self._shift:
                 return
+            if unit is None:
+                unit = 1.0 if self._tilted is None else self._stiffness()
             self._filled.assemble(self._bcs, unit)
             self._shift = shift
 
