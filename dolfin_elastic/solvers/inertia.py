@@ -47,7 +47,7 @@ def disturb(newton: Newton) -> None:
     moves, w = assembler.moves, assembler.problem.w.x
     b.array_w[moves] = _uneven(assembler.problem, newton.span)
     for _ in range(ITERATIONS):
-        b.array_w[assembler.fixed] = 0.0
+        assembler.hold(b)
         newton.ksp.solve(b, x)
         x.scale(1.0 / max(float(x.norm(PETSc.NormType.INFINITY)), 1e-300))
         x.copy(b)

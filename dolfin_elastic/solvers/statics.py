@@ -135,6 +135,8 @@ class Statics:
                 then holds the last iterate, and all states yielded before are valid.
         """
         check_held(self.problem)
+        for dashpot in self.problem.dashpots:
+            log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
         assembler = Assembler(self.problem)
         newton = Newton(assembler, self.choice, self.tolerance, users=self.petsc)
@@ -324,7 +326,7 @@ class _Stepping:
             krylov=progress.krylov,
             reason=progress.reason,
             residuals=tuple(progress.residuals),
-            energies={"strain": self._watch.energy()},
+            energies={"strain": self._watch.strain.energy(), **self._watch.strain.springs()},
             reactions=assembler.reactions(),
             max_displacement=assembler.max_displacement(),
             negative=negative,
