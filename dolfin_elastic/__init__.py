@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.meshes import name_parts as name_parts
     from dolfin_elastic.meshes import read_body as read_body
     from dolfin_elastic.meshes import rectangle_body as rectangle_body
+    from dolfin_elastic.model.contact import Contact as Contact
     from dolfin_elastic.model.loads import BodyForce as BodyForce
     from dolfin_elastic.model.loads import Gravity as Gravity
     from dolfin_elastic.model.loads import Traction as Traction
@@ -85,6 +86,7 @@ _PLACES = {
     ),
     "model.own": ("Energy", "SplitEnergy"),
     "model.supports": ("Support",),
+    "model.contact": ("Contact",),
     "model.loads": ("BodyForce", "Gravity", "Traction"),
     "problem": ("Problem",),
     "solvers.statics": ("Statics",),

@@ -20,6 +20,7 @@ from dolfin_elastic.formulation import Formulation
 from dolfin_elastic.measures import Measures
 from dolfin_elastic.meshes.body import Body, cell_size
 from dolfin_elastic.model.components import depends_on_time
+from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.model.geometry import (
     Geometry,
@@ -34,6 +35,7 @@ from dolfin_elastic.model.supports import Support
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
 from dolfin_elastic.prescribed import Prescribed
 from dolfin_elastic.site import BodySite
+from dolfin_elastic.touching import Touching, checked, rule
 from dolfin_elastic.unknowns import Unknowns
 
 UNUSED = 1e-6
@@ -51,6 +53,7 @@ class Problem:
             cover every cell exactly once.
         supports: Prescribed displacements; where they meet the later one holds.
         loads: External forces.
+        contacts: Rigid obstacles that surfaces may touch.
         degree: Degree of the displacement on tetrahedra or triangles, 1 or 2.
         quadrature_degree: Overrides the law's own choice for the internal forces.
         formulation: "displacement"; "mixed", with a pressure for nearly incompressible materials;
@@ -66,6 +69,7 @@ class Problem:
         constant: Makes a number that forms refer to by place, so that changing it compiles nothing.
         t: UFL constant with the time, used by formulas.
         X: Reference coordinates (UFL).
+        touching: The contacts as they stand on the body.
 
     Raises:
         MeshError: A name does not exist, or the materials do not cover the body exactly once.
@@ -80,6 +84,7 @@ class Problem:
         *,
         supports: Sequence[Support] = (),
         loads: Sequence[Load] = (),
+        contacts: Sequence[Contact] = (),
         degree: int = 1,
         quadrature_degree: int | None = None,
         formulation: Formulation = "auto",
@@ -90,6 +95,8 @@ class Problem:
         self.supports, self.loads = tuple(supports), tuple(loads)
         self.quadrature_degree = quadrature_degree
         self.geometry = checked_geometry(geometry, thickness, body)
+        turned = self.geometry == "axisymmetric"
+        checked(contacts, body, turned=turned)
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
         self.parts, fields = make_parts(
             body, laws, formulation, degree=degree, order=self._order, geometry=self.geometry
@@ -104,13 +111,17 @@ class Problem:
             [part.cells for part in self.parts],
             [term.parts for term in self.loads],
             weight(self.geometry, ufl.SpatialCoordinate(body.mesh), depth),
+            [contact.surfaces for contact in contacts],
         )
         self.site = BodySite(body, self.unknowns, self.parts, self.measures, self.geometry)
         self.constant, self.t, self.X = self.site.constant, self.site.t, self.site.X
-        self.prescribed = Prescribed(
-            body, self.V, self.supports, axis=self.geometry == "axisymmetric"
-        )
+        self.prescribed = Prescribed(body, self.V, self.supports, axis=turned)
+        self.touching = tuple(self._touching(contact) for contact in contacts)
         _ = self.external  # says now what is wrong with a load
+
+    def _touching(self, contact: Contact) -> Touching:
+        way = rule(self._order, self.body.dim, turned=self.geometry == "axisymmetric")
+        return Touching(contact, self.site, self.measures.touching(contact.surfaces, way))
 
     def _scale_unknowns(self) -> None:
         """Gives the scalar fields the size of displacements, see `unknowns`."""
@@ -215,7 +226,11 @@ class Problem:
     @cached_property
     def holding(self) -> dict[str, ufl.Form]:
         """Virtual work of the forces by which springs and obstacles hold the body, by label."""
-        return {}
+        works: dict[str, ufl.Form] = {}
+        for touch in self.touching:
+            known = works.get(touch.label)
+            works[touch.label] = touch.work if known is None else known + touch.work
+        return works
 
     @cached_property
     def residual(self) -> ufl.Form:
@@ -263,8 +278,10 @@ class Problem:
     @property
     def linear(self) -> bool:
         """The residual is linear in u."""
-        return all(part.law.linear for part in self.parts) and not any(
-            load.follows for load in self.loads
+        return (
+            all(part.law.linear for part in self.parts)
+            and not any(load.follows for load in self.loads)
+            and not self.touching
         )
 
     @property
@@ -298,3 +315,5 @@ class Problem:
         """
         self.site.set_time(t, default)
         self.prescribed.move_to(t, default)
+        for touch in self.touching:
+            touch.set_time(t, default)

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.compiler import compile_forms
+from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.matrix import TangentMatrix
 from dolfin_elastic.timing import stage
@@ -39,6 +40,7 @@ class Assembler:
             entries at prescribed dofs are the reactions.
         free: Norm of the free entries of the last residual [N].
         held: Norm of its prescribed entries (reactions) [N].
+        pushed: Norm of the forces of springs and obstacles at the last residual [N].
         moves: Owned entries of all unknowns that are displacements, in the displacement's order.
         fixed: Owned entries of all unknowns that are prescribed.
         gap: Largest |x - g| over prescribed entries at the last residual [m].
@@ -83,7 +85,7 @@ class Assembler:
             self.fixed = self.moves
         self._is_free = np.ones(self.size, dtype=bool)
         self._is_free[self.fixed] = False
-        self.free = self.held = self.gap = 0.0
+        self.free = self.held = self.gap = self.pushed = 0.0
         with stage("assemble"):
             self._filled = TangentMatrix(self._tangent)
         self.matrix = self._filled.petsc
@@ -130,6 +132,7 @@ class Assembler:
             difference = self.problem.u.x.array[self._held] - (wanted if target is None else target)
             out = self.balance.array[: self.size]
             self._measure(out, difference)
+            self._measure_holding()
             if self.gap > 0.0 and np.isfinite(self.free):
                 out = out + self._lifted(difference)
             f.array_w[:] = out
@@ -149,6 +152,14 @@ class Assembler:
         # NaN would come out of a maximum on some ranks only.
         gap = float(np.max(np.nan_to_num(np.abs(difference), nan=np.inf), initial=0.0))
         self.gap = float(self.comm.allreduce(gap, op=MPI.MAX))
+
+    def _measure_holding(self) -> None:
+        """What holds by forces is a scale of the residual, as reactions are. Collective."""
+        if not self._holding:
+            return
+        forces = [self._nodal(form).array[: self.size] for form in self._holding.values()]
+        squares = total(self.comm, sum(float(np.sum(np.square(force))) for force in forces))
+        self.pushed = float(np.sqrt(squares))
 
     def _lifted(self, difference: Vector) -> Vector:
         """K (g - x) of the prescribed columns, for the free rows."""
@@ -226,11 +237,15 @@ class Assembler:
 
     def _resultant(self, form: fem.Form) -> Vector:
         """Sum of the nodal forces of a virtual work [N]."""
+        nodal = self._nodal(form).array[self.moves].reshape(-1, self._dim)
+        return np.asarray(self.comm.allreduce(nodal.sum(axis=0), op=MPI.SUM))
+
+    def _nodal(self, form: fem.Form) -> la.Vector:
+        """Nodal forces of a virtual work [N]."""
         forces = self._vector()
         fem.assemble_vector(forces.array, form)
         forces.scatter_reverse(la.InsertMode.add)
-        nodal = forces.array[self.moves].reshape(-1, self._dim)
-        return np.asarray(self.comm.allreduce(nodal.sum(axis=0), op=MPI.SUM))
+        return forces
 
     def max_displacement(self) -> float:
         """Largest length of a nodal displacement [m]."""

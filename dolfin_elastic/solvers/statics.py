@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.contact import Augmentation, Measured
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton, Progress, Tolerance
@@ -104,6 +106,7 @@ class _Stepping:
         energy = self.problem.strain_energy
         self._energy = compiled(self.problem, [energy])[0] if energy is not None else None
         self._watch = JacobianWatch(self.problem)
+        self._augmentation, self._measured = Augmentation(self.problem), Measured(self.problem)
         self._count = 0
 
     def run(self) -> Iterator[State]:
@@ -128,22 +131,26 @@ class _Stepping:
         """Tries to go to a load factor; the displacement is put back if that fails."""
         w = self.problem.w.x.array
         start = w.copy()
+        self._augmentation.save()
         self.problem.set_time(goal, default=RAMP)
         self.problem.prescribed.check_finite()
         for line_search in self.newton.ladder():
             if self._count > 1:
                 self.newton.refresh()
             w[:] = start
+            self._augmentation.restore()
             progress = self.newton.solve(line_search)
             if "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
                 w[:] = start
                 progress = self.newton.solve(line_search)
+            progress = self._augmentation.settle(progress, partial(self.newton.solve, line_search))
             self._refuse_inverted(progress)
             if progress.converged:
                 return progress
             log.debug("line search '%s' fails: %s", line_search, progress.reason)
         self._failed = w.copy()
         w[:] = start
+        self._augmentation.restore()
         self.problem.unknowns.tell()
         return progress
 
@@ -190,6 +197,7 @@ class _Stepping:
             energies={"strain": strain},
             reactions=assembler.reactions(),
             max_displacement=assembler.max_displacement(),
+            numbers=self._measured.numbers(),
             done=t,
         )
 
