@@ -35,7 +35,7 @@ from dolfin_elastic.model.supports import Support
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
 from dolfin_elastic.prescribed import Prescribed
 from dolfin_elastic.site import BodySite
-from dolfin_elastic.touching import Touching, checked, rule
+from dolfin_elastic.touching import Touching, check_contacts, rule
 from dolfin_elastic.unknowns import Unknowns
 
 UNUSED = 1e-6
@@ -96,7 +96,7 @@ class Problem:
         self.quadrature_degree = quadrature_degree
         self.geometry = checked_geometry(geometry, thickness, body)
         turned = self.geometry == "axisymmetric"
-        checked(contacts, body, turned=turned)
+        check_contacts(contacts, body, turned=turned)
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
         self.parts, fields = make_parts(
             body, laws, formulation, degree=degree, order=self._order, geometry=self.geometry
@@ -120,8 +120,8 @@ class Problem:
         _ = self.external  # says now what is wrong with a load
 
     def _touching(self, contact: Contact) -> Touching:
-        way = rule(self._order, self.body.dim, turned=self.geometry == "axisymmetric")
-        return Touching(contact, self.site, self.measures.touching(contact.surfaces, way))
+        where = self.measures.touching(contact.surfaces, rule(self._order, self.body.dim))
+        return Touching(contact, self.site, where)
 
     def _scale_unknowns(self) -> None:
         """Gives the scalar fields the size of displacements, see `unknowns`."""

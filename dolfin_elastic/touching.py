@@ -78,6 +78,7 @@ class Touching:
     def __init__(self, contact: Contact, site: BodySite, measure: Weighted) -> None:
         body = site.body
         self.contact, self.label, self._site, self._measure = contact, contact.label, site, measure
+        self._turned = site.geometry == "axisymmetric"
         self.comm, self._dim = body.comm, body.dim
         prepare_facets(body.mesh)
         facets = np.unique(np.concatenate([body.surface(name) for name in contact.surfaces]))
@@ -87,6 +88,8 @@ class Touching:
         self.size = _mean(body, facets, self._heights)
         self.tolerance = contact.gap_tolerance or 1e-3 * self.size
         self._fill_penalty()
+        if self._turned:
+            self._mind_the_axis(facets)
         self._eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
         self.shift = site.constant([0.0] * body.dim)
         self.reach = site.constant(SLACK * cell_size(body))
@@ -103,6 +106,27 @@ class Touching:
         self.penalty.x.array[dofs[cells]] = eps
         # The materials are known on cells that are owned: ghosts beside the surface are told.
         self.penalty.x.scatter_forward()
+
+    def _mind_the_axis(self, facets: Indices) -> None:
+        """Weights of nodes near the axis of an axisymmetric body.
+
+        With linear elements the trapezoidal rule would give a node on the axis none of the ring
+        around it: its weight is the integral of its shape function times the radius, for which
+        the radius at a node is replaced by (r + 2 r_middle)/3, r_middle that of the facet.  The
+        vertex of a quadratic element has no such integral on the axis: it is left to its
+        neighbours.
+        """
+        if self._site.order > 1:
+            X = self.lam.function_space.tabulate_dof_coordinates()
+            off = X[self.nodes, 0] > 1e-9 * self.size
+            self.nodes, self._in_V = self.nodes[off], self._in_V[off]
+            return
+        middle = fem.Function(self.penalty.function_space)
+        beside, _ = facet_places(self._site.body.mesh, facets)
+        dofs = self.penalty.function_space.dofmap.list[beside, 0]
+        middle.x.array[dofs] = facet_corners(self._site.body.mesh, facets)[:, :, 0].mean(axis=1)
+        weight = 2 * ufl.pi * (self._site.X[0] + 2 * middle) / 3
+        self._measure = Weighted(weight, self._measure.measure)
 
     # --- terms ---
 
@@ -175,27 +199,26 @@ class Touching:
         self.shift.value[:] = self.contact.moved(t, default, self._dim)
 
 
-def rule(degree: int, dim: int, *, turned: bool) -> dict[str, object]:
+def rule(degree: int, dim: int) -> dict[str, object]:
     """Quadrature of contact integrals.
 
     Where there is a rule at the nodes with positive weights it is taken: gap and multiplier are
     compared there, so that a facet on a curved obstacle is not asked for more than its nodes can
     do (trapezoidal for linear elements, Simpson's for quadratic ones in a plane).  Quadratic
-    triangles have none, and on the axis of an axisymmetric body a node would have no weight.
+    triangles have none and take Gauss's.
 
     Args:
         degree: Of the displacement or of the mesh's curved cells, whichever is higher.
         dim: Of the body.
-        turned: The body is axisymmetric.
     """
-    if turned or (degree > 1 and dim == 3):
+    if degree > 1 and dim == 3:
         return {"quadrature_degree": 2 * degree}
     if degree == 1:
         return {"quadrature_rule": "vertex", "quadrature_degree": 1}
     return {"quadrature_rule": "GLL", "quadrature_degree": 3}
 
 
-def checked(contacts: Sequence[Contact], body: Body, *, turned: bool) -> None:
+def check_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> None:
     """Raises where a contact does not fit its body. Not collective.
 
     Raises:
