@@ -12,6 +12,7 @@ from dolfinx import fem
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes.body import span
+from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.parallel import largest, smallest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import compiled, integral
@@ -158,6 +159,8 @@ def check_start(problem: Problem) -> None:
     Raises:
         InputError: With place and depth.
     """
+    if problem.touching:
+        problem.set_time(0.0, default=RAMP)
     for index, touch in enumerate(problem.touching):
         gaps = touch.gaps()[0]
         node = int(np.argmin(gaps)) if len(gaps) else -1
@@ -172,6 +175,17 @@ def check_start(problem: Problem) -> None:
                 expected=f"at most a cell deep, {touch.size:.3g} m; "
                 "does the normal point to the free side?",
             )
+
+
+def out_of_reach(problem: Problem) -> list[str]:
+    """Contacts at rest that begin farther away than the body is large, in words. Collective."""
+    far = span(problem.body) if problem.touching else 0.0
+    gaps = {t.label: nearest_gap(t) for t in problem.touching if not t.contact.values}
+    return [
+        f"contact '{label}': the obstacle is {gap:.3g} m away, farther than the body is large"
+        for label, gap in gaps.items()
+        if gap > far
+    ]
 
 
 def rows_of(touch: Touching, within: float) -> tuple[Floats, Floats]:

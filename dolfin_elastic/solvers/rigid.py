@@ -7,7 +7,6 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfin_elastic.errors import InputError
-from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.contact import check_start, nearest_gap, rows_of, touches
@@ -23,7 +22,6 @@ def check_held(problem: Problem) -> None:
         InputError: It is not.
     """
     if problem.touching:
-        problem.set_time(0.0, default=RAMP)
         check_start(problem)
     free = free_motions(problem)
     if free and problem.touching:
