@@ -91,6 +91,7 @@ class Touching:
         if self._turned:
             self._mind_the_axis(facets)
         self._eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
+        self._first = self.penalty.x.array.copy(), self._eps.copy()
         self.shift = site.constant([0.0] * body.dim)
         self.reach = site.constant(SLACK * cell_size(body))
 
@@ -106,6 +107,12 @@ class Touching:
         self.penalty.x.array[dofs[cells]] = eps
         # The materials are known on cells that are owned: ghosts beside the surface are told.
         self.penalty.x.scatter_forward()
+
+    def soften(self, factor: float) -> None:
+        """Makes a penalty that was chosen here `factor` times what it was at first."""
+        if self.contact.stiffness is None:
+            self.penalty.x.array[:] = factor * self._first[0]
+            self._eps = factor * self._first[1]
 
     def _mind_the_axis(self, facets: Indices) -> None:
         """Weights of nodes near the axis of an axisymmetric body.

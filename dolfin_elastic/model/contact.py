@@ -316,7 +316,7 @@ class Contact(Record):
         try:
             self.obstacle.check(dim, turned=turned)
         except InputError as error:
-            raise error.at(f"{self.shape}.{error.where}") from None
+            raise error.at(self.shape) from None
         if self.values:
             _check_length([0.0] * len(self.values), dim, "motion")
         if turned and self.values and self.values[0] != 0.0:

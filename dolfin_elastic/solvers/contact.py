@@ -25,6 +25,14 @@ Floats = npt.NDArray[np.float64]
 AUGMENTATIONS = 10
 """Times that the multipliers of one load step are renewed."""
 
+SOFT = 0.1
+"""Share of the penalty that motion takes.
+
+A node of an explicit scheme that hits in mid-step is thrown back too fast, by an energy of about
+(omega dt)^2 of its own, omega^2 = penalty over its mass; and a stiffer obstacle than the cells
+above it would only shorten the step.
+"""
+
 
 class Augmentation:
     """Uzawa's iteration: after each equilibrium lam <- max(0, lam - eps g), until gaps are small.
@@ -36,7 +44,9 @@ class Augmentation:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self._touching, self._comm = problem.touching, problem.body.comm
+        self._touching = problem.touching
+        for touch in self._touching:
+            touch.soften(1.0)
         self._saved: list[Floats] = []
         self.save()
 
@@ -151,6 +161,18 @@ def farthest(touch: Touching) -> float:
 def nearest_gap(touch: Touching) -> float:
     """Smallest gap at the nodes of a contact [m]. Collective."""
     return smallest(touch.comm, float(np.min(touch.gaps()[0], initial=np.inf)))
+
+
+def begin_motion(problem: Problem) -> None:
+    """Motion has penalties alone, and softer ones. Collective.
+
+    Raises:
+        InputError: See `check_start`.
+    """
+    check_start(problem)
+    for touch in problem.touching:
+        touch.soften(SOFT)
+        touch.lam.x.array[:] = 0.0
 
 
 def check_start(problem: Problem) -> None:
