@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.meshes import name_parts as name_parts
     from dolfin_elastic.meshes import read_body as read_body
     from dolfin_elastic.meshes import rectangle_body as rectangle_body
+    from dolfin_elastic.model.contact import Contact as Contact
     from dolfin_elastic.model.loads import BodyForce as BodyForce
     from dolfin_elastic.model.loads import Gravity as Gravity
     from dolfin_elastic.model.loads import Pressure as Pressure
@@ -90,6 +91,7 @@ _PLACES = {
         "Yeoh",
     ),
     "model.own": ("Energy", "SplitEnergy"),
+    "model.contact": ("Contact",),
     "model.supports": ("Normal", "Rotation", "Support", "Symmetry"),
     "model.springs": ("Dashpot", "Spring"),
     "model.loads": ("BodyForce", "Gravity", "Pressure", "Traction"),

@@ -15,6 +15,7 @@ from dolfin_elastic.errors import ConvergenceError, InputError
 from dolfin_elastic.parallel import largest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.contact import Measured
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.motion import ConsistentMass, Strain, lumped, work
 from dolfin_elastic.solvers.newton import Newton, Tolerance
@@ -70,7 +71,7 @@ class Alpha:
             tangent += self.drag * damping
         self.assembler = Assembler(problem, extra=inertia, extra_tangent=tangent)
         self.measure = ConsistentMass(problem, self.v)
-        self.strain = Strain(problem)
+        self.strain, self._measured = Strain(problem), Measured(problem, moving=True)
         choice = choose(problem, linear, moving=True)
         log.info("%s", choice.why)
         self.ts = PETSc.TS().create(problem.body.comm)
@@ -352,13 +353,14 @@ class Alpha:
 
     def _energies(self) -> dict[str, float]:
         kinetic, self._linear, self._angular = self.measure.measure()
-        strain = self.strain.energy()
+        strain, more = self.strain.energy(), self._measured.energies()
         return {
             "strain": strain,
             "kinetic": kinetic,
-            "total": strain + kinetic,
+            "total": strain + kinetic + sum(more.values()),
             "external": self._external_work,
             **self.strain.springs(),
+            **more,
         }
 
     def _state(self, step: int, t: float) -> State:
@@ -379,6 +381,7 @@ class Alpha:
             reactions=self.assembler.reactions(),
             momenta={"linear": self._linear, "angular": self._angular},
             max_displacement=self.assembler.max_displacement(),
+            numbers=self._measured.numbers(),
             done=t / self.settings.end,
         )
 

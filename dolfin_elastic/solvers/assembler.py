@@ -12,6 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.compiler import compile_forms
+from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.matrix import TangentMatrix
 from dolfin_elastic.timing import stage
@@ -41,6 +42,7 @@ class Assembler:
             entries at prescribed dofs are the reactions.
         free: Norm of the free entries of the last residual [N].
         held: Norm of its prescribed entries (reactions) [N].
+        pushed: Norm of the forces of springs and obstacles at the last residual [N].
         moves: Owned entries of all unknowns that are displacements, in the displacement's order.
         fixed: Owned entries of all unknowns that are prescribed.
         pressures: How many unknowns are pressures, on all ranks.
@@ -94,7 +96,7 @@ class Assembler:
             self._held = np.arange(_owned(problem.V), dtype=np.int32)
             self.fixed = self.moves
         self.pressures = problem.unknowns.count("pressure")
-        self.free = self.held = self.gap = 0.0
+        self.free = self.held = self.gap = self.pushed = 0.0
         with stage("assemble"):
             self._filled = (
                 TangentMatrix(self._tangent)
@@ -145,6 +147,7 @@ class Assembler:
             difference, off = self._differences(target)
             out = self.balance.array[: self.size]
             self._measure(out, difference, off)
+            self._measure_holding()
             if self.gap > 0.0 and np.isfinite(self.free):
                 out = out + self._lifted(difference, off)
             f.array_w[:] = out
@@ -209,6 +212,14 @@ class Assembler:
         difference = np.append(difference, off)
         gap = float(np.max(np.nan_to_num(np.abs(difference), nan=np.inf), initial=0.0))
         self.gap = float(self.comm.allreduce(gap, op=MPI.MAX))
+
+    def _measure_holding(self) -> None:
+        """What holds by forces is a scale of the residual, as reactions are. Collective."""
+        if not self._holding:
+            return
+        forces = [self.nodal(form) for form in self._holding.values()]
+        squares = total(self.comm, sum(float(np.sum(np.square(force))) for force in forces))
+        self.pushed = float(np.sqrt(squares))
 
     def _lifted(self, difference: Vector, off: Vector) -> Vector:
         """K (g - x) of the prescribed columns, for the free rows."""

@@ -12,10 +12,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
+from dolfin_elastic.solvers.contact import Augmentation
 from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.progress import Progress
 
@@ -28,13 +30,14 @@ class Ladder:
 
     Args:
         newton: The solver; its problem is at the load that is wanted.
+        augmentation: Of its contacts.
 
     Attributes:
         failed: The last iterate of the last failure: local array of all unknowns.
     """
 
-    def __init__(self, newton: Newton) -> None:
-        self.newton = newton
+    def __init__(self, newton: Newton, augmentation: Augmentation) -> None:
+        self.newton, self._augmentation = newton, augmentation
         self.failed: Vector | None = None
         self._first = True
 
@@ -48,6 +51,7 @@ class Ladder:
         newton, problem = self.newton, self.newton.assembler.problem
         w = problem.w.x.array
         rejected, first = 0, starts[0][1]
+        self._augmentation.save()
         if len(starts) > 1 and self._residual(starts[1][1]) < self._residual(first):
             starts = [("", starts[1][1]), ("from where the last step ended", first)]
         for said, start, line_search in self._rungs(starts):
@@ -64,6 +68,7 @@ class Ladder:
         self.failed = w.copy()
         progress.rejected = rejected
         w[:] = first
+        self._augmentation.restore()
         problem.unknowns.tell()
         return progress
 
@@ -86,10 +91,12 @@ class Ladder:
     def _try(self, start: Vector, line_search: str) -> Progress:
         w = self.newton.assembler.problem.w.x.array
         w[:] = start
+        self._augmentation.restore()
         progress = self.newton.solve(line_search)
         while "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
             w[:] = start
             progress = self.newton.solve(line_search)
+        progress = self._augmentation.settle(progress, partial(self.newton.solve, line_search))
         self._refuse_inverted(progress)
         return progress
 

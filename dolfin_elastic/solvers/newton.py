@@ -328,7 +328,7 @@ class Newton:
 
     def _target(self) -> float:
         a, p = self.assembler, self.progress
-        reference = max(self._external, a.held, p.reference)
+        reference = max(self._external, a.held, a.pushed, p.reference)
         if self._moving:
             reference = max(reference, self.inertia)
         return max(self.tolerance.rtol * reference, self.tolerance.atol, self._floor)

@@ -16,6 +16,7 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.arclength import ArcLength
 from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.contact import Augmentation, Measured
 from dolfin_elastic.solvers.inertia import disturb, negative_eigenvalues
 from dolfin_elastic.solvers.jump import PathWatch
 from dolfin_elastic.solvers.ladder import Ladder
@@ -179,8 +180,8 @@ class _Stepping:
     def __init__(self, statics: Statics, assembler: Assembler, newton: Newton) -> None:
         self.statics, self.settings, self.problem = statics, statics.settings, statics.problem
         self.assembler, self.newton = assembler, newton
-        self.ladder = Ladder(newton)
-        self._watch = PathWatch(assembler)
+        self.ladder = Ladder(newton, Augmentation(self.problem))
+        self._watch, self._measured = PathWatch(assembler), Measured(self.problem)
         self._count = 0
         self._before: tuple[float, Vector] | None = None
         self._limits: tuple[float, ...] = ()
@@ -331,6 +332,7 @@ class _Stepping:
             max_displacement=assembler.max_displacement(),
             negative=negative,
             limit_points=self._limits,
+            numbers=self._measured.numbers(),
             done=t / self.settings.end,
         )
 
