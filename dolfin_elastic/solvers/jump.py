@@ -19,6 +19,10 @@ Vector = npt.NDArray[np.float64]
 SLACK = 0.02
 """Share of the step's energy that is no sign of anything."""
 
+SMALL = 2e-3
+"""Share of all stored energy that is none: where nodes touch an obstacle one after the other, the
+energy of a discrete body goes up and down a little."""
+
 
 class PathWatch:
     """Compares the energy of steps with the work of the internal forces over them.
@@ -54,14 +58,19 @@ class PathWatch:
         """The state looked at last is where the next step begins."""
         self._before = self._now
 
-    def jumped(self) -> bool:
-        """Whether the energy between the last two states came from somewhere else. Collective."""
+    def jumped(self, unsure: float) -> bool:
+        """Whether the energy between the last two states came from somewhere else. Collective.
+
+        Args:
+            unsure: Norm of the forces that Newton's method leaves undetermined [N].
+        """
         if self.strain.none or self._before is None or self._now is None:
             return False
         (was, f, u), (now, g, v) = self._before, self._now
         du = v - u
-        sums = np.array([np.dot(f, du), np.dot(g, du)])
-        before, after = total(self._assembler.comm, sums)
+        sums = np.array([np.dot(f, du), np.dot(g, du), np.dot(du, du)])
+        before, after, square = total(self._assembler.comm, sums)
         gained = now - was
         slack = SLACK * max(abs(gained), abs(before), abs(after))
+        slack += SMALL * max(abs(was), abs(now)) + 2 * unsure * np.sqrt(square)
         return bool(abs(gained - (before + after) / 2) > abs(after - before) / 2 + slack)

@@ -171,6 +171,7 @@ class Statics:
             largest=largest,
             smallest=first * s.min_step,
             stops=[*stops, *s.times],
+            steady=s.steps is not None,
         )
 
 
@@ -230,7 +231,8 @@ class _Stepping:
             return BEYOND
         if (negative_eigenvalues(self.newton) or 0) > 0:
             return UNSTABLE
-        return "another equilibrium than that of the path" if self._watch.jumped() else ""
+        jumped = self._watch.jumped(self.newton.progress.target)
+        return "another equilibrium than that of the path" if jumped else ""
 
     def _elsewhere(self, t: float, goal: float, progress: Progress, fault: str) -> Progress:
         """Goes on where no step is small enough, or gives up."""

@@ -20,6 +20,7 @@ class StepSizes:
         largest: Size that no step exceeds.
         smallest: Size below which no step is tried.
         stops: Load factors that are met exactly, beside the end.
+        steady: The size is the user's: a step that was found is not shortened for its iterations.
     """
 
     def __init__(
@@ -30,9 +31,10 @@ class StepSizes:
         largest: float,
         smallest: float,
         stops: Sequence[float] = (),
+        steady: bool = False,
     ) -> None:
         self.end, self.size = end, first
-        self._calm = CALM
+        self._calm, self._steady = CALM, steady
         self._largest, self._smallest = largest, smallest
         self._stops = sorted({s for s in stops if 0.0 < s < end} | {end})
 
@@ -52,7 +54,7 @@ class StepSizes:
         if newton <= QUICK and self._calm >= CALM:
             # A step that was cut short by a stop says nothing against a longer one.
             self.size = min(self._largest, 2.0 * max(self.size, goal - t))
-        elif newton >= SLOW:
+        elif newton >= SLOW and not self._steady:
             self.size = max(self._smallest, 0.7 * (goal - t))
 
     def failed(self, t: float, goal: float, *, crushed: bool) -> bool:
