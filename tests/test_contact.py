@@ -239,8 +239,8 @@ def test_hertz(geometry, folder, comm):
     if turned:
         a, share = (3 * P / 4 / effective) ** (1 / 3), 2 / 5
         peak = 3 * P / (2 * np.pi * a**2)
-        # The half sphere is no half space: its middle plane is off by about P/(pi E*).
-        expected, off = a**2, P / (np.pi * effective) / a**2
+        # The half sphere is no half space: its middle plane is off by about P/(pi E*), 3 %.
+        expected, off = a**2, 1.5 * P / (np.pi * effective) / a**2
     else:
         P *= 2
         a, share = np.sqrt(4 * P / (np.pi * effective)), 1 / 4
