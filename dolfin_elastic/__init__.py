@@ -29,7 +29,10 @@ if TYPE_CHECKING:
     from dolfin_elastic.meshes import read_body as read_body
     from dolfin_elastic.meshes import rectangle_body as rectangle_body
     from dolfin_elastic.model.loads import BodyForce as BodyForce
+    from dolfin_elastic.model.loads import Centrifugal as Centrifugal
     from dolfin_elastic.model.loads import Gravity as Gravity
+    from dolfin_elastic.model.loads import LineForce as LineForce
+    from dolfin_elastic.model.loads import PointForce as PointForce
     from dolfin_elastic.model.loads import Pressure as Pressure
     from dolfin_elastic.model.loads import Traction as Traction
     from dolfin_elastic.model.materials import ArrudaBoyce as ArrudaBoyce
@@ -86,7 +89,15 @@ _PLACES = {
     ),
     "model.own": ("Energy", "SplitEnergy"),
     "model.supports": ("Support",),
-    "model.loads": ("BodyForce", "Gravity", "Pressure", "Traction"),
+    "model.loads": (
+        "BodyForce",
+        "Centrifugal",
+        "Gravity",
+        "LineForce",
+        "PointForce",
+        "Pressure",
+        "Traction",
+    ),
     "problem": ("Problem",),
     "solvers.statics": ("Statics",),
     "solvers.dynamics": ("Dynamics",),

@@ -31,6 +31,7 @@ from dolfin_elastic.model.law import Law, SplitLaw
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.mixed import Mixed
 from dolfin_elastic.model.supports import Support
+from dolfin_elastic.nodal import NodalLoads
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
 from dolfin_elastic.prescribed import Prescribed
 from dolfin_elastic.rims import rim_held
@@ -64,6 +65,7 @@ class Problem:
         u: The displacement [m]; solvers change it through `w`.
         w: All unknowns: the displacement and, in some problems, scalar fields beside it.
         site: What loads find on the body.
+        nodal_loads: Forces at points and along lines, which are in no form.
         constant: Makes a number that forms refer to by place, so that changing it compiles nothing.
         t: UFL constant with the time, used by formulas.
         X: Reference coordinates (UFL).
@@ -111,6 +113,7 @@ class Problem:
         self.prescribed = Prescribed(
             body, self.V, self.supports, axis=self.geometry == "axisymmetric"
         )
+        self.nodal_loads = NodalLoads(body, self.V, self.loads)
         _ = self.external  # says now what is wrong with a load
 
     def _scale_unknowns(self) -> None:
@@ -205,13 +208,20 @@ class Problem:
     @cached_property
     def external(self) -> ufl.Form | None:
         """External virtual work of all loads; None without loads."""
-        return sum(map(self._work, range(len(self.loads)))) if self.loads else None
+        spread = [i for i, load in enumerate(self.loads) if not load.nodal]
+        return sum(map(self._work, spread)) if spread else None
 
     def _work(self, index: int) -> ufl.Form:
         try:
             return self.loads[index].virtual_work(self.site)
         except InputError as error:
-            raise (error if error.where else error.at(f"load[{index}].value")) from None
+            raise (self._placed(error, index)) from None
+
+    def _placed(self, error: InputError, index: int) -> InputError:
+        """A fault of a load, with its key; those of materials have theirs."""
+        if error.where.startswith("materials"):
+            return error
+        return error.at(f"load[{index}]" if error.where else f"load[{index}].value")
 
     @cached_property
     def holding(self) -> dict[str, ufl.Form]:
@@ -295,8 +305,10 @@ class Problem:
     @property
     def loads_change(self) -> bool:
         """The applied nodal forces change in motion: with time, or with the body's shape."""
-        return self.site.changes or any(
-            self._follows(load) or depends_on_time(load.values) for load in self.loads
+        return (
+            self.site.changes
+            or self.nodal_loads.change
+            or any(self._follows(load) or depends_on_time(load.values) for load in self.loads)
         )
 
     def set_time(self, t: float, *, default: Amplitude = CONSTANT) -> None:
@@ -307,4 +319,5 @@ class Problem:
             default: Amplitude of all that name none.
         """
         self.site.set_time(t, default)
+        self.nodal_loads.set_time(t, default)
         self.prescribed.move_to(t, default)

@@ -11,6 +11,7 @@ from dolfinx import fem
 from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
+from dolfin_elastic import compiler
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.measures import Measures
@@ -64,6 +65,11 @@ class BodySite:
         """A number that forms refer to by place, so that changing it compiles nothing."""
         return Constant(self.body.mesh, np.asarray(value, dtype=np.float64))
 
+    @property
+    def revolved(self) -> bool:
+        """A body of revolution about y."""
+        return self.geometry == "axisymmetric"
+
     @cached_property
     def linear(self) -> bool:
         """All laws are linear."""
@@ -99,6 +105,13 @@ class BodySite:
         for name in surfaces:
             self.body.surface(name)
         return self.measures.surfaces(surfaces, 2 * self.order)
+
+    def area(self, surfaces: Sequence[str]) -> Constant:
+        """Size of the reference area of surfaces [m^2]. Collective."""
+        form = self.constant(1.0) * self.areas(surfaces)
+        jit = compiler.options(self.body.comm)
+        (compiled,) = compiler.compile_forms(self.body.comm, [form], jit)
+        return self.constant(float(total(self.body.comm, float(fem.assemble_scalar(compiled)))))
 
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, Weighted]]:
         """Density and reference volume, material by material."""
