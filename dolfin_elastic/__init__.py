@@ -31,9 +31,11 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.loads import BodyForce as BodyForce
     from dolfin_elastic.model.loads import Centrifugal as Centrifugal
     from dolfin_elastic.model.loads import Gravity as Gravity
+    from dolfin_elastic.model.loads import Growth as Growth
     from dolfin_elastic.model.loads import LineForce as LineForce
     from dolfin_elastic.model.loads import PointForce as PointForce
     from dolfin_elastic.model.loads import Pressure as Pressure
+    from dolfin_elastic.model.loads import Thermal as Thermal
     from dolfin_elastic.model.loads import Traction as Traction
     from dolfin_elastic.model.materials import ArrudaBoyce as ArrudaBoyce
     from dolfin_elastic.model.materials import BlatzKo as BlatzKo
@@ -93,9 +95,11 @@ _PLACES = {
         "BodyForce",
         "Centrifugal",
         "Gravity",
+        "Growth",
         "LineForce",
         "PointForce",
         "Pressure",
+        "Thermal",
         "Traction",
     ),
     "problem": ("Problem",),

@@ -27,6 +27,7 @@ from dolfin_elastic.model.geometry import (
     gradient_variation,
     weight,
 )
+from dolfin_elastic.model.growth import Grown
 from dolfin_elastic.model.law import Law, SplitLaw
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.mixed import Mixed
@@ -34,6 +35,7 @@ from dolfin_elastic.model.supports import Support
 from dolfin_elastic.nodal import NodalLoads
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
 from dolfin_elastic.prescribed import Prescribed
+from dolfin_elastic.rest import rest_states
 from dolfin_elastic.rims import rim_held
 from dolfin_elastic.site import BodySite
 from dolfin_elastic.unknowns import Unknowns
@@ -65,6 +67,7 @@ class Problem:
         u: The displacement [m]; solvers change it through `w`.
         w: All unknowns: the displacement and, in some problems, scalar fields beside it.
         site: What loads find on the body.
+        rest: Material's name to its growth Fg (UFL), of those that grow.
         nodal_loads: Forces at points and along lines, which are in no form.
         constant: Makes a number that forms refer to by place, so that changing it compiles nothing.
         t: UFL constant with the time, used by formulas.
@@ -113,6 +116,7 @@ class Problem:
         self.prescribed = Prescribed(
             body, self.V, self.supports, axis=self.geometry == "axisymmetric"
         )
+        self.rest = rest_states(self.site, self.loads)
         self.nodal_loads = NodalLoads(body, self.V, self.loads)
         _ = self.external  # says now what is wrong with a load
 
@@ -130,12 +134,14 @@ class Problem:
         """The 3x3 deformation gradient of a function of all unknowns."""
         return self.site.deformation(w)
 
-    def response(self, part: Part, w: Expr) -> Law | Mixed:
-        """A part's law, with the pressure of a function of all unknowns where it has one."""
-        if part.compliance is None:
-            return part.law
-        assert isinstance(part.law, SplitLaw)
-        return Mixed(part.law, self.unknowns.extra("pressure", w), part.compliance)
+    def response(self, part: Part, w: Expr) -> Law | Mixed | Grown:
+        """A part's law, with its growth and with the pressure of a function of all unknowns."""
+        law: Law | Mixed = part.law
+        if part.compliance is not None:
+            assert isinstance(part.law, SplitLaw)
+            law = Mixed(part.law, self.unknowns.extra("pressure", w), part.compliance)
+        growth = self.rest.get(part.name)
+        return law if growth is None else Grown(law, growth)
 
     def _extra(self, name: str, w: Expr) -> Expr | None:
         return self.unknowns.extra(name, w) if self.unknowns.has(name) else None
@@ -166,7 +172,7 @@ class Problem:
         if part.compliance is None:
             return -UNUSED / part.shear * p * q * self.volume(part, 2)
         response = self.response(part, self.w)
-        assert isinstance(response, Mixed)
+        assert not isinstance(response, Law)
         terms = q * response.gap(F) * self._internal_volume(part)
         if self.unknowns.stabilised:
             terms -= self._variance(p, q) / part.shear * self.volume(part, 0)
@@ -208,7 +214,7 @@ class Problem:
     @cached_property
     def external(self) -> ufl.Form | None:
         """External virtual work of all loads; None without loads."""
-        spread = [i for i, load in enumerate(self.loads) if not load.nodal]
+        spread = [i for i, load in enumerate(self.loads) if not (load.nodal or load.swells)]
         return sum(map(self._work, spread)) if spread else None
 
     def _work(self, index: int) -> ufl.Form:

@@ -225,6 +225,7 @@ if TYPE_CHECKING:
     Time: TypeAlias = float
     Force: TypeAlias = float
     ForceDensity: TypeAlias = float
+    Expansion: TypeAlias = float
 else:
     Number = quantity("")
     Length = quantity("m")
@@ -235,3 +236,4 @@ else:
     Time = quantity("s")
     Force = quantity("N")
     ForceDensity = quantity("N/m^3")
+    Expansion = quantity("1/K")

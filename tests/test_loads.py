@@ -39,6 +39,8 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "gravity": {},
     "centrifugal": {"value": 5, "point": [0.2, 0.1, 0]},
     "point-force": {"at": [0.3, 0.4, 0.2], "value": [SIZE, 0, SIZE]},
+    "thermal": {"value": "20 + 10*x"},
+    "growth": {"value": [1.02, 0.99, "1 + 0.05*y"]},
     "line-force": {"start": [0, 0, 0], "end": [1, 1, 0.5], "value": [0, SIZE, 0]},
 }
 """One of each kind; in a plane vectors lose their last component."""
@@ -64,7 +66,7 @@ def test_every_kind_has_an_example():
 @pytest.mark.parametrize("dim", [2, 3])
 def test_tangent_of_every_load(monkeypatch, kind, dim):
     """Against differences of fourth order; and symmetric exactly where it says so."""
-    law = StVenantKirchhoff(E=E, nu=NU, density=RHO)
+    law = StVenantKirchhoff(E=E, nu=NU, density=RHO, expansion="1000 ppm/K")
     problem = Problem(body(dim), law, loads=[example(kind, dim)])
     symmetric = problem.symmetric
     monkeypatch.setattr(Problem, "symmetric", False)

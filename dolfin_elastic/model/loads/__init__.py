@@ -11,9 +11,22 @@ from dolfin_elastic.model.loads.forces import BodyForce as BodyForce
 from dolfin_elastic.model.loads.forces import Centrifugal as Centrifugal
 from dolfin_elastic.model.loads.forces import Gravity as Gravity
 from dolfin_elastic.model.loads.forces import Traction as Traction
+from dolfin_elastic.model.loads.growth import Growth as Growth
+from dolfin_elastic.model.loads.growth import Swelling as Swelling
+from dolfin_elastic.model.loads.growth import Thermal as Thermal
 from dolfin_elastic.model.loads.pressure import Pressure as Pressure
 
 LOADS: dict[str, type[Load]] = {
     str(kind.model_fields["kind"].default): kind
-    for kind in (Traction, Pressure, BodyForce, Gravity, Centrifugal, PointForce, LineForce)
+    for kind in (
+        Traction,
+        Pressure,
+        BodyForce,
+        Gravity,
+        Centrifugal,
+        PointForce,
+        LineForce,
+        Thermal,
+        Growth,
+    )
 }

@@ -90,6 +90,8 @@ class Load(Record):
     """Of a load that follows: where all laws are linear it acts on the undeformed body."""
     nodal: ClassVar[bool] = False
     """The load acts at points, not on volumes or surfaces: see `concentrated`."""
+    swells: ClassVar[bool] = False
+    """The load is no force but changes the rest state: see `growth`."""
     conservative: ClassVar[bool] = True
     """The load has a potential, so its part of the tangent is symmetric."""
 
