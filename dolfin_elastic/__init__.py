@@ -30,8 +30,13 @@ if TYPE_CHECKING:
     from dolfin_elastic.meshes import rectangle_body as rectangle_body
     from dolfin_elastic.model.contact import Contact as Contact
     from dolfin_elastic.model.loads import BodyForce as BodyForce
+    from dolfin_elastic.model.loads import Centrifugal as Centrifugal
     from dolfin_elastic.model.loads import Gravity as Gravity
+    from dolfin_elastic.model.loads import Growth as Growth
+    from dolfin_elastic.model.loads import LineForce as LineForce
+    from dolfin_elastic.model.loads import PointForce as PointForce
     from dolfin_elastic.model.loads import Pressure as Pressure
+    from dolfin_elastic.model.loads import Thermal as Thermal
     from dolfin_elastic.model.loads import Traction as Traction
     from dolfin_elastic.model.materials import ArrudaBoyce as ArrudaBoyce
     from dolfin_elastic.model.materials import BlatzKo as BlatzKo
@@ -94,7 +99,17 @@ _PLACES = {
     "model.contact": ("Contact",),
     "model.supports": ("Normal", "Rotation", "Support", "Symmetry"),
     "model.springs": ("Dashpot", "Spring"),
-    "model.loads": ("BodyForce", "Gravity", "Pressure", "Traction"),
+    "model.loads": (
+        "BodyForce",
+        "Centrifugal",
+        "Gravity",
+        "Growth",
+        "LineForce",
+        "PointForce",
+        "Pressure",
+        "Thermal",
+        "Traction",
+    ),
     "problem": ("Problem",),
     "solvers.statics": ("Statics",),
     "solvers.dynamics": ("Dynamics",),

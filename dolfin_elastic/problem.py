@@ -28,13 +28,16 @@ from dolfin_elastic.model.geometry import (
     gradient_variation,
     weight,
 )
+from dolfin_elastic.model.growth import Grown
 from dolfin_elastic.model.law import Law, SplitLaw
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.mixed import Mixed
 from dolfin_elastic.model.springs import Dashpot, Resisting, Spring
 from dolfin_elastic.model.supports import Restraint
+from dolfin_elastic.nodal import NodalLoads
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
 from dolfin_elastic.prescribed import Prescribed, Projections, held_by_spring
+from dolfin_elastic.rest import rest_states
 from dolfin_elastic.rims import rim_held
 from dolfin_elastic.site import BodySite
 from dolfin_elastic.touching import Touching, check_contacts, rule
@@ -68,6 +71,8 @@ class Problem:
         u: The displacement [m]; solvers change it through `w`.
         w: All unknowns: the displacement and, in some problems, scalar fields beside it.
         site: What loads find on the body.
+        rest: Material's name to its growth Fg (UFL), of those that grow.
+        nodal_loads: Forces at points and along lines, which are in no form.
         constant: Makes a number that forms refer to by place, so that changing it compiles nothing.
         t: UFL constant with the time, used by formulas.
         X: Reference coordinates (UFL).
@@ -122,6 +127,8 @@ class Problem:
         self.constant, self.t, self.X = self.site.constant, self.site.t, self.site.X
         self.prescribed = Prescribed(body, self.V, self.supports, axis=turned)
         self.touching = tuple(self._touching(contact) for contact in contacts)
+        self.rest = rest_states(self.site, self.loads)
+        self.nodal_loads = NodalLoads(body, self.V, self.loads)
         _ = self.external, self.holding  # says now what is wrong with a load or a spring
 
     def _touching(self, contact: Contact) -> Touching:
@@ -142,12 +149,14 @@ class Problem:
         """The 3x3 deformation gradient of a function of all unknowns."""
         return self.site.deformation(w)
 
-    def response(self, part: Part, w: Expr) -> Law | Mixed:
-        """A part's law, with the pressure of a function of all unknowns where it has one."""
-        if part.compliance is None:
-            return part.law
-        assert isinstance(part.law, SplitLaw)
-        return Mixed(part.law, self.unknowns.extra("pressure", w), part.compliance)
+    def response(self, part: Part, w: Expr) -> Law | Mixed | Grown:
+        """A part's law, with its growth and with the pressure of a function of all unknowns."""
+        law: Law | Mixed = part.law
+        if part.compliance is not None:
+            assert isinstance(part.law, SplitLaw)
+            law = Mixed(part.law, self.unknowns.extra("pressure", w), part.compliance)
+        growth = self.rest.get(part.name)
+        return law if growth is None else Grown(law, growth)
 
     def _extra(self, name: str, w: Expr) -> Expr | None:
         return self.unknowns.extra(name, w) if self.unknowns.has(name) else None
@@ -178,7 +187,7 @@ class Problem:
         if part.compliance is None:
             return -UNUSED / part.shear * p * q * self.volume(part, 2)
         response = self.response(part, self.w)
-        assert isinstance(response, Mixed)
+        assert not isinstance(response, Law)
         terms = q * response.gap(F) * self._internal_volume(part)
         if self.unknowns.stabilised:
             terms -= self._variance(p, q) / part.shear * self.volume(part, 0)
@@ -220,13 +229,20 @@ class Problem:
     @cached_property
     def external(self) -> ufl.Form | None:
         """External virtual work of all loads; None without loads."""
-        return sum(map(self._work, range(len(self.loads)))) if self.loads else None
+        spread = [i for i, load in enumerate(self.loads) if not (load.nodal or load.swells)]
+        return sum(map(self._work, spread)) if spread else None
 
     def _work(self, index: int) -> ufl.Form:
         try:
             return self.loads[index].virtual_work(self.site)
         except InputError as error:
-            raise (error if error.where else error.at(f"load[{index}].value")) from None
+            raise (self._placed(error, index)) from None
+
+    def _placed(self, error: InputError, index: int) -> InputError:
+        """A fault of a load, with its key; those of materials have theirs."""
+        if error.where.startswith("materials"):
+            return error
+        return error.at(f"load[{index}]" if error.where else f"load[{index}].value")
 
     @cached_property
     def holding(self) -> dict[str, ufl.Form]:
@@ -345,8 +361,10 @@ class Problem:
     @property
     def loads_change(self) -> bool:
         """The applied nodal forces change in motion: with time, or with the body's shape."""
-        return self.site.changes or any(
-            self._follows(load) or depends_on_time(load.values) for load in self.loads
+        return (
+            self.site.changes
+            or self.nodal_loads.change
+            or any(self._follows(load) or depends_on_time(load.values) for load in self.loads)
         )
 
     def set_time(self, t: float, *, default: Amplitude = CONSTANT) -> None:
@@ -357,6 +375,7 @@ class Problem:
             default: Amplitude of all that name none.
         """
         self.site.set_time(t, default)
+        self.nodal_loads.set_time(t, default)
         self.prescribed.move_to(t, default)
         for touch in self.touching:
             touch.set_time(t, default)

@@ -40,6 +40,11 @@ COMMON = {
     "kg/m^3": {"kg/m^3": 1.0, "g/cm^3": 1e3},
     "N/m^3": {"N/m^3": 1.0, "kN/m^3": 1e3},
     "s": {"s": 1.0, "ms": 1e-3},
+    # Speeds of rotation: one turn is 2 pi, which a hertz alone does not say.
+    "rad/s": {"rad/s": 1.0, "rpm": math.tau / 60, "Hz": math.tau},
+    # Changes of temperature, where the zero of the scale does not matter.
+    "K": {"K": 1.0, "degC": 1.0, "°C": 1.0},
+    "1/K": {"1/K": 1.0, "ppm/K": 1e-6},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},
     "m/s^2": {"m/s^2": 1.0},
     "rad": {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180},
@@ -124,8 +129,8 @@ def to_base(value: float | str) -> float:
     if match is None or not match[2]:
         return to_si(value, "")
     number, name = float(match[1]), match[2]
-    for units in COMMON.values():
-        if name in units:
+    for unit, units in COMMON.items():
+        if name in units and unit not in ("rad/s", "K"):  # where a unit means more than its size
             return _finite(number * units[name], value)
     if not _known(name):
         raise UnitError(f"unknown unit '{name}' in '{value}'", expected='for example "0.4 MPa"')
@@ -148,6 +153,10 @@ _EXAMPLES = {
     "N/m^3": "10 kN/m^3",
     "N": "5 kN",
     "rad": "90 deg",
+    "N/m": "2 kN/m",
+    "rad/s": "3000 rpm",
+    "K": "80 K",
+    "1/K": "12 ppm/K",
 }
 
 
@@ -218,6 +227,7 @@ if TYPE_CHECKING:
     Time: TypeAlias = float
     Force: TypeAlias = float
     ForceDensity: TypeAlias = float
+    Expansion: TypeAlias = float
 else:
     Number = quantity("")
     Length = quantity("m")
@@ -228,3 +238,4 @@ else:
     Time = quantity("s")
     Force = quantity("N")
     ForceDensity = quantity("N/m^3")
+    Expansion = quantity("1/K")

@@ -126,7 +126,8 @@ def amplitude(written: Any) -> Amplitude:
 _EXPECTED = (
     "expected "
     + ", ".join(f'"{word}"' for word in WORDS)
-    + ', a formula in t, a table [[t, value], ...], {smooth = [[t, value], ...]}, or {file = "a.csv"}'
+    + ", a formula in t, a table [[t, value], ...], {smooth = [[t, value], ...]}, "
+    'or {file = "a.csv"}'
 )
 _READ = "in Python, give the table as [[t, value], ...]; files are read with a case file"
 

@@ -77,6 +77,7 @@ class Assembler:
         held, places = problem.prescribed, problem.unknowns.places
         self._held = held.owned
         self.fixed = places(held.owned)
+        self._places = places(np.arange(len(problem.u.x.array), dtype=np.int32))
         self.moves = places(np.arange(_owned(problem.V), dtype=np.int32))
         self._tilted = None if still else held.tilted
         nodes = np.empty(0, np.int32) if self._tilted is None else self._tilted.nodes
@@ -192,6 +193,7 @@ class Assembler:
         """Out-of-balance nodal forces at the problem's displacement into `balance`."""
         self.balance.array[:] = 0.0
         fem.assemble_vector(self.balance.array, self._residual)
+        self._add_nodal(self.balance.array, -1.0)
         self.balance.scatter_reverse(la.InsertMode.add)
 
     def constraint_forces(self, out: Vector) -> Vector:
@@ -278,20 +280,24 @@ class Assembler:
 
     def external_norm(self) -> float:
         """Norm of the applied nodal forces at the present time [N]."""
-        if self._external is None:
-            return 0.0
-        force = self._vector()
-        fem.assemble_vector(force.array, self._external)
-        force.scatter_reverse(la.InsertMode.add)
-        return float(la.norm(force))
+        return float(la.norm(self._applied()))
 
     def external_forces(self) -> Vector:
         """Applied nodal forces at the present time, owned entries [N]."""
+        return self._applied().array[: self.size]
+
+    def _applied(self) -> la.Vector:
         force = self._vector()
         if self._external is not None:
             fem.assemble_vector(force.array, self._external)
-            force.scatter_reverse(la.InsertMode.add)
-        return force.array[: self.size]
+        self._add_nodal(force.array, 1.0)
+        force.scatter_reverse(la.InsertMode.add)
+        return force
+
+    def _add_nodal(self, forces: Vector, sign: float) -> None:
+        """Adds the loads at points and lines; the ranks' shares are still to be summed."""
+        if self.problem.nodal_loads:
+            forces[self._places] += sign * self.problem.nodal_loads.nodal()
 
     # --- what is known of the solution ---
 

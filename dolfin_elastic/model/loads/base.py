@@ -16,6 +16,9 @@ from dolfin_elastic.model.components import Component, components, depends_on_ti
 from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
 from dolfin_elastic.schema import Record
 
+PLACE = frozenset("xyz")
+"""Names of the place in formulas."""
+
 
 class Site(Protocol):
     """What a load finds on the body it acts on; see `site.BodySite`."""
@@ -30,6 +33,8 @@ class Site(Protocol):
     """Reference coordinates."""
     N: Expr
     """Outward unit normal of the reference surface."""
+    revolved: bool
+    """A body of revolution about y: its first coordinate is the radius."""
     linear: bool
     """All laws are linear: loads that can act on the undeformed body do, see `Load.linearises`."""
 
@@ -39,6 +44,9 @@ class Site(Protocol):
     def areas(self, surfaces: Sequence[str]) -> ufl.Measure:
         """Reference area of surfaces."""
 
+    def area(self, surfaces: Sequence[str]) -> Expr:
+        """Size of the reference area of surfaces [m^2]."""
+
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
         """Density [kg/m^3] and reference volume, material by material."""
 
@@ -47,6 +55,12 @@ class Site(Protocol):
 
     def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
         """The vector at a point of the body, times the amplitude (None: as the solver decides)."""
+
+    def factor(self, amplitude: Amplitude | None) -> Expr:
+        """A number that follows an amplitude (None: as the solver decides)."""
+
+    def value(self, value: Component) -> Expr:
+        """A number or formula at a point of the body."""
 
     def scalar(self, value: Component, amplitude: Amplitude | None) -> Expr:
         """A number or formula at a point of the body, times the amplitude."""
@@ -74,12 +88,16 @@ class Load(Record):
     """The load depends on the displacement."""
     linearises: ClassVar[bool] = False
     """Of a load that follows: where all laws are linear it acts on the undeformed body."""
+    nodal: ClassVar[bool] = False
+    """The load acts at points, not on volumes or surfaces: see `concentrated`."""
+    swells: ClassVar[bool] = False
+    """The load is no force but changes the rest state: see `growth`."""
     conservative: ClassVar[bool] = True
     """The load has a potential, so its part of the tangent is symmetric."""
 
     @model_validator(mode="after")
     def _read_components(self) -> Load:
-        _ = self.values  # fails now, not when it is used
+        _ = self.values, self.vectors  # fails now, not when it is used
         return self
 
     @cached_property

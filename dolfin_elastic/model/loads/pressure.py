@@ -11,9 +11,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.model.components import Component, component
 from dolfin_elastic.model.kinematics import cofactor
-from dolfin_elastic.model.loads.base import Load, Site, keyed
-
-PLACE = frozenset("xyz")
+from dolfin_elastic.model.loads.base import PLACE, Load, Site, keyed
 
 
 class Pressure(Load):
