@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Literal, Protocol
 
+import numpy as np
+import numpy.typing as npt
 import ufl
 from pydantic import Field, model_validator
 from ufl.core.expr import Expr
 
-from dolfin_elastic.model.components import Component, components, depends_on_time
+from dolfin_elastic.model.components import (
+    Component,
+    components,
+    depends_on_time,
+    vector_at,
+)
 from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
 from dolfin_elastic.schema import Record
 
@@ -46,6 +54,26 @@ class Site(Protocol):
 
     def scalar(self, value: Component, amplitude: Amplitude | None) -> Expr:
         """A number or formula at a point of the body, times the amplitude."""
+
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Places:
+    """Points of the undeformed body at which a load is asked how strong it is.
+
+    Attributes:
+        X: Places [m], shape (..., dim).
+        t: Time [s], or load parameter.
+        N: Outward unit normals, shape of X, on surfaces only.
+        density: Mass density [kg/m^3], shape (...), for loads that need it.
+    """
+
+    X: Floats
+    t: float
+    N: Floats | None = None
+    density: Floats | None = None
 
 
 class Load(Record):
@@ -100,6 +128,16 @@ class Load(Record):
         """The load's vector as a UFL expression."""
         return site.vector(self.values, self.amplitude)
 
+    def intensity(self, places: Places) -> Floats | None:
+        """Force per reference area or volume on the undeformed body, without its amplitude.
+
+        A report integrates it before anything is compiled: the same as `virtual_work`, in numbers.
+
+        Returns:
+            Shape of `places.X` [N/m^2 or N/m^3]; None: the load cannot be told so.
+        """
+        return None
+
     def virtual_work(self, site: Site) -> ufl.Form:
         """External virtual work of the load, linear in `site.v`."""
         raise TypeError(f"{type(self).__name__} has no virtual work")
@@ -116,6 +154,10 @@ class Traction(Load):
     on: str | list[str]
     unit: ClassVar[str] = "Pa"
 
+    def intensity(self, places: Places) -> Floats:
+        """See the class."""
+        return vector_at(self.values, places.X, places.t)
+
     def virtual_work(self, site: Site) -> ufl.Form:
         """See the class."""
         return ufl.inner(self.field(site), site.v) * site.areas(self.parts)
@@ -127,6 +169,10 @@ class BodyForce(Load):
     kind: Literal["body-force"] = "body-force"
     on: str | list[str] | None = None
     unit: ClassVar[str] = "N/m^3"
+
+    def intensity(self, places: Places) -> Floats:
+        """See the class."""
+        return vector_at(self.values, places.X, places.t)
 
     def virtual_work(self, site: Site) -> ufl.Form:
         """See the class."""
@@ -150,10 +196,19 @@ class Gravity(Load):
         """The components; none stands for the standard weight."""
         return components(self.value, self.unit) if self.value else ()
 
+    def acceleration(self, dim: int) -> tuple[Component, ...]:
+        """Its components [m/s^2] in 2 or 3 dimensions."""
+        return self.values or (0.0,) * (dim - 1) + (-9.81,)
+
     def field(self, site: Site) -> Expr:
         """The acceleration as a UFL expression."""
-        down = (0.0,) * (len(site.v) - 1) + (-9.81,)
-        return site.vector(self.values or down, self.amplitude)
+        return site.vector(self.acceleration(len(site.v)), self.amplitude)
+
+    def intensity(self, places: Places) -> Floats:
+        """See the class."""
+        assert places.density is not None
+        g = vector_at(self.acceleration(places.X.shape[-1]), places.X, places.t)
+        return np.asarray(places.density[..., None] * g)
 
     def virtual_work(self, site: Site) -> ufl.Form:
         """See the class."""
