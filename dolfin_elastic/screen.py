@@ -203,6 +203,8 @@ def _end_rows(state: State, motion: bool) -> list[tuple[str, str]]:
             rows.append((label, f"{state.energies[name]:.5g} J"))
     for name, force in state.reactions.items():
         rows.append((f"reaction of {name}", vector_text(force) + " N"))
+    if state.audit is not None:
+        rows += [("audit", reason) for reason in state.audit.so_far or ("pass",)]
     return rows
 
 

@@ -202,6 +202,14 @@ class Assembler:
             force.scatter_reverse(la.InsertMode.add)
         return force.array[: self.size]
 
+    def holding_forces(self) -> Vector:
+        """Nodal forces of springs and obstacles on the body, owned entries [N]."""
+        force = self._vector()
+        for form in self._holding.values():
+            fem.assemble_vector(force.array, form)
+        force.scatter_reverse(la.InsertMode.add)
+        return force.array[: self.size]
+
     # --- what is known of the solution ---
 
     def reactions(self, more: Vector | None = None) -> dict[str, Vector]:

@@ -14,6 +14,7 @@ from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.audit import Auditor
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton, Progress, Tolerance
@@ -104,6 +105,7 @@ class _Stepping:
         energy = self.problem.strain_energy
         self._energy = compiled(self.problem, [energy])[0] if energy is not None else None
         self._watch = JacobianWatch(self.problem)
+        self._auditor = Auditor(self.problem, assembler, self._watch)
         self._count = 0
 
     def run(self) -> Iterator[State]:
@@ -170,10 +172,10 @@ class _Stepping:
             f"{progress.newton}; the largest force out of balance, {force:.3g} N, is at "
             f"{_text(place)} m",
             advice=_advice(progress),
-            state=self._state(goal, progress),
+            state=self._state(goal, progress, judged=False),
         )
 
-    def _state(self, t: float, progress: Progress) -> State:
+    def _state(self, t: float, progress: Progress, *, judged: bool = True) -> State:
         problem, assembler = self.problem, self.assembler
         strain = np.nan if self._energy is None else integral(problem, self._energy)
         self._count += 1
@@ -190,6 +192,7 @@ class _Stepping:
             energies={"strain": strain},
             reactions=assembler.reactions(),
             max_displacement=assembler.max_displacement(),
+            audit=self._auditor.of(t, strain) if judged else None,
             done=t,
         )
 
