@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic import Problem, compiler
@@ -25,7 +26,6 @@ from dolfin_elastic.meshes import box_body
 from dolfin_elastic.meshes.shapes import boundary_facets
 from dolfin_elastic.model.loads import LOADS, Load, Places, Traction
 from dolfin_elastic.parallel import on_root, total
-from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.rigid import free_bodies
 
 COMM = MPI.COMM_WORLD
@@ -210,10 +210,9 @@ def test_same_as_the_forms(name):
     (row,) = report(this).loads
     problem = this.make_problem(this.read_body())
     problem.set_time(1.0)
-    assembler = Assembler(problem)
-    nodal = assembler.external_forces().reshape(-1, 3)
+    form = compiler.compile_forms(COMM, [problem.external], problem.jit)[0]
+    nodal = fem.assemble_vector(form).array.reshape(-1, 3)
     sums = total(COMM, nodal.sum(axis=0))
-    assembler.destroy()
     np.testing.assert_allclose(row.force, sums, rtol=EXACT)
 
 
