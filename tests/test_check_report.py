@@ -14,7 +14,7 @@ import pytest
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfin_elastic import Problem, compiler
+from dolfin_elastic import compiler
 from dolfin_elastic.case import Case
 from dolfin_elastic.check import PartSize, report
 from dolfin_elastic.check.hints import cell_notes, part_notes
@@ -27,6 +27,7 @@ from dolfin_elastic.meshes.shapes import boundary_facets
 from dolfin_elastic.model.loads import LOADS, Load, Places, Traction
 from dolfin_elastic.parallel import on_root, total
 from dolfin_elastic.solvers.rigid import free_bodies
+from dolfin_elastic.solvers.rigid_words import motions_in_words
 
 COMM = MPI.COMM_WORLD
 E = 1e6
@@ -303,26 +304,36 @@ def test_two_bodies(folder: Path):
     assert [body.motions for body in moving.bodies] == [(), ("move along x",)]
 
 
-def test_axis_and_its_place():
-    """A block that is held along one edge turns about it; on a slope it slides down it."""
-    edge = [
-        {"on": "left", "displacement": [0, FREE, FREE]},
-        {"on": "bottom", "displacement": [FREE, FREE, 0]},
-        {"on": "front", "displacement": [FREE, 0, FREE]},
-    ]
-    problem = case(support=edge).make_problem(case().read_body())
-    assert free_bodies(problem)[0].motions == ()
-    hinged = hinge(Problem.__new__(Problem), problem)
-    assert hinged == ("turn about x through (1, 0, 0) m",)
-
-
-def hinge(_: Problem, problem: Problem) -> tuple[str, ...]:
-    """What is free when only the edge y = z = 0 is held."""
+@pytest.mark.parametrize(
+    ("along", "motion"),
+    [
+        ((1, 2), "turn about x through (1, 0, 0) m"),
+        ((0, 2), "turn about y through (0, 0.5, 0) m"),
+    ],
+)
+def test_axis_and_its_place(along, motion):
+    """A block that is held along one edge turns about that edge."""
+    problem = case().make_problem(case().read_body())
     x = problem.V.tabulate_dof_coordinates()
-    nodes = np.flatnonzero((np.abs(x[:, 1]) < 1e-9) & (np.abs(x[:, 2]) < 1e-9))
+    nodes = np.flatnonzero((np.abs(x[:, along]) < 1e-9).all(axis=1))
     nodes = nodes[nodes < problem.V.dofmap.index_map.size_local]
     problem.prescribed.owned = (3 * nodes[:, None] + np.arange(3)).ravel().astype(np.int32)
-    return free_bodies(problem)[0].motions
+    assert free_bodies(problem)[0].motions == (motion,)
+
+
+def test_axes_that_are_skew():
+    """A slanting axis through a place, and a screw, in words."""
+    axis = np.array([0.0, 0.6, 0.8])
+    point, centre, size = np.array([3.0, 1.0, -2.0]), np.array([1.0, 1.0, 1.0]), 2.0
+    shift = -np.cross(axis, (point - centre) / size)
+    for pitch, more in ((0.0, ""), (0.25, " while it moves 0.5 m along it per radian")):
+        null = np.concatenate([shift + pitch * axis, axis])[:, None]
+        (said,) = motions_in_words(null / np.linalg.norm(null), centre, size)
+        foot = centre + (point - centre) - axis * (axis @ (point - centre))  # nearest the centre
+        place = ", ".join(f"{x:.4g}" for x in foot)
+        assert said == f"turn about (0, 0.6, 0.8) through ({place}) m{more}"
+    slide = np.array([0.6, -0.8, 0, 0, 0, 0])[:, None]
+    assert motions_in_words(slide, centre, size) == ["move along (0.6, -0.8, 0)"]
 
 
 # --- hints ---

@@ -49,10 +49,10 @@ def load_sums(case: Case, integrals: Integrals) -> tuple[LoadSum, ...]:
         CaseError: A formula gives no finite number somewhere.
     """
     rows = [_load_sum(case, i, load, integrals) for i, load in enumerate(case.load)]
-    known = [row for row in rows if row.force is not None and row.moment is not None]
-    if len(rows) > 1 and len(known) == len(rows) and len({row.time for row in rows}) == 1:
-        force = np.sum([row.force for row in known], axis=0)
-        moment = np.sum([row.moment for row in known], axis=0)
+    forces = [row.force for row in rows if row.force is not None]
+    moments = [row.moment for row in rows if row.moment is not None]
+    if len(rows) > 1 and len(forces) == len(rows) and len({row.time for row in rows}) == 1:
+        force, moment = np.sum(forces, axis=0), np.sum(moments, axis=0)
         rows.append(LoadSum("all loads", "", _plain(force), _plain(moment), rows[0].time))
     return tuple(rows)
 
@@ -86,12 +86,14 @@ def _times(case: Case, load: Load) -> list[float]:
     """When a load is looked at: at the end in statics, at many times of a motion."""
     if case.dynamics is None:
         return [1.0]
-    written = load.curve.written if load.curve is not None else ()
+    written = load.curve.written if load.curve is not None else ""
     if load.amplitude in (None, CONSTANT) and not depends_on_time(load.values):
         return [0.0]
     end = case.dynamics.end
-    corners = [t for t, _ in written if 0 <= t <= end] if isinstance(written, tuple) else []
-    return sorted({*np.linspace(0.0, end, _TIMES).tolist(), *corners})
+    times = {float(t) for t in np.linspace(0.0, end, _TIMES)}
+    if isinstance(written, tuple):
+        times.update(t for t, _ in written if 0 <= t <= end)
+    return sorted(times)
 
 
 def _resultant(load: Load, t: float, points: Points, integrals: Integrals) -> Floats | None:
@@ -107,7 +109,7 @@ def _resultant(load: Load, t: float, points: Points, integrals: Integrals) -> Fl
     if integrals.body.dim == 2:
         moments = (x * forces[..., 1] - y * forces[..., 0])[..., None]
     else:
-        moments = np.cross(points.X, forces)
+        moments = np.asarray(np.cross(points.X, forces), dtype=np.float64)
     both = np.concatenate([forces, moments], axis=-1).sum(axis=(0, 1))
     return np.asarray(total(integrals.body.comm, both))
 

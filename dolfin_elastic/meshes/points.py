@@ -61,7 +61,7 @@ def points_of_facets(mesh: Mesh, facets: Indices, degree: int) -> Points:
         along = slopes[..., 0]
         normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)
     else:
-        normals = np.cross(slopes[..., 0], slopes[..., 1])
+        normals = np.asarray(np.cross(slopes[..., 0], slopes[..., 1]), dtype=np.float64)
     size = np.linalg.norm(normals, axis=-1)
     cells, opposite = facet_places(mesh, facets)
     corner = mesh.geometry.x[mesh.geometry.dofmap[cells, opposite], :d]

@@ -179,7 +179,7 @@ class Auditor:
         sums = np.sum([row.sum(axis=0) for row in rows], axis=0)
         found = total(self._comm, np.array([*lengths, *sums]))
         size = float(np.max(found[: len(rows)]))
-        left = max(float(np.linalg.norm(found[len(rows) :])) - noise, 0.0)
+        left = float(max(np.linalg.norm(found[len(rows) :]) - noise, 0.0))
         return (left / size if size > 0 else 0.0), size
 
     # --- energy ---
@@ -196,12 +196,10 @@ class Auditor:
             self._last = _Last(u, forces, energy, 0.0)
             return
         du, df = u - last.u, forces - last.forces
-        work, change, moved = total(
-            self._comm,
-            np.array([np.sum((forces + last.forces) * du) / 2, np.sum(df * du), np.sum(du**2)]),
-        )
+        own = [np.sum((forces + last.forces) * du) / 2, np.sum(df * du), np.sum(du**2)]
+        work, change, moved = map(float, total(self._comm, np.array(own)))
         stored = energy - last.energy
-        self._work += float(work)
+        self._work += work
         self._stored += stored
         bound = max(abs(change), last.change) / 2
         allowed = bound + STORED * max(abs(work), abs(stored))
@@ -212,7 +210,7 @@ class Auditor:
                 f"differ by more than a smooth path allows ({allowed:.2g} J): the body has jumped "
                 "to another equilibrium, or a force is not what it should be"
             )
-        self._last = _Last(u, forces, energy, abs(float(change)))
+        self._last = _Last(u, forces, energy, abs(change))
 
 
 def _places(problem: Problem) -> str:

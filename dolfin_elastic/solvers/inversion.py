@@ -58,7 +58,7 @@ class JacobianWatch:
             values = self._J.eval(mesh, self._cells)
         values = values.reshape(len(self._cells), len(self._points))
         low, high = values.min(axis=1), values.max(axis=1)
-        mine = ((np.inf, np.zeros(3)), (-np.inf, np.zeros(3)))
+        mine: tuple[Extreme, Extreme] = (np.inf, np.zeros(3)), (-np.inf, np.zeros(3))
         if len(values):
             mine = (self._at(low, int(np.argmin(low))), self._at(high, int(np.argmax(high))))
         found = mesh.comm.allgather(mine)
