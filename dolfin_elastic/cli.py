@@ -140,7 +140,7 @@ def check(
       dolfin-elastic check beam.toml
       dolfin-elastic check beam.toml --json | jq .unknowns
 
-    Reads the mesh and compares every name, unit and size with it; nothing is computed.
+    Compares every name, unit and size with the mesh, sums up masses and loads; computes nothing.
     """
     from mpi4py import MPI
 
@@ -156,7 +156,7 @@ def check(
 
         print(dumps(asdict(found), indent=2, ensure_ascii=False))
     elif comm.rank == 0:
-        from dolfin_elastic.screen import show_check
+        from dolfin_elastic.check_screen import show_check
 
         show_check(found)
 

@@ -18,7 +18,6 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from dolfin_elastic.check import PartSize, Report
     from dolfin_elastic.state import State
 
 WIDTH = 100
@@ -149,35 +148,6 @@ class Handler(logging.Handler):
 # --- tables ---
 
 
-def show_check(report: Report) -> None:
-    """The report of a check."""
-    screen = console()
-    screen.print(f"{report.case}: {report.title}" if report.title else report.case, style="bold")
-    kind = "" if report.dim == 3 else f" ({report.geometry})"
-    screen.print(f"  mesh       {report.mesh}, {report.dim}D{kind}, {report.cells} cells")
-    screen.print(f"  extent     {' x '.join(f'{side:.4g}' for side in report.extent)} m")
-    screen.print(f"  analysis   {report.analysis}, {report.unknowns} unknowns")
-    screen.print(f"  equations  {report.linear_solver}")
-    units = ("area [m^2]", "volume [m^3]") if report.dim == 3 else ("length [m]", "area [m^2]")
-    screen.print(_parts("surface", "facets", units[0], report.surfaces))
-    screen.print(_parts("region", "cells", units[1], report.regions))
-    for field in report.fields:
-        screen.print(f"field {field}", soft_wrap=True)
-    for note in report.notes:
-        screen.print(f"note: {note}", soft_wrap=True)
-    screen.print("nothing is wrong")
-
-
-def _parts(kind: str, count: str, unit: str, parts: Sequence[PartSize]) -> Table:
-    table = Table(kind, box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column(count, justify="right")
-    table.add_column(unit, justify="right")
-    table.add_column("used by")
-    for part in parts:
-        table.add_row(part.name, str(part.count), f"{part.measure:.4g}", part.use)
-    return table
-
-
 def show_end(state: State, *, motion: bool, seconds: Mapping[str, float], newton: int) -> None:
     """The run in a few lines."""
     screen = console()
@@ -203,6 +173,8 @@ def _end_rows(state: State, motion: bool) -> list[tuple[str, str]]:
             rows.append((label, f"{state.energies[name]:.5g} J"))
     for name, force in state.reactions.items():
         rows.append((f"reaction of {name}", vector_text(force) + " N"))
+    if state.audit is not None:
+        rows += [("audit", reason) for reason in state.audit.so_far or ("pass",)]
     return rows
 
 

@@ -180,6 +180,11 @@ class Touching:
         X = self.lam.function_space.tabulate_dof_coordinates()
         return np.asarray(X[self.nodes, : self._dim])
 
+    @property
+    def nodes_of_displacement(self) -> Indices:
+        """The nodes that may touch, by their numbers in the displacement's space."""
+        return np.asarray(self._in_V)
+
     def gaps(self) -> tuple[Floats, Floats]:
         """Gaps [m] and obstacle's normals at the owned nodes, (n,) and (n, dim). Not collective."""
         u = self._site.unknowns.u.x.array.reshape(-1, self._dim)

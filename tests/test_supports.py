@@ -303,7 +303,7 @@ def test_projected_tangent_is_the_residuals_derivative(degree, formulation):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_half_a_turn(dim):
-    """Both ends turn by 180 degrees about one axis and move on: so does the body, without strain."""
+    """Both ends turn by 180 degrees about one axis and move on; the body follows unstrained."""
     body = box_body(size=(1.0, 0.4, 0.4)[:dim], cells=(2, 1, 1)[:dim])
     axis = np.array([1.0, 2.0, 2.0]) / 3 if dim == 3 else np.array([0.0, 0.0, 1.0])
     c, shift = np.array([0.2, -0.1, 0.3])[:dim], np.array([0.5, 0.1, -0.2])[:dim]

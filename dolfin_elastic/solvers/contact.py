@@ -11,7 +11,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic.errors import InputError
-from dolfin_elastic.meshes.body import span
+from dolfin_elastic.meshes.body import Indices, span
 from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.parallel import largest, smallest, total
 from dolfin_elastic.problem import Problem
@@ -210,11 +210,11 @@ def out_of_reach(problem: Problem) -> list[str]:
     ]
 
 
-def rows_of(touch: Touching, within: float) -> tuple[Floats, Floats]:
-    """Places and normals of owned nodes at most so far from the obstacle, (n, dim) each."""
+def rows_of(touch: Touching, within: float) -> tuple[Indices, Floats]:
+    """Owned nodes of the displacement at most so far from the obstacle, and its normals there."""
     gaps, normals = touch.gaps()
     near = gaps <= within
-    return touch.places()[near], normals[near]
+    return touch.nodes_of_displacement[near], normals[near]
 
 
 def touches(touch: Touching) -> int:

@@ -64,7 +64,12 @@ class PathWatch:
         Args:
             unsure: Norm of the forces that Newton's method leaves undetermined [N].
         """
-        if self.strain.none or self._before is None or self._now is None:
+        if (
+            self.strain.none
+            or self._assembler.problem.rest
+            or self._before is None
+            or self._now is None
+        ):
             return False
         (was, f, u), (now, g, v) = self._before, self._now
         du = v - u

@@ -1,6 +1,13 @@
-"""What is left free to move as a rigid body, of which no equilibrium is unique."""
+"""What is left free to move as a rigid body, of which no equilibrium is unique.
+
+Supports hold nodes in directions; applied to translations and small rotations of a body these
+directions are rows of numbers, whose products sum up to one small matrix a body.  Its null space is
+what is left free.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -9,33 +16,71 @@ from mpi4py import MPI
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.bodies import Bodies
 from dolfin_elastic.solvers.contact import check_start, nearest_gap, rows_of, touches
+from dolfin_elastic.solvers.rigid_words import Floats, motions_in_words, planes
 
-Floats = npt.NDArray[np.float64]
 _ROUND_OFF = 1e-10
+_SHOWN = 5
+"""Bodies that one message names."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """Directions in which this rank's nodes are held.
+
+    Attributes:
+        nodes: Owned node of each direction, shape (rows,).
+        directions: Unit vectors, shape (rows, dim).
+    """
+
+    nodes: npt.NDArray[np.int32]
+    directions: Floats
+
+
+@dataclass(frozen=True)
+class FreeBody:
+    """A connected body and its rigid motions that nothing prevents.
+
+    Attributes:
+        name: Of the regions it is made of; empty if it is the only body.
+        motions: In words; none: it is held.
+    """
+
+    name: str
+    motions: tuple[str, ...]
 
 
 def check_held(problem: Problem) -> None:
-    """A body in equilibrium must be held against every rigid motion. Collective.
+    """Each connected body in equilibrium must be held against every rigid motion. Collective.
 
     Raises:
-        InputError: It is not.
+        InputError: One is not.
     """
     if problem.touching:
         check_start(problem)
-    free = free_motions(problem)
-    if free and problem.touching:
+    bodies = free_bodies(problem)
+    free = [body for body in bodies if body.motions]
+    if not free:
+        return
+    if problem.touching:
         _say_what_is_away(problem, free)
-    if free:
-        what = "the supports leave the body free" if problem.supports else "there is no support"
-        raise InputError(
-            f"{what}: as a rigid body it can {', '.join(free)}",
-            where="support",
-            expected="statics needs supports that hold it; [dynamics] does not",
-        )
+    what = "the supports leave the body free" if problem.supports else "there is no support"
+    said = f"as a rigid body it can {', '.join(free[0].motions)}"
+    if len(bodies) > 1:
+        what = "the supports leave bodies free" if problem.supports else what
+        said = "; ".join(f"`{b.name}` can {', '.join(b.motions)}" for b in free[:_SHOWN])
+        more = f" and {len(free) - _SHOWN} more bodies" if len(free) > _SHOWN else ""
+        said = f"of {len(bodies)} bodies that share no nodes, {said}{more}"
+    raise InputError(
+        f"{what}: {said}",
+        where="support",
+        expected="statics needs supports that hold "
+        f"{'each body' if len(bodies) > 1 else 'it'}; [dynamics] does not",
+    )
 
 
-def _say_what_is_away(problem: Problem, free: list[str]) -> None:
+def _say_what_is_away(problem: Problem, free: list[FreeBody]) -> None:
     """Raises if obstacles would hold the body once they touched. Collective."""
     if free_motions(problem, reached=True):
         return
@@ -43,7 +88,7 @@ def _say_what_is_away(problem: Problem, free: list[str]) -> None:
     said = ", ".join(f"'{label}' is {gap:.3g} m away" for label, gap in away.items())
     raise InputError(
         f"no obstacle holds the body yet ({said or 'they touch elsewhere'}): as a rigid body it "
-        f"can {', '.join(free)}",
+        f"can {', '.join(free[0].motions)}",
         where="contact",
         expected="statics needs supports that hold it, or an obstacle that touches from the "
         "start; [dynamics] does not",
@@ -51,79 +96,87 @@ def _say_what_is_away(problem: Problem, free: list[str]) -> None:
 
 
 def free_motions(problem: Problem, *, reached: bool = False) -> list[str]:
-    """Rigid motions that no support prevents, in words. Collective.
-
-    The prescribed components, applied to translations and small rotations, sum up to a matrix of
-    6x6 numbers (3x3 in a plane) whose null space is what is left free.  Prescribed directions and
-    those of springs count as components do; dashpots hold nothing.  Nodes that touch an obstacle
-    add its normals, as if it could pull, too.
+    """Rigid motions of any body that no support prevents, in words. Collective.
 
     Args:
-        problem: Whose body.
-        reached: Count every surface as touching.
+        problem: Whose bodies.
+        reached: Count every surface that may touch an obstacle as touching.
+    """
+    bodies = free_bodies(problem, reached=reached)
+    return list(dict.fromkeys(motion for body in bodies for motion in body.motions))
+
+
+def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
+    """All connected bodies, each with the rigid motions that no support prevents. Collective."""
+    bodies = Bodies(problem)
+    centres, sizes = _frames(bodies)
+    sums = _products(bodies, held_directions(problem, reached=reached), centres, sizes)
+    names = bodies.names()
+    return [
+        FreeBody(name, tuple(_motions(problem, matrix, centre, float(size))))
+        for name, matrix, centre, size in zip(names, sums, centres, sizes, strict=True)
+    ]
+
+
+def held_directions(problem: Problem, *, reached: bool = False) -> Held:
+    """What holds this rank's nodes, and in which directions. Not collective.
+
+    Prescribed components and directions, springs, and obstacles that touch, as if they could pull,
+    too; dashpots hold nothing.
     """
     dim, prescribed = problem.body.dim, problem.prescribed
     held = prescribed.owned
-    x = problem.V.tabulate_dof_coordinates()[:, :dim]
-    centre, size = _frame(x, problem.body.comm)
-    rows = _rigid((x[held // dim] - centre) / size)[np.arange(len(held)), held % dim]
-    more = problem.resisting
+    rows = [Held((held // dim).astype(np.int32), np.eye(dim)[held % dim])]
+    more = list(problem.resisting)
     if (tilted := prescribed.tilted) is not None:
-        more = [*more, (tilted.nodes[: tilted.count], tilted.P[: tilted.count])]
-    for nodes, P in more:
-        moved = _rigid((x[nodes] - centre) / size)
-        rows = np.concatenate([rows, (P @ moved).reshape(-1, moved.shape[2])])
-    rows = np.concatenate([rows, *_touching_rows(problem, centre, size, reached)])
-    if problem.geometry == "axisymmetric":  # of rigid motions only the one along the axis is one
-        rows = rows[:, 1:2]
-    values, vectors = np.linalg.eigh(total(problem.body.comm, rows.T @ rows))
-    null = vectors[:, values <= _ROUND_OFF * max(values[-1], 1.0)]
-    if problem.geometry == "axisymmetric":
-        return ["move along y"] * null.shape[1]
-    return _said(null, dim)
-
-
-def _touching_rows(problem: Problem, centre: Floats, size: float, reached: bool) -> list[Floats]:
-    """Normal displacement of touching nodes under each unit rigid motion. Not collective."""
-    rows = []
+        more.append((tilted.nodes[: tilted.count], tilted.P[: tilted.count]))
+    rows += [Held(np.repeat(nodes, dim), P.reshape(-1, dim)) for nodes, P in more]
     for touch in problem.touching:
-        places, normals = rows_of(touch, np.inf if reached else float(touch.reach.value))
-        rows.append(np.einsum("nd,ndm->nm", normals, _rigid((places - centre) / size)))
-    return rows
+        within = np.inf if reached else float(touch.reach.value)
+        rows.append(Held(*rows_of(touch, within)))
+    return Held(
+        np.concatenate([row.nodes for row in rows]).astype(np.int32),
+        np.concatenate([row.directions for row in rows]),
+    )
 
 
-def _frame(x: Floats, comm: MPI.Comm) -> tuple[Floats, float]:
-    """Middle and size of the body's bounding box. Collective."""
-    corners = np.concatenate([x.max(axis=0, initial=-np.inf), -x.min(axis=0, initial=np.inf)])
-    comm.Allreduce(MPI.IN_PLACE, corners, op=MPI.MAX)
-    high, low = np.split(corners, 2)
-    return (high - low) / 2, float(np.max(high + low))
+def _frames(bodies: Bodies) -> tuple[Floats, Floats]:
+    """Middle, shape (bodies, dim), and size of each body's bounding box. Collective."""
+    x, of = bodies.places, bodies.of_node
+    corners = np.full((bodies.count, 2 * x.shape[1]), -np.inf)
+    np.maximum.at(corners, of, np.concatenate([x, -x], axis=1))
+    bodies.comm.Allreduce(MPI.IN_PLACE, corners, op=MPI.MAX)
+    high, low = np.split(corners, 2, axis=1)
+    return (high - low) / 2, np.max(high + low, axis=1)
 
 
-def _planes(dim: int) -> list[tuple[int, int]]:
-    """The plane of each rotation: about x, y, z; in a plane about z."""
-    return [(1, 2), (2, 0), (0, 1)] if dim == 3 else [(0, 1)]
+def _products(bodies: Bodies, held: Held, centres: Floats, sizes: Floats) -> Floats:
+    """The matrix of each body, shape (bodies, motions, motions). Collective."""
+    of = bodies.of_node[held.nodes]
+    arms = (bodies.places[held.nodes] - centres[of]) / sizes[of, None]
+    rows = np.einsum("rc,rcm->rm", held.directions, _rigid(arms))
+    sums = np.zeros((bodies.count, rows.shape[1], rows.shape[1]))
+    np.add.at(sums, of, rows[:, :, None] * rows[:, None, :])
+    return np.asarray(total(bodies.comm, sums))
+
+
+def _motions(problem: Problem, matrix: Floats, centre: Floats, size: float) -> list[str]:
+    axisymmetric = problem.geometry == "axisymmetric"
+    if axisymmetric:  # of rigid motions only the one along the axis is one
+        matrix = matrix[1:2, 1:2]
+    values, vectors = np.linalg.eigh(matrix)
+    null = vectors[:, values <= _ROUND_OFF * max(values[-1], 1.0)]
+    if axisymmetric:
+        return ["move along y"] * null.shape[1]
+    return motions_in_words(null, centre, size)
 
 
 def _rigid(x: Floats) -> Floats:
     """Displacement of points under unit rigid motions, shape (points, component, motion)."""
     points, dim = x.shape
-    planes = _planes(dim)
-    moved = np.zeros((points, dim, dim + len(planes)))
+    turns = planes(dim)
+    moved = np.zeros((points, dim, dim + len(turns)))
     moved[:, range(dim), range(dim)] = 1.0
-    for k, (i, j) in enumerate(planes, start=dim):
+    for k, (i, j) in enumerate(turns, start=dim):
         moved[:, i, k], moved[:, j, k] = -x[:, j], x[:, i]
     return moved
-
-
-def _said(null: Floats, dim: int) -> list[str]:
-    names = [f"move along {axis}" for axis in "xyz"[:dim]] + [
-        f"turn about {axis}" for axis in ("xyz" if len(null) > 3 else "z")
-    ]
-    share = np.linalg.norm(null, axis=1)
-    if null.shape[1] == len(null):
-        return ["move and turn freely"]
-    plain = [name for name, part in zip(names, share, strict=True) if part > 1 - 1e-6]
-    if len(plain) < null.shape[1]:
-        plain.append("turn about some axis")
-    return plain

@@ -16,6 +16,7 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.arclength import ArcLength
 from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.audit import Auditor
 from dolfin_elastic.solvers.contact import Augmentation, Measured
 from dolfin_elastic.solvers.inertia import disturb, negative_eigenvalues
 from dolfin_elastic.solvers.jump import PathWatch
@@ -183,6 +184,8 @@ class _Stepping:
         self.assembler, self.newton = assembler, newton
         self.ladder = Ladder(newton, Augmentation(self.problem))
         self._watch, self._measured = PathWatch(assembler), Measured(self.problem)
+        assert newton.guard is not None
+        self._auditor = Auditor(self.problem, assembler, newton.guard.watch)
         self._count = 0
         self._before: tuple[float, Vector] | None = None
         self._limits: tuple[float, ...] = ()
@@ -287,6 +290,7 @@ class _Stepping:
         self.problem.unknowns.tell()
         with stage("assemble"):
             self.assembler.assemble_balance()
+        progress.converged = False
         force, place = self.assembler.largest_unbalance()
         return ConvergenceError(
             f"no equilibrium beyond load factor {t:.6g}: {progress.reason}, Newton iterations: "
@@ -318,6 +322,9 @@ class _Stepping:
 
     def _state(self, t: float, progress: Progress, negative: int | None = None) -> State:
         problem, assembler = self.problem, self.assembler
+        strain = self._watch.strain
+        energies = {"strain": strain.energy(), **strain.springs()}
+        judged = progress.converged or t == 0.0
         self._count += 1
         return State(
             step=self._count - 1,
@@ -329,12 +336,13 @@ class _Stepping:
             krylov=progress.krylov,
             reason=progress.reason,
             residuals=tuple(progress.residuals),
-            energies={"strain": self._watch.strain.energy(), **self._watch.strain.springs()},
+            energies=energies,
             reactions=assembler.reactions(),
             max_displacement=assembler.max_displacement(),
             negative=negative,
             limit_points=self._limits,
             numbers=self._measured.numbers(),
+            audit=self._auditor.of(t, energies["strain"]) if judged else None,
             done=t / self.settings.end,
         )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dolfin_elastic.model.loads.base import Load as Load
+from dolfin_elastic.model.loads.base import Places as Places
 from dolfin_elastic.model.loads.base import Site as Site
 from dolfin_elastic.model.loads.concentrated import Concentrated as Concentrated
 from dolfin_elastic.model.loads.concentrated import LineForce as LineForce

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
+import numpy.typing as npt
 import ufl
 from pydantic import model_validator
 from ufl.core.expr import Expr
@@ -64,6 +67,28 @@ class Site(Protocol):
 
     def scalar(self, value: Component, amplitude: Amplitude | None) -> Expr:
         """A number or formula at a point of the body, times the amplitude."""
+
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Places:
+    """Points of the undeformed body at which a load is asked how strong it is.
+
+    Attributes:
+        X: Places [m], shape (..., dim).
+        t: Time [s], or load parameter.
+        N: Outward unit normals, shape of X, on surfaces only.
+        density: Mass density [kg/m^3], shape (...), for loads that need it.
+        size: Area or volume of all points' part [m^2, m^3].
+    """
+
+    X: Floats
+    t: float
+    N: Floats | None = None
+    density: Floats | None = None
+    size: float = 1.0
 
 
 class Load(Record):
@@ -133,6 +158,16 @@ class Load(Record):
     def field(self, site: Site) -> Expr:
         """The load's vector as a UFL expression."""
         return site.vector(self.values, self.amplitude)
+
+    def intensity(self, places: Places) -> Floats | None:
+        """Force per reference area or volume on the undeformed body, without its amplitude.
+
+        A report integrates it before anything is compiled: the same as `virtual_work`, in numbers.
+
+        Returns:
+            Shape of `places.X` [N/m^2 or N/m^3]; None: the load cannot be told so.
+        """
+        return None
 
     def virtual_work(self, site: Site) -> ufl.Form:
         """External virtual work of the load, linear in `site.v`."""

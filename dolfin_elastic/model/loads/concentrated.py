@@ -5,11 +5,12 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.model.components import Component, components
-from dolfin_elastic.model.loads.base import Load, keyed
+from dolfin_elastic.model.loads.base import Floats, Load, keyed
 from dolfin_elastic.units import Length
 
 Point = tuple[float, ...]
@@ -38,7 +39,11 @@ class Concentrated(Load):
     @property
     def points(self) -> dict[str, Point]:
         """Key to point: the one where the force acts, or both ends of the line."""
-        raise NotImplementedError
+        raise TypeError(f"{type(self).__name__} has no points")
+
+    def samples(self) -> tuple[Floats, Floats]:
+        """Points [m], shape (n, dim), and what the value there is multiplied by, shape (n,)."""
+        return np.array([*self.points.values()]), np.ones(len(self.points))
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:
@@ -83,3 +88,10 @@ class LineForce(Concentrated):
         if start == end or len(start) != len(end):
             raise InputError("the line has no length", where="end", expected="another point")
         return {"start": start, "end": end}
+
+    def samples(self) -> tuple[Floats, Floats]:
+        """Gauss points of the whole line."""
+        start, end = (np.array(point) for point in self.points.values())
+        x, weights = np.polynomial.legendre.leggauss(16)
+        length = float(np.linalg.norm(end - start))
+        return start + (1 + x)[:, None] / 2 * (end - start), weights * length / 2

@@ -5,14 +5,15 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any, ClassVar, Literal, Self
 
+import numpy as np
 import ufl
 from pydantic import Field, model_validator
 from ufl.core.expr import Expr
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
-from dolfin_elastic.model.components import Component, component, components
-from dolfin_elastic.model.loads.base import PLACE, Load, Site, keyed
+from dolfin_elastic.model.components import Component, component, components, vector_at
+from dolfin_elastic.model.loads.base import PLACE, Floats, Load, Places, Site, keyed
 
 
 class Traction(Load):
@@ -57,6 +58,11 @@ class Traction(Load):
         """See `Load.vectors`."""
         return {"value" if self.force is None else "force": self.values}
 
+    def intensity(self, places: Places) -> Floats:
+        """See `Load.intensity`."""
+        share = 1.0 if self.force is None else places.size
+        return np.asarray(vector_at(self.values, places.X, places.t) / share)
+
     def virtual_work(self, site: Site) -> ufl.Form:
         """See the class."""
         traction = self.field(site)
@@ -71,6 +77,10 @@ class BodyForce(Load):
     kind: Literal["body-force"] = "body-force"
     on: str | list[str] | None = None
     unit: ClassVar[str] = "N/m^3"
+
+    def intensity(self, places: Places) -> Floats:
+        """See `Load.intensity`."""
+        return vector_at(self.values, places.X, places.t)
 
     def virtual_work(self, site: Site) -> ufl.Form:
         """See the class."""
@@ -94,10 +104,19 @@ class Gravity(Load):
         """The components; none stands for the standard weight."""
         return components(self.value, self.unit) if self.value else ()
 
+    def acceleration(self, dim: int) -> tuple[Component, ...]:
+        """Its components [m/s^2] in 2 or 3 dimensions."""
+        return self.values or (0.0,) * (dim - 1) + (-9.81,)
+
     def field(self, site: Site) -> Expr:
         """The acceleration as a UFL expression."""
-        down = (0.0,) * (len(site.v) - 1) + (-9.81,)
-        return site.vector(self.values or down, self.amplitude)
+        return site.vector(self.acceleration(len(site.v)), self.amplitude)
+
+    def intensity(self, places: Places) -> Floats:
+        """See `Load.intensity`."""
+        assert places.density is not None
+        g = vector_at(self.acceleration(places.X.shape[-1]), places.X, places.t)
+        return np.asarray(places.density[..., None] * g)
 
     def virtual_work(self, site: Site) -> ufl.Form:
         """See the class."""
@@ -168,6 +187,18 @@ class Centrifugal(Load):
         across = r - ufl.inner(axis, r) * axis
         force = site.factor(self.amplitude) * site.value(self.values[0]) ** 2 * across
         return sum(rho * ufl.inner(force, site.v) * dx for rho, dx in site.densities(self.parts))
+
+    def intensity(self, places: Places) -> Floats:
+        """See `Load.intensity`; of a body of revolution only the radial part is left."""
+        assert places.density is not None
+        dim = places.X.shape[-1]
+        a = np.array([*(self._numbers("axis") or [0.0, 0.0, 1.0]), 0.0][:3])
+        a = (a / np.linalg.norm(a))[:dim]
+        r = places.X - np.array(self._numbers("point") or [0.0] * dim)
+        (speed,) = self.values
+        omega = speed.evaluate(t=places.t) if isinstance(speed, Formula) else float(speed or 0.0)
+        across = r - (r @ a)[..., None] * a
+        return np.asarray(places.density[..., None] * omega**2 * across)
 
     def _centre(self, site: Site) -> list[float]:
         c, dim = self._numbers("point") or [0.0] * len(site.v), len(site.v)
