@@ -204,7 +204,12 @@ class Problem:
     @cached_property
     def external(self) -> ufl.Form | None:
         """External virtual work of all loads; None without loads."""
-        return sum(map(self._work, range(len(self.loads)))) if self.loads else None
+        return sum(self.works) if self.loads else None
+
+    @cached_property
+    def works(self) -> list[ufl.Form]:
+        """External virtual work of each load."""
+        return [self._work(index) for index in range(len(self.loads))]
 
     def _work(self, index: int) -> ufl.Form:
         try:

@@ -39,14 +39,14 @@ def free_motions(problem: Problem) -> list[str]:
     dim, held = problem.body.dim, problem.prescribed.owned
     x = problem.V.tabulate_dof_coordinates()[:, :dim]
     centre, size = _frame(x, problem.body.comm)
-    rows = _rigid((x[held // dim] - centre) / size)[np.arange(len(held)), held % dim]
+    rows = rigid_motions((x[held // dim] - centre) / size)[np.arange(len(held)), held % dim]
     if problem.geometry == "axisymmetric":  # of rigid motions only the one along the axis is one
         rows = rows[:, 1:2]
     values, vectors = np.linalg.eigh(total(problem.body.comm, rows.T @ rows))
     null = vectors[:, values <= _ROUND_OFF * max(values[-1], 1.0)]
     if problem.geometry == "axisymmetric":
         return ["move along y"] * null.shape[1]
-    return _said(null, dim)
+    return motions_in_words(null, dim)
 
 
 def _frame(x: Floats, comm: MPI.Comm) -> tuple[Floats, float]:
@@ -62,7 +62,7 @@ def _planes(dim: int) -> list[tuple[int, int]]:
     return [(1, 2), (2, 0), (0, 1)] if dim == 3 else [(0, 1)]
 
 
-def _rigid(x: Floats) -> Floats:
+def rigid_motions(x: Floats) -> Floats:
     """Displacement of points under unit rigid motions, shape (points, component, motion)."""
     points, dim = x.shape
     planes = _planes(dim)
@@ -73,7 +73,8 @@ def _rigid(x: Floats) -> Floats:
     return moved
 
 
-def _said(null: Floats, dim: int) -> list[str]:
+def motions_in_words(null: Floats, dim: int) -> list[str]:
+    """Names of motions; the columns of `null`, orthonormal, combine those of `rigid_motions`."""
     names = [f"move along {axis}" for axis in "xyz"[:dim]] + [
         f"turn about {axis}" for axis in ("xyz" if len(null) > 3 else "z")
     ]

@@ -14,6 +14,7 @@ from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.doctor import Rejected, diagnose
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton, Progress, Tolerance
@@ -104,7 +105,7 @@ class _Stepping:
         energy = self.problem.strain_energy
         self._energy = compiled(self.problem, [energy])[0] if energy is not None else None
         self._watch = JacobianWatch(self.problem)
-        self._count = 0
+        self._count, self._rejected = 0, Rejected()
 
     def run(self) -> Iterator[State]:
         planned = 1.0 / self.settings.steps
@@ -117,7 +118,7 @@ class _Stepping:
             goal = _next_planned(t, planned, size)
             progress = self._attempt(t, goal)
             if progress.converged:
-                t = goal
+                t, self._rejected = goal, Rejected()
                 yield self._state(t, progress)
                 easy = progress.newton <= QUICK
                 size = min(planned, (2.0 if easy else 1.0) * size)
@@ -150,6 +151,7 @@ class _Stepping:
     def _refuse_inverted(self, progress: Progress) -> None:
         if progress.converged and (worst := self._watch.smallest())[0] <= 0.0:
             progress.converged = False
+            self._rejected = self._rejected.and_of(worst)
             progress.reason = (
                 f"a cell turned inside out (det F = {worst[0]:.3g}, at {_text(worst[1])} m)"
             )
@@ -162,15 +164,24 @@ class _Stepping:
                 "no equilibrium at load factor %.6g (%s): half the step", goal, progress.reason
             )
             return size
+        raise self._failure(t, goal, progress)
+
+    def _failure(self, t: float, goal: float, progress: Progress) -> ConvergenceError:
         force, place = self.assembler.largest_unbalance()
-        self.problem.w.x.array[:] = self._failed
-        self.problem.unknowns.tell()
-        raise ConvergenceError(
-            f"no equilibrium beyond load factor {t:.6g}: {progress.reason}, Newton iterations: "
-            f"{progress.newton}; the largest force out of balance, {force:.3g} N, is at "
-            f"{_text(place)} m",
-            advice=_advice(progress),
+        found = diagnose(
+            self.assembler,
+            progress,
+            good=self.problem.w.x.array.copy(),
+            failed=self._failed,
+            rejected=self._rejected,
+        )
+        return ConvergenceError(
+            f"no equilibrium beyond load factor {t:.6g}: {found.text}\n  at the end: "
+            f"{progress.reason}, Newton iterations: {progress.newton}; the largest force out of "
+            f"balance, {force:.3g} N, is at {_text(place)} m",
+            advice=found.advice,
             state=self._state(goal, progress),
+            diagnosis=found,
         )
 
     def _state(self, t: float, progress: Progress) -> State:
@@ -203,14 +214,3 @@ def _next_planned(t: float, planned: float, size: float) -> float:
 
 def _text(place: Any) -> str:
     return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"
-
-
-def _advice(progress: Progress) -> str:
-    if "LINEAR_SOLVE" in progress.reason:
-        return (
-            "is the body held against every rigid motion? Otherwise "
-            'solver.method = "direct" or a smaller load'
-        )
-    if "inside out" in progress.reason or "NAN" in progress.reason:
-        return "more load steps, a smaller load, or a finer mesh where the cells are crushed"
-    return "more load steps or a smaller load; beyond a limit point no static equilibrium exists"
