@@ -180,7 +180,7 @@ class _Doctor:
     def _inverted(self) -> Diagnosis:
         count, bad = self._upside_down(), self.rejected
         if bad.count:
-            J, place = bad.jacobian, bad.place
+            J, place = bad.jacobian, bad.place[: self.problem.body.dim]
             often = f" {bad.count} times" if bad.count > 1 else ""
             start = f"the solution was refused{often}: "
         else:
@@ -246,7 +246,7 @@ class _Doctor:
         return self._make("linear-solver", f"the linear solver failed: {said}{self.unseen}", advice)
 
     def _ahead(self) -> Diagnosis | None:
-        """What Newton's next step would run into that is no inversion."""
+        """What Newton's next step would run into."""
         limit = LIMIT[self.problem.body.dim]
         if not self.finite or self.problem.num_dofs > limit or not self._tangent(self.failed):
             return None
@@ -255,8 +255,10 @@ class _Doctor:
         finite = self._residual(self.problem.w.x.array.copy())
         fault = None if finite else not_finite(self.cells)
         self._residual(self.failed)
-        if fault is None or fault.inverted:
+        if fault is None:
             return None
+        if fault.inverted:
+            return self._make("inverted", words.ahead(fault.text), words.SMALLER, fault.place)
         before = "; the last iterate stands just before that, and Newton's step leads there"
         return self._nan(fault.text + before, fault)
 

@@ -149,13 +149,12 @@ def _of_material(cells: Cells, part: Part) -> Fault | None:
         J = np.linalg.det(F)
     upright = bool(largest(cells.comm, float(np.any(J > 0.0))))
     place = cells.first(bad)
-    why = _why(cells, part, F) or "its stress is not finite"
+    why = _why(cells, part, F) or "the stress is not finite"
     low = smallest(cells.comm, float(np.min(J, initial=np.inf)))
-    text = (
-        f"material '{part.name}': {why}, in {_count(count, 'cell')} near {text_of(place)} m "
-        f"(smallest det F {low:.3g})"
-    )
-    return Fault(text, place, inverted=not upright and not np.isnan(low))
+    inverted = not upright and not np.isnan(low)
+    where = f"in {_count(count, 'cell')} of material '{part.name}' near {text_of(place)} m"
+    text = f"det F falls to {low:.3g} {where}" if inverted else f"{why} {where}"
+    return Fault(text, place, inverted=inverted)
 
 
 def _why(cells: Cells, part: Part, F: Array) -> str:

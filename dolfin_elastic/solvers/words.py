@@ -57,6 +57,11 @@ _KSP = {
 }
 
 
+def ahead(fault: str) -> str:
+    """What Newton's next step does to cells."""
+    return f"every step of Newton's method turns cells inside out: {fault}"
+
+
 def linear(reason: str) -> tuple[str, str]:
     """A linear solver's end in words, with PETSc's name of it, and advice."""
     name = reason.partition("(")[2].rstrip(")") or reason
