@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfin_elastic.errors import BadCell, Diagnosis
+from dolfin_elastic.meshes.body import cell_size, span
 from dolfin_elastic.parallel import largest
 from dolfin_elastic.solvers import modes, words
 from dolfin_elastic.solvers.assembler import Assembler
@@ -33,6 +34,9 @@ Array = npt.NDArray[np.float64]
 
 FLOOR = 100.0
 """Times the estimated round-off that a residual may keep to be called so."""
+
+NO_ENERGY = "the strain energy has no finite value"
+"""Reason of a solution that was refused since its energy is no number."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,7 @@ class _Doctor:
         self.rejected, self.moving = Rejected(), False
         self.cells, self.unseen = Cells(assembler), ""
         self.finite = self._residual(self.failed)
+        self.held = self.finite and assembler.gap <= 1e-9 * span(self.problem.body)
         self.worst: tuple[BadCell, ...] = self.cells.worst()
 
     def said(self) -> Diagnosis:
@@ -122,6 +127,8 @@ class _Doctor:
         self.problem.unknowns.tell()
 
     def _make(self, cause: str, text: str, advice: str, place: tuple[float, ...] = ()) -> Diagnosis:
+        if self.moving and cause in ("inverted", "stalled", "iterations"):
+            advice = words.SMALLER_STEP
         return Diagnosis(cause, text, advice, place[: self.problem.body.dim], self.worst)
 
     # --- looking ---
@@ -160,7 +167,7 @@ class _Doctor:
         return self._make("rigid-motion", text, words.HOLD, found.place)
 
     def _not_finite(self) -> Diagnosis | None:
-        if self.finite:
+        if self.finite and self.progress.reason != NO_ENERGY:
             return None
         self._residual(self.failed)
         fault = not_finite(self.cells)
@@ -197,12 +204,11 @@ class _Doctor:
 
     def _round_off(self) -> Diagnosis | None:
         """The residual has stopped falling where round-off of the internal forces begins."""
-        norms = self.progress.residuals
-        if not self.finite or len(norms) < 4 or not np.isfinite(norms).all():
+        norms = self.progress.residuals[-3:]
+        if not (self.held and norms and np.isfinite(norms).all()):
             return None
         best, floor = min(norms), self._floor()
-        recent = min(norms[-3:])
-        if not (best <= FLOOR * floor and min(norms[:-2]) <= 2.0 * recent):
+        if best > FLOOR * floor:
             return None
         reference = max(self.assembler.external_norm(), self.assembler.held)
         relative = best / reference if reference > 0.0 else np.inf
@@ -227,7 +233,7 @@ class _Doctor:
         diagonal.destroy()
         rows[self.assembler.fixed] = 0.0
         norm = float(np.sqrt(sum(self.assembler.comm.allgather(float(np.sum(rows**2))))))
-        size = modes.cell_length(self.problem) + self.assembler.max_displacement()
+        size = cell_size(self.problem.body) + self.assembler.max_displacement()
         return float(np.finfo(float).eps) * norm * size
 
     def _unstable(self) -> Diagnosis | None:
@@ -247,13 +253,15 @@ class _Doctor:
 
     def _ahead(self) -> Diagnosis | None:
         """What Newton's next step would run into."""
+        if self.moving:  # its tangent has the mass in it, with the factor of a step that is over
+            return None
         limit = LIMIT[self.problem.body.dim]
         if not self.finite or self.problem.num_dofs > limit or not self._tangent(self.failed):
             return None
         if not modes.take_newton_step(self.assembler):
             return None
-        finite = self._residual(self.problem.w.x.array.copy())
-        fault = None if finite else not_finite(self.cells)
+        self._residual(self.problem.w.x.array.copy())
+        fault = not_finite(self.cells)
         self._residual(self.failed)
         if fault is None:
             return None

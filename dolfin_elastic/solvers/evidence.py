@@ -134,8 +134,9 @@ def not_finite(cells: Cells) -> Fault | None:
 
 def _of_material(cells: Cells, part: Part) -> Fault | None:
     problem = cells.problem
-    stress = _flat(problem.response(part, problem.w).stress(problem.F(problem.w)))
-    kernel = compile_expression(cells.comm, stress, cells.points, problem.jit)
+    law, F = problem.response(part, problem.w), problem.F(problem.w)
+    entries = [*_flat(law.stress(F)), *([law.energy(F)] if law.has_energy else [])]
+    kernel = compile_expression(cells.comm, ufl.as_vector(entries), cells.points, problem.jit)
     values = np.zeros((0, 1))
     if len(part.cells):
         values = kernel.eval(problem.body.mesh, part.cells).reshape(len(part.cells), -1)
@@ -149,11 +150,11 @@ def _of_material(cells: Cells, part: Part) -> Fault | None:
         J = np.linalg.det(F)
     upright = bool(largest(cells.comm, float(np.any(J > 0.0))))
     place = cells.first(bad)
-    why = _why(cells, part, F) or "the stress is not finite"
+    why = _why(cells, part, F) or "stress or energy is not finite"
     low = smallest(cells.comm, float(np.min(J, initial=np.inf)))
     inverted = not upright and not np.isnan(low)
-    where = f"in {_count(count, 'cell')} of material '{part.name}' near {text_of(place)} m"
-    text = f"det F falls to {low:.3g} {where}" if inverted else f"{why} {where}"
+    why = f"det F falls to {low:.3g}" if inverted else why
+    text = f"material '{part.name}': {why}, in {_count(count, 'cell')} near {text_of(place)} m"
     return Fault(text, place, inverted=inverted)
 
 
@@ -204,7 +205,7 @@ def _flat(tensor: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
 
 
 def _numbers(place: Array) -> tuple[float, ...]:
-    return tuple(float(x) for x in place)
+    return tuple(float(x) + 0.0 for x in np.round(place, 12))
 
 
 def _rounded(value: float) -> float:

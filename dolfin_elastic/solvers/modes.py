@@ -11,7 +11,6 @@ import numpy.typing as npt
 from dolfin_elastic.bench.checks import finite_twin
 from dolfin_elastic.bench.pointwise import Point
 from dolfin_elastic.bench.ranges import acoustic
-from dolfin_elastic.meshes.body import cell_size
 from dolfin_elastic.parallel import largest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers import words
@@ -23,7 +22,10 @@ Array = npt.NDArray[np.float64]
 Put = Callable[[Array], None]
 
 SOFT = 0.5
-"""Share of its stiffness at rest that the weakest motion has lost near a critical load."""
+"""Share of its stiffness at rest that a motion may keep where the last iterate is unstable."""
+
+LOST = 0.1
+"""Share below which it counts as lost whatever the last iterate is."""
 
 SIDEWAYS = 0.02
 """Cosine between mode and load up to which the load does no work on the mode: a bifurcation."""
@@ -86,7 +88,7 @@ def unstable(assembler: Assembler, put: Put, good: Array, failed: Array) -> Find
     if at_good.mode is None or not (at_failed := _look(assembler, put, failed)):
         return Finding()
     left = _left(_look(assembler, put, np.zeros_like(good)), at_good.mode)
-    if at_failed.unstable and left <= SOFT:
+    if left <= (SOFT if at_failed.unstable else LOST):
         return _told(assembler, put, good, at_good, left=left)
     return Finding()
 
@@ -157,11 +159,6 @@ def take_newton_step(assembler: Assembler) -> bool:
     return stability.sound
 
 
-def cell_length(problem: Problem) -> float:
-    """About the edge length of a cell [m]. Collective."""
-    return cell_size(problem.body)
-
-
 # --- what it says ---
 
 
@@ -172,7 +169,7 @@ def _told(assembler: Assembler, put: Put, good: Array, look: Look, *, left: floa
         f"the last equilibrium is unstable: its tangent has {_eigenvalues(look.negative)}"
         if look.unstable
         else "near the last equilibrium stability is lost: the stiffness against one motion has "
-        f"fallen to {100 * left:.2g} % of that at rest, and beyond it is negative"
+        f"fallen to {100 * left:.2g} % of that at rest"
     )
     if mode is None:
         return Finding(text, words.BUCKLING)
@@ -224,7 +221,11 @@ def _largest_motion(
     node = min(near, key=lambda n: tuple(places[n].round(12)), default=None)
     mine = None
     if node is not None:
-        mine = (tuple(places[node].round(12).tolist()), rows[node], _material_at(problem, node))
+        mine = (
+            tuple((places[node].round(12) + 0.0).tolist()),
+            rows[node],
+            _material_at(problem, node),
+        )
     found = [one for one in comm.allgather(mine) if one is not None]
     place, moved, name = min(found, key=lambda one: one[0])
     unit = np.array(moved) / np.linalg.norm(moved)

@@ -14,7 +14,7 @@ from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
-from dolfin_elastic.solvers.doctor import Rejected, diagnose
+from dolfin_elastic.solvers.doctor import NO_ENERGY, Rejected, diagnose
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton, Progress, Tolerance
@@ -140,6 +140,7 @@ class _Stepping:
                 w[:] = start
                 progress = self.newton.solve(line_search)
             self._refuse_inverted(progress)
+            self._refuse_endless(progress)
             if progress.converged:
                 return progress
             log.debug("line search '%s' fails: %s", line_search, progress.reason)
@@ -155,6 +156,13 @@ class _Stepping:
             progress.reason = (
                 f"a cell turned inside out (det F = {worst[0]:.3g}, at {_text(worst[1])} m)"
             )
+
+    def _refuse_endless(self, progress: Progress) -> None:
+        """Beyond a pole of an energy, as of ln(1 - I), stress may be finite and mean nothing."""
+        if not progress.converged or self._energy is None:
+            return
+        if not np.isfinite(integral(self.problem, self._energy)):
+            progress.converged, progress.reason = False, NO_ENERGY
 
     def _smaller(self, t: float, goal: float, planned: float, progress: Progress) -> float:
         """Half the step that failed, or the error when that is too small."""

@@ -32,7 +32,7 @@ STALLED = "more load steps or a smaller load; beyond a limit point no static equ
 SMALLER_STEP = "a smaller dt, or a spectral_radius below 1"
 
 _KSP = {
-    "DIVERGED_ITS": (
+    "DIVERGED_MAX_IT": (
         "its iterations (ksp_max_it) were not enough",
         'solver.method = "direct", or a larger ksp_max_it',
     ),
@@ -50,7 +50,7 @@ _KSP = {
         "it met a number that is not finite: the tangent may be singular",
         'solver.method = "direct"; is every piece of the body held?',
     ),
-    "DIVERGED_PC_FAILED": (
+    "DIVERGED_PCSETUP_FAILED": (
         "the preconditioner or factorisation failed: the tangent is singular, or memory ran out",
         "is every piece of the body held? Otherwise more load steps",
     ),
