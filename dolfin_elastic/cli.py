@@ -10,6 +10,7 @@ import logging
 import os
 import signal
 import sys
+import textwrap
 import time
 import traceback
 from pathlib import Path
@@ -364,12 +365,31 @@ def _told(error: ElasticError) -> int:
     comm = _comm()
     if (comm.rank if comm else launched_rank()) == 0:
         notes = "".join(f"\n  {note}" for note in getattr(error, "__notes__", ()))
-        print(f"error: {error}{notes}", file=sys.stderr, flush=True)
+        text = f"error: {error}{notes}"
+        if isinstance(error, SolveError):
+            text = _folded(text)
+        print(text, file=sys.stderr, flush=True)
     if comm and comm.size > 1 and not _all_here(comm):
         if comm.rank:
             print(f"error (rank {comm.rank} alone): {error}", file=sys.stderr, flush=True)
         comm.Abort(error.exit_code)
     return error.exit_code
+
+
+def _folded(text: str, width: int = 100) -> str:
+    """Long lines in several, the later ones indented; words and paths stay whole."""
+    lines = [
+        textwrap.wrap(
+            line,
+            width,
+            initial_indent=" " * (len(line) - len(line.lstrip())),
+            subsequent_indent="    ",
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        for line in text.splitlines()
+    ]
+    return "\n".join(part for line in lines for part in line)
 
 
 def _all_here(comm: MPI.Comm, patience: float = 10.0) -> bool:

@@ -205,8 +205,8 @@ class _Doctor:
     def _round_off(self) -> Diagnosis | None:
         """The residual has stopped falling where round-off of the internal forces begins."""
         norms = self.progress.residuals[-3:]
-        if not (self.held and norms and np.isfinite(norms).all()):
-            return None
+        if self.moving or not (self.held and norms and np.isfinite(norms).all()):
+            return None  # in motion inertia has a round-off of its own, which is not estimated
         best, floor = min(norms), self._floor()
         if best > FLOOR * floor:
             return None
