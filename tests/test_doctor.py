@@ -40,6 +40,7 @@ from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.linear import LinearSettings
 from dolfin_elastic.solvers.pieces import loose, pieces
 from dolfin_elastic.solvers.stability import Stability, curvature
+from dolfin_elastic.state import State
 
 FREE = "free"
 E, NU = 1e6, 0.3
@@ -85,24 +86,29 @@ def held(law: Any, right: list[Any], **more: Any) -> Problem:
 def test_solutions_that_are_inside_out():
     """Hooke's square pushed through itself: refused from 2/3 of the load on, everywhere."""
     problem = held(LinearElastic(E=E, nu=0.0), [-1.5, 0])
-    found = diagnosis(problem, min_step=1 / 64)
+    error = failure(problem, min_step=1 / 64)
+    found, state = error.diagnosis, error.state
+    assert found is not None
     assert found.cause == "inverted"
-    # Uniform strain without lateral contraction: det F = 1 - 1.5 t, in all 32 cells at once; of
-    # the last step, from t = 42/64 to 43/64.
+    assert isinstance(state, State)
+    # Uniform strain without lateral contraction: det F = 1 - 1.5 t in all 32 cells at once, but
+    # for round-off.
+    J = 1 - 1.5 * state.load_factor
+    assert -0.1 < J < 0
     assert "det F = -" in found.text
     assert "such cells in the body" in found.text
     assert "refused" in found.text
     assert "more load steps" in found.advice
     assert len(found.cells) == 10
-    assert all(-1 / 64 * 1.5 <= cell.jacobian < 0 for cell in found.cells)
+    np.testing.assert_allclose([cell.jacobian for cell in found.cells], J, rtol=1e-12)
 
 
 def test_steps_that_turn_cells_inside_out():
     """Crushed to 3 % in one step without a retry: no step of Newton's method stays upright."""
     found = diagnosis(held(NeoHookean(E=E, nu=NU), [-0.97, 0]), min_step=1)
     assert found.cause == "inverted"
-    assert "det F falls to -" in found.text
-    assert "in the" not in found.text
+    assert "trial states of Newton's method refused" in found.text
+    assert "(det F = -" in found.text
     assert len(found.place) == 2
     assert "more load steps" in found.advice
 
@@ -153,7 +159,7 @@ def test_a_term_without_a_value_is_named():
     assert outside(law, F) == "ln of a negative number, -0.2"
     assert outside(law, np.eye(3)[None]) == ""
     power = Energy(lambda I1, J: (2 - J) ** 1.5 * (I1 - 3))
-    assert outside(power, 4 * F) == "broken power of a negative number, -78.9"
+    assert outside(power, 4 * F) == "broken power of a negative number, -79"
     root = Energy(lambda I1: ufl.sqrt(4 - I1))
     assert outside(root, np.sqrt(2) * np.eye(3)[None]) == "square root of a negative number, -2"
     pole = Energy(lambda I1: 1 / (I1 - 3))
@@ -273,22 +279,19 @@ def test_a_column_buckles():
     assert 'statics.method = "arc-length"' in found.advice
 
 
-@pytest.mark.parametrize(("share", "negative"), [(0.9, 0), (1.1, 1), (8.5, 1), (9.6, 2)])
+@pytest.mark.parametrize(("share", "negative"), [(0.9, 0), (1.1, 1), (7.0, 1), (9.6, 2)])
 def test_eigenvalues_are_counted(share, negative):
     """The straight column has lost as many modes as loads (2k - 1)^2 Euler it has passed.
 
-    Shear, shortening and the elements' stiffness move the loads by some per cent; the second one,
-    8.1 to 8.6 Euler with shear and shortening, is kept away from.
+    Its strain is uniform, and it is free to widen.  Shear, shortening and the elements' stiffness
+    move the loads: the first by a per cent, the second, 9 Euler, by ten.
     """
-    if share == 8.5:
-        share = 7.0
     problem = column(share)
     assembler = Assembler(problem)
-    y = problem.V.tabulate_dof_coordinates()[:, 1]
-    euler = np.pi**2 / 12 / 400  # strain at Euler's load
-    F = 1 - share * euler
-    problem.u.x.array[1::2] = (F - 1) * y
-    problem.u.x.array[::2] = 0.0
+    x, y, _ = problem.V.tabulate_dof_coordinates().T
+    strain = share * np.pi**2 / 12 / 400
+    problem.u.x.array[1::2] = -strain * y
+    problem.u.x.array[::2] = NU / (1 - NU) * strain * (x - 0.5)
     assert modes.tangent(assembler, lambda w: None, problem.w.x.array)
     stability = Stability(assembler)
     try:
@@ -466,7 +469,7 @@ def test_summary_and_failed_state(folder: Path):
     first = told["diagnosis"]["cells"][0]
     assert set(first) == {"place", "material", "regions", "jacobian", "residual"}
     assert first["material"] == "rubber"
-    text = on_root(COMM, lambda: (folder / "out/failed_state.xdmf").read_text())
+    text = on_root(COMM, (folder / "out/failed_state.xdmf").read_text)
     for name in ("displacement", "residual", "jacobian", "energy_density", "von_mises"):
         assert f'Name="{name}"' in text
     assert any("failed_state.xdmf" in note for note in caught.value.__notes__)

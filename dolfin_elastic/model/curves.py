@@ -46,6 +46,8 @@ class Amplitude:
 
 
 RAMP, CONSTANT = Amplitude("ramp"), Amplitude("constant")
+PROPORTIONAL = Amplitude("t", Formula.parse("t", allowed=("t",)))
+"""The load factor itself, also above 1 and below 0."""
 
 
 def amplitude(written: Any) -> Amplitude:

@@ -41,6 +41,7 @@ class Assembler:
         held: Norm of its prescribed entries (reactions) [N].
         moves: Owned entries of all unknowns that are displacements, in the displacement's order.
         fixed: Owned entries of all unknowns that are prescribed.
+        pressures: How many unknowns are pressures, on all ranks.
         gap: Largest |x - g| over prescribed entries at the last residual [m].
     """
 
@@ -81,6 +82,7 @@ class Assembler:
         if still:
             self._held = np.arange(_owned(problem.V), dtype=np.int32)
             self.fixed = self.moves
+        self.pressures = problem.unknowns.count("pressure")
         self._is_free = np.ones(self.size, dtype=bool)
         self._is_free[self.fixed] = False
         self.free = self.held = self.gap = 0.0
@@ -181,6 +183,16 @@ class Assembler:
             self._filled.assemble(self._bcs)
             self._shift = shift
 
+    def shift_diagonal(self, share: float) -> None:
+        """Adds a share of the free diagonal's size to it. Collective."""
+        diagonal = self.matrix.getDiagonal()
+        added = share * np.abs(diagonal.array_r)
+        added[self.fixed] = 0.0
+        diagonal.array_w[:] += added
+        self.matrix.setDiagonal(diagonal)
+        diagonal.destroy()
+        self.forget_tangent()
+
     def forget_tangent(self) -> None:
         """Says that `matrix` has been changed and is to be assembled anew."""
         self._shift = None
@@ -201,6 +213,14 @@ class Assembler:
             fem.assemble_vector(force.array, self._external)
             force.scatter_reverse(la.InsertMode.add)
         return force.array[: self.size]
+
+    def holding_forces(self) -> Vector:
+        """Nodal forces of springs and obstacles, owned entries [N]."""
+        forces = self._vector()
+        for form in self._holding.values():
+            fem.assemble_vector(forces.array, form)
+        forces.scatter_reverse(la.InsertMode.add)
+        return forces.array[: self.size]
 
     # --- what is known of the solution ---
 

@@ -14,7 +14,7 @@ Each cause is decided by evidence, the cheap and certain ones first:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +23,11 @@ from dolfin_elastic.errors import BadCell, Diagnosis
 from dolfin_elastic.meshes.body import cell_size, span
 from dolfin_elastic.parallel import largest
 from dolfin_elastic.solvers import modes, words
-from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.evidence import Cells, Fault, not_finite, text_of
-from dolfin_elastic.solvers.newton import Progress
+from dolfin_elastic.solvers.guard import PATIENCE
 from dolfin_elastic.solvers.pieces import loose
+from dolfin_elastic.solvers.progress import Progress
 from dolfin_elastic.solvers.stability import LIMIT
 from dolfin_elastic.timing import stage
 
@@ -38,10 +39,13 @@ FLOOR = 100.0
 NO_ENERGY = "the strain energy has no finite value"
 """Reason of a solution that was refused since its energy is no number."""
 
+ANOTHER = "another equilibrium than that of the path"
+"""Reason of a solution that was refused since the body has jumped to it."""
+
 
 @dataclass(frozen=True)
 class Rejected:
-    """Solutions that were refused because a cell had turned inside out.
+    """Trial states and solutions that were refused because a cell had turned inside out.
 
     Attributes:
         count: How many.
@@ -53,12 +57,13 @@ class Rejected:
     jacobian: float = np.inf
     place: tuple[float, ...] = ()
 
-    def and_of(self, worst: tuple[float, Array]) -> Rejected:
-        """One more, with its smallest det F and its place."""
-        J, place = worst
-        if self.jacobian <= J:
-            return replace(self, count=self.count + 1)
-        return Rejected(self.count + 1, J, tuple(float(x) for x in place))
+    @classmethod
+    def of(cls, progress: Progress) -> Rejected:
+        """What a solve has refused."""
+        J, place = progress.worst or (np.inf, ())
+        if J > 0.0:
+            return cls(progress.rejected)
+        return cls(progress.rejected, float(J), tuple(float(x) for x in place))
 
 
 def diagnose(
@@ -77,12 +82,12 @@ def diagnose(
         progress: How Newton's method ended.
         good: All unknowns at the last equilibrium, local array with ghosts.
         failed: The same at the last iterate; the problem holds it afterwards.
-        rejected: Solutions that were refused.
+        rejected: States that were refused; by default what `progress` knows.
         moving: In motion, where a body may be free or unstable.
     """
     with stage("diagnose"):
         doctor = _Doctor(assembler, progress, good, failed)
-        doctor.rejected, doctor.moving = rejected or Rejected(), moving
+        doctor.rejected, doctor.moving = rejected or Rejected.of(progress), moving
         try:
             return doctor.said()
         finally:
@@ -100,6 +105,7 @@ class _Doctor:
         self.good, self.failed = good.copy(), failed.copy()
         self.rejected, self.moving = Rejected(), False
         self.cells, self.unseen = Cells(assembler), ""
+        self.next: Fault | None = None
         self.finite = self._residual(self.failed)
         self.held = self.finite and assembler.gap <= 1e-9 * span(self.problem.body)
         self.worst: tuple[BadCell, ...] = self.cells.worst()
@@ -114,6 +120,7 @@ class _Doctor:
             self._unstable,
             self._linear_solver,
             self._ahead,
+            self._piled_up,
             self._inside_out,
         )
         for check in checks:
@@ -129,7 +136,8 @@ class _Doctor:
     def _make(self, cause: str, text: str, advice: str, place: tuple[float, ...] = ()) -> Diagnosis:
         if self.moving and cause in ("inverted", "stalled", "iterations"):
             advice = words.SMALLER_STEP
-        return Diagnosis(cause, text, advice, place[: self.problem.body.dim], self.worst)
+        place = place[: self.problem.body.dim]
+        return Diagnosis(cause, text + self.unseen, advice, place, self.worst)
 
     # --- looking ---
 
@@ -167,32 +175,48 @@ class _Doctor:
         return self._make("rigid-motion", text, words.HOLD, found.place)
 
     def _not_finite(self) -> Diagnosis | None:
-        if self.finite and self.progress.reason != NO_ENERGY:
-            return None
         self._residual(self.failed)
+        if self.finite and self._energy_is_finite():
+            return None
         fault = not_finite(self.cells)
         if fault is None or fault.inverted:
             return self._inverted() if fault is not None else None
         return self._nan(fault.text, fault)
 
+    def _energy_is_finite(self) -> bool:
+        if self.problem.strain_energy is None:
+            return True
+        form = compiled(self.problem, [self.problem.strain_energy])[0]
+        return bool(np.isfinite(integral(self.problem, form)))
+
     def _nan(self, text: str, fault: Fault) -> Diagnosis:
         return self._make("nan", text, words.LOAD if fault.load else words.DOMAIN, fault.place)
 
     def _refused(self) -> Diagnosis | None:
-        return self._inverted() if self.rejected.count else None
+        """An equilibrium was found, but its cells are inside out."""
+        return self._inverted() if "inside out" in self.progress.reason else None
+
+    def _piled_up(self) -> Diagnosis | None:
+        """Step after step was shortened; a body that gives way does so too, so that comes first."""
+        many = self.rejected.count > PATIENCE or "DOMAIN" in self.progress.reason
+        return self._inverted() if self.rejected.count and many else None
 
     def _inside_out(self) -> Diagnosis | None:
+        if self.next is not None:
+            text = words.ahead(self.next.text)
+            return self._make("inverted", text, words.SMALLER, self.next.place)
         return self._inverted() if self._upside_down() else None
 
     def _inverted(self) -> Diagnosis:
         count, bad = self._upside_down(), self.rejected
-        if bad.count:
-            J, place = bad.jacobian, bad.place[: self.problem.body.dim]
-            often = f" {bad.count} times" if bad.count > 1 else ""
-            start = f"the solution was refused{often}: "
+        if "inside out" in self.progress.reason:
+            start = "the solution was refused: "
         else:
-            J, place = self.worst[0].jacobian, self.worst[0].place
-            start = ""
+            often = words.count(bad.count, "trial state")
+            start = f"{often} of Newton's method refused: " if bad.count else ""
+        worst = self.worst[0]
+        J, place = (bad.jacobian, bad.place) if bad.place else (worst.jacobian, worst.place)
+        place = place[: self.problem.body.dim]
         text = f"{start}a cell turned inside out (det F = {J:.3g}, at {text_of(place)} m)"
         if count:
             text += f"; the last iterate has {words.count(count, 'such cell')} in {self._names()}"
@@ -241,6 +265,9 @@ class _Doctor:
             return None
         look = modes.unstable(self.assembler, self.put, self.good, self.failed)
         self.unseen = look.unseen
+        if not look.text and self.progress.reason == ANOTHER:
+            text = "the equilibrium that was found lies on another path: the body has jumped to it"
+            return self._make("unstable", text, words.LIMIT_POINT, self.worst[0].place)
         if not look.text:
             return None
         return self._make("unstable", look.text, look.advice, look.place)
@@ -249,7 +276,7 @@ class _Doctor:
         if "LINEAR_SOLVE" not in self.progress.reason:
             return None
         said, advice = words.linear(self.progress.reason)
-        return self._make("linear-solver", f"the linear solver failed: {said}{self.unseen}", advice)
+        return self._make("linear-solver", f"the linear solver failed: {said}", advice)
 
     def _ahead(self) -> Diagnosis | None:
         """What Newton's next step would run into."""
@@ -266,25 +293,26 @@ class _Doctor:
         if fault is None:
             return None
         if fault.inverted:
-            return self._make("inverted", words.ahead(fault.text), words.SMALLER, fault.place)
+            self.next = fault
+            return None
         before = "; the last iterate stands just before that, and Newton's step leads there"
         return self._nan(fault.text + before, fault)
 
     def _gave_up(self) -> Diagnosis:
         self._residual(self.failed)
         _, node = self.assembler.largest_unbalance()
-        where, unseen = tuple(float(x) for x in node), self.unseen
+        where = tuple(float(x) for x in node)
         p = self.progress
         if "MAX_IT" in p.reason:
             fall = "still falls" if _falls(p.residuals) else "does not fall any more"
-            text = f"{p.newton} Newton iterations were not enough: the residual {fall}{unseen}"
+            text = f"{p.newton} Newton iterations were not enough: the residual {fall}"
             return self._make("iterations", text, words.iterations(fall), where)
         text = (
             "Newton's method came to a stand: no step along its direction brings the forces "
-            f"into balance{unseen}"
+            "into balance"
         )
         return self._make("stalled", text, words.STALLED, where)
 
 
 def _falls(norms: list[float]) -> bool:
-    return len(norms) > 3 and norms[-1] < 0.5 * norms[-4]
+    return len(norms) > 1 and norms[-1] < 0.5 * norms[-2]

@@ -34,6 +34,10 @@ MIXED_MOVING = {2: 400_000, 3: 150_000}
 """The same in motion, where short steps make the pressure hard for iterations."""
 
 
+LAST_DIRECT = {2: 1_000_000, 3: 150_000}
+"""Largest number of unknowns that are factorised when iterations have failed."""
+
+
 class LinearSettings(Record):
     """How linear systems are solved; all of it is chosen by itself by default.
 
@@ -75,7 +79,7 @@ def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) 
         size += f", '{settings.method}' asked for"
     if direct:
         kind = "Cholesky-like LDL^T" if symmetric else "LU"
-        return Choice(True, _direct(symmetric), f"direct solver (MUMPS, {kind}): {size}")
+        return Choice(True, factorising(symmetric), f"direct solver (MUMPS, {kind}): {size}")
     krylov = "CG" if symmetric and not several else "GMRES"
     grid = (
         "GAMG with rigid-body modes"
@@ -88,7 +92,8 @@ def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) 
     return Choice(False, options, f"iterative solver ({krylov}, {grid}): {size}")
 
 
-def _direct(symmetric: bool) -> dict[str, Any]:
+def factorising(symmetric: bool) -> dict[str, Any]:
+    """Options of a direct solver."""
     return {
         "ksp_type": "preonly",
         "pc_type": "cholesky" if symmetric else "lu",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -113,18 +113,17 @@ def _look(assembler: Assembler, put: Put, values: Array) -> Look | None:
 
 def _by_curvature(assembler: Assembler, put: Put, good: Array, failed: Array) -> Finding:
     """For large bodies: whether the way Newton's method went has a negative stiffness."""
-    unseen = Finding(
-        unseen="; the tangent's eigenvalues were not looked at, the body is too large for that"
-    )
-    if not tangent(assembler, put, good):
-        return unseen
+    unseen = "; the tangent's eigenvalues were not looked at, the body is too large for that"
     way = (failed - good)[: assembler.size]
-    stiffness = curvature(assembler, way)
-    if not stiffness < 0.0:
-        return unseen
     motion = way[assembler.moves]
-    size = float(np.sqrt(total(assembler.comm, float(np.sum(motion**2))))) or 1.0
-    return _told(assembler, put, good, Look(None, Mode(stiffness, motion / size)))
+    size = float(np.sqrt(total(assembler.comm, float(np.sum(motion**2)))))
+    if not (np.isfinite(size) and size > 0.0):
+        return Finding(unseen=unseen)
+    for state in (good, failed):
+        if tangent(assembler, put, state) and (k := curvature(assembler, way)) < 0.0:
+            look = Look(None, Mode(k, motion / size))
+            return replace(_told(assembler, put, good, look, way=True), unseen=unseen)
+    return Finding(unseen=unseen)
 
 
 def tangent(assembler: Assembler, put: Put, values: Array) -> bool:
@@ -163,6 +162,16 @@ def take_newton_step(assembler: Assembler) -> bool:
 
 
 def _told(assembler: Assembler, put: Put, good: Array, look: Look, *, left: float = 0.0) -> Finding:
+    """What to say.
+
+    Args:
+        assembler: Residual and tangent.
+        put: Makes an array the problem's unknowns.
+        good: The last equilibrium.
+        look: What was seen of it.
+        left: Share of its stiffness at rest that the weakest mode has left.
+        way: The mode is but the way from the last equilibrium to the last iterate.
+    """
     put(good)
     mode = look.mode
     text = (
@@ -171,6 +180,8 @@ def _told(assembler: Assembler, put: Put, good: Array, look: Look, *, left: floa
         else "near the last equilibrium stability is lost: the stiffness against one motion has "
         f"fallen to {100 * left:.2g} % of that at rest"
     )
+    if way:
+        text = "the body has a negative stiffness along the way that Newton's method went"
     if mode is None:
         return Finding(text, words.BUCKLING)
     if (place := _material_fails(assembler)) is not None:

@@ -66,7 +66,7 @@ class Stability:
         self.sound, self.negative = self._factorise(), None
         if self.sound and self._symmetric:
             negative, _, _ = self._ksp.getPC().getFactorMatrix().getInertia()
-            self.negative = int(negative) - self._pressures()
+            self.negative = int(negative) - assembler.pressures
 
     def _factorise(self) -> bool:
         pc = self._ksp.getPC()
@@ -83,15 +83,6 @@ class Stability:
         except PETSc.Error:
             good = False
         return largest(self.comm, float(not good)) == 0.0
-
-    def _pressures(self) -> int:
-        """Unknowns that are pressures, on all ranks."""
-        problem = self.assembler.problem
-        if not problem.mixed:
-            return 0
-        index = [e.name for e in problem.unknowns.extras].index("pressure")
-        space = problem.W.sub(1 + index).collapse()[0]
-        return int(space.dofmap.index_map.size_global * space.dofmap.index_map_bs)
 
     def solve(self, f: PETSc.Vec, x: PETSc.Vec) -> None:
         """x = K^-1 f. Collective."""

@@ -1,0 +1,96 @@
+"""What is tried, in turn, to find an equilibrium at one load: the rungs below smaller steps.
+
+Full Newton steps come first: in bending the residual has to rise before it falls, and a line search
+that forbids it takes several times the iterations.  What full steps cannot do, backtracking may;
+then a start further along the path.  A linear solver that fails gives way to one that stands more.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.solvers.newton import Newton
+from dolfin_elastic.solvers.progress import Progress
+
+Vector = npt.NDArray[np.float64]
+log = logging.getLogger("dolfin_elastic")
+
+
+class Ladder:
+    """Tries line searches, linear solvers and starting points until one finds equilibrium.
+
+    Args:
+        newton: The solver; its problem is at the load that is wanted.
+
+    Attributes:
+        failed: The last iterate of the last failure: local array of all unknowns.
+    """
+
+    def __init__(self, newton: Newton) -> None:
+        self.newton = newton
+        self.failed: Vector | None = None
+        self._first = True
+
+    def solve(self, starts: Sequence[tuple[str, Vector]]) -> Progress:
+        """Finds equilibrium from the first start that leads there. Collective.
+
+        Args:
+            starts: In words, and as local arrays of all unknowns; the first one is put back
+                where none leads to an equilibrium.
+        """
+        newton, problem = self.newton, self.newton.assembler.problem
+        w = problem.w.x.array
+        rejected, worst = 0, None
+        for said, start, line_search in self._rungs(starts):
+            if not self._first:
+                newton.refresh()
+            self._first = False
+            progress = self._try(start, line_search)
+            rejected += progress.rejected
+            if progress.worst is not None and (worst is None or progress.worst[0] < worst[0]):
+                worst = progress.worst
+            if progress.converged:
+                if said:
+                    log.info("found %s", said)
+                return progress
+            log.debug("%s, line search '%s': %s", said or "start", line_search, progress.reason)
+        self.failed = w.copy()
+        progress.rejected, progress.worst = rejected, worst
+        w[:] = starts[0][1]
+        problem.unknowns.tell()
+        return progress
+
+    def _rungs(self, starts: Sequence[tuple[str, Vector]]) -> Iterator[tuple[str, Vector, str]]:
+        searches = self.newton.ladder()
+        for line_search in searches:
+            said = "" if line_search == searches[0] else f"by line search '{line_search}'"
+            yield said, starts[0][1], line_search
+        for said, start in starts[1:]:
+            yield said, start, searches[0]
+
+    def _try(self, start: Vector, line_search: str) -> Progress:
+        w = self.newton.assembler.problem.w.x.array
+        w[:] = start
+        progress = self.newton.solve(line_search)
+        while "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
+            w[:] = start
+            progress = self.newton.solve(line_search)
+        self._refuse_inverted(progress)
+        return progress
+
+    def _refuse_inverted(self, progress: Progress) -> None:
+        """No accepted state holds a cell that is inside out, also where none was on the way."""
+        guard = self.newton.guard
+        if not progress.converged or guard is None:
+            return
+        value, place = guard.watch.smallest()
+        if value <= 0.0:
+            where = ", ".join(f"{x:.4g}" for x in place)
+            progress.converged = False
+            progress.rejected += 1
+            progress.worst = value, tuple(map(float, place))
+            progress.reason = f"a cell turned inside out (det F = {value:.3g}, at ({where}) m)"
