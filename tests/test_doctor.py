@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import (
     Body,
+    BodyForce,
     Dynamics,
     Energy,
     LinearElastic,
@@ -271,11 +272,35 @@ def column(share: float, cells: tuple[int, int] = (1, 20)) -> Problem:
 
 def test_a_column_buckles():
     """Straight up to Euler's load, where few iterations do not find the way out sideways."""
-    found = diagnosis(column(1.5), steps=6, max_iterations=6, min_step=1 / 8)
+    found = diagnosis(column(1.5), steps=6, max_iterations=3, min_step=1 / 4, snap=False)
     assert found.cause == "unstable"
     assert "buckles, sideways to the load" in found.text
     assert found.place[1] == pytest.approx(10.0)  # the top moves most
     assert "imperfection" in found.advice
+    assert 'statics.method = "arc-length"' in found.advice
+
+
+def arch() -> Problem:
+    """A shallow arch, clamped at both ends, under its weight: it snaps through downwards."""
+    body = rectangle_body(size=(10.0, 0.4), cells=(20, 1))
+    x = body.mesh.geometry.x
+    x[:, 1] += 0.6 * np.sin(np.pi * x[:, 0] / 10.0)
+    return Problem(
+        body,
+        StVenantKirchhoff(E=E, nu=NU),
+        degree=2,
+        supports=[Support(on=["left", "right"], displacement=[0, 0])],
+        loads=[BodyForce(value=[0, -3e3])],
+    )
+
+
+def test_an_arch_snaps_through():
+    """A limit point: the mode goes where the load goes, down, most in the middle."""
+    found = diagnosis(arch(), min_step=1e-2, snap=False)
+    assert found.cause == "unstable"
+    assert "a limit point of the load" in found.text
+    assert found.place[0] == pytest.approx(5.0, abs=0.5)
+    assert "along (" in found.text
     assert 'statics.method = "arc-length"' in found.advice
 
 
@@ -411,9 +436,9 @@ def test_too_few_iterations():
         body,
         NeoHookean(E=E, nu=NU),
         supports=[Support(on="left", displacement=[0, 0])],
-        loads=[Traction(on="right", value=[0, E / 100])],
+        loads=[Traction(on="right", value=[E / 10, 0])],
     )
-    found = diagnosis(problem, min_step=1, max_iterations=3)
+    found = diagnosis(problem, steps=1, min_step=1, max_iterations=3, rtol=1e-12)
     assert found.cause == "iterations"
     assert "3 Newton iterations were not enough" in found.text
     assert "max_iterations" in found.advice

@@ -161,7 +161,15 @@ def take_newton_step(assembler: Assembler) -> bool:
 # --- what it says ---
 
 
-def _told(assembler: Assembler, put: Put, good: Array, look: Look, *, left: float = 0.0) -> Finding:
+def _told(
+    assembler: Assembler,
+    put: Put,
+    good: Array,
+    look: Look,
+    *,
+    left: float = 0.0,
+    way: bool = False,
+) -> Finding:
     """What to say.
 
     Args:
