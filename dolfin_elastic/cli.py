@@ -10,7 +10,6 @@ import logging
 import os
 import signal
 import sys
-import textwrap
 import time
 import traceback
 from pathlib import Path
@@ -118,8 +117,7 @@ def run(
     _log_to_screen(comm.rank, logging.WARNING if quiet else logging.INFO)
     read = read_case(case, comm=comm)
     folder = output if output is not None else read.results_folder()
-    stop = Stop(folder)
-    code = _compute(read, folder, options, stop, loud=loud)
+    code = _compute(read, folder, options, Stop(folder), loud=loud)
     if profile:
         _show_profile(comm)
     if loud:
@@ -364,32 +362,14 @@ def _told(error: ElasticError) -> int:
     """Shows an error once, before any rank leaves (the launcher ends all when one does)."""
     comm = _comm()
     if (comm.rank if comm else launched_rank()) == 0:
-        notes = "".join(f"\n  {note}" for note in getattr(error, "__notes__", ()))
-        text = f"error: {error}{notes}"
-        if isinstance(error, SolveError):
-            text = _folded(text)
-        print(text, file=sys.stderr, flush=True)
+        from dolfin_elastic.screen import error_text
+
+        print(error_text(error), file=sys.stderr, flush=True)
     if comm and comm.size > 1 and not _all_here(comm):
         if comm.rank:
             print(f"error (rank {comm.rank} alone): {error}", file=sys.stderr, flush=True)
         comm.Abort(error.exit_code)
     return error.exit_code
-
-
-def _folded(text: str, width: int = 100) -> str:
-    """Long lines in several, the later ones indented; words and paths stay whole."""
-    lines = [
-        textwrap.wrap(
-            line,
-            width,
-            initial_indent=" " * (len(line) - len(line.lstrip())),
-            subsequent_indent="    ",
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-        for line in text.splitlines()
-    ]
-    return "\n".join(part for line in lines for part in line)
 
 
 def _all_here(comm: MPI.Comm, patience: float = 10.0) -> bool:
