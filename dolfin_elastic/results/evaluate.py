@@ -169,7 +169,12 @@ class Source:
     def residual(self) -> Array:
         """The same where no support holds."""
         forces = self._out_of_balance("residual")
-        forces[self.evaluator.problem.prescribed.owned] = 0.0
+        held = self.evaluator.problem.prescribed
+        forces[held.owned] = 0.0
+        if (tilted := held.tilted) is not None:
+            rows = forces.reshape(-1, self.evaluator.problem.body.dim)
+            nodes = tilted.nodes[: tilted.count]
+            rows[nodes] = tilted.free(rows[nodes])
         return self._padded(forces)
 
     def _out_of_balance(self, name: str) -> Array:

@@ -27,7 +27,7 @@ from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.evidence import Cells, Fault, not_finite, text_of
 from dolfin_elastic.solvers.guard import PATIENCE
 from dolfin_elastic.solvers.pieces import loose
-from dolfin_elastic.solvers.progress import Progress
+from dolfin_elastic.solvers.progress import ANOTHER, UNSTABLE, Progress
 from dolfin_elastic.solvers.stability import LIMIT
 from dolfin_elastic.timing import stage
 
@@ -35,12 +35,6 @@ Array = npt.NDArray[np.float64]
 
 FLOOR = 100.0
 """Times the estimated round-off that a residual may keep to be called so."""
-
-NO_ENERGY = "the strain energy has no finite value"
-"""Reason of a solution that was refused since its energy is no number."""
-
-ANOTHER = "another equilibrium than that of the path"
-"""Reason of a solution that was refused since the body has jumped to it."""
 
 
 @dataclass(frozen=True)
@@ -234,7 +228,8 @@ class _Doctor:
         best, floor = min(norms), self._floor()
         if best > FLOOR * floor:
             return None
-        reference = max(self.assembler.external_norm(), self.assembler.held)
+        assembler = self.assembler
+        reference = max(assembler.external_norm(), assembler.held, assembler.pushed)
         relative = best / reference if reference > 0.0 else np.inf
         text = (
             f"round-off: the forces out of balance stay at {best:.3g} N, {relative:.1e} of the "
@@ -263,7 +258,8 @@ class _Doctor:
     def _unstable(self) -> Diagnosis | None:
         if self.moving:
             return None
-        look = modes.unstable(self.assembler, self.put, self.good, self.failed)
+        settled = self.progress.reason == UNSTABLE
+        look = modes.unstable(self.assembler, self.put, self.good, self.failed, settled=settled)
         self.unseen = look.unseen
         if not look.text and self.progress.reason == ANOTHER:
             text = "the equilibrium that was found lies on another path: the body has jumped to it"

@@ -78,11 +78,14 @@ class Cells:
 
     def residuals(self) -> Array:
         """Largest free force out of balance at the nodes of each owned cell [N]. Collective."""
-        problem, balance = self.problem, self.assembler.balance
-        balance.scatter_forward()
+        problem, a = self.problem, self.assembler
+        out = a.balance.array[: a.size]
+        free = la.vector(problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs)
+        with np.errstate(invalid="ignore"):
+            free.array[: a.size] = out - a.constraint_forces(out)
+        free.scatter_forward()
         entries = np.arange(len(problem.u.x.array), dtype=np.int32)
-        forces = balance.array[problem.unknowns.places(entries)]
-        forces[problem.prescribed.dofs] = 0.0
+        forces = free.array[problem.unknowns.places(entries)]
         with np.errstate(all="ignore"):
             norms = np.linalg.norm(forces.reshape(-1, problem.body.dim), axis=1)
         norms = np.where(np.isfinite(norms), norms, np.inf)

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
 
 from dolfin_elastic.parallel import total
-from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.motion import Strain
 
 Vector = npt.NDArray[np.float64]
 
@@ -25,39 +25,30 @@ class PathWatch:
 
     Args:
         assembler: Of a problem at rest.
+
+    Attributes:
+        strain: Measures the stored energy.
     """
 
     def __init__(self, assembler: Assembler) -> None:
-        self._assembler, problem = assembler, assembler.problem
-        self._form: fem.Form | None = None
-        if problem.strain_energy is not None:
-            self._form = compiled(problem, [problem.strain_energy])[0]
+        self._assembler = assembler
+        self.strain = Strain(assembler.problem)
         self._before: tuple[float, Vector, Vector] | None = None
         self._now: tuple[float, Vector, Vector] | None = None
-
-    def energy(self) -> float:
-        """Strain energy of the present state [J]; NaN where there is none. Collective."""
-        if self._form is None:
-            return float("nan")
-        return integral(self._assembler.problem, self._form)
-
-    def finite(self) -> bool:
-        """Whether the strain energy of the present state is a number, where there is one.
-
-        Beyond a pole of an energy, as of ln(1 - I), the stress may be finite and yet mean nothing.
-        Collective.
-        """
-        return self._form is None or bool(np.isfinite(self.energy()))
 
     def look(self) -> None:
         """Takes in the present equilibrium, whose forces are in the assembler. Collective."""
         a = self._assembler
         forces = a.balance.array[: a.size] + a.external_forces() + a.holding_forces()
         self._now = (
-            self.energy(),
+            self.strain.energy(),
             forces[a.moves],
             a.problem.w.x.array[a.moves].copy(),
         )
+
+    def finite(self) -> bool:
+        """Whether the energy looked at last is finite, if there is one."""
+        return self.strain.none or self._now is None or bool(np.isfinite(self._now[0]))
 
     def accept(self) -> None:
         """The state looked at last is where the next step begins."""
@@ -65,7 +56,7 @@ class PathWatch:
 
     def jumped(self) -> bool:
         """Whether the energy between the last two states came from somewhere else. Collective."""
-        if self._form is None or self._before is None or self._now is None:
+        if self.strain.none or self._before is None or self._now is None:
             return False
         (was, f, u), (now, g, v) = self._before, self._now
         du = v - u

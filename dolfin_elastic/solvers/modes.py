@@ -68,7 +68,9 @@ class Finding:
     unseen: str = ""
 
 
-def unstable(assembler: Assembler, put: Put, good: Array, failed: Array) -> Finding:
+def unstable(
+    assembler: Assembler, put: Put, good: Array, failed: Array, *, settled: bool = False
+) -> Finding:
     """Looks for an instability. Collective.
 
     Args:
@@ -76,21 +78,23 @@ def unstable(assembler: Assembler, put: Put, good: Array, failed: Array) -> Find
         put: Makes an array the problem's unknowns.
         good: The last equilibrium.
         failed: The last iterate.
+        settled: That is an equilibrium, too.
     """
     problem = assembler.problem
     if problem.num_dofs > LIMIT[problem.body.dim]:
         return _by_curvature(assembler, put, good, failed)
     at_good = _look(assembler, put, good)
-    if at_good is None:
-        return Finding()
-    if at_good.unstable:
-        return _told(assembler, put, good, at_good)
-    if at_good.mode is None or not (at_failed := _look(assembler, put, failed)):
+    if at_good is None or at_good.unstable:
+        return Finding() if at_good is None else _told(assembler, put, good, at_good)
+    at_failed = _look(assembler, put, failed)
+    lost = at_failed is not None and at_failed.unstable
+    if settled and lost and at_failed is not None:
+        return _told(assembler, put, failed, at_failed, which="equilibrium that was found")
+    if at_good.mode is None or at_failed is None:
         return Finding()
     left = _left(_look(assembler, put, np.zeros_like(good)), at_good.mode)
-    if left <= (SOFT if at_failed.unstable else LOST):
-        return _told(assembler, put, good, at_good, left=left)
-    return Finding()
+    near = left <= (SOFT if lost else LOST)
+    return _told(assembler, put, good, at_good, left=left) if near else Finding()
 
 
 def _left(at_rest: Look | None, mode: Mode) -> float:
@@ -169,6 +173,7 @@ def _told(
     *,
     left: float = 0.0,
     way: bool = False,
+    which: str = "last equilibrium",
 ) -> Finding:
     """What to say.
 
@@ -178,12 +183,13 @@ def _told(
         good: The last equilibrium.
         look: What was seen of it.
         left: Share of its stiffness at rest that the weakest mode has left.
+        which: What the state is.
         way: The mode is but the way from the last equilibrium to the last iterate.
     """
     put(good)
     mode = look.mode
     text = (
-        f"the last equilibrium is unstable: its tangent has {_eigenvalues(look.negative)}"
+        f"the {which} is unstable: its tangent has {_eigenvalues(look.negative)}"
         if look.unstable
         else "near the last equilibrium stability is lost: the stiffness against one motion has "
         f"fallen to {100 * left:.2g} % of that at rest"
@@ -216,8 +222,7 @@ def _kind(assembler: Assembler, motion: Array) -> tuple[str, str]:
     orthogonal to the load, at a limit point it is not.
     """
     forces = assembler.external_forces().copy()
-    forces[assembler.fixed] = 0.0
-    load = forces[assembler.moves]
+    load = (forces - assembler.constraint_forces(forces))[assembler.moves]
     sums = total(assembler.comm, np.array([np.sum(load * motion), np.sum(load**2)]))
     if sums[1] == 0.0:
         return "it buckles or snaps through", words.BUCKLING

@@ -43,9 +43,6 @@ LINEAR = 1e-12
 STALL = 6
 """Backtracking iterations over which the residual has to fall by a third."""
 
-NEGATIVE_PIVOTS = 12
-"""Index of their number in MUMPS's INFOG."""
-
 HOPELESS = 1e8
 """Growth of the residual from which no Newton iteration comes back."""
 
@@ -96,7 +93,7 @@ class Newton:
         self._floor = self._first = self._norm = 0.0
         self._line_search = ""
         body = assembler.problem.body
-        self.span, self._cell_size = span(body), cell_size(body)
+        self.span, self.cell_size = span(body), cell_size(body)
         self._multigrid: QuadraticMultigrid | SchurSplit | None = None
         self._owns = snes is None
         self.options = Options({**_SNES, **choice.options, **(defaults or {})}, users or {})
@@ -321,7 +318,7 @@ class Newton:
         a = self.assembler
         diagonal = P.getDiagonal()
         # Round-off of the stress is that of F = I + grad u, that of inertia is that of u.
-        stiff = max(float(diagonal.norm()) - self.mass, 0.0) * self._cell_size
+        stiff = max(float(diagonal.norm()) - self.mass, 0.0) * self.cell_size
         self._floor = 4 * np.finfo(float).eps * (stiff + self.mass * a.max_unknown())
         diagonal.destroy()
         if not self.direct and "ksp_rtol" not in self.options.users:
@@ -331,7 +328,7 @@ class Newton:
 
     def _target(self) -> float:
         a, p = self.assembler, self.progress
-        reference = max(self._external, a.held, p.reference)
+        reference = max(self._external, a.held, a.pushed, p.reference)
         if self._moving:
             reference = max(reference, self.inertia)
         return max(self.tolerance.rtol * reference, self.tolerance.atol, self._floor)
@@ -381,21 +378,6 @@ class Newton:
             and len(norms) > STALL
             and norms[-1] > 0.7 * norms[-1 - STALL]
         )
-
-    def negative(self) -> int | None:
-        """Negative eigenvalues of the last tangent that a stable body has not. Collective.
-
-        From the inertia of its factorisation (Sylvester's law); None where there is none.
-        """
-        problem = self.assembler.problem
-        if not (self.direct and problem.symmetric and self.progress.newton and self.shift == 0.0):
-            return None
-        if self.ksp.getPC().getType() != "cholesky":
-            return None
-        if "pc_factor_mat_solver_type" in self.options.users:
-            return None
-        below = self.ksp.getPC().getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS)
-        return int(below) - self.assembler.pressures
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""

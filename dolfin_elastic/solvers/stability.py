@@ -57,8 +57,6 @@ class Stability:
     def __init__(self, assembler: Assembler) -> None:
         self.assembler, self.comm = assembler, assembler.comm
         self._symmetric = bool(assembler.problem.symmetric)
-        self.free = np.ones(assembler.size, dtype=bool)
-        self.free[assembler.fixed] = False
         self._ksp = PETSc.KSP().create(self.comm)
         self._ksp.setOptionsPrefix("elastic_doctor_")
         self._ksp.setOperators(assembler.matrix)
@@ -117,7 +115,8 @@ class Stability:
         eps.setWhichEigenpairs(which)
         eps.setDimensions(nev=1)
         start = self.assembler.create_vector()
-        start.array_w[:] = np.where(self.free, 1.0, 0.0) * _uneven(self.assembler)
+        start.array_w[:] = _uneven(self.assembler)
+        self.assembler.hold(start)
         eps.setInitialSpace(start)
         eps.solve()
         start.destroy()
@@ -144,14 +143,15 @@ class _Compliance:
         self._of = stability
         self._keep = np.zeros(stability.assembler.size)
         self._keep[stability.assembler.moves] = 1.0
-        self._keep[~stability.free] = 0.0
         self._f = stability.assembler.create_vector()
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """See PETSc's MatMult. Collective."""
         self._f.array_w[:] = x.array_r * self._keep
+        self._of.assembler.hold(self._f)
         self._of.solve(self._f, y)
         y.array_w[:] *= self._keep
+        self._of.assembler.hold(y)
 
     def destroy(self, matrix: PETSc.Mat) -> None:
         """Frees what it owns. Collective."""
@@ -176,7 +176,7 @@ def curvature(assembler: Assembler, direction: Array) -> float:
     """
     d, image = assembler.create_vector(), assembler.create_vector()
     d.array_w[:] = direction
-    d.array_w[assembler.fixed] = 0.0
+    assembler.hold(d)
     assembler.matrix.mult(d, image)
     square, work = d.dot(d), d.dot(image)
     d.destroy()

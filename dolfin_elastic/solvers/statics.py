@@ -16,12 +16,14 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.arclength import ArcLength
 from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.doctor import ANOTHER, NO_ENERGY, diagnose
+from dolfin_elastic.solvers.contact import Augmentation, Measured
+from dolfin_elastic.solvers.doctor import diagnose
+from dolfin_elastic.solvers.inertia import disturb, negative_eigenvalues
 from dolfin_elastic.solvers.jump import PathWatch
 from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton
-from dolfin_elastic.solvers.progress import Progress, Tolerance
+from dolfin_elastic.solvers.progress import ANOTHER, BEYOND, UNSTABLE, Progress, Tolerance
 from dolfin_elastic.solvers.relaxation import relax
 from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.solvers.steps import StepSizes
@@ -131,6 +133,8 @@ class Statics:
                 then holds the last iterate, and all states yielded before are valid.
         """
         check_held(self.problem)
+        for dashpot in self.problem.dashpots:
+            log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
         assembler = Assembler(self.problem)
         newton = Newton(assembler, self.choice, self.tolerance, users=self.petsc)
@@ -173,8 +177,8 @@ class _Stepping:
     def __init__(self, statics: Statics, assembler: Assembler, newton: Newton) -> None:
         self.statics, self.settings, self.problem = statics, statics.settings, statics.problem
         self.assembler, self.newton = assembler, newton
-        self.ladder = Ladder(newton)
-        self._watch = PathWatch(assembler)
+        self.ladder = Ladder(newton, Augmentation(self.problem))
+        self._watch, self._measured = PathWatch(assembler), Measured(self.problem)
         self._count = 0
         self._before: tuple[float, Vector] | None = None
         self._limits: tuple[float, ...] = ()
@@ -197,45 +201,60 @@ class _Stepping:
             start = self.problem.w.x.array.copy()
             progress = self._attempt(t, goal)
             crushed = progress.rejected > 0 or "NAN" in progress.reason
-            if not progress.converged or self._jumped(progress):
+            fault = self._fault() if progress.converged else progress.reason
+            if fault:
                 if sizes.failed(t, goal, crushed=crushed and not progress.converged):
-                    self._retreat(goal, progress, start)
+                    log.info("load factor %.6g: %s; a smaller step", goal, fault)
+                    self._go_to(start)
                     continue
-                if not progress.converged:
-                    progress = self._snap(t, goal, progress)
-                elif self.settings.snap:
-                    self._say_snapped(t)
-                else:
-                    raise self._failure(t, goal, progress, good=start)
+                progress = self._elsewhere(t, goal, progress, fault, start)
             self._watch.accept()
             self._before = t, start
             sizes.succeeded(t, goal, progress.newton)
             t = goal
-            yield self._state(t, progress, self.newton.negative())
+            yield self._state(t, progress, negative_eigenvalues(self.newton))
 
-    def _jumped(self, progress: Progress) -> bool:
-        """The equilibrium that was found lies on another path. Collective."""
-        if self.problem.linear:
-            return False
-        self._watch.look()
-        if self._watch.jumped():
-            progress.reason = ANOTHER
-            return True
-        return False
-
-    def _retreat(self, goal: float, progress: Progress, start: Vector) -> None:
-        log.warning(
-            "no equilibrium at load factor %.6g (%s): a smaller step", goal, progress.reason
-        )
+    def _go_to(self, start: Vector) -> None:
         self.problem.w.x.array[:] = start
         self.problem.unknowns.tell()
 
-    def _say_snapped(self, t: float) -> None:
+    def _fault(self) -> str:
+        """Why the equilibrium that was found is none that a body would come to. Collective."""
+        if self.problem.linear:
+            return ""
+        self._watch.look()
+        if not self._watch.finite():
+            return BEYOND
+        if (negative_eigenvalues(self.newton) or 0) > 0:
+            return UNSTABLE
+        return ANOTHER if self._watch.jumped() else ""
+
+    def _elsewhere(
+        self, t: float, goal: float, progress: Progress, fault: str, start: Vector
+    ) -> Progress:
+        """Goes on where no step is small enough, or gives up."""
+        progress.reason = fault
+        kept = self.problem.w.x.array.copy() if progress.converged else self.ladder.failed
+        if not self.settings.snap or self.problem.linear or fault == BEYOND or t == 0.0:
+            raise self._failure(t, goal, progress, start, kept)
+        if not progress.converged or fault == UNSTABLE:
+            if progress.converged:
+                disturb(self.newton)
+            self.newton.refresh()
+            found = relax(self.newton)
+            self._watch.look()
+            if not found.converged or not self._watch.finite():
+                log.debug("flow to another equilibrium: %s", found.reason)
+                raise self._failure(t, goal, progress, start, kept)
+            progress = found
+        what = "the body buckles" if fault == UNSTABLE else "the body has snapped"
         log.warning(
-            "no equilibrium is near beyond load factor %.6g: the body has snapped to another one; "
+            "no stable equilibrium is near beyond load factor %.6g: %s to another one; "
             'statics.method = "arc-length" shows the path between',
             t,
+            what,
         )
+        return progress
 
     def _is_enough(self) -> bool:
         limit = self.settings.max_displacement
@@ -255,41 +274,13 @@ class _Stepping:
         if self._before is not None and t > self._before[0]:
             before, was = self._before
             starts.append(("along the path", now + (goal - t) / (t - before) * (now - was)))
-        progress = self.ladder.solve(starts)
-        if progress.converged and not self._watch.finite():
-            progress.converged, progress.reason = False, NO_ENERGY
-            self.ladder.failed = self.problem.w.x.array.copy()
-            self.problem.w.x.array[:] = now
-        return progress
-
-    def _snap(self, t: float, goal: float, progress: Progress) -> Progress:
-        """Lets the body flow to another equilibrium, or gives up."""
-        failed = self.ladder.failed
-        if self.settings.snap and not self.problem.linear:
-            start = self.problem.w.x.array.copy()
-            self.newton.refresh()
-            found = relax(self.newton)
-            if found.converged and self._watch.finite():
-                self._say_snapped(t)
-                self._watch.look()
-                return found
-            log.debug("flow to another equilibrium: %s", found.reason)
-            self.problem.w.x.array[:] = start
-            self.problem.unknowns.tell()
-        good = self.problem.w.x.array.copy()
-        raise self._failure(t, goal, progress, good=good, failed=failed)
+        return self.ladder.solve(starts)
 
     def _failure(
-        self,
-        t: float,
-        goal: float,
-        progress: Progress,
-        *,
-        good: Vector,
-        failed: Vector | None = None,
+        self, t: float, goal: float, progress: Progress, good: Vector, failed: Vector | None
     ) -> ConvergenceError:
         """The error, with why; the problem is left with the last iterate."""
-        last = self.problem.w.x.array.copy() if failed is None else failed
+        last = good if failed is None else failed
         found = diagnose(self.assembler, progress, good=good, failed=last)
         force, place = self.assembler.largest_unbalance()
         return ConvergenceError(
@@ -311,13 +302,8 @@ class _Stepping:
             first = statics.sizes().goal(0.0)
             for found in arc.path(first, self.settings.min_step):
                 if not found.progress.converged:
-                    raise self._failure(
-                        found.t,
-                        found.t,
-                        found.progress,
-                        good=self.problem.w.x.array.copy(),
-                        failed=self.ladder.failed,
-                    )
+                    good = self.problem.w.x.array.copy()
+                    raise self._failure(found.t, found.t, found.progress, good, self.ladder.failed)
                 self._limits = tuple(arc.limits)
                 yield self._state(found.t, found.progress, found.negative)
                 if self._is_enough():
@@ -340,11 +326,12 @@ class _Stepping:
             krylov=progress.krylov,
             reason=progress.reason,
             residuals=tuple(progress.residuals),
-            energies={"strain": self._watch.energy()},
+            energies={"strain": self._watch.strain.energy(), **self._watch.strain.springs()},
             reactions=assembler.reactions(),
             max_displacement=assembler.max_displacement(),
             negative=negative,
             limit_points=self._limits,
+            numbers=self._measured.numbers(),
             done=t / self.settings.end,
         )
 

@@ -7,6 +7,9 @@ from collections.abc import Sequence
 QUICK, SLOW = 5, 10
 """Newton iterations up to which the next step is doubled, and from which it is shortened."""
 
+CALM = 3
+"""Steps after a failure from which they grow again."""
+
 
 class StepSizes:
     """The sizes of load steps from 0 to the end.
@@ -29,6 +32,7 @@ class StepSizes:
         stops: Sequence[float] = (),
     ) -> None:
         self.end, self.size = end, first
+        self._calm = CALM
         self._largest, self._smallest = largest, smallest
         self._stops = sorted({s for s in stops if 0.0 < s < end} | {end})
 
@@ -44,7 +48,8 @@ class StepSizes:
 
     def succeeded(self, t: float, goal: float, newton: int) -> None:
         """Takes note of a step from t to goal and of its Newton iterations."""
-        if newton <= QUICK:
+        self._calm += 1
+        if newton <= QUICK and self._calm >= CALM:
             # A step that was cut short by a stop says nothing against a longer one.
             self.size = min(self._largest, 2.0 * max(self.size, goal - t))
         elif newton >= SLOW:
@@ -64,5 +69,5 @@ class StepSizes:
         size = (goal - t) * (0.25 if crushed else 0.5)
         if size < self._smallest:
             return False
-        self.size = size
+        self.size, self._calm = size, 0
         return True
