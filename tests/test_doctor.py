@@ -21,9 +21,11 @@ from dolfin_elastic import (
     NeoHookean,
     Problem,
     Selector,
+    Spring,
     Statics,
     StVenantKirchhoff,
     Support,
+    Symmetry,
     Traction,
     name_parts,
     read_case,
@@ -248,6 +250,57 @@ def test_pieces_that_are_held_are_not_loose(law):
         found = set().union(*COMM.allgather(set(pieces(problem)[:own].tolist())))
         assert found == {0, 1}
     finally:
+        assembler.destroy()
+
+
+def test_a_spring_holds_a_piece():
+    """Soft as it is: 1e-6 of the body's stiffness."""
+    problem = Problem(
+        two_boxes(0.25),
+        LinearElastic(E=E, nu=NU),
+        supports=[
+            Support(on="left", displacement=[0, 0]),
+            Spring(on="foot", stiffness=[1.0, 1.0]),
+        ],
+    )
+    assembler = Assembler(problem)
+    try:
+        assert modes.tangent(assembler, lambda w: None, problem.w.x.array)
+        assert loose(assembler) is None
+    finally:
+        assembler.destroy()
+
+
+@pytest.mark.parametrize(("surfaces", "motions"), [(["left"], 1), (["left", "bottom"], 0)])
+def test_supports_that_lean(surfaces, motions):
+    """A square turned by 30 degrees on rollers along its own sides is held as an upright one is."""
+    body = rectangle_body(size=(1.0, 1.0), cells=(3, 3))
+    c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
+    x = body.mesh.geometry.x
+    x[:, :2] = x[:, :2] @ np.array([[c, s], [-s, c]])
+    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[Symmetry(on=surfaces)])
+    assembler = Assembler(problem)
+    assert modes.tangent(assembler, lambda w: None, problem.w.x.array)
+    found = loose(assembler)
+    stability = Stability(assembler)
+    try:
+        assert (found is None) == (motions == 0)
+        if found is not None:  # along the side, askew to the axes
+            assert found.whole
+            assert len(found.motions) == 1
+        else:
+            mode = stability.weakest()
+            assert stability.negative == 0
+            assert mode is not None
+            assert mode.stiffness > 0
+            full = assembler.create_vector()
+            full.array_w[assembler.moves] = mode.motion
+            assembler.hold(full)
+            # Nothing of the mode is along what is held; by a solve's round-off.
+            assert full.norm() == pytest.approx(1.0, rel=1e-9)
+            full.destroy()
+    finally:
+        stability.destroy()
         assembler.destroy()
 
 

@@ -23,7 +23,10 @@ from dolfin_elastic.solvers.assembler import Assembler
 
 Array = npt.NDArray[np.float64]
 LIMIT = {2: 200_000, 3: 40_000}
-"""Unknowns up to which tangents are factorised here, by dimension: about a minute on one core."""
+"""Unknowns up to which tangents are factorised here, by dimension.
+
+At the limit a state takes about six seconds on one core, and up to four states are looked at.
+"""
 
 _DIGITS = 1e-3
 """Relative accuracy of the weakest mode's stiffness."""
