@@ -125,7 +125,7 @@ def _by_curvature(assembler: Assembler, put: Put, good: Array, failed: Array) ->
         return Finding(unseen=unseen)
     for state in (good, failed):
         if tangent(assembler, put, state) and (k := curvature(assembler, way)) < 0.0:
-            look = Look(None, Mode(k, motion / size))
+            look = Look(None, Mode(k, np.asarray(motion / size, dtype=np.float64)))
             return replace(_told(assembler, put, good, look, way=True), unseen=unseen)
     return Finding(unseen=unseen)
 
