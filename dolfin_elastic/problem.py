@@ -229,8 +229,16 @@ class Problem:
     @cached_property
     def external(self) -> ufl.Form | None:
         """External virtual work of all loads; None without loads."""
-        spread = [i for i, load in enumerate(self.loads) if not (load.nodal or load.swells)]
-        return sum(map(self._work, spread)) if spread else None
+        return sum(work for _, work in self.works) if self.works else None
+
+    @cached_property
+    def works(self) -> list[tuple[Load, ufl.Form]]:
+        """Each load that is an integral, with its external virtual work."""
+        return [
+            (load, self._work(index))
+            for index, load in enumerate(self.loads)
+            if not (load.nodal or load.swells)
+        ]
 
     def _work(self, index: int) -> ufl.Form:
         try:

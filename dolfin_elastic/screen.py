@@ -7,6 +7,7 @@ import math
 import os
 import re
 import sys
+import textwrap
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -16,6 +17,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
+
+from dolfin_elastic.errors import ElasticError, SolveError
 
 if TYPE_CHECKING:
     from dolfin_elastic.state import State
@@ -143,6 +146,31 @@ class Handler(logging.Handler):
         """Shows one record."""
         mark = "warning: " if record.levelno >= logging.WARNING else ""
         self.screen.print(f"{mark}{record.getMessage()}", soft_wrap=True)
+
+
+# --- errors ---
+
+
+def error_text(error: ElasticError) -> str:
+    """An error with its notes; the long lines of a failed solve are folded."""
+    notes = "".join(f"\n  {note}" for note in getattr(error, "__notes__", ()))
+    text = f"error: {error}{notes}"
+    return _folded(text) if isinstance(error, SolveError) else text
+
+
+def _folded(text: str) -> str:
+    """Long lines in several, the later ones indented; words and paths stay whole."""
+    folded = (
+        textwrap.wrap(
+            line,
+            WIDTH,
+            subsequent_indent="    ",
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        for line in text.splitlines()
+    )
+    return "\n".join(part for lines in folded for part in lines)
 
 
 # --- tables ---

@@ -270,6 +270,7 @@ class Output(Record):
             if isinstance(error, SolveError) and isinstance(error.state, State):
                 try:
                     _write_failed(problem, folder, error.state)
+                    error.add_note(f"the state that failed is in {folder / _FAILED}")
                 except OutputError as second:
                     log.warning("%s", second)
             raise
@@ -298,9 +299,9 @@ def _close(writers: Iterable[Writer], ending: tuple[str, object]) -> None:
 
 def _write_failed(problem: Problem, folder: Path, state: State) -> None:
     """The state that is no solution, in a file of its own. Collective."""
-    fields = ("displacement", "jacobian", "von_mises", "energy_density")
-    known = fields if problem.has_energy else fields[:-1]
-    writer = Xdmf(file=_FAILED, fields=known).open(problem, folder)
+    fields = ["displacement", "jacobian", "von_mises"]
+    fields += ["residual"] * (state.v is None) + ["energy_density"] * problem.has_energy
+    writer = Xdmf(file=_FAILED, fields=tuple(fields)).open(problem, folder)
     writer.write(state)
     writer.close("failed", None)
 

@@ -91,6 +91,8 @@ class SummaryWriter:
                 "finished": _now(),
                 "extremes": {k: asdict(e) for k, e in found.items()},
             }
+            if (diagnosis := getattr(error, "diagnosis", None)) is not None:
+                extra["diagnosis"] = asdict(diagnosis)
             if self.problem.mixed and found:
                 J = [found[name].value for name in ("min_jacobian", "max_jacobian")]
                 extra["volume_change"] = max(abs(value - 1) for value in J)

@@ -16,6 +16,7 @@ from dolfin_elastic.parallel import largest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.contact import Measured
+from dolfin_elastic.solvers.doctor import diagnose
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.motion import ConsistentMass, Strain, lumped, work
 from dolfin_elastic.solvers.newton import Newton, Tolerance
@@ -299,11 +300,15 @@ class Alpha:
         force, place = self.assembler.largest_unbalance()
         where = ", ".join(f"{x:.4g}" for x in place)
         reason = ts_reason(self.ts.getConvergedReason())
+        last = self.problem.w.x.array.copy()
+        self.newton.finish()
+        found = diagnose(self.assembler, self.newton.progress, good=last, failed=last, moving=True)
         return ConvergenceError(
-            f"no solution for the step from t = {t:.6g} s: {reason}; the largest force out of "
-            f"balance, {force:.3g} N, is at ({where}) m",
-            advice="a smaller dt, or a spectral_radius below 1",
+            f"no solution for the step from t = {t:.6g} s: {reason}; {found.text}\n  at the end: "
+            f"the largest force out of balance, {force:.3g} N, is at ({where}) m",
+            advice=found.advice,
             state=self._state(-1, t),
+            diagnosis=found,
         )
 
     def _falls_back(self) -> bool:

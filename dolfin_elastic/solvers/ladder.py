@@ -50,7 +50,7 @@ class Ladder:
         """
         newton, problem = self.newton, self.newton.assembler.problem
         w = problem.w.x.array
-        rejected, first = 0, starts[0][1]
+        rejected, worst, first = 0, None, starts[0][1]
         self._augmentation.save()
         if len(starts) > 1 and self._residual(starts[1][1]) < self._residual(first):
             starts = [("", starts[1][1]), ("from where the last step ended", first)]
@@ -60,13 +60,15 @@ class Ladder:
             self._first = False
             progress = self._try(start, line_search)
             rejected += progress.rejected
+            if progress.worst is not None and (worst is None or progress.worst[0] < worst[0]):
+                worst = progress.worst
             if progress.converged:
                 if said:
                     log.info("found %s", said)
                 return progress
             log.debug("%s, line search '%s': %s", said or "start", line_search, progress.reason)
         self.failed = w.copy()
-        progress.rejected = rejected
+        progress.rejected, progress.worst = rejected, worst
         w[:] = first
         self._augmentation.restore()
         problem.unknowns.tell()

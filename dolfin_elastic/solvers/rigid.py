@@ -154,7 +154,7 @@ def _products(bodies: Bodies, held: Held, centres: Floats, sizes: Floats) -> Flo
     """The matrix of each body, shape (bodies, motions, motions). Collective."""
     of = bodies.of_node[held.nodes]
     arms = (bodies.places[held.nodes] - centres[of]) / sizes[of, None]
-    rows = np.einsum("rc,rcm->rm", held.directions, _rigid(arms))
+    rows = np.einsum("rc,rcm->rm", held.directions, rigid_motions(arms))
     sums = np.zeros((bodies.count, rows.shape[1], rows.shape[1]))
     np.add.at(sums, of, rows[:, :, None] * rows[:, None, :])
     return np.asarray(total(bodies.comm, sums))
@@ -171,7 +171,7 @@ def _motions(problem: Problem, matrix: Floats, centre: Floats, size: float) -> l
     return motions_in_words(null, centre, size)
 
 
-def _rigid(x: Floats) -> Floats:
+def rigid_motions(x: Floats) -> Floats:
     """Displacement of points under unit rigid motions, shape (points, component, motion)."""
     points, dim = x.shape
     turns = planes(dim)

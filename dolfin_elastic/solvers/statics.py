@@ -18,12 +18,13 @@ from dolfin_elastic.solvers.arclength import ArcLength
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.audit import Auditor
 from dolfin_elastic.solvers.contact import Augmentation, Measured
+from dolfin_elastic.solvers.doctor import diagnose
 from dolfin_elastic.solvers.inertia import disturb, negative_eigenvalues
 from dolfin_elastic.solvers.jump import PathWatch
 from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton
-from dolfin_elastic.solvers.progress import Progress, Tolerance
+from dolfin_elastic.solvers.progress import ANOTHER, BEYOND, UNSTABLE, Progress, Tolerance
 from dolfin_elastic.solvers.relaxation import relax
 from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.solvers.steps import StepSizes
@@ -36,10 +37,6 @@ log = logging.getLogger("dolfin_elastic")
 
 FIRST = 0.25
 """Share of the load in the first step of a nonlinear problem."""
-
-
-UNSTABLE = "an unstable equilibrium"
-BEYOND = "the strain energy has no finite value: a material is beyond its limit"
 
 
 class StaticsSettings(Record):
@@ -214,7 +211,7 @@ class _Stepping:
                     log.info("load factor %.6g: %s; a smaller step", goal, fault)
                     self._go_to(start)
                     continue
-                progress = self._elsewhere(t, goal, progress, fault)
+                progress = self._elsewhere(t, goal, progress, fault, start)
             self._watch.accept()
             self._before = t, start
             sizes.succeeded(t, goal, progress.newton)
@@ -235,14 +232,16 @@ class _Stepping:
         if (negative_eigenvalues(self.newton) or 0) > 0:
             return UNSTABLE
         jumped = self._watch.jumped(self.newton.progress.target)
-        return "another equilibrium than that of the path" if jumped else ""
+        return ANOTHER if jumped else ""
 
-    def _elsewhere(self, t: float, goal: float, progress: Progress, fault: str) -> Progress:
+    def _elsewhere(
+        self, t: float, goal: float, progress: Progress, fault: str, start: Vector
+    ) -> Progress:
         """Goes on where no step is small enough, or gives up."""
         progress.reason = fault
         kept = self.problem.w.x.array.copy() if progress.converged else self.ladder.failed
         if not self.settings.snap or self.problem.linear or fault == BEYOND or t == 0.0:
-            raise self._failure(t, goal, progress, kept)
+            raise self._failure(t, goal, progress, start, kept)
         if not progress.converged or fault == UNSTABLE:
             if progress.converged:
                 disturb(self.newton)
@@ -251,7 +250,7 @@ class _Stepping:
             self._watch.look()
             if not found.converged or not self._watch.finite():
                 log.debug("flow to another equilibrium: %s", found.reason)
-                raise self._failure(t, goal, progress, kept)
+                raise self._failure(t, goal, progress, start, kept)
             progress = found
         what = "the body buckles" if fault == UNSTABLE else "the body has snapped"
         log.warning(
@@ -283,21 +282,20 @@ class _Stepping:
         return self.ladder.solve(starts)
 
     def _failure(
-        self, t: float, goal: float, progress: Progress, failed: Vector | None
+        self, t: float, goal: float, progress: Progress, good: Vector, failed: Vector | None
     ) -> ConvergenceError:
-        if failed is not None:
-            self.problem.w.x.array[:] = failed
-        self.problem.unknowns.tell()
-        with stage("assemble"):
-            self.assembler.assemble_balance()
+        """The error, with why; the problem is left with the last iterate."""
         progress.converged = False
+        last = good if failed is None else failed
+        found = diagnose(self.assembler, progress, good=good, failed=last)
         force, place = self.assembler.largest_unbalance()
         return ConvergenceError(
-            f"no equilibrium beyond load factor {t:.6g}: {progress.reason}, Newton iterations: "
-            f"{progress.newton}; the largest force out of balance, {force:.3g} N, is at "
-            f"{_text(place)} m",
-            advice=_advice(progress),
+            f"no equilibrium beyond load factor {t:.6g}: {found.text}\n  at the end: "
+            f"{progress.reason}, Newton iterations: {progress.newton}; the largest force out of "
+            f"balance, {force:.3g} N, is at {_text(place)} m",
+            advice=found.advice,
             state=self._state(goal, progress),
+            diagnosis=found,
         )
 
     # --- the path grows ---
@@ -310,7 +308,8 @@ class _Stepping:
             first = statics.sizes().goal(0.0)
             for found in arc.path(first, self.settings.min_step):
                 if not found.progress.converged:
-                    raise self._failure(found.t, found.t, found.progress, self.ladder.failed)
+                    good = self.problem.w.x.array.copy()
+                    raise self._failure(found.t, found.t, found.progress, good, self.ladder.failed)
                 self._limits = tuple(arc.limits)
                 yield self._state(found.t, found.progress, found.negative)
                 if self._is_enough():
@@ -349,14 +348,3 @@ class _Stepping:
 
 def _text(place: Any) -> str:
     return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"
-
-
-def _advice(progress: Progress) -> str:
-    if "LINEAR_SOLVE" in progress.reason:
-        return (
-            "is the body held against every rigid motion? Otherwise "
-            'solver.method = "direct" or a smaller load'
-        )
-    if progress.rejected or "NAN" in progress.reason:
-        return "more load steps, a smaller load, or a finer mesh where the cells are crushed"
-    return "more load steps or a smaller load; beyond a limit point no static equilibrium exists"
