@@ -73,10 +73,10 @@ def main():
     # A few per cent between meshes; another version of Gmsh makes another one.
     assert abs(plate + FORCE) < 0.05 * FORCE
     assert floor > 0.2 * FORCE
-    assert smallest > 0.4
+    assert smallest > 0.7
 
 
-FORCE = 162.0
+FORCE = 158.0
 """Of the plate [N], on this mesh."""
 
 if __name__ == "__main__":
