@@ -40,16 +40,17 @@ COMMON = {
     "kg/m^3": {"kg/m^3": 1.0, "g/cm^3": 1e3},
     "N/m^3": {"N/m^3": 1.0, "kN/m^3": 1e3},
     "s": {"s": 1.0, "ms": 1e-3},
-    # Speeds of rotation: one turn is 2 pi, which a hertz alone does not say.
-    "rad/s": {"rad/s": 1.0, "rpm": math.tau / 60, "Hz": math.tau},
-    # Changes of temperature, where the zero of the scale does not matter.
-    "K": {"K": 1.0, "degC": 1.0, "°C": 1.0},
+    "rad/s": {"rad/s": 1.0, "rpm": math.tau / 60},
+    "K": {"K": 1.0},
     "1/K": {"1/K": 1.0, "ppm/K": 1e-6},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},
     "m/s^2": {"m/s^2": 1.0},
     "rad": {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180},
 }
 """Units that most cases use, so that most cases start without pint's 0.3 s."""
+
+MEANT = {"rad/s": {"Hz": math.tau}, "K": {"degC": 1.0, "°C": 1.0}}
+"""Units whose sense pint cannot see: turns per second, and changes of temperature."""
 
 
 @lru_cache(maxsize=1)
@@ -109,8 +110,9 @@ def _from_text(text: str, unit: str) -> float:
     number, name = float(match[1]), match[2]
     if not name:
         return number
-    if name in COMMON.get(unit, ()):
-        return number * COMMON[unit][name]
+    for table in (COMMON, MEANT):
+        if name in table.get(unit, ()):
+            return number * table[unit][name]
     if not _known(name):
         raise UnitError(f"unknown unit '{name}' in '{text}'", expected=_expected(unit))
     quantity = _registry().Quantity(1.0, name)
@@ -129,8 +131,8 @@ def to_base(value: float | str) -> float:
     if match is None or not match[2]:
         return to_si(value, "")
     number, name = float(match[1]), match[2]
-    for unit, units in COMMON.items():
-        if name in units and unit not in ("rad/s", "K"):  # where a unit means more than its size
+    for units in COMMON.values():
+        if name in units:
             return _finite(number * units[name], value)
     if not _known(name):
         raise UnitError(f"unknown unit '{name}' in '{value}'", expected='for example "0.4 MPa"')

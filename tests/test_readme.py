@@ -148,7 +148,7 @@ def test_examples_for_contributors(folder: Path, comm: MPI.Comm) -> None:
         rod,
         names["Foam"](mu="1 MPa", density=1000),
         supports=[Support(on="left")],
-        loads=[names["Centrifugal"](value=[0, 0, 2])],
+        loads=[names["Spin"](value=[0, 0, 2])],
     )
     writer = names["Energies"]().open(problem, folder)
     for state in Statics(problem).steps():

@@ -30,16 +30,23 @@ class Site(Protocol):
     """Virtual displacement."""
     u: Expr
     """Displacement, of the unknowns: derivatives see it."""
-    F: Expr
-    """The 3x3 deformation gradient."""
+
+    @property
+    def F(self) -> Expr:
+        """The 3x3 deformation gradient."""
+
     X: Expr
     """Reference coordinates."""
     N: Expr
     """Outward unit normal of the reference surface."""
-    revolved: bool
-    """A body of revolution about y: its first coordinate is the radius."""
-    linear: bool
-    """All laws are linear: loads that can act on the undeformed body do, see `Load.linearises`."""
+
+    @property
+    def revolved(self) -> bool:
+        """A body of revolution about y: its first coordinate is the radius."""
+
+    @property
+    def linear(self) -> bool:
+        """All laws are linear: see `Load.linearises`."""
 
     def volumes(self, regions: Sequence[str]) -> ufl.Measure:
         """Reference volume of regions, of the whole body if there are none."""
