@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -232,7 +233,7 @@ class Prescribed:
         rows = self.tilted.held(array.reshape(-1, self._bs)[nodes])
         return np.concatenate([values, rows.reshape(-1)])
 
-    def impose(self, array: Floats, values: Floats) -> None:
+    def impose(self, array: Floats, values: npt.NDArray[np.floating[Any]]) -> None:
         """Puts prescribed values into a local vector of the displacement's space.
 
         Args:

@@ -67,7 +67,7 @@ class State:
         reason: Why the step counts as converged, PETSc's name.
         residuals: Norm of the free residual before each Newton iteration and after the last [N].
         energies: "strain" [J]; in motion also "kinetic", "external" (work of the loads so far),
-            "total".
+            "total"; with springs "springs", stored in them and no part of the total.
         reactions: Support's name to the force it exerts on the body [N], from the residual
             (virtual work).  The implicit scheme has its equilibrium, and so its reactions, at a
             time within the step.

@@ -160,7 +160,8 @@ class Assembler:
     def _stiffness(self) -> float:
         """Mean size of the tangent's diagonal at the first call, a power of two [N/m]."""
         if self._scale == 0.0:
-            self._filled.assemble(self._bcs, 0.0)
+            self._filled.unit = 0.0
+            self._filled.assemble(self._bcs)
             self.forget_tangent()
             diagonal = self.matrix.getDiagonal()
             mean = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
@@ -253,9 +254,10 @@ class Assembler:
             self.put(x)
             if self.problem.linear and shift == self._shift:
                 return
-            if unit is None:
-                unit = 1.0 if self._tilted is None else self._stiffness()
-            self._filled.assemble(self._bcs, unit)
+            if unit is None and self._tilted is not None:
+                unit = self._stiffness()
+            self._filled.unit = unit or 0.0
+            self._filled.assemble(self._bcs)
             self._shift = shift
 
     def hold(self, step: PETSc.Vec) -> None:
