@@ -52,7 +52,7 @@ class ConsistentMass:
         degree = 2 * problem.degree + 1
         forms = [
             sum(
-                problem.density(part) * term * problem.volume(part, degree)
+                problem.site.density(part) * term * problem.volume(part, degree)
                 for part in problem.parts
             )
             for term in terms
