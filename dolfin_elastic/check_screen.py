@@ -23,10 +23,11 @@ def show_check(report: Report) -> None:
     screen.print(f"{report.case}: {report.title}" if report.title else report.case, style="bold")
     for name, text in _head(report):
         screen.print(f"  {name:<10} {text}", soft_wrap=True)
+    span = max(report.extent)
     area, volume = ("m^2", "m^3") if report.dim == 3 else ("m", "m^2")
-    screen.print(_parts("surface", "facets", area, report.surfaces))
-    screen.print(_parts("region", "cells", volume, report.regions))
-    screen.print(_parts("material", "cells", volume, report.materials))
+    screen.print(_parts("surface", area, report.surfaces, span))
+    screen.print(_parts("region", volume, report.regions, span))
+    screen.print(_parts("material", volume, report.materials, span))
     if report.loads:
         _show_loads(screen, report)
     for field in report.fields:
@@ -47,7 +48,7 @@ def _head(report: Report) -> list[tuple[str, str]]:
         ("memory", f"about {report.memory.total / 1e9:.2g} GB of all ranks together"),
     ]
     if whole.mass is not None:
-        middle = _place(whole.centre_of_mass)
+        middle = _place(whole.centre_of_mass, max(report.extent))
         rows.append(("mass", f"{whole.mass:.4g} kg, centre of mass {middle} m"))
     return [*rows, *(("body", _body(body, len(report.bodies))) for body in report.bodies[:5])]
 
@@ -60,11 +61,13 @@ def _body(body: FreeBody, count: int) -> str:
     return f"{name}{free}" + (f" (one of {count} that share no nodes)" if count > 1 else "")
 
 
-def _place(point: Sequence[float]) -> str:
-    return vector_text(float(f"{x:.4g}") for x in point)
+def _place(point: Sequence[float], span: float) -> str:
+    """A place to four digits; what is tiny beside the body is 0."""
+    return vector_text(float(f"{x:.4g}") if abs(x) > 1e-6 * span else 0.0 for x in point)
 
 
-def _parts(kind: str, count: str, unit: str, parts: Sequence[PartSize]) -> Table:
+def _parts(kind: str, unit: str, parts: Sequence[PartSize], span: float) -> Table:
+    count = "facets" if kind == "surface" else "cells"
     heavy = any(part.mass is not None for part in parts)
     table = Table(kind, box=SIMPLE_HEAD, pad_edge=False)
     table.add_column(count, justify="right")
@@ -75,7 +78,7 @@ def _parts(kind: str, count: str, unit: str, parts: Sequence[PartSize]) -> Table
     table.add_column("law" if kind == "material" else "used by")
     for part in parts:
         mass = ["" if part.mass is None else f"{part.mass:.4g}"] if heavy else []
-        middle = _place(part.centroid) if part.centroid else ""
+        middle = _place(part.centroid, span) if part.centroid else ""
         table.add_row(part.name, str(part.count), f"{part.measure:.4g}", middle, *mass, part.use)
     return table
 

@@ -193,7 +193,8 @@ def test_forces_that_do_not_balance(monkeypatch, said):
     monkeypatch.setattr(Assembler, "external_forces", lambda self: 1.001 * true(self))
     found = audits(bar(), steps=3)
     assert [audit.verdict for audit in found] == ["pass", "warn", "warn", "warn"]
-    assert all(audit.force == pytest.approx(1e-3 / 1.001, rel=1e-8) for audit in found[1:])
+    # Round-off of the stiffness, here 1e-8 of what is left, is taken off before.
+    assert all(audit.force == pytest.approx(1e-3 / 1.001, rel=1e-6) for audit in found[1:])
     assert found[1].reasons[0].startswith("loads and reactions do not balance: 0.001 of their")
     assert found[1].reasons[1].startswith("the moments of loads and reactions about the origin")
     assert found[-1].so_far[0].endswith("(load factor 0.333333)")
