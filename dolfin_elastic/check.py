@@ -14,11 +14,13 @@ from dolfin_elastic.bench.gate import gate
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.errors import CaseError, MeshError, nearest
 from dolfin_elastic.meshes.body import Body, Indices, extent
+from dolfin_elastic.meshes.places import locate
 from dolfin_elastic.meshes.shapes import cell_corners, facet_corners, signed_volumes
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.parallel import total
 from dolfin_elastic.parts import locking_notes
 from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.schema import within
 from dolfin_elastic.solvers.explicit import check_explicit
 from dolfin_elastic.solvers.linear import choose
 from dolfin_elastic.solvers.rigid import check_held
@@ -142,6 +144,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_densities(case)
         _check_constants(case, body)
         _check_fields(case)
+        _check_probes(case, body)
         if explicit(case) and case.mesh.degree > 1:
             raise CaseError(
                 "symplectic-euler has a lumped mass, for linear elements only",
@@ -226,6 +229,11 @@ def _check_components(case: Case, body: Body) -> None:
 def _check_fields(case: Case) -> None:
     fields = [(f"output.fields[{i}]", name) for i, name in enumerate(case.output.fields or ())]
     fields += [(f"output.pictures[{i}].field", p.field) for i, p in enumerate(case.output.pictures)]
+    fields += [
+        (f"output.probes.{key_text(key)}.fields", name)
+        for key, probe in case.output.probes.items()
+        for name in probe.fields
+    ]
     powerless = [n for n, m in case.materials.items() if not m.law.has_energy]
     for where, name in fields:
         if FIELDS[name].motion and case.dynamics is None:
@@ -254,6 +262,14 @@ def _check_fields(case: Case) -> None:
                 where=where,
                 expected='write for example allowable = "40 MPa" under [materials.NAME]',
             )
+
+
+def _check_probes(case: Case, body: Body) -> None:
+    points = {name: probe.place(case.mesh.scale) for name, probe in case.output.probes.items()}
+    try:
+        locate(body, points)
+    except MeshError as error:
+        raise within("output.probes", error) from None
 
 
 # --- materials ---

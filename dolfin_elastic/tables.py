@@ -35,6 +35,7 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, Picture, Summary, Xdmf
 from dolfin_elastic.results.outputs import Output as File
+from dolfin_elastic.results.probes import Probe, ProbePoint
 from dolfin_elastic.results.writer import Writer
 from dolfin_elastic.results.xdmf import remove
 from dolfin_elastic.schema import Record, known_keys, shown, within
@@ -219,12 +220,14 @@ class Output(Record):
         every: Fields are written every so many steps, and at the end; by default every step, with
             an explicit scheme about 200 states.
         pictures: Pictures of the deformed body.
+        probes: Name to a point of the undeformed body, where fields are read off at every step.
     """
 
     folder: str | None = None
     fields: tuple[str, ...] | None = None
     every: Count | None = None
     pictures: list[Picture] = Field(default=[])
+    probes: dict[str, ProbePoint] = Field(default={})
 
     @field_validator("fields")
     @classmethod
@@ -235,6 +238,16 @@ class Output(Record):
                     f"unknown field '{name}'", where=f"[{index}]", expected=nearest(name, FIELDS)
                 )
         return names
+
+    def probe(self, problem: Problem, scale: float) -> Probe:
+        """What reads the fields off. Collective.
+
+        Args:
+            problem: The problem that is solved.
+            scale: Metres per unit of the mesh.
+        """
+        points = {name: probe.place(scale) for name, probe in self.probes.items()}
+        return Probe(problem, points, {n: probe.fields for n, probe in self.probes.items()})
 
     def files(self, frames: int | None = None, title: str = "") -> list[File]:
         """Everything that is written.

@@ -26,7 +26,7 @@ def _rule(dim: int, degree: int) -> tuple[Floats, Floats]:
     )
 
 
-def _gradients(nodes: Floats, degree: int, points: Floats) -> Floats:
+def cell_gradients(nodes: Floats, degree: int, points: Floats) -> Floats:
     """dx/dX at points of the reference simplex; nodes (n, k, gdim) -> (n, points, gdim, tdim)."""
     tdim = points.shape[1]
     table = np.asarray(_element(tdim, degree).tabulate(1, points), dtype=np.float64)
@@ -43,7 +43,7 @@ def cell_jacobians(mesh: Mesh, points: Floats) -> Floats:
     """det(dx/dX) of each local cell at reference points, shape (cells, points). Local."""
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
     nodes = np.asarray(mesh.geometry.x[mesh.geometry.dofmap, :d], dtype=np.float64)
-    return np.asarray(np.linalg.det(_gradients(nodes, degree, points)))
+    return np.asarray(np.linalg.det(cell_gradients(nodes, degree, points)))
 
 
 def cell_volumes(mesh: Mesh) -> Floats:
@@ -72,7 +72,7 @@ def facet_areas(mesh: Mesh, facets: npt.NDArray[np.int32]) -> Floats:
     """
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
     points, weights = _rule(d - 1, 8 if degree > 1 else 0)
-    slopes = _gradients(_facet_nodes(mesh, facets), degree, points)
+    slopes = cell_gradients(_facet_nodes(mesh, facets), degree, points)
     metric = np.einsum("npgs,npgt->npst", slopes, slopes)
     return np.asarray(np.sqrt(np.linalg.det(metric)) @ weights)
 
