@@ -27,6 +27,7 @@ def patch(
     kinds: Mapping[int, str] | None = None,
     grading: tuple[float, float] = (1.0, 1.0),
     bump: float = 0.0,
+    diagonals: str = "Alternate",
     order: int = 1,
 ) -> str:
     """One patch.
@@ -37,6 +38,7 @@ def patch(
         kinds: Side to "circle" or "ellipse" about the origin, with axes along x and y.
         grading: Length of a cell over that of the one before, from side 3 to 1 and from 0 to 2.
         bump: Instead of that: size of the cells at the ends of all sides over those amid, about.
+        diagonals: Which way squares are cut: "Left", "Right" or "Alternate".
         order: Degree of the cells' geometry.
     """
     lines = [
@@ -55,7 +57,7 @@ def patch(
     lines += [
         "Curve Loop(1) = {1, 2, 3, 4};",
         "Plane Surface(1) = {1};",
-        "Transfinite Surface {1} = {1, 2, 3, 4} Alternate;",
+        "Transfinite Surface {1} = {1, 2, 3, 4} " + diagonals + ";",
         'Physical Surface("body") = {1};',
         *(f'Physical Curve("side{i}") = {{{i + 1}}};' for i in range(4)),
     ]
@@ -71,7 +73,9 @@ def _side(kind: str, number: int, a: int, b: int, corners: Corners) -> str:
     return f"Ellipse({number}) = {{{a}, 9, {longest}, {b}}};"
 
 
-def ring(inner: float, outer: float, cells: tuple[int, int], grading: float = 1.0) -> str:
+def ring(
+    inner: float, outer: float, cells: tuple[int, int], grading: float = 1.0, **how: Any
+) -> str:
     """A quarter of a ring: side0 on the x axis, side1 outside, side2 on the y axis, side3 inside.
 
     Args:
@@ -79,10 +83,11 @@ def ring(inner: float, outer: float, cells: tuple[int, int], grading: float = 1.
         outer: Outer radius.
         cells: Through the thickness, and around.
         grading: Thickness of a cell over that of the one inside of it.
+        how: More about the patch.
     """
     corners = [(inner, 0.0), (outer, 0.0), (0.0, outer), (0.0, inner)]
     arcs = {1: "circle", 3: "circle"}
-    return patch(corners, cells, kinds=arcs, grading=(grading, 1.0), order=2)
+    return patch(corners, cells, kinds=arcs, grading=(grading, 1.0), order=2, **how)
 
 
 def tables(

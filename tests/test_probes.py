@@ -144,6 +144,11 @@ def test_columns_of_the_history(folder):
     ]
 
 
+def test_no_probes(folder):
+    *_, state = run(Case.from_dict(block()), output=folder / "out")
+    assert not state.numbers
+
+
 @pytest.mark.parametrize(
     ("probes", "message"),
     [

@@ -26,11 +26,13 @@ HELD = [
 """The two planes of symmetry of a quarter ring."""
 
 
-def blown(folder: Any, nu: float, cells: tuple[int, int] = (12, 24), **mesh: Any) -> dict[str, Any]:
+def blown(folder: Any, nu: float, **mesh: Any) -> dict[str, Any]:
     """A quarter ring, inner radius 1 and outer 2, under 0.1 MPa inside."""
-    case = tables(
-        folder, ring(1, 2, cells, 1.05), {"law": "linear-elastic", "E": E, "nu": nu}, **mesh
-    )
+    return filled(folder, ring(1, 2, (12, 24), 1.05), nu, **mesh)
+
+
+def filled(folder: Any, net: str, nu: float, **mesh: Any) -> dict[str, Any]:
+    case = tables(folder, net, {"law": "linear-elastic", "E": E, "nu": nu}, **mesh)
     axial = mesh.get("geometry") == "axisymmetric"
     case |= {
         "support": HELD[:1] if axial else HELD,
@@ -66,10 +68,17 @@ def test_lame_tube(folder, nu):
     assert found["a_cauchy_stress_yy"] == pytest.approx(5e5 / 3, rel=3e-3)
 
 
-def test_tube_locks_and_does_not_lock(folder):
-    """At nu = 0.4999: linear triangles lose a third, and the mixed ones do not."""
-    short = solved(blown(folder, 0.4999, (32, 32), degree=1), folder).numbers["a_x"]
-    assert short / TUBE[0.4999][0] == pytest.approx(0.7, abs=0.05)
+@pytest.mark.parametrize(("diagonals", "lost"), [("Right", 0.3), ("Alternate", 0.007)])
+def test_linear_triangles_lock(folder, diagonals, lost):
+    """32 x 32 of them at nu = 0.4999: a third is lost, unless two share a centre crosswise.
+
+    Nagtegaal, Parks & Rice, Comput. Methods Appl. Mech. Eng. 4 (1974) 153.  What is lost belongs to
+    the mesh: 30 % are those of the same mesh in an independent code.
+    """
+    case = filled(folder, ring(1, 2, (32, 32), diagonals=diagonals), 0.4999, degree=1)
+    found = solved(case, folder).numbers["a_x"]
+    print(diagonals, found / TUBE[0.4999][0] - 1)
+    assert found / TUBE[0.4999][0] == pytest.approx(1 - lost, abs=0.01)
 
 
 SPHERE = {0.3: 0.08, 0.4999: 0.085711428571}
@@ -88,7 +97,6 @@ def test_lame_sphere(folder, nu):
 OCTANT = """
 SetFactory("OpenCASCADE");
 Mesh.ElementOrder = 2;
-Mesh.MeshSizeMax = 0.25;
 Sphere(1) = {0, 0, 0, 2, 0, Pi/2, Pi/2};
 Sphere(2) = {0, 0, 0, 1, 0, Pi/2, Pi/2};
 BooleanDifference(3) = { Volume{1}; Delete; }{ Volume{2}; Delete; };
@@ -98,8 +106,11 @@ Physical Volume("body") = {3};
 
 @pytest.mark.parametrize("nu", SPHERE)
 def test_lame_sphere_in_space(folder, nu):
-    """An eighth of a hollow sphere of curved tetrahedra, some three through the wall."""
-    case = tables(folder, OCTANT, {"law": "linear-elastic", "E": E, "nu": nu})
+    """An eighth of a hollow sphere of curved tetrahedra, some six through the wall.
+
+    2e-3: uneven cells leave 1.3e-3 at the corner of the octant, ten times less amid it.
+    """
+    case = tables(folder, OCTANT, {"law": "linear-elastic", "E": E, "nu": nu}, size=0.18)
     zero = {"x": [0, FREE, FREE], "y": [FREE, 0, FREE], "z": [FREE, FREE, 0]}
     case |= {
         "surfaces": {
@@ -175,7 +186,7 @@ def test_kirsch_rates(folder):
     cells = np.array([6, 12, 24])
     errors, numbers = zip(*(pulled_ring(folder, int(n)) for n in cells), strict=True)
     rates = np.polyfit(np.log(1 / cells), np.log(np.array(errors)), 1)[0]
-    print(errors, rates, numbers[-1])
+    print(errors, rates)
     assert rates[0] > 2.9  # 3.3: the coarsest mesh is not asymptotic yet
     assert rates[1] == pytest.approx(2, abs=0.1)
     finest = numbers[-1]
@@ -227,11 +238,11 @@ def test_hole_in_a_finite_plate(folder):
         end=[10, 0],
     )
     found = solved(case, folder).numbers
-    print(found)
+    print(found["end_x"], found["b_cauchy_stress_xx"], found["a_cauchy_stress_yy"])
     assert found["end_x"] == pytest.approx(9.57092e-5, rel=2e-5)
-    # Recovered stress of second order on cells of a twelfth of the hole's eighth.
-    assert found["b_cauchy_stress_xx"] == pytest.approx(3.0861, rel=1e-2)
-    assert found["a_cauchy_stress_yy"] == pytest.approx(-1.0682, rel=2e-2)
+    # Recovered stress of second order on cells of a twentieth of the hole's eighth.
+    assert found["b_cauchy_stress_xx"] == pytest.approx(3.0861, rel=3e-3)
+    assert found["a_cauchy_stress_yy"] == pytest.approx(-1.0682, rel=5e-3)
 
 
 # --- NAFEMS LE1 ---
@@ -259,6 +270,6 @@ def test_elliptic_membrane(folder, geometry):
     found = solved(probing(case, d=d, e=[0, 1]), folder).numbers
     ux, uy = LE1[geometry]
     print(found["d_x"] / ux - 1, found["e_y"] / uy - 1, found["d_cauchy_stress_yy"] / 92.6583e6 - 1)
-    assert found["d_x"] == pytest.approx(ux, rel=1e-4)
+    assert found["d_x"] == pytest.approx(ux, rel=2e-4)
     assert found["e_y"] == pytest.approx(uy, rel=1e-4)
     assert found["d_cauchy_stress_yy"] == pytest.approx(92.6583e6, rel=2e-2)

@@ -148,11 +148,13 @@ class _Stepping:
         return progress
 
     def _refuse_inverted(self, progress: Progress) -> None:
-        if progress.converged and (worst := self._watch.smallest())[0] <= 0.0:
-            progress.converged = False
-            progress.reason = (
-                f"a cell turned inside out (det F = {worst[0]:.3g}, at {_text(worst[1])} m)"
-            )
+        if not progress.converged or (worst := self._watch.smallest())[0] > 0.0:
+            return
+        what = f"a cell turned inside out (det F = {worst[0]:.3g}, at {_text(worst[1])} m)"
+        if self.problem.linear:  # it is the solution, only far beyond what the law is made for
+            log.warning("%s: too large a load for laws of small strains", what)
+            return
+        progress.converged, progress.reason = False, what
 
     def _smaller(self, t: float, goal: float, planned: float, progress: Progress) -> float:
         """Half the step that failed, or the error when that is too small."""
