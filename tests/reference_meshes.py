@@ -47,12 +47,12 @@ def patch(
         "Mesh.HighOrderOptimize = 0;",
         "Point(9) = {0, 0, 0};",
     ]
-    lines += [f"Point({i + 1}) = {{{x!r}, {y!r}, 0}};" for i, (x, y) in enumerate(corners)]
+    lines += [f"Point({i + 1}) = {{{x:.17g}, {y:.17g}, 0}};" for i, (x, y) in enumerate(corners)]
     for i in range(4):
         a, b = i + 1, (i + 1) % 4 + 1
         lines.append(_side((kinds or {}).get(i, "line"), i + 1, a, b, corners))
         growth = grading[i % 2] if i < 2 else 1 / grading[i % 2]
-        spread = f"Bump {bump!r}" if bump else f"Progression {growth!r}"
+        spread = f"Bump {bump:.17g}" if bump else f"Progression {growth:.17g}"
         lines.append(f"Transfinite Curve {{{i + 1}}} = {cells[i % 2] + 1} Using {spread};")
     lines += [
         "Curve Loop(1) = {1, 2, 3, 4};",

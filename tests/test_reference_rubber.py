@@ -153,8 +153,8 @@ TORSION = {
 def test_rivlin_torsion(folder, name):
     """T = pi mu psi/2, N = pi mu (l - l^-2) - pi mu psi^2/4; -pi psi^2 (c10 + 2 c01)/2 at l = 1.
 
-    Rivlin (1949), section 5.  The ends are turned as in his solution, by exact rotation; the side is
-    free, and the cylinder keeps its radius 1/sqrt(l).  Poynting's effect: it pushes its ends apart.
+    Rivlin (1949), section 5.  The ends are turned as in his solution, by exact rotation; the side
+    is free, and the cylinder keeps its radius 1/sqrt(l).  Poynting's effect: it pushes them apart.
     """
     material, stretch, force, torque = TORSION[name]
     case = tables(folder, CYLINDER, material, size=0.2)
