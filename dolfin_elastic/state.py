@@ -37,7 +37,8 @@ class State:
             time within the step.
         momenta: In motion "linear" [kg m/s] and "angular" [kg m^2/s] about the origin.
         max_displacement: Largest length of u over the body's nodes [m].
-        numbers: Further results by name, for example the volume of a cavity [SI units].
+        numbers: Further results by name, for example of probes or the volume of a cavity [SI
+            units].
         done: Share of the whole run that is done, 0 to 1.
     """
 

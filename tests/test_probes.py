@@ -12,6 +12,7 @@ from dolfin_elastic import (
     Case,
     LinearElastic,
     NeoHookean,
+    Probe,
     Problem,
     Statics,
     Support,
@@ -22,7 +23,6 @@ from dolfin_elastic import (
 from dolfin_elastic.check import check
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes.places import locate
-from dolfin_elastic.results.probes import Probe
 
 FREE = "free"
 

@@ -179,6 +179,7 @@ def test_rivlin_torsion(folder, name):
     side = read.output.probe(problem, 1.0).numbers(state)
     grown = np.hypot(1 + side["side_x"], side["side_y"])
     print(name, found[0] / force - 1, found[1] / torque - 1, grown * np.sqrt(stretch) - 1)
-    assert found[0] == pytest.approx(force, rel=3e-3)
-    assert found[1] == pytest.approx(torque, rel=1e-3)
-    assert grown == pytest.approx(stretch**-0.5, rel=1e-3)
+    # Half of these: the mesh's error, largest in the second-order force of Poynting's effect.
+    assert found[0] == pytest.approx(force, rel=2e-3)
+    assert found[1] == pytest.approx(torque, rel=5e-4)
+    assert grown == pytest.approx(stretch**-0.5, rel=5e-4)
