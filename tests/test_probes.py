@@ -178,6 +178,16 @@ def test_two_numbers_of_one_name(folder):
         probe.onto(probe.onto(state))
 
 
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_little_outside(degree):
+    """0.03 of a cell beyond a side, as on a round surface that is flat between nodes."""
+    problem, state = affine(2, degree)
+    found = Probe(problem, {"out": [1.01, 0.5]})(state)["out_displacement"]
+    np.testing.assert_allclose(found, [0.2 * 1.01 + 0.05, 0.05 * 1.01 - 0.05], atol=1e-12)
+    with pytest.raises(InputError, match=r"outside of the body: far \(1.02, 0.5\)"):
+        locate(problem.body, {"out": [1.01, 0.5], "far": [1.02, 0.5]})
+
+
 def test_one_rank_has_a_point():
     """A node in the middle that several ranks share."""
     body = box_body(size=(1.0, 1.0, 1.0), cells=(2, 2, 2))

@@ -105,7 +105,7 @@ def _pulled_back(mesh: Mesh, nodes: Floats, point: Floats) -> Floats:
             gap = point - tabulated(mesh, at[None])[0] @ corner
             slope = cell_gradients(corner[None], degree, at[None])[0, 0]
             local[i] = at + np.linalg.lstsq(slope, gap, rcond=None)[0]
-        local = np.clip(local, -3.0, 4.0)  # far cells must not send the iteration astray
+        np.clip(local, -3.0, 4.0, out=local)  # far cells must not send the iteration astray
     return local
 
 
