@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.meshes import name_parts as name_parts
     from dolfin_elastic.meshes import read_body as read_body
     from dolfin_elastic.meshes import rectangle_body as rectangle_body
+    from dolfin_elastic.model.contact import Contact as Contact
     from dolfin_elastic.model.loads import BodyForce as BodyForce
     from dolfin_elastic.model.loads import Gravity as Gravity
     from dolfin_elastic.model.loads import Pressure as Pressure
@@ -51,7 +52,12 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.materials import Yeoh as Yeoh
     from dolfin_elastic.model.own import Energy as Energy
     from dolfin_elastic.model.own import SplitEnergy as SplitEnergy
+    from dolfin_elastic.model.springs import Dashpot as Dashpot
+    from dolfin_elastic.model.springs import Spring as Spring
+    from dolfin_elastic.model.supports import Normal as Normal
+    from dolfin_elastic.model.supports import Rotation as Rotation
     from dolfin_elastic.model.supports import Support as Support
+    from dolfin_elastic.model.supports import Symmetry as Symmetry
     from dolfin_elastic.problem import Problem as Problem
     from dolfin_elastic.results.outputs import History as History
     from dolfin_elastic.results.outputs import Picture as Picture
@@ -86,7 +92,9 @@ _PLACES = {
         "Yeoh",
     ),
     "model.own": ("Energy", "SplitEnergy"),
-    "model.supports": ("Support",),
+    "model.contact": ("Contact",),
+    "model.supports": ("Normal", "Rotation", "Support", "Symmetry"),
+    "model.springs": ("Dashpot", "Spring"),
     "model.loads": ("BodyForce", "Gravity", "Pressure", "Traction"),
     "problem": ("Problem",),
     "solvers.statics": ("Statics",),

@@ -21,6 +21,7 @@ from dolfin_elastic.parallel import total
 from dolfin_elastic.parts import locking_notes
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.schema import within
+from dolfin_elastic.solvers.contact import check_start, out_of_reach
 from dolfin_elastic.solvers.explicit import check_explicit
 from dolfin_elastic.solvers.linear import choose
 from dolfin_elastic.solvers.rigid import check_held
@@ -39,7 +40,7 @@ class PartSize:
         name: Its name.
         count: Facets or cells on all ranks.
         measure: Area or volume [m^2, m^3]; length or area of a plane body [m, m^2].
-        use: What it is there for: "support", "load", material's names; empty: nothing.
+        use: What it is there for: "support", "contact", "load", material's names; empty: nothing.
     """
 
     name: str
@@ -101,6 +102,9 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
             check_held(problem)
         elif explicit(case):
             check_explicit(problem)
+        if case.dynamics is not None:
+            check_start(problem)
+        notes = (*notes, *out_of_reach(problem))
     return Report(
         case=case.file,
         title=case.title,
@@ -166,6 +170,9 @@ def _check_names(case: Case, body: Body) -> None:
     for i, support in enumerate(case.support):
         for where, name in _keys(f"support[{i}].on", support.on):
             _check_name(where, name, "surface", "a support holds surfaces", body)
+    for i, contact in enumerate(case.contact):
+        for where, name in _keys(f"contact[{i}].on", contact.on):
+            _check_name(where, name, "surface", "a contact holds surfaces", body)
     for i, load in enumerate(case.load):
         kind = "surface" if acts_on_surfaces(load) else "region"
         for where, name in _keys(f"load[{i}].on", getattr(load, "on", None)):
@@ -210,11 +217,11 @@ def _offer(name: str, names: Mapping[str, Indices]) -> str:
 
 
 def _check_components(case: Case, body: Body) -> None:
-    vectors = [(f"support[{i}].displacement", s.values) for i, s in enumerate(case.support)]
-    vectors += [
-        (f"load[{i}].{key}", values)
-        for i, load in enumerate(case.load)
-        for key, values in load.vectors.items()
+    vectors = [
+        (f"{table}[{i}].{key}", values)
+        for table, rows in (("support", case.support), ("load", case.load))
+        for i, row in enumerate(rows)
+        for key, values in row.vectors.items()
     ]
     if case.dynamics is not None:
         vectors += [
@@ -349,7 +356,11 @@ def _notes(case: Case) -> Iterator[str]:
     for name, material in case.materials.items():
         if material.law.warning:
             yield f"materials.{key_text(name)}: {material.law.warning}"
-    moving = any(value not in (None, 0.0) for support in case.support for value in support.values)
+    moving = any(not support.at_rest for support in case.support)
+    moving = moving or any(value != 0.0 for c in case.contact for value in c.values)
+    for i, support in enumerate(case.support):
+        if support.kind == "dashpot" and case.dynamics is None:
+            yield f"support[{i}]: a dashpot does nothing in statics"
     if case.dynamics is None and not case.load and not moving:
         yield "there is no load and every support is at rest: nothing will move"
 
@@ -359,7 +370,13 @@ def _uses(case: Case, name: str, *, surface: bool) -> str:
         load.kind for load in case.load if acts_on_surfaces(load) == surface and name in load.parts
     ]
     if surface:
-        return ", ".join(["support" for s in case.support if name in s.surfaces] + loads)
+        holding = [
+            "support" if s.kind == "displacement" else s.kind
+            for s in case.support
+            if name in s.surfaces
+        ]
+        touching = ["contact" for c in case.contact if name in c.surfaces]
+        return ", ".join(holding + touching + loads)
     return ", ".join([key for key, m in case.materials.items() if name in m.regions] + loads)
 
 

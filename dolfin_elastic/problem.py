@@ -20,6 +20,7 @@ from dolfin_elastic.formulation import Formulation
 from dolfin_elastic.measures import Measures
 from dolfin_elastic.meshes.body import Body, cell_size
 from dolfin_elastic.model.components import depends_on_time
+from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.model.geometry import (
     Geometry,
@@ -30,11 +31,13 @@ from dolfin_elastic.model.geometry import (
 from dolfin_elastic.model.law import Law, SplitLaw
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.mixed import Mixed
-from dolfin_elastic.model.supports import Support
+from dolfin_elastic.model.springs import Dashpot, Resisting, Spring
+from dolfin_elastic.model.supports import Restraint
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
-from dolfin_elastic.prescribed import Prescribed
+from dolfin_elastic.prescribed import Prescribed, Projections, held_by_spring
 from dolfin_elastic.rims import rim_held
 from dolfin_elastic.site import BodySite
+from dolfin_elastic.touching import Touching, check_contacts, rule
 from dolfin_elastic.unknowns import Unknowns
 
 UNUSED = 1e-6
@@ -50,8 +53,9 @@ class Problem:
         body: The mesh and its names.
         materials: A law for the whole body, or region's name to law; together the regions must
             cover every cell exactly once.
-        supports: Prescribed displacements; where they meet the later one holds.
+        supports: What holds surfaces; where displacements are prescribed twice the later one holds.
         loads: External forces.
+        contacts: Rigid obstacles that surfaces may touch.
         degree: Degree of the displacement on tetrahedra or triangles, 1 or 2.
         quadrature_degree: Overrides the law's own choice for the internal forces.
         formulation: "displacement"; "mixed", with a pressure for nearly incompressible materials;
@@ -67,6 +71,7 @@ class Problem:
         constant: Makes a number that forms refer to by place, so that changing it compiles nothing.
         t: UFL constant with the time, used by formulas.
         X: Reference coordinates (UFL).
+        touching: The contacts as they stand on the body.
 
     Raises:
         MeshError: A name does not exist, or the materials do not cover the body exactly once.
@@ -79,8 +84,9 @@ class Problem:
         body: Body,
         materials: Law | Mapping[str, Law],
         *,
-        supports: Sequence[Support] = (),
+        supports: Sequence[Restraint] = (),
         loads: Sequence[Load] = (),
+        contacts: Sequence[Contact] = (),
         degree: int = 1,
         quadrature_degree: int | None = None,
         formulation: Formulation = "auto",
@@ -91,6 +97,8 @@ class Problem:
         self.supports, self.loads = tuple(supports), tuple(loads)
         self.quadrature_degree = quadrature_degree
         self.geometry = checked_geometry(geometry, thickness, body)
+        turned = self.geometry == "axisymmetric"
+        check_contacts(contacts, body, turned=turned)
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
         self.parts, fields = make_parts(
             body, laws, formulation, degree=degree, order=self._order, geometry=self.geometry
@@ -103,15 +111,22 @@ class Problem:
         self.measures = Measures(
             body,
             [part.cells for part in self.parts],
-            [term.parts for term in self.loads],
+            [
+                *(term.parts for term in self.loads),
+                *(s.surfaces for s in self.supports if isinstance(s, Resisting)),
+            ],
             weight(self.geometry, ufl.SpatialCoordinate(body.mesh), depth),
+            [contact.surfaces for contact in contacts],
         )
         self.site = BodySite(body, self.unknowns, self.parts, self.measures, self.geometry)
         self.constant, self.t, self.X = self.site.constant, self.site.t, self.site.X
-        self.prescribed = Prescribed(
-            body, self.V, self.supports, axis=self.geometry == "axisymmetric"
-        )
-        _ = self.external  # says now what is wrong with a load
+        self.prescribed = Prescribed(body, self.V, self.supports, axis=turned)
+        self.touching = tuple(self._touching(contact) for contact in contacts)
+        _ = self.external, self.holding  # says now what is wrong with a load or a spring
+
+    def _touching(self, contact: Contact) -> Touching:
+        where = self.measures.touching(contact.surfaces, rule(self._order, self.body.dim))
+        return Touching(contact, self.site, where)
 
     def _scale_unknowns(self) -> None:
         """Gives the scalar fields the size of displacements, see `unknowns`."""
@@ -216,7 +231,40 @@ class Problem:
     @cached_property
     def holding(self) -> dict[str, ufl.Form]:
         """Virtual work of the forces by which springs and obstacles hold the body, by label."""
-        return {}
+        held: dict[str, ufl.Form] = {}
+        for support in self.supports:
+            if isinstance(support, Resisting):
+                work = support.virtual_work(self.site)
+                held[support.label] = held[support.label] + work if support.label in held else work
+        for touch in self.touching:
+            known = held.get(touch.label)
+            held[touch.label] = touch.work if known is None else known + touch.work
+        return held
+
+    @property
+    def springs(self) -> tuple[Spring, ...]:
+        """Supports that hold by stored energy."""
+        return tuple(s for s in self.supports if isinstance(s, Spring))
+
+    @property
+    def dashpots(self) -> tuple[Dashpot, ...]:
+        """Supports that hold against velocity, in motion only."""
+        return tuple(s for s in self.supports if isinstance(s, Dashpot))
+
+    @cached_property
+    def spring_energy(self) -> ufl.Form | None:
+        """Energy stored in springs; None without any."""
+        return sum(s.energy(self.site) for s in self.springs) if self.springs else None
+
+    @cached_property
+    def resisting(self) -> list[Projections]:
+        """Owned nodes that springs hold, with projections on the directions. Collective."""
+        return [held for s in self.springs for held in held_by_spring(s, self.body, self.V)]
+
+    def damping(self, velocity: Expr) -> ufl.Form | None:
+        """Virtual work against dashpots at a velocity; None without any."""
+        works = [d.work_at(self.site, velocity) for d in self.dashpots]
+        return -sum(works) if works else None
 
     @cached_property
     def residual(self) -> ufl.Form:
@@ -275,7 +323,9 @@ class Problem:
     @property
     def linear(self) -> bool:
         """The residual is linear in u."""
-        return self.site.linear and not any(self._follows(load) for load in self.loads)
+        if self.touching or any(self._follows(load) for load in self.loads):
+            return False
+        return self.site.linear
 
     @property
     def num_dofs(self) -> int:
@@ -308,3 +358,5 @@ class Problem:
         """
         self.site.set_time(t, default)
         self.prescribed.move_to(t, default)
+        for touch in self.touching:
+            touch.set_time(t, default)

@@ -37,8 +37,11 @@ class State:
             time within the step.
         momenta: In motion "linear" [kg m/s] and "angular" [kg m^2/s] about the origin.
         max_displacement: Largest length of u over the body's nodes [m].
-        numbers: Further results by name, for example of probes or the volume of a cavity [SI
-            units].
+        negative: In statics the number of negative eigenvalues of the tangent, 0 where the body is
+            stable, if the solver tells.
+        limit_points: Load factors of the limit points that a path has passed so far.
+        numbers: Further results by name, for example of probes or the volume of a cavity
+            [SI units].
         done: Share of the whole run that is done, 0 to 1.
     """
 
@@ -57,5 +60,7 @@ class State:
     reactions: Mapping[str, Vector] = field(default_factory=dict)
     momenta: Mapping[str, Vector] = field(default_factory=dict)
     max_displacement: float = 0.0
+    negative: int | None = None
+    limit_points: tuple[float, ...] = ()
     numbers: Mapping[str, float] = field(default_factory=dict)
     done: float = 0.0

@@ -88,6 +88,14 @@ class Unknowns:
         index = [e.name for e in self.extras].index(name)
         return self.scale[name] * self._split(w)[1 + index]
 
+    def count(self, name: str) -> int:
+        """How many unknowns a scalar field has on all ranks."""
+        if not self.has(name):
+            return 0
+        index = [e.name for e in self.extras].index(name)
+        dofmap = self.W.sub(1 + index).collapse()[0].dofmap
+        return int(dofmap.index_map.size_global)
+
     @property
     def stabilised(self) -> bool:
         """The pressure is as rich as the displacement and needs to be held."""

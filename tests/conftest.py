@@ -11,6 +11,7 @@ import os
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -19,6 +20,8 @@ os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT", "1")
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")
 
 from mpi4py import MPI
+
+from dolfin_elastic import Problem
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -48,3 +51,12 @@ def serial_only(comm: MPI.Comm) -> None:
     """For tests that start processes of their own."""
     if comm.size > 1:
         pytest.skip("starts its own processes: runs in the serial session")
+
+
+def displacement_at(problem: Problem, place: tuple[float, ...]) -> np.ndarray:
+    """Displacement of the node at a place, on every rank."""
+    dim, x = problem.body.dim, problem.V.tabulate_dof_coordinates()
+    u = problem.u.x.array.reshape(-1, dim)
+    near = np.flatnonzero(np.linalg.norm(x[:, :dim] - np.array(place), axis=1) < 1e-9)
+    found = u[near[0]] if len(near) else None
+    return next(value for value in problem.body.comm.allgather(found) if value is not None)

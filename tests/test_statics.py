@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import displacement_at
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -29,15 +30,6 @@ from dolfin_elastic.solvers.linear import LinearSettings
 
 FREE = "free"
 E, NU = 1e6, 0.3
-
-
-def displacement_at(problem: Problem, place: tuple[float, ...]) -> np.ndarray:
-    """Displacement of the node at a place, on every rank."""
-    dim, x = problem.body.dim, problem.V.tabulate_dof_coordinates()
-    u = problem.u.x.array.reshape(-1, dim)
-    near = np.flatnonzero(np.linalg.norm(x[:, :dim] - np.array(place), axis=1) < 1e-9)
-    found = u[near[0]] if len(near) else None
-    return next(value for value in problem.body.comm.allgather(found) if value is not None)
 
 
 def last(problem: Problem, **settings: Any) -> Any:

@@ -132,6 +132,7 @@ class SummaryWriter:
             "energies": dict(state.energies) if state else {},
             "reactions": dict(state.reactions) if state else {},
             "numbers": dict(state.numbers) if state else {},
+            "limit_points": list(state.limit_points) if state else [],
         }
 
     def _timings(self) -> dict[str, float]:

@@ -6,8 +6,8 @@ Used by statics directly and by implicit dynamics through TS.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,18 @@ from petsc4py import PETSc
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes.body import cell_size, span
 from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.linear import GMRES, Choice, QuadraticMultigrid, rigid_body_modes
+from dolfin_elastic.solvers.border import Border, Bordered, python_solver
+from dolfin_elastic.solvers.guard import PATIENCE, InversionGuard
+from dolfin_elastic.solvers.linear import (
+    GMRES,
+    LAST_DIRECT,
+    Choice,
+    QuadraticMultigrid,
+    factorising,
+    rigid_body_modes,
+)
 from dolfin_elastic.solvers.options import PREFIX, Options, ksp_reason, snes_reason
+from dolfin_elastic.solvers.progress import Progress, Tolerance
 from dolfin_elastic.solvers.schur import SchurSplit
 from dolfin_elastic.timing import stage
 
@@ -37,42 +47,6 @@ HOPELESS = 1e8
 """Growth of the residual from which no Newton iteration comes back."""
 
 
-@dataclass
-class Progress:
-    """What one Newton solve went through.
-
-    Attributes:
-        residuals: Norm of the free residual at each iterate [N].
-        reference: Force the residual is measured against [N].
-        newton: Iterations.
-        krylov: Linear iterations.
-        reason: PETSc's name of why it ended.
-        converged: Whether equilibrium was found.
-    """
-
-    residuals: list[float] = field(default_factory=list)
-    reference: float = 0.0
-    newton: int = 0
-    krylov: int = 0
-    reason: str = ""
-    converged: bool = False
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """When equilibrium counts as found.
-
-    Attributes:
-        rtol: Free residual over the larger of applied forces and reactions.
-        atol: Free residual [N].
-        max_iterations: Newton iterations after which a step is given up.
-    """
-
-    rtol: float = 1e-8
-    atol: float = 0.0
-    max_iterations: int = 30
-
-
 class Newton:
     """A SNES for one assembler.
 
@@ -88,8 +62,12 @@ class Newton:
         snes: A SNES made elsewhere (by TS); its functions are then set elsewhere too.
         moving: Forces of inertia belong to what the residual is measured against, and their share
             of the tangent to its round-off: whoever calls keeps `inertia` and `mass` up to date.
+        border: Scalar unknowns beside the fields.
 
     Attributes:
+        guard: Shortens steps that turn cells inside out, after `watch_inversion`.
+        ksp: The linear solver of the fields.
+        shift: Share of its diagonal that was added to the last tangent.
         inertia: Norm of the forces of inertia at the present iterate [N], in motion.
         mass: Norm of the mass's share of the tangent's diagonal [N/m], in motion.
     """
@@ -104,47 +82,88 @@ class Newton:
         users: Mapping[str, Any] | None = None,
         snes: PETSc.SNES | None = None,
         moving: bool = False,
+        border: Border | None = None,
     ) -> None:
         self.assembler, self.choice, self.tolerance = assembler, choice, tolerance
         self.progress, self._moving = Progress(), moving
+        self.shift, self._prepared, self.direct = 0.0, False, choice.direct
+        self._flow: Callable[[float, float], float] | None = None
         self.inertia, self.mass = 0.0, 0.0
         self._external = 0.0
         self._floor = self._first = self._norm = 0.0
         self._line_search = ""
         body = assembler.problem.body
-        self.span, self._cell_size = span(body), cell_size(body)
+        self.span, self.cell_size = span(body), cell_size(body)
         self._multigrid: QuadraticMultigrid | SchurSplit | None = None
         self._owns = snes is None
         self.options = Options({**_SNES, **choice.options, **(defaults or {})}, users or {})
         self.snes = PETSc.SNES().create(assembler.comm) if snes is None else snes
-        self._x, self._f = assembler.create_vector(), assembler.create_vector()
+        self.guard: InversionGuard | None = None
+        self._bordered: Bordered | None = None
+        self.ksp = self.snes.ksp
+        if border is not None:
+            self.ksp = PETSc.KSP().create(assembler.comm)
+            self._bordered = Bordered(assembler, border, self.ksp)
+        source = self._bordered or assembler
+        self._x, self._f = source.create_vector(), source.create_vector()
         if self._owns:
             self.snes.setFunction(self._residual, self._f)
-            self.snes.setJacobian(self._tangent, assembler.matrix)
+            self.snes.setJacobian(self._tangent, source.matrix)
         self._configure()
 
     def _configure(self) -> None:
         self.snes.setOptionsPrefix(PREFIX)
+        if self._bordered is not None:
+            python_solver(self.snes, self._bordered, PREFIX + "bordered_")
+            self.ksp.setOptionsPrefix(PREFIX)
+            self.ksp.setOperators(self.assembler.matrix)
         with self.options.in_force(), self.options.told():
             self.snes.setFromOptions()
-            if self.snes.ksp.getPC().getType() == "python":
-                problem = self.assembler.problem
-                self._multigrid = (
-                    SchurSplit(problem, self.assembler)
-                    if problem.mixed
-                    else QuadraticMultigrid(problem)
-                )
-                self.snes.ksp.getPC().setPythonContext(self._multigrid)
-            self.snes.ksp.setFromOptions()
-            self.snes.ksp.getPC().setFromOptions()
-        self.direct = self.snes.ksp.getType() == "preonly"  # the user may have chosen otherwise
+            self._set_up_linear()
         chosen = {name: str(self.choice.options.get(name)) for name in ("ksp_type", "pc_type")}
-        taken = {"ksp_type": self.snes.ksp.getType(), "pc_type": self.snes.ksp.getPC().getType()}
+        taken = {"ksp_type": self.ksp.getType(), "pc_type": self.ksp.getPC().getType()}
         if taken != chosen:
             log.info("PETSc options make it: %s with %s", taken["ksp_type"], taken["pc_type"])
+        self.judge()
+
+    def _set_up_linear(self) -> None:
+        """Gives the linear solver its options, and multigrid to those that want it."""
+        self.ksp.setFromOptions()
+        pc = self.ksp.getPC()
+        if pc.getType() == "python" and self._multigrid is None:
+            problem = self.assembler.problem
+            self._multigrid = (
+                SchurSplit(problem, self.assembler)
+                if problem.mixed
+                else QuadraticMultigrid(problem)
+            )
+            pc.setPythonContext(self._multigrid)
+            self.ksp.setFromOptions()
+            pc.setFromOptions()
+        self.direct = self.ksp.getType() == "preonly"  # the user may have chosen otherwise
         if not self.direct:
             self._attach_modes()
+
+    def allow(self, iterations: int, flow: Callable[[float, float], float] | None) -> None:
+        """Changes how many iterations a solve may take, and what is added to the tangent.
+
+        Args:
+            iterations: At most so many.
+            flow: From free residual and target [N] to the share of the tangent's diagonal that is
+                added to it; None: Newton's method.
+        """
+        self.tolerance = replace(self.tolerance, max_iterations=iterations)
+        self._flow, self.shift = flow, 0.0
         self.judge()
+
+    def watch_inversion(self) -> None:
+        """Lets no trial state hold a cell that is inside out. Collective.
+
+        A linear problem has one solution only, which is judged when it is found.
+        """
+        self.guard = InversionGuard(self.assembler)
+        if not self.assembler.problem.linear:
+            self.snes.setLineSearchPreCheck(self.guard.shorten)
 
     def judge(self) -> None:
         """Makes the SNES use our test of convergence."""
@@ -163,21 +182,34 @@ class Newton:
         """Throws the preconditioner away and takes the rigid-body modes anew. Collective."""
         if not self.direct:
             self._attach_modes()
-            self.snes.ksp.getPC().reset()
+            self._prepared = False
+            self.ksp.getPC().reset()
             if self._multigrid is not None:
                 self._multigrid.refresh()
 
     def fall_back(self) -> bool:
-        """Goes from conjugate gradients, which an indefinite tangent breaks, to GMRES. Collective.
+        """Goes to a linear solver that stands more. Collective.
+
+        From conjugate gradients, which an indefinite tangent breaks, to GMRES, and from there to
+        a factorisation where the problem is not too large for one.
 
         Returns:
             False if there is nothing left to fall back to.
         """
-        if self.snes.ksp.getType() != "cg" or "ksp_type" in self.options.users:
+        if self.direct or "ksp_type" in self.options.users or "pc_type" in self.options.users:
             return False
-        log.info("conjugate gradients failed (%s): GMRES from here on", self.progress.reason)
-        self.options.change(GMRES)
-        self.refresh()
+        if self.ksp.getType() == "cg":
+            log.info("conjugate gradients failed (%s): GMRES from here on", self.progress.reason)
+            self.options.change(GMRES)
+            self.refresh()
+            return True
+        problem = self.assembler.problem
+        if problem.num_dofs > LAST_DIRECT[problem.body.dim]:
+            return False
+        log.info("the iterative solver failed (%s): factorising", self.progress.reason)
+        self.options.change(factorising(problem.symmetric))
+        with self.options.in_force(), self.options.told():
+            self._set_up_linear()
         return True
 
     # --- one solve ---
@@ -218,11 +250,14 @@ class Newton:
         self._line_search = line_search
         with stage("solve"), self.options.in_force(snes_linesearch_type=line_search):
             self.snes.setFromOptions()
+            self.ksp.setFromOptions()
             self.begin()
-            self.assembler.get(self._x)
+            if self.guard is not None:
+                self.guard.begin()
+            self._get()
             self.snes.solve(None, self._x)
             self.finish()
-            self.assembler.put(self._x)
+            self._put()
             self.options.report_unused()
         return self.progress
 
@@ -230,35 +265,70 @@ class Newton:
         """Notes how the solve ended."""
         p, number = self.progress, self.snes.getConvergedReason()
         p.newton, p.krylov = self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
+        if self._bordered is not None:
+            p.krylov = self._bordered.iterations
         p.converged, p.reason = number > 0, snes_reason(number)
         if number == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
-            p.reason += f" ({ksp_reason(self.snes.ksp.getConvergedReason())})"
+            p.reason += f" ({ksp_reason(self.ksp.getConvergedReason())})"
+        if self.guard is not None and self.guard.rejected:
+            value, place = self.guard.worst
+            p.rejected, p.worst = self.guard.rejected, (value, tuple(map(float, place)))
+        p.target, p.floor = self._target(), self._floor
         if self.direct:
             p.krylov = 0
 
+    def _get(self) -> None:
+        """Copies the problem's unknowns into our vector."""
+        if self._bordered is None:
+            self.assembler.get(self._x)
+            return
+        self._bordered.iterations = 0
+        fields = self.assembler.problem.w.x.array[: self.assembler.size]
+        self._bordered.fill(self._x, fields, self._bordered.border.get())
+
+    def _put(self) -> None:
+        """Copies our vector into the problem's unknowns. Collective."""
+        if self._bordered is None:
+            self.assembler.put(self._x)
+        else:
+            self._bordered.residual(self._x, self._f)
+
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        self.assembler.residual(x, f)
+        if self._bordered is None:
+            self.assembler.residual(x, f)
+        else:
+            self._bordered.residual(x, f)
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        self.assembler.tangent(x)
-        self.note_tangent(P)
+        if self._bordered is None:
+            self.assembler.tangent(x)
+        else:
+            self._bordered.renew(x)
+            # SNES would lag the preconditioner of its own linear solver only.
+            self.ksp.getPC().setReusePreconditioner(self._prepared and not self.direct)
+            self.ksp.setOperators(self.assembler.matrix)
+            self._prepared = True
+        self.note_tangent(self.assembler.matrix)
+        self.shift = 0.0 if self._flow is None else self._flow(self.assembler.free, self._target())
+        if self.shift > 0.0:
+            self.assembler.shift_diagonal(self.shift)
 
     def note_tangent(self, P: PETSc.Mat) -> None:
         """Sets the linear tolerance and the round-off floor from a fresh tangent. Collective."""
         a = self.assembler
         diagonal = P.getDiagonal()
         # Round-off of the stress is that of F = I + grad u, that of inertia is that of u.
-        stiff = max(float(diagonal.norm()) - self.mass, 0.0) * self._cell_size
+        stiff = max(float(diagonal.norm()) - self.mass, 0.0) * self.cell_size
         self._floor = 4 * np.finfo(float).eps * (stiff + self.mass * a.max_unknown())
         diagonal.destroy()
         if not self.direct and "ksp_rtol" not in self.options.users:
             forcing = LINEAR if a.problem.linear else FORCING
             needed = 0.5 * self._target() / self._norm if self._norm > 0 else forcing
-            self.snes.ksp.setTolerances(rtol=min(0.1, max(forcing, needed)))
+            self.ksp.setTolerances(rtol=min(0.1, max(forcing, needed)))
 
     def _target(self) -> float:
         a, p = self.assembler, self.progress
-        reference = max(self._external, a.held, p.reference)
+        reference = max(self._external, a.held, a.pushed, p.reference)
         if self._moving:
             reference = max(reference, self.inertia)
         return max(self.tolerance.rtol * reference, self.tolerance.atol, self._floor)
@@ -278,13 +348,26 @@ class Newton:
         if not norms[2] <= HOPELESS * max(self._first, self._target()):  # NaN, too
             return int(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
         held = a.gap <= 1e-12 * self.span
-        if held and a.free <= self._target():
+        if held and a.free <= self._target() and self._settled():
             return int(PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE)
+        if self._crushed():
+            return int(PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN)
         if self._stalled():
             return int(PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH)
         if iteration >= self.tolerance.max_iterations:
             return int(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
         return 0
+
+    def _crushed(self) -> bool:
+        """Steps are shortened again and again: a smaller load step gets there sooner."""
+        guard = self.guard
+        patient = self._flow is not None
+        return guard is not None and (guard.stuck or (guard.rejected > PATIENCE and not patient))
+
+    def _settled(self) -> bool:
+        if self._bordered is None:
+            return True
+        return self._bordered.border.settled(self._bordered.last, self.tolerance.rtol)
 
     def _stalled(self) -> bool:
         """Backtracking takes ever smaller steps: a smaller load step gets there sooner."""
@@ -302,6 +385,9 @@ class Newton:
             self._multigrid.destroy()
         if self._owns:
             self.snes.destroy()
+        if self._bordered is not None:
+            self._bordered.free()
+            self.ksp.destroy()
         self._x.destroy()
         self._f.destroy()
 

@@ -9,6 +9,7 @@ from mpi4py import MPI
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.contact import check_start, nearest_gap, rows_of, touches
 
 Floats = npt.NDArray[np.float64]
 _ROUND_OFF = 1e-10
@@ -20,7 +21,11 @@ def check_held(problem: Problem) -> None:
     Raises:
         InputError: It is not.
     """
+    if problem.touching:
+        check_start(problem)
     free = free_motions(problem)
+    if free and problem.touching:
+        _say_what_is_away(problem, free)
     if free:
         what = "the supports leave the body free" if problem.supports else "there is no support"
         raise InputError(
@@ -30,16 +35,45 @@ def check_held(problem: Problem) -> None:
         )
 
 
-def free_motions(problem: Problem) -> list[str]:
+def _say_what_is_away(problem: Problem, free: list[str]) -> None:
+    """Raises if obstacles would hold the body once they touched. Collective."""
+    if free_motions(problem, reached=True):
+        return
+    away = {touch.label: nearest_gap(touch) for touch in problem.touching if not touches(touch)}
+    said = ", ".join(f"'{label}' is {gap:.3g} m away" for label, gap in away.items())
+    raise InputError(
+        f"no obstacle holds the body yet ({said or 'they touch elsewhere'}): as a rigid body it "
+        f"can {', '.join(free)}",
+        where="contact",
+        expected="statics needs supports that hold it, or an obstacle that touches from the "
+        "start; [dynamics] does not",
+    )
+
+
+def free_motions(problem: Problem, *, reached: bool = False) -> list[str]:
     """Rigid motions that no support prevents, in words. Collective.
 
     The prescribed components, applied to translations and small rotations, sum up to a matrix of
-    6x6 numbers (3x3 in a plane) whose null space is what is left free.
+    6x6 numbers (3x3 in a plane) whose null space is what is left free.  Prescribed directions and
+    those of springs count as components do; dashpots hold nothing.  Nodes that touch an obstacle
+    add its normals, as if it could pull, too.
+
+    Args:
+        problem: Whose body.
+        reached: Count every surface as touching.
     """
-    dim, held = problem.body.dim, problem.prescribed.owned
+    dim, prescribed = problem.body.dim, problem.prescribed
+    held = prescribed.owned
     x = problem.V.tabulate_dof_coordinates()[:, :dim]
     centre, size = _frame(x, problem.body.comm)
     rows = _rigid((x[held // dim] - centre) / size)[np.arange(len(held)), held % dim]
+    more = problem.resisting
+    if (tilted := prescribed.tilted) is not None:
+        more = [*more, (tilted.nodes[: tilted.count], tilted.P[: tilted.count])]
+    for nodes, P in more:
+        moved = _rigid((x[nodes] - centre) / size)
+        rows = np.concatenate([rows, (P @ moved).reshape(-1, moved.shape[2])])
+    rows = np.concatenate([rows, *_touching_rows(problem, centre, size, reached)])
     if problem.geometry == "axisymmetric":  # of rigid motions only the one along the axis is one
         rows = rows[:, 1:2]
     values, vectors = np.linalg.eigh(total(problem.body.comm, rows.T @ rows))
@@ -47,6 +81,15 @@ def free_motions(problem: Problem) -> list[str]:
     if problem.geometry == "axisymmetric":
         return ["move along y"] * null.shape[1]
     return _said(null, dim)
+
+
+def _touching_rows(problem: Problem, centre: Floats, size: float, reached: bool) -> list[Floats]:
+    """Normal displacement of touching nodes under each unit rigid motion. Not collective."""
+    rows = []
+    for touch in problem.touching:
+        places, normals = rows_of(touch, np.inf if reached else float(touch.reach.value))
+        rows.append(np.einsum("nd,ndm->nm", normals, _rigid((places - centre) / size)))
+    return rows
 
 
 def _frame(x: Floats, comm: MPI.Comm) -> tuple[Floats, float]:

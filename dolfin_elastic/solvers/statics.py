@@ -4,47 +4,100 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
+import numpy.typing as npt
+from pydantic import Field, model_validator
 
-from dolfin_elastic.errors import ConvergenceError
+from dolfin_elastic.errors import ConvergenceError, InputError
 from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
-from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
-from dolfin_elastic.solvers.inversion import JacobianWatch
+from dolfin_elastic.solvers.arclength import ArcLength
+from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.contact import Augmentation, Measured
+from dolfin_elastic.solvers.inertia import disturb, negative_eigenvalues
+from dolfin_elastic.solvers.jump import PathWatch
+from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.linear import LinearSettings, choose
-from dolfin_elastic.solvers.newton import Newton, Progress, Tolerance
+from dolfin_elastic.solvers.newton import Newton
+from dolfin_elastic.solvers.progress import Progress, Tolerance
+from dolfin_elastic.solvers.relaxation import relax
 from dolfin_elastic.solvers.rigid import check_held
+from dolfin_elastic.solvers.steps import StepSizes
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
-from dolfin_elastic.units import Force
+from dolfin_elastic.units import Force, Length
 
+Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
-QUICK = 5
-"""Newton iterations up to which a step counts as easy and the next one may be larger."""
+FIRST = 0.25
+"""Share of the load in the first step of a nonlinear problem."""
+
+
+UNSTABLE = "an unstable equilibrium"
+BEYOND = "the strain energy has no finite value: a material is beyond its limit"
 
 
 class StaticsSettings(Record):
     """How a static solution is found.
 
     Attributes:
-        steps: Load steps from nothing to the full load.  A step that fails is tried again in
-            halves.
+        method: "load": the load factor grows, and where no equilibrium is near the body is let go
+            to flow to another; "arc-length": the path of equilibria is followed through limit
+            points, where the load falls.
+        steps: Equal load steps; by default the size of steps is chosen as they go.
+        first_step: Share of the load in the first step; by default a quarter, and all of it in a
+            linear problem.
+        max_step: Share of the load that no step exceeds.
+        min_step: Smallest step that is tried, as a share of the first one.
+        end: Load parameter at which the run ends; 1 is the full load.
+        times: Load parameters that are met exactly.
         rtol: Free residual over the larger of applied forces and reactions.
-        atol: Free residual that always is small enough [N].
-        max_iterations: Newton iterations after which a step is given up and halved.
-        min_step: Smallest part of a step that is tried, as a fraction of it.
+        atol: Free residual [N].
+        max_iterations: Newton iterations after which a step is given up and tried smaller.
+        max_steps: Steps after which a path is not followed any further.
+        max_displacement: The run ends where a displacement reaches this [m].
+        snap: Where the load cannot grow any further, let the body flow to another equilibrium.
     """
 
-    steps: int = Field(default=1, ge=1)
+    method: Literal["load", "arc-length"] = "load"
+    steps: int | None = Field(default=None, ge=1)
+    first_step: float | None = Field(default=None, gt=0, le=1)
+    max_step: float = Field(default=1.0, gt=0)
+    min_step: float = Field(default=1e-3, gt=0, le=1)
+    end: float = Field(default=1.0, gt=0)
+    times: list[Annotated[float, Field(gt=0)]] = Field(default=[])
     rtol: float = Field(default=1e-8, gt=0, lt=1)
     atol: Force = Field(default=0.0, ge=0)
     max_iterations: int = Field(default=30, ge=1)
-    min_step: float = Field(default=1e-3, gt=0, le=1)
+    max_steps: int = Field(default=1000, ge=1)
+    max_displacement: Length | None = Field(default=None, gt=0)
+    snap: bool = True
+
+    @model_validator(mode="after")
+    def _together(self) -> Self:
+        if self.steps is not None and self.first_step is not None:
+            raise InputError(
+                "steps and first_step given together",
+                expected="steps are equal; leave one of them out",
+            )
+        for index, time in enumerate(self.times):
+            if time > self.end:
+                raise InputError(
+                    f"{time:g} lies beyond the end",
+                    where=f"times[{index}]",
+                    expected=f"at most statics.end = {self.end:g}",
+                )
+        if self.times and self.method == "arc-length":
+            raise InputError(
+                "a path that is followed by its length meets no load on purpose",
+                where="times",
+                expected='leave it out, or method = "load"',
+            )
+        return self
 
 
 class Statics:
@@ -83,91 +136,157 @@ class Statics:
                 then holds the last iterate, and all states yielded before are valid.
         """
         check_held(self.problem)
+        for dashpot in self.problem.dashpots:
+            log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
-        s = self.settings
         assembler = Assembler(self.problem)
-        tolerance = Tolerance(s.rtol, s.atol, s.max_iterations)
-        newton = Newton(assembler, self.choice, tolerance, users=self.petsc)
+        newton = Newton(assembler, self.choice, self.tolerance, users=self.petsc)
+        newton.watch_inversion()
         try:
             yield from _Stepping(self, assembler, newton).run()
         finally:
             newton.destroy()
             assembler.destroy()
 
+    @property
+    def tolerance(self) -> Tolerance:
+        """When equilibrium counts as found."""
+        s = self.settings
+        return Tolerance(s.rtol, s.atol, s.max_iterations)
+
+    def sizes(self) -> StepSizes:
+        """The plan of load steps."""
+        s = self.settings
+        if s.steps is not None:
+            first = s.end / s.steps
+            stops = [first * i for i in range(1, s.steps)]
+            largest = first
+        else:
+            share = 1.0 if self.problem.linear else FIRST
+            first = (s.first_step or min(share, s.max_step)) * s.end
+            stops, largest = [], s.max_step * s.end
+        return StepSizes(
+            s.end,
+            first=first,
+            largest=largest,
+            smallest=first * s.min_step,
+            stops=[*stops, *s.times],
+        )
+
 
 class _Stepping:
-    """Load steps with retry in halves and growth back to the planned size."""
+    """Load steps: tried, made smaller or larger, given up."""
 
     def __init__(self, statics: Statics, assembler: Assembler, newton: Newton) -> None:
-        self.settings, self.problem = statics.settings, statics.problem
+        self.statics, self.settings, self.problem = statics, statics.settings, statics.problem
         self.assembler, self.newton = assembler, newton
-        energy = self.problem.strain_energy
-        self._energy = compiled(self.problem, [energy])[0] if energy is not None else None
-        self._watch = JacobianWatch(self.problem)
+        self.ladder = Ladder(newton, Augmentation(self.problem))
+        self._watch, self._measured = PathWatch(assembler), Measured(self.problem)
         self._count = 0
+        self._before: tuple[float, Vector] | None = None
+        self._limits: tuple[float, ...] = ()
 
     def run(self) -> Iterator[State]:
-        planned = 1.0 / self.settings.steps
-        t, size = 0.0, planned
-        self.problem.set_time(t, default=RAMP)
+        self.problem.set_time(0.0, default=RAMP)
         with stage("assemble"):
             self.assembler.assemble_balance()
-        yield self._state(t, Progress(reason="initial state"))
-        while t < 1.0 - 1e-12:
-            goal = _next_planned(t, planned, size)
+        self._watch.look()
+        self._watch.accept()
+        yield self._state(0.0, Progress(reason="initial state"))
+        yield from self._arc() if self.settings.method == "arc-length" else self._load()
+
+    # --- the load grows ---
+
+    def _load(self) -> Iterator[State]:
+        sizes, t = self.statics.sizes(), 0.0
+        while not sizes.done(t) and not self._is_enough():
+            goal = sizes.goal(t)
+            start = self.problem.w.x.array.copy()
             progress = self._attempt(t, goal)
+            crushed = progress.rejected > 0 or "NAN" in progress.reason
+            fault = self._fault() if progress.converged else progress.reason
+            if fault:
+                if sizes.failed(t, goal, crushed=crushed and not progress.converged):
+                    log.info("load factor %.6g: %s; a smaller step", goal, fault)
+                    self._go_to(start)
+                    continue
+                progress = self._elsewhere(t, goal, progress, fault)
+            self._watch.accept()
+            self._before = t, start
+            sizes.succeeded(t, goal, progress.newton)
+            t = goal
+            yield self._state(t, progress, negative_eigenvalues(self.newton))
+
+    def _go_to(self, start: Vector) -> None:
+        self.problem.w.x.array[:] = start
+        self.problem.unknowns.tell()
+
+    def _fault(self) -> str:
+        """Why the equilibrium that was found is none that a body would come to. Collective."""
+        if self.problem.linear:
+            return ""
+        self._watch.look()
+        if not self._watch.finite():
+            return BEYOND
+        if (negative_eigenvalues(self.newton) or 0) > 0:
+            return UNSTABLE
+        return "another equilibrium than that of the path" if self._watch.jumped() else ""
+
+    def _elsewhere(self, t: float, goal: float, progress: Progress, fault: str) -> Progress:
+        """Goes on where no step is small enough, or gives up."""
+        progress.reason = fault
+        kept = self.problem.w.x.array.copy() if progress.converged else self.ladder.failed
+        if not self.settings.snap or self.problem.linear or fault == BEYOND or t == 0.0:
+            raise self._failure(t, goal, progress, kept)
+        if not progress.converged or fault == UNSTABLE:
             if progress.converged:
-                t = goal
-                yield self._state(t, progress)
-                easy = progress.newton <= QUICK
-                size = min(planned, (2.0 if easy else 1.0) * size)
-            else:
-                size = self._smaller(t, goal, planned, progress)
+                disturb(self.newton)
+            self.newton.refresh()
+            found = relax(self.newton)
+            self._watch.look()
+            if not found.converged or not self._watch.finite():
+                log.debug("flow to another equilibrium: %s", found.reason)
+                raise self._failure(t, goal, progress, kept)
+            progress = found
+        what = "the body buckles" if fault == UNSTABLE else "the body has snapped"
+        log.warning(
+            "no stable equilibrium is near beyond load factor %.6g: %s to another one; "
+            'statics.method = "arc-length" shows the path between',
+            t,
+            what,
+        )
+        return progress
+
+    def _is_enough(self) -> bool:
+        limit = self.settings.max_displacement
+        if limit is None and self._count <= self.settings.max_steps:
+            return False
+        if limit is not None and self.assembler.max_displacement() >= limit:
+            log.info("a displacement has reached %g m: the run ends", limit)
+            return True
+        return self._count > self.settings.max_steps
 
     def _attempt(self, t: float, goal: float) -> Progress:
         """Tries to go to a load factor; the displacement is put back if that fails."""
-        w = self.problem.w.x.array
-        start = w.copy()
         self.problem.set_time(goal, default=RAMP)
         self.problem.prescribed.check_finite()
-        for line_search in self.newton.ladder():
-            if self._count > 1:
-                self.newton.refresh()
-            w[:] = start
-            progress = self.newton.solve(line_search)
-            if "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
-                w[:] = start
-                progress = self.newton.solve(line_search)
-            self._refuse_inverted(progress)
-            if progress.converged:
-                return progress
-            log.debug("line search '%s' fails: %s", line_search, progress.reason)
-        self._failed = w.copy()
-        w[:] = start
+        now = self.problem.w.x.array.copy()
+        starts = [("", now)]
+        if self._before is not None and t > self._before[0]:
+            before, was = self._before
+            starts.append(("along the path", now + (goal - t) / (t - before) * (now - was)))
+        return self.ladder.solve(starts)
+
+    def _failure(
+        self, t: float, goal: float, progress: Progress, failed: Vector | None
+    ) -> ConvergenceError:
+        if failed is not None:
+            self.problem.w.x.array[:] = failed
         self.problem.unknowns.tell()
-        return progress
-
-    def _refuse_inverted(self, progress: Progress) -> None:
-        if not progress.converged or (worst := self._watch.smallest())[0] > 0.0:
-            return
-        what = f"a cell turned inside out (det F = {worst[0]:.3g}, at {_text(worst[1])} m)"
-        if self.problem.linear:  # it is the solution, only far beyond what the law is made for
-            log.warning("%s: too large a load for laws of small strains", what)
-            return
-        progress.converged, progress.reason = False, what
-
-    def _smaller(self, t: float, goal: float, planned: float, progress: Progress) -> float:
-        """Half the step that failed, or the error when that is too small."""
-        size = (goal - t) / 2
-        if size >= planned * self.settings.min_step:
-            log.warning(
-                "no equilibrium at load factor %.6g (%s): half the step", goal, progress.reason
-            )
-            return size
+        with stage("assemble"):
+            self.assembler.assemble_balance()
         force, place = self.assembler.largest_unbalance()
-        self.problem.w.x.array[:] = self._failed
-        self.problem.unknowns.tell()
-        raise ConvergenceError(
+        return ConvergenceError(
             f"no equilibrium beyond load factor {t:.6g}: {progress.reason}, Newton iterations: "
             f"{progress.newton}; the largest force out of balance, {force:.3g} N, is at "
             f"{_text(place)} m",
@@ -175,9 +294,28 @@ class _Stepping:
             state=self._state(goal, progress),
         )
 
-    def _state(self, t: float, progress: Progress) -> State:
+    # --- the path grows ---
+
+    def _arc(self) -> Iterator[State]:
+        statics = self.statics
+        arc = ArcLength(self.assembler, self.newton, self.ladder, end=self.settings.end)
+        try:
+            arc.prepare(statics.choice, statics.tolerance, statics.petsc)
+            first = statics.sizes().goal(0.0)
+            for found in arc.path(first, self.settings.min_step):
+                if not found.progress.converged:
+                    raise self._failure(found.t, found.t, found.progress, self.ladder.failed)
+                self._limits = tuple(arc.limits)
+                yield self._state(found.t, found.progress, found.negative)
+                if self._is_enough():
+                    return
+        finally:
+            arc.destroy()
+
+    # --- what is yielded ---
+
+    def _state(self, t: float, progress: Progress, negative: int | None = None) -> State:
         problem, assembler = self.problem, self.assembler
-        strain = np.nan if self._energy is None else integral(problem, self._energy)
         self._count += 1
         return State(
             step=self._count - 1,
@@ -189,18 +327,14 @@ class _Stepping:
             krylov=progress.krylov,
             reason=progress.reason,
             residuals=tuple(progress.residuals),
-            energies={"strain": strain},
+            energies={"strain": self._watch.strain.energy(), **self._watch.strain.springs()},
             reactions=assembler.reactions(),
             max_displacement=assembler.max_displacement(),
-            done=t,
+            negative=negative,
+            limit_points=self._limits,
+            numbers=self._measured.numbers(),
+            done=t / self.settings.end,
         )
-
-
-def _next_planned(t: float, planned: float, size: float) -> float:
-    """The end of a step of `size`, at most the next planned load factor."""
-    following = (np.floor(t / planned + 1e-9) + 1) * planned
-    goal = min(t + size, following)
-    return 1.0 if abs(goal - 1.0) < 1e-9 else float(goal)
 
 
 def _text(place: Any) -> str:
@@ -213,6 +347,6 @@ def _advice(progress: Progress) -> str:
             "is the body held against every rigid motion? Otherwise "
             'solver.method = "direct" or a smaller load'
         )
-    if "inside out" in progress.reason or "NAN" in progress.reason:
+    if progress.rejected or "NAN" in progress.reason:
         return "more load steps, a smaller load, or a finer mesh where the cells are crushed"
     return "more load steps or a smaller load; beyond a limit point no static equilibrium exists"

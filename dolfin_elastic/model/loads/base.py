@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
 
@@ -10,6 +11,7 @@ import ufl
 from pydantic import model_validator
 from ufl.core.expr import Expr
 
+from dolfin_elastic.errors import InputError
 from dolfin_elastic.model.components import Component, components, depends_on_time
 from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
 from dolfin_elastic.schema import Record
@@ -117,3 +119,12 @@ class Load(Record):
     def virtual_work(self, site: Site) -> ufl.Form:
         """External virtual work of the load, linear in `site.v`."""
         raise TypeError(f"{type(self).__name__} has no virtual work")
+
+
+@contextmanager
+def keyed(key: str) -> Iterator[None]:
+    """Gives faults inside the key that they belong to."""
+    try:
+        yield
+    except InputError as error:
+        raise error.at(key) from None

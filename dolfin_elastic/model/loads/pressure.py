@@ -11,7 +11,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.model.components import Component, component
 from dolfin_elastic.model.kinematics import cofactor
-from dolfin_elastic.model.loads.base import Load, Site
+from dolfin_elastic.model.loads.base import Load, Site, keyed
 
 PLACE = frozenset("xyz")
 
@@ -45,7 +45,8 @@ class Pressure(Load):
     @cached_property
     def values(self) -> tuple[Component, ...]:
         """The pressure, one number or formula."""
-        return (component(self.value, self.unit),)
+        with keyed("value"):
+            return (component(self.value, self.unit),)
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:

@@ -1,0 +1,242 @@
+"""Following a path of equilibria by its length, through limit points where the load falls.
+
+Unknown are displacement and load factor; the further equation |du|^2 = dl^2 fixes the length of a
+step.  Source: M. A. Crisfield, Computers & Structures 13 (1981) 55 (cylindrical arc length); it is
+linearised consistently, so Newton's method stays quadratic and no root needs to be chosen.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.model.curves import PROPORTIONAL
+from dolfin_elastic.parallel import total
+from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.border import Border
+from dolfin_elastic.solvers.inertia import negative_eigenvalues
+from dolfin_elastic.solvers.ladder import Ladder
+from dolfin_elastic.solvers.linear import Choice
+from dolfin_elastic.solvers.newton import Newton
+from dolfin_elastic.solvers.progress import Progress, Tolerance
+
+Vector = npt.NDArray[np.float64]
+log = logging.getLogger("dolfin_elastic")
+
+WANTED = 4
+"""Newton iterations of a step of the right length."""
+
+LONGEST = 8.0
+"""Longest step over the first one."""
+
+SHARPEST = 0.5
+"""Cosine of the angle between two steps below which the second was too long."""
+
+LOOSE = 1e-6
+"""Error of the length of a step: it moves the step along the path, not off it."""
+
+
+class Length(Border):
+    """The load factor, and the length of the step as its equation.
+
+    Args:
+        assembler: Of the path's problem.
+    """
+
+    size = 1
+
+    def __init__(self, assembler: Assembler) -> None:
+        self._assembler, self._problem = assembler, assembler.problem
+        self.steps = np.array([1e-4])
+        self.t, self.wanted = 0.0, 1.0
+        self.start = self.displacement().copy()
+
+    def displacement(self) -> Vector:
+        """Owned displacements."""
+        return np.asarray(self._problem.w.x.array[self._assembler.moves])
+
+    def get(self) -> Vector:
+        """The load factor."""
+        return np.array([self.t])
+
+    def put(self, values: Vector) -> None:
+        """Sets the load factor."""
+        self.t = float(values[0])
+        self._problem.set_time(self.t, default=PROPORTIONAL)
+
+    def gone(self) -> float:
+        """Length of the way from the start [m]. Collective."""
+        return float(np.sqrt(self.product(self.moved(), self.moved())))
+
+    def moved(self) -> Vector:
+        """The way from the start at the owned displacements."""
+        return self.displacement() - self.start
+
+    def product(self, a: Vector, b: Vector) -> float:
+        """Inner product of two ways. Collective."""
+        return float(total(self._assembler.comm, float(np.dot(a, b))))
+
+    def residual(self) -> Vector:
+        """(|du|^2 - dl^2)/dl [m]."""
+        return np.array([self.gone() ** 2 / self.wanted - self.wanted])
+
+    def rows(self) -> list[Vector]:
+        """Its derivative."""
+        row = np.zeros(self._assembler.size)
+        row[self._assembler.moves] = 2.0 * self.moved() / self.wanted
+        return [row]
+
+    def settled(self, residual: Vector, rtol: float) -> bool:
+        """The step has its length."""
+        return bool(abs(residual[0]) <= LOOSE * self.wanted)
+
+
+@dataclass
+class Found:
+    """A point of the path.
+
+    Attributes:
+        t: Load factor.
+        progress: How it was found, or not.
+        negative: Negative eigenvalues of the tangent, if the solver tells.
+    """
+
+    t: float
+    progress: Progress
+    negative: int | None = None
+
+
+class ArcLength:
+    """Follows a path from the unloaded state to the load factor `end`.
+
+    Args:
+        assembler: Residual and tangent.
+        newton: For steps of the load: the first and the last.
+        ladder: Of that solver.
+        end: Load factor at which the path ends, when it is first reached.
+
+    Attributes:
+        limits: Load factors of the limit points passed so far.
+    """
+
+    def __init__(self, assembler: Assembler, newton: Newton, ladder: Ladder, *, end: float) -> None:
+        self._assembler, self._problem = assembler, assembler.problem
+        self._newton, self._ladder, self._end = newton, ladder, end
+        self._length = Length(assembler)
+        self._bordered: Newton | None = None
+        self.limits: list[float] = []
+        self._points: list[tuple[float, float]] = [(0.0, 0.0)]
+
+    def prepare(self, choice: Choice, tolerance: Tolerance, users: Mapping[str, Any]) -> None:
+        """Makes the solver for displacement and load factor together. Collective."""
+        self._bordered = Newton(
+            self._assembler, choice, tolerance, users=users, border=self._length
+        )
+        self._bordered.watch_inversion()
+
+    def destroy(self) -> None:
+        """Frees what it owns. Collective."""
+        if self._bordered is not None:
+            self._bordered.destroy()
+
+    def path(self, first: float, smallest: float) -> Iterator[Found]:
+        """Yields the points of the path; one that did not converge is the last. Collective.
+
+        Args:
+            first: Load factor of the first point, which sets the length of steps.
+            smallest: Shortest step, as a share of the first.
+        """
+        found = self._first(first, smallest)
+        yield found
+        if not found.progress.converged:
+            return
+        way, load = self._length.moved(), found.t
+        size = longest = self._length.gone()
+        longest, shortest = LONGEST * size, smallest * size
+        while self._length.t < self._end * (1 - 1e-12):
+            here, t = self._problem.w.x.array.copy(), self._length.t
+            progress = self._step(way, load, size)
+            if not progress.converged or self._turned(way):
+                self._back(here, t)
+                size /= 2
+                if size < shortest:
+                    progress.converged = False
+                    yield Found(t, progress)
+                    return
+                log.debug("arc length %g m: %s, a shorter one", size, progress.reason)
+                continue
+            if self._length.t >= self._end:
+                yield self._land(here, t)
+                return
+            way, load = self._length.moved(), self._length.t - t
+            self._note(self._length.t, self._points[-1][1] + size)
+            assert self._bordered is not None
+            yield Found(self._length.t, progress, negative_eigenvalues(self._bordered))
+            factor = np.sqrt(WANTED / max(progress.newton, 1))
+            size = min(longest, size * float(np.clip(factor, 0.5, 2.0)))
+
+    def _first(self, t: float, smallest: float) -> Found:
+        """A step of the load, which gives the path its direction."""
+        least = smallest * t
+        while True:
+            self._length.start = self._length.displacement().copy()
+            self._length.put(np.array([t]))
+            progress = self._ladder.solve([("", self._problem.w.x.array.copy())])
+            if progress.converged or t / 2 < least:
+                self._points.append((t, self._length.gone()))
+                return Found(t, progress, negative_eigenvalues(self._newton))
+            t /= 2
+
+    def _step(self, way: Vector, load: float, size: float) -> Progress:
+        """Goes on in the last step's direction and corrects from there."""
+        assert self._bordered is not None
+        length, w = self._length, self._problem.w
+        length.start, length.wanted = length.displacement().copy(), size
+        share = size / np.sqrt(length.product(way, way))
+        length.steps[0] = max(1e-4 * abs(load * share), 1e-7 * self._end)
+        moves = self._assembler.moves
+        w.x.array[moves] += share * way
+        w.x.scatter_forward()
+        length.put(np.array([length.t + share * load]))
+        self._problem.unknowns.tell()
+        self._bordered.refresh()
+        progress = self._bordered.solve("basic")
+        while "LINEAR_SOLVE" in progress.reason and self._bordered.fall_back():
+            w.x.array[moves] = length.start + share * way
+            progress = self._bordered.solve("basic")
+        return progress
+
+    def _turned(self, way: Vector) -> bool:
+        """The path has turned so sharply that a part of it may have been left out. Collective."""
+        now = self._length.moved()
+        product = self._length.product
+        return product(way, now) < SHARPEST * np.sqrt(product(way, way) * product(now, now))
+
+    def _back(self, here: Vector, t: float) -> None:
+        self._problem.w.x.array[:] = here
+        self._problem.unknowns.tell()
+        self._length.put(np.array([t]))
+
+    def _land(self, here: Vector, t: float) -> Found:
+        """Ends the path at its load factor, between the last two points."""
+        beyond = self._problem.w.x.array.copy()
+        share = (self._end - t) / (self._length.t - t)
+        self._length.put(np.array([self._end]))
+        progress = self._ladder.solve([("", here + share * (beyond - here)), ("", beyond)])
+        return Found(self._end, progress, negative_eigenvalues(self._newton))
+
+    def _note(self, t: float, arc: float) -> None:
+        """Keeps the last points and looks for a limit point between them."""
+        self._points = [*self._points, (t, arc)][-3:]
+        loads = [load for load, _ in self._points]
+        if len(loads) < 3 or (loads[1] - loads[0]) * (loads[2] - loads[1]) >= 0:
+            return
+        a, b, c = np.polyfit([s - arc for _, s in self._points], loads, 2)
+        limit = float(loads[1] if a == 0 else np.polyval([a, b, c], -b / (2 * a)))
+        self.limits.append(limit)
+        log.info("limit point: load factor %.6g", limit)

@@ -1,0 +1,67 @@
+"""Whether a step stayed on its path or has jumped to an equilibrium of another one.
+
+Where the load grows little by little, the energy that a body takes up lies between what the nodal
+forces before and after the step would have done over it.  A body that has passed an energy barrier
+within the step breaks this: the forces before and after may be alike, and yet the energy is not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.parallel import total
+from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.motion import Strain
+
+Vector = npt.NDArray[np.float64]
+
+SLACK = 0.02
+"""Share of the step's energy that is no sign of anything."""
+
+
+class PathWatch:
+    """Compares the energy of steps with the work of the internal forces over them.
+
+    Args:
+        assembler: Of a problem at rest.
+
+    Attributes:
+        strain: Measures the stored energy.
+    """
+
+    def __init__(self, assembler: Assembler) -> None:
+        self._assembler = assembler
+        self.strain = Strain(assembler.problem)
+        self._before: tuple[float, Vector, Vector] | None = None
+        self._now: tuple[float, Vector, Vector] | None = None
+
+    def look(self) -> None:
+        """Takes in the present equilibrium, whose forces are in the assembler. Collective."""
+        a = self._assembler
+        forces = a.balance.array[: a.size] + a.external_forces() + a.holding_forces()
+        self._now = (
+            self.strain.energy(),
+            forces[a.moves],
+            a.problem.w.x.array[a.moves].copy(),
+        )
+
+    def finite(self) -> bool:
+        """Whether the energy looked at last is finite, if there is one."""
+        return self.strain.none or self._now is None or bool(np.isfinite(self._now[0]))
+
+    def accept(self) -> None:
+        """The state looked at last is where the next step begins."""
+        self._before = self._now
+
+    def jumped(self) -> bool:
+        """Whether the energy between the last two states came from somewhere else. Collective."""
+        if self.strain.none or self._before is None or self._now is None:
+            return False
+        (was, f, u), (now, g, v) = self._before, self._now
+        du = v - u
+        sums = np.array([np.dot(f, du), np.dot(g, du)])
+        before, after = total(self._assembler.comm, sums)
+        gained = now - was
+        slack = SLACK * max(abs(gained), abs(before), abs(after))
+        return bool(abs(gained - (before + after) / 2) > abs(after - before) / 2 + slack)

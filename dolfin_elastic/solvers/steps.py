@@ -1,0 +1,73 @@
+"""Which load factor is tried next: steps that grow where Newton is quick and shrink where not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+QUICK, SLOW = 5, 10
+"""Newton iterations up to which the next step is doubled, and from which it is shortened."""
+
+CALM = 3
+"""Steps after a failure from which they grow again."""
+
+
+class StepSizes:
+    """The sizes of load steps from 0 to the end.
+
+    Args:
+        end: Last load factor.
+        first: Size of the first step.
+        largest: Size that no step exceeds.
+        smallest: Size below which no step is tried.
+        stops: Load factors that are met exactly, beside the end.
+    """
+
+    def __init__(
+        self,
+        end: float,
+        *,
+        first: float,
+        largest: float,
+        smallest: float,
+        stops: Sequence[float] = (),
+    ) -> None:
+        self.end, self.size = end, first
+        self._calm = CALM
+        self._largest, self._smallest = largest, smallest
+        self._stops = sorted({s for s in stops if 0.0 < s < end} | {end})
+
+    def goal(self, t: float) -> float:
+        """The load factor to go to from t."""
+        stop = next(s for s in self._stops if s > t + 1e-12 * self.end)
+        # A last crumb of a step is not worth one of its own.
+        return stop if t + 1.2 * self.size >= stop else t + self.size
+
+    def done(self, t: float) -> bool:
+        """Whether the end is reached."""
+        return t >= self.end * (1 - 1e-12)
+
+    def succeeded(self, t: float, goal: float, newton: int) -> None:
+        """Takes note of a step from t to goal and of its Newton iterations."""
+        self._calm += 1
+        if newton <= QUICK and self._calm >= CALM:
+            # A step that was cut short by a stop says nothing against a longer one.
+            self.size = min(self._largest, 2.0 * max(self.size, goal - t))
+        elif newton >= SLOW:
+            self.size = max(self._smallest, 0.7 * (goal - t))
+
+    def failed(self, t: float, goal: float, *, crushed: bool) -> bool:
+        """Takes note of a failure.
+
+        Args:
+            t: Where the step began.
+            goal: Where it should have ended.
+            crushed: Cells turned inside out or a force was infinite: much too far.
+
+        Returns:
+            False if no smaller step is left to try.
+        """
+        size = (goal - t) * (0.25 if crushed else 0.5)
+        if size < self._smallest:
+            return False
+        self.size, self._calm = size, 0
+        return True
