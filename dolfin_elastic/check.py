@@ -14,13 +14,11 @@ from dolfin_elastic.bench.gate import gate
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.errors import CaseError, MeshError, nearest
 from dolfin_elastic.meshes.body import Body, Indices, extent
-from dolfin_elastic.meshes.places import locate
 from dolfin_elastic.meshes.shapes import cell_corners, facet_corners, signed_volumes
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.parallel import total
 from dolfin_elastic.parts import locking_notes
 from dolfin_elastic.results.fields import FIELDS
-from dolfin_elastic.schema import within
 from dolfin_elastic.solvers.contact import check_start, out_of_reach
 from dolfin_elastic.solvers.explicit import check_explicit
 from dolfin_elastic.solvers.linear import choose
@@ -148,7 +146,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_densities(case)
         _check_constants(case, body)
         _check_fields(case)
-        _check_probes(case, body)
+        case.output.check_probes(body, case.mesh.scale)
         if explicit(case) and case.mesh.degree > 1:
             raise CaseError(
                 "symplectic-euler has a lumped mass, for linear elements only",
@@ -273,14 +271,6 @@ def _check_fields(case: Case) -> None:
                 where=where,
                 expected='write for example allowable = "40 MPa" under [materials.NAME]',
             )
-
-
-def _check_probes(case: Case, body: Body) -> None:
-    points = {name: probe.place(case.mesh.scale) for name, probe in case.output.probes.items()}
-    try:
-        locate(body, points)
-    except MeshError as error:
-        raise within("output.probes", error) from None
 
 
 # --- materials ---

@@ -18,6 +18,7 @@ from pydantic import Field, field_validator, model_validator
 from dolfin_elastic.errors import (
     ElasticError,
     InputError,
+    MeshError,
     OutputError,
     SolveError,
     UnitError,
@@ -25,6 +26,7 @@ from dolfin_elastic.errors import (
 )
 from dolfin_elastic.formulation import Formulation
 from dolfin_elastic.meshes import Body, Selector, box_body, read_body, rectangle_body
+from dolfin_elastic.meshes.places import locate
 from dolfin_elastic.meshes.selectors import MeshLength
 from dolfin_elastic.model.geometry import Geometry
 from dolfin_elastic.model.law import Law
@@ -238,6 +240,17 @@ class Output(Record):
                     f"unknown field '{name}'", where=f"[{index}]", expected=nearest(name, FIELDS)
                 )
         return names
+
+    def check_probes(self, body: Body, scale: float) -> None:
+        """Finds the probes' points in the body. Collective.
+
+        Raises:
+            MeshError: A point lies outside, or has too few coordinates.
+        """
+        try:
+            locate(body, {name: probe.place(scale) for name, probe in self.probes.items()})
+        except MeshError as error:
+            raise within("output.probes", error) from None
 
     def probe(self, problem: Problem, scale: float) -> Probe:
         """What reads the fields off. Collective.
