@@ -14,7 +14,7 @@ import pytest
 from mpi4py import MPI
 from reference_meshes import FREE, probing, ring, solved, tables
 
-from dolfin_elastic import Case
+from dolfin_elastic import Case, run
 from dolfin_elastic.results.evaluate import Evaluator
 
 HELD = [
@@ -106,6 +106,33 @@ def test_sphere_blown_up_below_its_limit_point(folder, material, stretch):
     assert np.hypot(found["c_x"], found["c_y"]) == pytest.approx(stretch - 1, rel=1e-4)
     outer = (7 + stretch**3) ** (1 / 3)
     assert 2 + found["b_x"] == pytest.approx(outer, rel=1e-4)
+
+
+@pytest.mark.parametrize("material", [RUBBER, MOONEY], ids=["neo-hookean", "mooney-rivlin"])
+def test_sphere_beyond_its_limit_point(folder, material):
+    """The path of equilibria up to three times the radius; neo-Hookean rubber gives way near 1.8.
+
+    Every state lies on the closed curve to 1e-4 of the largest pressure.
+    """
+    constants = (0.4, 0.1) if material is MOONEY else (0.5, 0.0)
+    case = tables(folder, ring(1, 2, (12, 24), 1.05), material, geometry="axisymmetric")
+    case |= {
+        "support": HELD[:1],
+        "load": [{"kind": "pressure", "on": "side3", "value": 10.0}],
+        "statics": {"method": "arc-length", "first_step": 0.03, "max_displacement": 2.0},
+    }
+    read = Case.from_dict(probing(case, a=[1, 0]))
+    states = list(run(read, output=folder / "out"))
+    path = np.array([(1 + s.numbers["a_x"], 10 * s.load_factor) for s in states])
+    exact = np.array([sphere_pressure(stretch, *constants) for stretch in path[:, 0]])
+    print(len(path), path[-1], np.abs(path[:, 1] - exact).max(), states[-1].limit_points)
+    assert path[-1, 0] > 2.9
+    np.testing.assert_allclose(path[:, 1], exact, atol=1e-4 * exact.max())
+    curve = [sphere_pressure(stretch, *constants) for stretch in np.linspace(1, 3, 2001)]
+    falls = curve[-1] < max(curve)
+    assert len(states[-1].limit_points) == falls
+    if falls:  # found between two states of a path of finite steps
+        assert 10 * states[-1].limit_points[0] == pytest.approx(max(curve), rel=1e-3)
 
 
 TUBE = {1.1: 0.131562278444, 1.25: 0.275711536803, 1.5: 0.428228409097, 2.0: 0.574053572307}
