@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.results.outputs import Picture as Picture
     from dolfin_elastic.results.outputs import Summary as Summary
     from dolfin_elastic.results.outputs import Xdmf as Xdmf
+    from dolfin_elastic.results.probes import Probe as Probe
     from dolfin_elastic.run import run as run
     from dolfin_elastic.solvers.dynamics import Dynamics as Dynamics
     from dolfin_elastic.solvers.statics import Statics as Statics
@@ -114,6 +115,7 @@ _PLACES = {
     "solvers.statics": ("Statics",),
     "solvers.dynamics": ("Dynamics",),
     "results.outputs": ("History", "Picture", "Summary", "Xdmf"),
+    "results.probes": ("Probe",),
 }
 _WHERE = {name: place for place, names in _PLACES.items() for name in names}
 __all__ = sorted(_WHERE)  # noqa: PLE0605

@@ -76,7 +76,8 @@ class State:
         negative: In statics the number of negative eigenvalues of the tangent, 0 where the body is
             stable, if the solver tells.
         limit_points: Load factors of the limit points that a path has passed so far.
-        numbers: Further results by name, for example the volume of a cavity [SI units].
+        numbers: Further results by name, for example of probes or the volume of a cavity
+            [SI units].
         audit: Whether the step obeys what any equilibrium obeys, in statics only.
         done: Share of the whole run that is done, 0 to 1.
     """

@@ -39,6 +39,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_densities(case)
         _check_constants(case, body)
         _check_fields(case)
+        case.output.check_probes(body, case.mesh.scale)
         if explicit(case) and case.mesh.degree > 1:
             raise CaseError(
                 "symplectic-euler has a lumped mass, for linear elements only",
@@ -130,6 +131,11 @@ def _check_components(case: Case, body: Body) -> None:
 def _check_fields(case: Case) -> None:
     fields = [(f"output.fields[{i}]", name) for i, name in enumerate(case.output.fields or ())]
     fields += [(f"output.pictures[{i}].field", p.field) for i, p in enumerate(case.output.pictures)]
+    fields += [
+        (f"output.probes.{key_text(key)}.fields", name)
+        for key, probe in case.output.probes.items()
+        for name in probe.fields
+    ]
     powerless = [n for n, m in case.materials.items() if not m.law.has_energy]
     for where, name in fields:
         if FIELDS[name].motion and case.dynamics is None:

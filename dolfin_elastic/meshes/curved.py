@@ -27,7 +27,7 @@ def rule(dim: int, degree: int) -> tuple[Floats, Floats]:
     )
 
 
-def _gradients(nodes: Floats, degree: int, points: Floats) -> Floats:
+def cell_gradients(nodes: Floats, degree: int, points: Floats) -> Floats:
     """dx/dX at points of the reference simplex; nodes (n, k, gdim) -> (n, points, gdim, tdim)."""
     tdim = points.shape[1]
     table = np.asarray(_element(tdim, degree).tabulate(1, points), dtype=np.float64)
@@ -49,7 +49,7 @@ def cell_jacobians(mesh: Mesh, points: Floats, cells: Indices | None = None) -> 
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
     rows = mesh.geometry.dofmap if cells is None else mesh.geometry.dofmap[cells]
     nodes = np.asarray(mesh.geometry.x[rows, :d], dtype=np.float64)
-    return np.asarray(np.linalg.det(_gradients(nodes, degree, points)))
+    return np.asarray(np.linalg.det(cell_gradients(nodes, degree, points)))
 
 
 def cell_volumes(mesh: Mesh) -> Floats:
@@ -78,7 +78,7 @@ def facet_areas(mesh: Mesh, facets: npt.NDArray[np.int32]) -> Floats:
     """
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
     points, weights = rule(d - 1, 8 if degree > 1 else 0)
-    slopes = _gradients(_facet_nodes(mesh, facets), degree, points)
+    slopes = cell_gradients(_facet_nodes(mesh, facets), degree, points)
     metric = np.einsum("npgs,npgt->npst", slopes, slopes)
     return np.asarray(np.sqrt(np.linalg.det(metric)) @ weights)
 
@@ -95,7 +95,7 @@ def facet_points(mesh: Mesh, facets: Indices, points: Floats) -> tuple[Floats, F
     nodes = _facet_nodes(mesh, facets)
     table = np.asarray(_element(d - 1, degree).tabulate(0, points)[0, :, :, 0], dtype=np.float64)
     places = np.einsum("pk,fkj->fpj", table, nodes)
-    return np.asarray(places), _gradients(nodes, degree, points)
+    return np.asarray(places), cell_gradients(nodes, degree, points)
 
 
 def _facet_nodes(mesh: Mesh, facets: Indices) -> Floats:

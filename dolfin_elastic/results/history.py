@@ -32,7 +32,7 @@ class HistoryWriter:
     * ``strain_energy`` [J] if the material has one; in motion ``kinetic_energy``,
       ``external_energy`` (work of the loads so far), ``total_energy``,
     * ``reaction_<support>_x``, ``_y``, ``_z`` [N] for each support,
-    * further results by name, for example of obstacles and cavities,
+    * further results by name, for example of probes, obstacles and cavities,
     * in motion ``momentum_x`` ... [kg m/s] and ``angular_momentum_x`` ... [kg m^2/s],
     * in statics the audit: ``balance_force`` and ``balance_moment`` (shares that are left),
       ``external_work`` [J], ``min_jacobian``, ``max_jacobian``, ``verdict`` (pass or warn).
