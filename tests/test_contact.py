@@ -265,11 +265,11 @@ def test_hertz(geometry, folder, comm):
 
 @pytest.mark.parametrize("degree", [1, 2])
 def test_a_tube_shrunk_into_a_bore(degree):
-    """A thin ring swells against a rigid bore of radius 1.1: pressure of Lame's ring.
+    """A ring in a rigid bore that is narrower by 1e-4: the pressure of Lame's ring.
 
-    Here a ring of inner radius 1 and outer 1.2 is squeezed by a bore that is 1 % narrower:
-    plane strain, Timoshenko & Goodier, Theory of Elasticity (1970), section 28: with no pressure
-    inside, u(b) = -(1 + nu) p b/E ((1 - 2 nu) b^2 + a^2)/(b^2 - a^2).
+    Plane strain, inner radius a and outer b; Timoshenko & Goodier, Theory of Elasticity (1970),
+    section 28, with no pressure inside:
+    u(b) = -(1 + nu) p b/E ((1 - 2 nu) b^2 + a^2)/(b^2 - a^2).
     """
     inner, outer, shrink = 1.0, 1.2, 1e-4
     body = rectangle_body(size=(1, 1), cells=(2, 24))
