@@ -417,9 +417,10 @@ def test_a_block_bounces(scheme):
     assert max(stored) > 0.01 * energies[0]
     assert stored[0] == stored[-1] == 0
     assert speed > 0.5
-    # Explicit: the energy swings while waves pass, by (omega dt)^2 or so; implicit: a node that
-    # hits within a step costs or gains up to the energy that its penalty holds.
-    assert energies[-1] == pytest.approx(energies[0], rel=0.05)
+    # 1e-4 found with the implicit scheme, whose error is that of nodes that hit within a step; the
+    # explicit one's energy swings by about omega dt of each vibration: 2.4 % found.
+    close = 1e-3 if scheme == "generalized-alpha" else 0.05
+    assert energies[-1] == pytest.approx(energies[0], rel=close)
     assert max(s.numbers["penetration_floor"] for s in states) > 0
 
 
