@@ -302,10 +302,9 @@ def _at_nodes(body: Body, facets: Indices, penalty: fem.Function, S: fem.Functio
     sums = [la.vector(S.dofmap.index_map, 1) for _ in range(2)]
     eps = penalty.x.array[penalty.function_space.dofmap.list[beside, 0]]
     closure = [S.dofmap.dof_layout.entity_closure_dofs(d - 1, i) for i in range(d + 1)]
-    nodes = S.dofmap.list[beside[:, None], np.array(closure)[local]] if len(own) else np.empty(0)
+    nodes = S.dofmap.list[beside[:, None], np.array(closure, dtype=np.int32)[local]]
     for k, value in enumerate((np.ones(len(own)), 1 / eps)):
-        if len(own):
-            np.add.at(sums[k].array, nodes, value[:, None])
+        np.add.at(sums[k].array, nodes, value[:, None])
         sums[k].scatter_reverse(la.InsertMode.add)
     count, inverse = (vector.array for vector in sums)
     return np.asarray(np.divide(count, inverse, out=np.ones_like(count), where=inverse > 0))
