@@ -52,7 +52,7 @@ def sheet(body: Body, V: fem.FunctionSpace, name: str) -> Sheet:
 
     A facet's share in the normal at its node is the Jacobian's cofactor times the reference
     facet's normal: its area times its normal, where the node is.  Source: Nanson's formula,
-    Holzapfel, Nonlinear Solid Mechanics (2000), (2.54).
+    Holzapfel, Nonlinear Solid Mechanics (2000), section 2.4.
 
     Raises:
         MeshError: The surface lies inside the body, where it has two normals.

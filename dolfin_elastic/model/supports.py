@@ -237,7 +237,7 @@ class Rotation(Prescribing):
     """Rigid motion of a surface: u = (R - I)(X - c) + d, with any angle.
 
     R = I + sin(a) K + (1 - cos(a)) K^2, K the cross product with the axis.  Source: O. Rodrigues,
-    J. Math. Pures Appl. 5 (1840) 380; Bonet & Wood (2008), (2.70).
+    J. Math. Pures Appl. 5 (1840) 380.
 
     Attributes:
         point: A point c on the axis, in the reference configuration [m].
