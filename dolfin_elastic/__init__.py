@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.meshes import rectangle_body as rectangle_body
     from dolfin_elastic.model.loads import BodyForce as BodyForce
     from dolfin_elastic.model.loads import Gravity as Gravity
+    from dolfin_elastic.model.loads import Pressure as Pressure
     from dolfin_elastic.model.loads import Traction as Traction
     from dolfin_elastic.model.materials import ArrudaBoyce as ArrudaBoyce
     from dolfin_elastic.model.materials import BlatzKo as BlatzKo
@@ -85,7 +86,7 @@ _PLACES = {
     ),
     "model.own": ("Energy", "SplitEnergy"),
     "model.supports": ("Support",),
-    "model.loads": ("BodyForce", "Gravity", "Traction"),
+    "model.loads": ("BodyForce", "Gravity", "Pressure", "Traction"),
     "problem": ("Problem",),
     "solvers.statics": ("Statics",),
     "solvers.dynamics": ("Dynamics",),

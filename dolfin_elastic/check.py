@@ -208,7 +208,11 @@ def _offer(name: str, names: Mapping[str, Indices]) -> str:
 
 def _check_components(case: Case, body: Body) -> None:
     vectors = [(f"support[{i}].displacement", s.values) for i, s in enumerate(case.support)]
-    vectors += [(f"load[{i}].value", load.values) for i, load in enumerate(case.load)]
+    vectors += [
+        (f"load[{i}].{key}", values)
+        for i, load in enumerate(case.load)
+        for key, values in load.vectors.items()
+    ]
     if case.dynamics is not None:
         vectors += [
             ("dynamics.initial_displacement", case.dynamics.displacement),

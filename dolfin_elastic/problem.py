@@ -33,6 +33,7 @@ from dolfin_elastic.model.mixed import Mixed
 from dolfin_elastic.model.supports import Support
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
 from dolfin_elastic.prescribed import Prescribed
+from dolfin_elastic.rims import rim_held
 from dolfin_elastic.site import BodySite
 from dolfin_elastic.unknowns import Unknowns
 
@@ -255,17 +256,26 @@ class Problem:
         """All laws derive from an energy."""
         return all(part.law.has_energy for part in self.parts)
 
-    @property
+    @cached_property
     def symmetric(self) -> bool:
-        """The tangent is symmetric: laws and loads derive from potentials."""
-        return self.has_energy and all(load.conservative for load in self.loads)
+        """The tangent is symmetric: laws and loads derive from potentials. Collective."""
+        return self.has_energy and all(self._conservative(load) for load in self.loads)
+
+    def _conservative(self, load: Load) -> bool:
+        if load.conservative or not self._follows(load):
+            return True
+        # A stretch out of the plane widens the surface, but no work of the load belongs to it.
+        if not load.conservative_if_held or self.unknowns.has("stretch"):
+            return False
+        return rim_held(self.body, self.prescribed, load.parts)
+
+    def _follows(self, load: Load) -> bool:
+        return load.follows and not (load.linearises and self.site.linear)
 
     @property
     def linear(self) -> bool:
         """The residual is linear in u."""
-        return all(part.law.linear for part in self.parts) and not any(
-            load.follows for load in self.loads
-        )
+        return self.site.linear and not any(self._follows(load) for load in self.loads)
 
     @property
     def num_dofs(self) -> int:
@@ -286,7 +296,7 @@ class Problem:
     def loads_change(self) -> bool:
         """The applied nodal forces change in motion: with time, or with the body's shape."""
         return self.site.changes or any(
-            load.follows or depends_on_time(load.values) for load in self.loads
+            self._follows(load) or depends_on_time(load.values) for load in self.loads
         )
 
     def set_time(self, t: float, *, default: Amplitude = CONSTANT) -> None:

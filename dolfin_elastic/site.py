@@ -64,6 +64,11 @@ class BodySite:
         """A number that forms refer to by place, so that changing it compiles nothing."""
         return Constant(self.body.mesh, np.asarray(value, dtype=np.float64))
 
+    @cached_property
+    def linear(self) -> bool:
+        """All laws are linear."""
+        return all(part.law.linear for part in self.parts)
+
     @property
     def order(self) -> int:
         """Degree of the displacement or of the mesh's curved cells, whichever is higher."""

@@ -1,13 +1,13 @@
-"""Loads: one external virtual-work term each, and their table."""
+"""What every load is: one external virtual-work term, and the site where it acts."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Protocol
 
 import ufl
-from pydantic import Field, model_validator
+from pydantic import model_validator
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.components import Component, components, depends_on_time
@@ -28,6 +28,8 @@ class Site(Protocol):
     """Reference coordinates."""
     N: Expr
     """Outward unit normal of the reference surface."""
+    linear: bool
+    """All laws are linear: loads that can act on the undeformed body do, see `Load.linearises`."""
 
     def volumes(self, regions: Sequence[str]) -> ufl.Measure:
         """Reference volume of regions, of the whole body if there are none."""
@@ -68,6 +70,8 @@ class Load(Record):
     """The load is proportional to mass."""
     follows: ClassVar[bool] = False
     """The load depends on the displacement."""
+    linearises: ClassVar[bool] = False
+    """Of a load that follows: where all laws are linear it acts on the undeformed body."""
     conservative: ClassVar[bool] = True
     """The load has a potential, so its part of the tangent is symmetric."""
 
@@ -80,6 +84,16 @@ class Load(Record):
     def values(self) -> tuple[Component, ...]:
         """The components as numbers or formulas."""
         return components(self.value, self.unit)
+
+    @property
+    def vectors(self) -> dict[str, tuple[Component, ...]]:
+        """Key to the components of what must have as many of them as the body."""
+        return {"value": self.values}
+
+    @property
+    def conservative_if_held(self) -> bool:
+        """The load has a potential if the rim of its surfaces cannot move across them."""
+        return False
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -103,64 +117,3 @@ class Load(Record):
     def virtual_work(self, site: Site) -> ufl.Form:
         """External virtual work of the load, linear in `site.v`."""
         raise TypeError(f"{type(self).__name__} has no virtual work")
-
-
-class Traction(Load):
-    """Dead traction: force per reference area [Pa], fixed in direction.
-
-    The virtual work is the integral of t . v over the reference surface, so the total force is
-    t times the reference area however the body deforms.
-    """
-
-    kind: Literal["traction"] = "traction"
-    on: str | list[str]
-    unit: ClassVar[str] = "Pa"
-
-    def virtual_work(self, site: Site) -> ufl.Form:
-        """See the class."""
-        return ufl.inner(self.field(site), site.v) * site.areas(self.parts)
-
-
-class BodyForce(Load):
-    """Force per reference volume [N/m^3], on regions or on the whole body."""
-
-    kind: Literal["body-force"] = "body-force"
-    on: str | list[str] | None = None
-    unit: ClassVar[str] = "N/m^3"
-
-    def virtual_work(self, site: Site) -> ufl.Form:
-        """See the class."""
-        return ufl.inner(self.field(site), site.v) * site.volumes(self.parts)
-
-
-class Gravity(Load):
-    """Weight: density times an acceleration [m/s^2], on regions or on the whole body.
-
-    Without a value it is 9.81 m/s^2 downwards, against the last axis (z, or y in a plane).
-    """
-
-    kind: Literal["gravity"] = "gravity"
-    value: list[Any] = Field(default=[])
-    on: str | list[str] | None = None
-    unit: ClassVar[str] = "m/s^2"
-    needs_density: ClassVar[bool] = True
-
-    @cached_property
-    def values(self) -> tuple[Component, ...]:
-        """The components; none stands for the standard weight."""
-        return components(self.value, self.unit) if self.value else ()
-
-    def field(self, site: Site) -> Expr:
-        """The acceleration as a UFL expression."""
-        down = (0.0,) * (len(site.v) - 1) + (-9.81,)
-        return site.vector(self.values or down, self.amplitude)
-
-    def virtual_work(self, site: Site) -> ufl.Form:
-        """See the class."""
-        g = self.field(site)
-        return sum(rho * ufl.inner(g, site.v) * dx for rho, dx in site.densities(self.parts))
-
-
-LOADS: dict[str, type[Load]] = {
-    str(kind.model_fields["kind"].default): kind for kind in (Traction, BodyForce, Gravity)
-}
