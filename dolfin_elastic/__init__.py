@@ -51,7 +51,12 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.materials import Yeoh as Yeoh
     from dolfin_elastic.model.own import Energy as Energy
     from dolfin_elastic.model.own import SplitEnergy as SplitEnergy
+    from dolfin_elastic.model.springs import Dashpot as Dashpot
+    from dolfin_elastic.model.springs import Spring as Spring
+    from dolfin_elastic.model.supports import Normal as Normal
+    from dolfin_elastic.model.supports import Rotation as Rotation
     from dolfin_elastic.model.supports import Support as Support
+    from dolfin_elastic.model.supports import Symmetry as Symmetry
     from dolfin_elastic.problem import Problem as Problem
     from dolfin_elastic.results.outputs import History as History
     from dolfin_elastic.results.outputs import Picture as Picture
@@ -85,7 +90,8 @@ _PLACES = {
         "Yeoh",
     ),
     "model.own": ("Energy", "SplitEnergy"),
-    "model.supports": ("Support",),
+    "model.supports": ("Normal", "Rotation", "Support", "Symmetry"),
+    "model.springs": ("Dashpot", "Spring"),
     "model.loads": ("BodyForce", "Gravity", "Pressure", "Traction"),
     "problem": ("Problem",),
     "solvers.statics": ("Statics",),

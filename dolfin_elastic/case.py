@@ -28,7 +28,8 @@ from dolfin_elastic.errors import CaseError, InputError, nearest
 from dolfin_elastic.meshes import Body, Selector, name_parts
 from dolfin_elastic.model.law import Law
 from dolfin_elastic.model.loads import LOADS, Load
-from dolfin_elastic.model.supports import Support
+from dolfin_elastic.model.springs import SUPPORTS
+from dolfin_elastic.model.supports import Restraint
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record, within
@@ -58,7 +59,7 @@ class Case(Record):
         surfaces: Name to selector, or to a list of selectors that are joined.
         regions: The same for cells.
         materials: Name to law and place; together they fill the body exactly once.
-        support: Prescribed displacements; where they meet the later one holds.
+        support: What holds surfaces; where displacements are prescribed twice the later one holds.
         load: External forces.
         statics: Equilibrium under growing load (what is done if nothing is said).
         dynamics: Motion in time.
@@ -71,7 +72,7 @@ class Case(Record):
     surfaces: dict[str, list[Selector]] = Field(default={})
     regions: dict[str, list[Selector]] = Field(default={})
     materials: dict[str, Material]
-    support: list[Support] = Field(default=[])
+    support: list[Restraint] = Field(default=[])
     load: list[Load] = Field(default=[])
     statics: StaticsSettings | None = None
     dynamics: DynamicsSettings | None = None
@@ -96,7 +97,7 @@ class Case(Record):
 
     @field_validator("support", "load", mode="before")
     @classmethod
-    def _rows(cls, rows: Any, info: ValidationInfo) -> list[Support | Load]:
+    def _rows(cls, rows: Any, info: ValidationInfo) -> list[Restraint | Load]:
         key = str(info.field_name)
         if not isinstance(rows, list | tuple):
             raise InputError(
@@ -160,7 +161,7 @@ class Case(Record):
             named = {n: [written(s) for s in rows] for n, rows in getattr(self, key).items()}
             tables[key] = {n: rows[0] if len(rows) == 1 else rows for n, rows in named.items()}
         tables["materials"] = {name: item.table() for name, item in self.materials.items()}
-        tables["support"] = [written(item) for item in self.support]
+        tables["support"] = [_support_table(item) for item in self.support]
         tables["load"] = [{"kind": item.kind, **written(item)} for item in self.load]
         for key in ("statics", "dynamics", "solver", "output"):
             if key in self.model_fields_set and getattr(self, key) is not None:
@@ -319,11 +320,17 @@ def located(file: str, key: str = "", *, exact: bool = True) -> Iterator[None]:
 # --- rows of lists ---
 
 
-def _support(row: Any) -> Support:
-    if isinstance(row, Support):
+def _support(row: Any) -> Restraint:
+    if isinstance(row, Restraint):
         return row
+    table = {"kind": "displacement", **as_table(row)}
     with _vector("displacement"):
-        return Support(**as_table(row))
+        return pick(SUPPORTS, table, "kind")(**table)
+
+
+def _support_table(support: Restraint) -> dict[str, Any]:
+    table = written(support)
+    return table if support.kind == "displacement" else {"kind": support.kind, **table}
 
 
 def _load(row: Any) -> Load:

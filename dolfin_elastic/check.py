@@ -207,7 +207,11 @@ def _offer(name: str, names: Mapping[str, Indices]) -> str:
 
 
 def _check_components(case: Case, body: Body) -> None:
-    vectors = [(f"support[{i}].displacement", s.values) for i, s in enumerate(case.support)]
+    vectors = [
+        (f"support[{i}].{key}", values)
+        for i, support in enumerate(case.support)
+        for key, values in support.vectors.items()
+    ]
     vectors += [
         (f"load[{i}].{key}", values)
         for i, load in enumerate(case.load)
@@ -333,7 +337,10 @@ def _notes(case: Case) -> Iterator[str]:
     for name, material in case.materials.items():
         if material.law.warning:
             yield f"materials.{key_text(name)}: {material.law.warning}"
-    moving = any(value not in (None, 0.0) for support in case.support for value in support.values)
+    moving = any(not support.at_rest for support in case.support)
+    for i, support in enumerate(case.support):
+        if support.kind == "dashpot" and case.dynamics is None:
+            yield f"support[{i}]: a dashpot does nothing in statics"
     if case.dynamics is None and not case.load and not moving:
         yield "there is no load and every support is at rest: nothing will move"
 
@@ -343,7 +350,12 @@ def _uses(case: Case, name: str, *, surface: bool) -> str:
         load.kind for load in case.load if acts_on_surfaces(load) == surface and name in load.parts
     ]
     if surface:
-        return ", ".join(["support" for s in case.support if name in s.surfaces] + loads)
+        holding = [
+            "support" if s.kind == "displacement" else s.kind
+            for s in case.support
+            if name in s.surfaces
+        ]
+        return ", ".join(holding + loads)
     return ", ".join([key for key, m in case.materials.items() if name in m.regions] + loads)
 
 

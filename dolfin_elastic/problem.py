@@ -30,9 +30,10 @@ from dolfin_elastic.model.geometry import (
 from dolfin_elastic.model.law import Law, SplitLaw
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.mixed import Mixed
-from dolfin_elastic.model.supports import Support
+from dolfin_elastic.model.springs import Dashpot, Resisting, Spring
+from dolfin_elastic.model.supports import Restraint
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
-from dolfin_elastic.prescribed import Prescribed
+from dolfin_elastic.prescribed import Prescribed, Projections, held_by_spring
 from dolfin_elastic.rims import rim_held
 from dolfin_elastic.site import BodySite
 from dolfin_elastic.unknowns import Unknowns
@@ -50,7 +51,7 @@ class Problem:
         body: The mesh and its names.
         materials: A law for the whole body, or region's name to law; together the regions must
             cover every cell exactly once.
-        supports: Prescribed displacements; where they meet the later one holds.
+        supports: What holds surfaces; where displacements are prescribed twice the later one holds.
         loads: External forces.
         degree: Degree of the displacement on tetrahedra or triangles, 1 or 2.
         quadrature_degree: Overrides the law's own choice for the internal forces.
@@ -79,7 +80,7 @@ class Problem:
         body: Body,
         materials: Law | Mapping[str, Law],
         *,
-        supports: Sequence[Support] = (),
+        supports: Sequence[Restraint] = (),
         loads: Sequence[Load] = (),
         degree: int = 1,
         quadrature_degree: int | None = None,
@@ -103,7 +104,10 @@ class Problem:
         self.measures = Measures(
             body,
             [part.cells for part in self.parts],
-            [term.parts for term in self.loads],
+            [
+                *(term.parts for term in self.loads),
+                *(s.surfaces for s in self.supports if isinstance(s, Resisting)),
+            ],
             weight(self.geometry, ufl.SpatialCoordinate(body.mesh), depth),
         )
         self.site = BodySite(body, self.unknowns, self.parts, self.measures, self.geometry)
@@ -111,7 +115,7 @@ class Problem:
         self.prescribed = Prescribed(
             body, self.V, self.supports, axis=self.geometry == "axisymmetric"
         )
-        _ = self.external  # says now what is wrong with a load
+        _ = self.external, self.holding  # says now what is wrong with a load or a spring
 
     def _scale_unknowns(self) -> None:
         """Gives the scalar fields the size of displacements, see `unknowns`."""
@@ -216,7 +220,37 @@ class Problem:
     @cached_property
     def holding(self) -> dict[str, ufl.Form]:
         """Virtual work of the forces by which springs and obstacles hold the body, by label."""
-        return {}
+        held: dict[str, ufl.Form] = {}
+        for support in self.supports:
+            if isinstance(support, Resisting):
+                work = support.virtual_work(self.site)
+                held[support.label] = held[support.label] + work if support.label in held else work
+        return held
+
+    @property
+    def springs(self) -> tuple[Spring, ...]:
+        """Supports that hold by stored energy."""
+        return tuple(s for s in self.supports if isinstance(s, Spring))
+
+    @property
+    def dashpots(self) -> tuple[Dashpot, ...]:
+        """Supports that hold against velocity, in motion only."""
+        return tuple(s for s in self.supports if isinstance(s, Dashpot))
+
+    @cached_property
+    def spring_energy(self) -> ufl.Form | None:
+        """Energy stored in springs; None without any."""
+        return sum(s.energy(self.site) for s in self.springs) if self.springs else None
+
+    @cached_property
+    def resisting(self) -> list[Projections]:
+        """Owned nodes that springs hold, with projections on the directions. Collective."""
+        return [held for s in self.springs for held in held_by_spring(s, self.body, self.V)]
+
+    def damping(self, velocity: Expr) -> ufl.Form | None:
+        """Virtual work against dashpots at a velocity; None without any."""
+        works = [d.work_at(self.site, velocity) for d in self.dashpots]
+        return -sum(works) if works else None
 
     @cached_property
     def residual(self) -> ufl.Form:

@@ -11,6 +11,7 @@ from dolfinx import fem
 from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
+from dolfin_elastic.compiler import compile_forms, options
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.measures import Measures
@@ -40,6 +41,7 @@ class BodySite:
         u: Displacement (UFL, of the unknowns, so that derivatives see it).
         X: Reference coordinates (UFL).
         N: Outward unit normal of the reference surface (UFL).
+        velocity: Velocity [m/s] that dashpots see; solvers of motion keep it.
         t: Time [s] or load parameter (UFL constant).
     """
 
@@ -57,6 +59,7 @@ class BodySite:
         self.u = unknowns.displacement(unknowns.w)
         self.X = ufl.SpatialCoordinate(body.mesh)
         self.N = ufl.FacetNormal(body.mesh)
+        self.velocity = fem.Function(unknowns.V, name="velocity of dashpots")
         self.t = Constant(body.mesh, 0.0)
         self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
 
@@ -99,6 +102,13 @@ class BodySite:
         for name in surfaces:
             self.body.surface(name)
         return self.measures.surfaces(surfaces, 2 * self.order)
+
+    def area(self, surfaces: Sequence[str]) -> float:
+        """The same as a number [m^2]. Collective."""
+        comm = self.body.comm
+        form = self.constant(1.0) * self.areas(surfaces)
+        value = compile_forms(comm, [form], options(comm))[0]
+        return float(total(comm, fem.assemble_scalar(value)))
 
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, Weighted]]:
         """Density and reference volume, material by material."""

@@ -42,6 +42,7 @@ COMMON = {
     "s": {"s": 1.0, "ms": 1e-3},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},
     "m/s^2": {"m/s^2": 1.0},
+    "rad": {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180},
 }
 """Units that most cases use, so that most cases start without pint's 0.3 s."""
 
@@ -146,6 +147,7 @@ _EXAMPLES = {
     "s": "0.1 s",
     "N/m^3": "10 kN/m^3",
     "N": "5 kN",
+    "rad": "90 deg",
 }
 
 

@@ -25,7 +25,8 @@ class Assembler:
     The residual's rows at prescribed entries are replaced by (x - g), and the columns of the
     tangent there by zero; what the replaced columns would have done is added to the residual
     (lifting).  So the first Newton step moves the boundary and the inside together, and a line
-    search can shorten both.  All methods are collective.
+    search can shorten both.  At tilted nodes (`prescribed.tilted`) the same is done along their
+    held directions: rows Q R + P x - N+ g, and Q K Q + P.  All methods are collective.
 
     Args:
         problem: Whose residual and tangent; its `u` is changed by every evaluation.
@@ -42,6 +43,7 @@ class Assembler:
         moves: Owned entries of all unknowns that are displacements, in the displacement's order.
         fixed: Owned entries of all unknowns that are prescribed.
         pressures: How many unknowns are pressures, on all ranks.
+        tilted: Owned entries of the components at tilted nodes, of shape (nodes, dim).
         gap: Largest |x - g| over prescribed entries at the last residual [m].
     """
 
@@ -73,21 +75,31 @@ class Assembler:
         self._held = held.owned
         self.fixed = places(held.owned)
         self.moves = places(np.arange(_owned(problem.V), dtype=np.int32))
+        self._tilted = None if still else held.tilted
+        nodes = np.empty(0, np.int32) if self._tilted is None else self._tilted.nodes
+        entries = (nodes[:, None] * self._dim + np.arange(self._dim)).astype(np.int32)
+        self._nodes = nodes[: 0 if self._tilted is None else self._tilted.count]
+        self.tilted = places(entries[: len(self._nodes)])
         if problem.w is problem.u:
             self._values, self._bcs = held.values, held.bcs
+            lifted: list[fem.DirichletBC] = [fem.dirichletbc(self._values, nodes)]
         else:
             self._values = fem.Function(problem.W)
             dofs = np.arange(len(problem.u.x.array), dtype=np.int32) if still else held.dofs
             self._bcs = [fem.dirichletbc(self._values, places(dofs))]
+            lifted = [fem.dirichletbc(self._values, np.sort(places(entries.reshape(-1))))]
+        self._lifted_bcs = self._bcs if self._tilted is None else self._bcs + lifted
         if still:
             self._held = np.arange(_owned(problem.V), dtype=np.int32)
             self.fixed = self.moves
         self.pressures = problem.unknowns.count("pressure")
-        self._is_free = np.ones(self.size, dtype=bool)
-        self._is_free[self.fixed] = False
         self.free = self.held = self.gap = 0.0
         with stage("assemble"):
-            self._filled = TangentMatrix(self._tangent)
+            self._filled = (
+                TangentMatrix(self._tangent)
+                if self._tilted is None
+                else TangentMatrix(self._tangent, self.tilted, self._tilted.P[: len(self._nodes)])
+            )
         self.matrix = self._filled.petsc
         self._shift: float | None = None
         if problem.symmetric:
@@ -123,19 +135,31 @@ class Assembler:
         Args:
             x: Displacement.
             f: Receives the residual.
-            target: Prescribed values at the owned prescribed entries, if not those of the problem.
+            target: Prescribed values, like `Prescribed.targets`, if not those of the problem.
         """
         with stage("assemble"):
             self.put(x)
             self.assemble_balance()
-            wanted = self.problem.prescribed.values.x.array[self._held]
-            difference = self.problem.u.x.array[self._held] - (wanted if target is None else target)
+            difference, off = self._differences(target)
             out = self.balance.array[: self.size]
-            self._measure(out, difference)
+            self._measure(out, difference, off)
             if self.gap > 0.0 and np.isfinite(self.free):
-                out = out + self._lifted(difference)
+                out = out + self._lifted(difference, off)
             f.array_w[:] = out
             f.array_w[self.fixed] = difference
+            if self._tilted is not None:
+                f.array_w[self.tilted] = self._tilted.free(out[self.tilted]) + off
+
+    def _differences(self, target: Vector | None) -> tuple[Vector, Vector]:
+        """What prescribed entries, and tilted nodes along their directions, are off [m]."""
+        held, u = self.problem.prescribed, self.problem.u.x.array
+        if self._tilted is None:
+            wanted = held.values.x.array[self._held] if target is None else target
+            return u[self._held] - wanted, np.zeros((0, self._dim))
+        target = held.targets if target is None else target
+        wanted, along = np.split(target, [len(self._held)])
+        rows = self._tilted.held(u.reshape(-1, self._dim)[self._nodes])
+        return u[self._held] - wanted, rows - along.reshape(-1, self._dim)
 
     def assemble_balance(self) -> None:
         """Out-of-balance nodal forces at the problem's displacement into `balance`."""
@@ -143,31 +167,42 @@ class Assembler:
         fem.assemble_vector(self.balance.array, self._residual)
         self.balance.scatter_reverse(la.InsertMode.add)
 
-    def _measure(self, out: Vector, difference: Vector) -> None:
-        with np.errstate(over="ignore"):
-            squares = [np.sum(np.square(out[self._is_free])), np.sum(np.square(out[self.fixed]))]
+    def constraint_forces(self, out: Vector) -> Vector:
+        """The part of owned nodal forces that supports take up by prescribing."""
+        held = np.zeros(self.size)
+        held[self.fixed] = out[self.fixed]
+        if self._tilted is not None:
+            held[self.tilted] = self._tilted.held(out[self.tilted])
+        return held
+
+    def _measure(self, out: Vector, difference: Vector, off: Vector) -> None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            held = self.constraint_forces(out)
+            squares = [np.sum(np.square(out - held)), np.sum(np.square(held))]
         sums = self.comm.allreduce(np.array(squares), op=MPI.SUM)
         self.free, self.held = (float(value) for value in np.sqrt(sums))
         # NaN would come out of a maximum on some ranks only.
+        difference = np.append(difference, off)
         gap = float(np.max(np.nan_to_num(np.abs(difference), nan=np.inf), initial=0.0))
         self.gap = float(self.comm.allreduce(gap, op=MPI.MAX))
 
-    def _lifted(self, difference: Vector) -> Vector:
+    def _lifted(self, difference: Vector, off: Vector) -> Vector:
         """K (g - x) of the prescribed columns, for the free rows."""
         w, values = self.problem.w.x.array, self._values
         kept = values.x.array.copy()
         try:
             values.x.array[:] = w
             values.x.array[self.fixed] -= difference
+            values.x.array[self.tilted] -= off
             values.x.scatter_forward()
             self._lift.array[:] = 0.0
-            fem.apply_lifting(self._lift.array, [self._tangent], [self._bcs], [w], -1.0)
+            fem.apply_lifting(self._lift.array, [self._tangent], [self._lifted_bcs], [w], -1.0)
             self._lift.scatter_reverse(la.InsertMode.add)
         finally:
             values.x.array[:] = kept
         return self._lift.array[: self.size]
 
-    def tangent(self, x: PETSc.Vec, shift: float = 0.0) -> None:
+    def tangent(self, x: PETSc.Vec, shift: float = 0.0, *, unit: float = 1.0) -> None:
         """Assembles the tangent at x into `matrix`, with ones on prescribed diagonals.
 
         What cannot have changed is left as it is, and so is its factorisation.
@@ -175,12 +210,13 @@ class Assembler:
         Args:
             x: The displacement.
             shift: What the extra tangent is multiplied by.
+            unit: What stands along the held directions of tilted nodes.
         """
         with stage("assemble"):
             self.put(x)
             if self.problem.linear and shift == self._shift:
                 return
-            self._filled.assemble(self._bcs)
+            self._filled.assemble(self._bcs, unit)
             self._shift = shift
 
     def shift_diagonal(self, share: float) -> None:
@@ -214,14 +250,6 @@ class Assembler:
             force.scatter_reverse(la.InsertMode.add)
         return force.array[: self.size]
 
-    def holding_forces(self) -> Vector:
-        """Nodal forces of springs and obstacles, owned entries [N]."""
-        forces = self._vector()
-        for form in self._holding.values():
-            fem.assemble_vector(forces.array, form)
-        forces.scatter_reverse(la.InsertMode.add)
-        return forces.array[: self.size]
-
     # --- what is known of the solution ---
 
     def reactions(self, more: Vector | None = None) -> dict[str, Vector]:
@@ -238,19 +266,34 @@ class Assembler:
         local = np.zeros((len(held), self._dim))
         for row, dofs in zip(local, held.values(), strict=True):
             np.add.at(row, dofs % self._dim, forces[dofs])
+        if self._tilted is not None:
+            leaning = self._tilted.forces(forces.reshape(-1, self._dim)[self._nodes])
+            for k, label in enumerate(held):
+                local[k] += leaning.get(label, 0.0)
         sums = self.comm.allreduce(local, op=MPI.SUM)
         found = dict(zip(held, sums, strict=True))
         for label, form in self._holding.items():
             found[label] = found.get(label, 0.0) + self._resultant(form)
         return found
 
-    def _resultant(self, form: fem.Form) -> Vector:
-        """Sum of the nodal forces of a virtual work [N]."""
+    def nodal(self, form: fem.Form) -> Vector:
+        """Nodal forces of a virtual work, owned entries [N]."""
         forces = self._vector()
         fem.assemble_vector(forces.array, form)
         forces.scatter_reverse(la.InsertMode.add)
-        nodal = forces.array[self.moves].reshape(-1, self._dim)
+        return forces.array[: self.size]
+
+    def _resultant(self, form: fem.Form) -> Vector:
+        """Sum of the nodal forces of a virtual work [N]."""
+        nodal = self.nodal(form)[self.moves].reshape(-1, self._dim)
         return np.asarray(self.comm.allreduce(nodal.sum(axis=0), op=MPI.SUM))
+
+    def holding_forces(self) -> Vector:
+        """Nodal forces of all that holds by forces, at the present state, owned entries [N]."""
+        forces = np.zeros(self.size)
+        for form in self._holding.values():
+            forces += self.nodal(form)
+        return forces
 
     def max_displacement(self) -> float:
         """Largest length of a nodal displacement [m]."""
@@ -265,7 +308,8 @@ class Assembler:
 
     def largest_unbalance(self) -> tuple[float, Vector]:
         """Largest free nodal force of the last residual [N] and the node's place X [m]."""
-        forces = np.where(self._is_free, self.balance.array[: self.size], 0.0)[self.moves]
+        out = self.balance.array[: self.size]
+        forces = (out - self.constraint_forces(out))[self.moves]
         norms = np.linalg.norm(forces.reshape(-1, self._dim), axis=1)
         norms = np.where(np.isfinite(norms), norms, np.inf)
         node = int(np.argmax(norms)) if len(norms) else -1

@@ -34,12 +34,20 @@ def free_motions(problem: Problem) -> list[str]:
     """Rigid motions that no support prevents, in words. Collective.
 
     The prescribed components, applied to translations and small rotations, sum up to a matrix of
-    6x6 numbers (3x3 in a plane) whose null space is what is left free.
+    6x6 numbers (3x3 in a plane) whose null space is what is left free.  Prescribed directions and
+    those of springs count as components do; dashpots hold nothing.
     """
-    dim, held = problem.body.dim, problem.prescribed.owned
+    dim, prescribed = problem.body.dim, problem.prescribed
+    held = prescribed.owned
     x = problem.V.tabulate_dof_coordinates()[:, :dim]
     centre, size = _frame(x, problem.body.comm)
     rows = _rigid((x[held // dim] - centre) / size)[np.arange(len(held)), held % dim]
+    more = problem.resisting
+    if (tilted := prescribed.tilted) is not None:
+        more = [*more, (tilted.nodes[: tilted.count], tilted.P[: tilted.count])]
+    for nodes, P in more:
+        moved = _rigid((x[nodes] - centre) / size)
+        rows = np.concatenate([rows, (P @ moved).reshape(-1, moved.shape[2])])
     if problem.geometry == "axisymmetric":  # of rigid motions only the one along the axis is one
         rows = rows[:, 1:2]
     values, vectors = np.linalg.eigh(total(problem.body.comm, rows.T @ rows))

@@ -19,6 +19,7 @@ from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.jump import PathWatch
 from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.linear import LinearSettings, choose
+from dolfin_elastic.solvers.motion import Strain
 from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.progress import Progress, Tolerance
 from dolfin_elastic.solvers.relaxation import relax
@@ -130,6 +131,8 @@ class Statics:
                 then holds the last iterate, and all states yielded before are valid.
         """
         check_held(self.problem)
+        for dashpot in self.problem.dashpots:
+            log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
         assembler = Assembler(self.problem)
         newton = Newton(assembler, self.choice, self.tolerance, users=self.petsc)
@@ -174,6 +177,7 @@ class _Stepping:
         self.assembler, self.newton = assembler, newton
         self.ladder = Ladder(newton)
         self._watch = PathWatch(assembler)
+        self._strain = Strain(self.problem)
         self._count = 0
         self._before: tuple[float, Vector] | None = None
         self._limits: tuple[float, ...] = ()
@@ -321,7 +325,7 @@ class _Stepping:
             krylov=progress.krylov,
             reason=progress.reason,
             residuals=tuple(progress.residuals),
-            energies={"strain": self._watch.energy()},
+            energies={"strain": self._watch.energy(), **self._strain.springs()},
             reactions=assembler.reactions(),
             max_displacement=assembler.max_displacement(),
             negative=negative,
