@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.meshes import read_body as read_body
     from dolfin_elastic.meshes import rectangle_body as rectangle_body
     from dolfin_elastic.model.loads import BodyForce as BodyForce
+    from dolfin_elastic.model.loads import Cavity as Cavity
     from dolfin_elastic.model.loads import Gravity as Gravity
     from dolfin_elastic.model.loads import Pressure as Pressure
     from dolfin_elastic.model.loads import Traction as Traction
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.materials import Yeoh as Yeoh
     from dolfin_elastic.model.own import Energy as Energy
     from dolfin_elastic.model.own import SplitEnergy as SplitEnergy
+    from dolfin_elastic.model.rigid import Rigid as Rigid
     from dolfin_elastic.model.springs import Dashpot as Dashpot
     from dolfin_elastic.model.springs import Spring as Spring
     from dolfin_elastic.model.supports import Normal as Normal
@@ -91,8 +93,9 @@ _PLACES = {
     ),
     "model.own": ("Energy", "SplitEnergy"),
     "model.supports": ("Normal", "Rotation", "Support", "Symmetry"),
+    "model.rigid": ("Rigid",),
     "model.springs": ("Dashpot", "Spring"),
-    "model.loads": ("BodyForce", "Gravity", "Pressure", "Traction"),
+    "model.loads": ("BodyForce", "Cavity", "Gravity", "Pressure", "Traction"),
     "problem": ("Problem",),
     "solvers.statics": ("Statics",),
     "solvers.dynamics": ("Dynamics",),

@@ -15,8 +15,9 @@ from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
 from dolfin_elastic import compiler
+from dolfin_elastic.enclosures import enclosures
 from dolfin_elastic.errors import InputError
-from dolfin_elastic.formulation import Formulation
+from dolfin_elastic.formulation import Formulation, shear_modulus
 from dolfin_elastic.measures import Measures
 from dolfin_elastic.meshes.body import Body, cell_size
 from dolfin_elastic.model.components import depends_on_time
@@ -64,6 +65,7 @@ class Problem:
     Attributes:
         u: The displacement [m]; solvers change it through `w`.
         w: All unknowns: the displacement and, in some problems, scalar fields beside it.
+        cavities: Hollow spaces with a pressure.
         site: What loads find on the body.
         constant: Makes a number that forms refer to by place, so that changing it compiles nothing.
         t: UFL constant with the time, used by formulas.
@@ -115,6 +117,7 @@ class Problem:
         self.prescribed = Prescribed(
             body, self.V, self.supports, axis=self.geometry == "axisymmetric"
         )
+        self.cavities = list(enclosures(self.loads, self.site))
         _ = self.external, self.holding  # says now what is wrong with a load or a spring
 
     def _scale_unknowns(self) -> None:
@@ -342,3 +345,10 @@ class Problem:
         """
         self.site.set_time(t, default)
         self.prescribed.move_to(t, default)
+        for cavity in self.cavities:
+            cavity.t, cavity.default = t, default
+
+    @cached_property
+    def stiffness(self) -> float:
+        """Largest shear modulus of all parts at small strains [Pa]."""
+        return max(shear_modulus(part.typical) for part in self.parts)

@@ -11,6 +11,7 @@ a rigid surface.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -29,10 +30,13 @@ class Border:
     Attributes:
         size: How many there are.
         steps: Differences of s by which derivatives with respect to it are taken.
+        signs: What each scalar is in the whole system's energy: 1 a coordinate, whose equation is
+            a force; -1 a multiplier, whose equation is a constraint; 0 neither.
     """
 
     size: int
     steps: Vector
+    signs: Vector
 
     def get(self) -> Vector:
         """The present scalars."""
@@ -50,13 +54,60 @@ class Border:
         """dg/du at the owned entries, one array a scalar. Collective."""
         raise TypeError(f"{type(self).__name__} has no equations")
 
-    def corner(self) -> Vector:
-        """dg/ds, shape (size, size)."""
-        return np.zeros((self.size, self.size))
+    def settled(self, residual: Vector, target: float) -> bool:
+        """Whether the equations hold well enough.
 
-    def settled(self, residual: Vector, rtol: float) -> bool:
-        """Whether the equations hold well enough."""
+        Args:
+            residual: g.
+            target: Norm of nodal forces out of balance that counts as none [N].
+        """
         raise TypeError(f"{type(self).__name__} has no equations")
+
+
+class Borders(Border):
+    """Several borders as one, one after the other.
+
+    Args:
+        parts: The borders.  Each `put` may undo what one before has set in the problem, never one
+            behind: what sets the time comes first.
+    """
+
+    def __init__(self, parts: Sequence[Border]) -> None:
+        self.parts = tuple(parts)
+        self.size = sum(part.size for part in parts)
+        self._cuts = np.cumsum([part.size for part in parts])[:-1]
+
+    @property
+    def steps(self) -> Vector:  # type: ignore[override]
+        """See `Border`."""
+        return np.concatenate([part.steps for part in self.parts])
+
+    @property
+    def signs(self) -> Vector:  # type: ignore[override]
+        """See `Border`."""
+        return np.concatenate([part.signs for part in self.parts])
+
+    def get(self) -> Vector:
+        """All scalars."""
+        return np.concatenate([part.get() for part in self.parts])
+
+    def put(self, values: Vector) -> None:
+        """Changes all scalars. Not collective."""
+        for part, own in zip(self.parts, np.split(values, self._cuts), strict=True):
+            part.put(own)
+
+    def residual(self) -> Vector:
+        """All equations. Collective."""
+        return np.concatenate([part.residual() for part in self.parts])
+
+    def rows(self) -> list[Vector]:
+        """All their derivatives. Collective."""
+        return [row for part in self.parts for row in part.rows()]
+
+    def settled(self, residual: Vector, target: float) -> bool:
+        """All equations hold well enough."""
+        owns = np.split(residual, self._cuts)
+        return all(part.settled(own, target) for part, own in zip(self.parts, owns, strict=True))
 
 
 class Bordered:
@@ -87,6 +138,7 @@ class Bordered:
         self._rows: list[Vector] = []
         self._corner = np.zeros((border.size, border.size))
         self._solved: list[Vector] | None = None
+        self._schur = self._corner
         self.iterations = 0
         self.last = np.zeros(border.size)
 
@@ -122,15 +174,15 @@ class Bordered:
         values = self.scalars(x)
         self._x.array_w[:] = x.array_r[: self._size]
         self.border.put(values)
-        self._columns = self._differences(values)
+        self._columns, self._corner = self._differences(values)
         self.assembler.residual(self._x, self._b)  # back to where we are
-        self._rows, self._corner = self.border.rows(), self.border.corner()
+        self._rows = self.border.rows()
         self.assembler.tangent(self._x)
         self._solved = None
 
-    def _differences(self, values: Vector) -> list[Vector]:
-        """Derivatives of the fields' residual with respect to the scalars."""
-        columns = []
+    def _differences(self, values: Vector) -> tuple[list[Vector], Vector]:
+        """Derivatives of the fields' and the scalars' residuals with respect to the scalars."""
+        columns, corner = [], []
         for j, h in enumerate(self.border.steps):
             sides = []
             for sign in (1.0, -1.0):
@@ -138,10 +190,11 @@ class Bordered:
                 moved[j] += sign * h
                 self.border.put(moved)
                 self.assembler.residual(self._x, self._b)
-                sides.append(self._b.array_r.copy())
-            columns.append((sides[0] - sides[1]) / (2 * h))
+                sides.append((self._b.array_r.copy(), self.border.residual()))
+            columns.append((sides[0][0] - sides[1][0]) / (2 * h))
+            corner.append((sides[0][1] - sides[1][1]) / (2 * h))
         self.border.put(values)
-        return columns
+        return columns, np.column_stack(corner)
 
     # --- what PETSc calls ---
 
@@ -165,10 +218,10 @@ class Bordered:
         plain = self._inverse(b.array_r[: self._size])
         if self._solved is None:
             self._solved = [self._inverse(column) for column in self._columns]
-        schur = self._corner - np.column_stack([self._products(z) for z in self._solved])
+        self._schur = self._corner - np.column_stack([self._products(z) for z in self._solved])
         right = self.scalars(b) - self._products(plain)
         try:
-            scalars = np.linalg.solve(schur, right)
+            scalars = np.linalg.solve(self._schur, right)
         except np.linalg.LinAlgError:
             scalars = np.full(self.border.size, np.nan)
         for s, z in zip(scalars, self._solved, strict=True):
@@ -176,6 +229,17 @@ class Bordered:
         self.fill(x, plain, scalars)
         reason = self.ksp.getConvergedReason()
         ksp.setConvergedReason(reason if reason < 0 else PETSc.KSP.ConvergedReason.CONVERGED_ITS)
+
+    def negative(self) -> int:
+        """Negative eigenvalues that the scalars add to those of the fields' tangent.
+
+        By Haynsworth's formula for the Schur complement; a constraint has one of its own.
+        """
+        signs = self.border.signs
+        kept = np.flatnonzero(signs)
+        S = (signs[:, None] * self._schur)[np.ix_(kept, kept)]
+        below = int(np.sum(np.linalg.eigvalsh((S + S.T) / 2) < 0.0)) if len(kept) else 0
+        return below - int(np.sum(signs < 0.0))
 
     def _inverse(self, right: Vector) -> Vector:
         self._b.array_w[:] = right

@@ -17,6 +17,7 @@ from dolfin_elastic.solvers.alpha import Alpha
 from dolfin_elastic.solvers.explicit import SymplecticEuler
 from dolfin_elastic.solvers.initial import set_initial
 from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.solvers.scalars import refuse_scalars
 from dolfin_elastic.state import State
 from dolfin_elastic.units import Force, Time
 
@@ -108,6 +109,7 @@ class Dynamics:
         petsc: Mapping[str, Any] | None = None,
         **fields: Any,
     ) -> None:
+        refuse_scalars(problem)
         self.problem = problem
         if settings is not None and fields:
             raise TypeError(f"give settings or keywords, not both: {', '.join(fields)}")

@@ -27,7 +27,7 @@ class Ladder:
         newton: The solver; its problem is at the load that is wanted.
 
     Attributes:
-        failed: The last iterate of the last failure: local array of all unknowns.
+        failed: The last iterate of the last failure, as `Newton.present`.
     """
 
     def __init__(self, newton: Newton) -> None:
@@ -39,12 +39,10 @@ class Ladder:
         """Finds equilibrium from the first start that leads there. Collective.
 
         Args:
-            starts: In words, and as local arrays of all unknowns; the first one is put back
+            starts: In words, and as `Newton.present`; the first one is put back
                 where none leads to an equilibrium.
         """
-        newton, problem = self.newton, self.newton.assembler.problem
-        w = problem.w.x.array
-        rejected = 0
+        newton, rejected = self.newton, 0
         for said, start, line_search in self._rungs(starts):
             if not self._first:
                 newton.refresh()
@@ -56,10 +54,9 @@ class Ladder:
                     log.info("found %s", said)
                 return progress
             log.debug("%s, line search '%s': %s", said or "start", line_search, progress.reason)
-        self.failed = w.copy()
+        self.failed = newton.present()
         progress.rejected = rejected
-        w[:] = starts[0][1]
-        problem.unknowns.tell()
+        newton.put_back(starts[0][1])
         return progress
 
     def _rungs(self, starts: Sequence[tuple[str, Vector]]) -> Iterator[tuple[str, Vector, str]]:
@@ -71,11 +68,10 @@ class Ladder:
             yield said, start, searches[0]
 
     def _try(self, start: Vector, line_search: str) -> Progress:
-        w = self.newton.assembler.problem.w.x.array
-        w[:] = start
+        self.newton.put_back(start)
         progress = self.newton.solve(line_search)
         while "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
-            w[:] = start
+            self.newton.put_back(start)
             progress = self.newton.solve(line_search)
         self._refuse_inverted(progress)
         return progress

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from petsc4py import PETSc
 
 from dolfin_elastic.errors import InputError
@@ -31,6 +32,7 @@ from dolfin_elastic.solvers.progress import Progress, Tolerance
 from dolfin_elastic.solvers.schur import SchurSplit
 from dolfin_elastic.timing import stage
 
+Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 FORCING = 1e-3
@@ -296,6 +298,22 @@ class Newton:
         else:
             self._bordered.residual(self._x, self._f)
 
+    def present(self) -> Vector:
+        """A copy of all unknowns: local array of the fields, and scalars behind them."""
+        fields = self.assembler.problem.w.x.array
+        if self._bordered is None:
+            return np.asarray(fields.copy())
+        return np.concatenate([fields, self._bordered.border.get()])
+
+    def put_back(self, unknowns: Vector) -> None:
+        """Changes all unknowns to those of `present`. Not collective."""
+        problem = self.assembler.problem
+        fields = problem.w.x.array
+        fields[:] = unknowns[: len(fields)]
+        if self._bordered is not None:
+            self._bordered.border.put(unknowns[len(fields) :])
+        problem.unknowns.tell()
+
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
         if self._bordered is None:
             self.assembler.residual(x, f)
@@ -307,6 +325,7 @@ class Newton:
             self.assembler.tangent(x)
         else:
             self._bordered.renew(x)
+            self._external = self.assembler.external_norm()  # scalars may load the body
             # SNES would lag the preconditioner of its own linear solver only.
             self.ksp.getPC().setReusePreconditioner(self._prepared and not self.direct)
             self.ksp.setOperators(self.assembler.matrix)
@@ -370,7 +389,7 @@ class Newton:
     def _settled(self) -> bool:
         if self._bordered is None:
             return True
-        return self._bordered.border.settled(self._bordered.last, self.tolerance.rtol)
+        return self._bordered.border.settled(self._bordered.last, self._target())
 
     def _stalled(self) -> bool:
         """Backtracking takes ever smaller steps: a smaller load step gets there sooner."""
@@ -395,7 +414,8 @@ class Newton:
         if "pc_factor_mat_solver_type" in self.options.users:
             return None
         below = self.ksp.getPC().getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS)
-        return int(below) - self.assembler.pressures
+        more = 0 if self._bordered is None else self._bordered.negative()
+        return int(below) - self.assembler.pressures + more
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""

@@ -35,7 +35,8 @@ def free_motions(problem: Problem) -> list[str]:
 
     The prescribed components, applied to translations and small rotations, sum up to a matrix of
     6x6 numbers (3x3 in a plane) whose null space is what is left free.  Prescribed directions and
-    those of springs count as components do; dashpots hold nothing.
+    those of springs count as components do; dashpots hold nothing.  Free degrees of freedom of
+    rigid surfaces are further unknowns: what they move is held only as far as they are.
     """
     dim, prescribed = problem.body.dim, problem.prescribed
     held = prescribed.owned
@@ -45,16 +46,35 @@ def free_motions(problem: Problem) -> list[str]:
     more = problem.resisting
     if (tilted := prescribed.tilted) is not None:
         more = [*more, (tilted.nodes[: tilted.count], tilted.P[: tilted.count])]
+    rows = np.hstack([rows, *(-part for part in _plates(problem, held, size))])
     for nodes, P in more:
         moved = _rigid((x[nodes] - centre) / size)
-        rows = np.concatenate([rows, (P @ moved).reshape(-1, moved.shape[2])])
+        found = (P @ moved).reshape(-1, moved.shape[2])
+        rows = np.vstack([rows, np.pad(found, [(0, 0), (0, rows.shape[1] - found.shape[1])])])
     if problem.geometry == "axisymmetric":  # of rigid motions only the one along the axis is one
         rows = rows[:, 1:2]
     values, vectors = np.linalg.eigh(total(problem.body.comm, rows.T @ rows))
     null = vectors[:, values <= _ROUND_OFF * max(values[-1], 1.0)]
     if problem.geometry == "axisymmetric":
         return ["move along y"] * null.shape[1]
-    return _said(null, dim)
+    # What is left of the body's own motions, and what rigid surfaces can do without the body.
+    body, sizes, _ = np.linalg.svd(null[: dim + 2 * dim - 3], full_matrices=False)
+    body = body[:, sizes > 1e-6]
+    said = _said(body, dim) if body.shape[1] else []
+    return said + ["leave a rigid surface to turn about itself"] * (null.shape[1] > body.shape[1])
+
+
+def _plates(problem: Problem, held: npt.NDArray[np.int32], size: float) -> list[Floats]:
+    """What unit motions of rigid surfaces prescribe at the held entries."""
+    found = []
+    for motion in problem.prescribed.motions:
+        dofs, D = problem.prescribed.directions(motion)
+        own = np.isin(dofs, held)
+        scale = np.where(np.arange(D.shape[1]) < problem.body.dim, 1.0, 1 / size)
+        columns = np.zeros((len(held), len(motion.free)))
+        columns[np.searchsorted(held, dofs[own])] = (D * scale)[own][:, list(motion.free)]
+        found.append(columns)
+    return found
 
 
 def _frame(x: Floats, comm: MPI.Comm) -> tuple[Floats, float]:

@@ -24,6 +24,7 @@ from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.progress import Progress, Tolerance
 from dolfin_elastic.solvers.relaxation import relax
 from dolfin_elastic.solvers.rigid import check_held
+from dolfin_elastic.solvers.scalars import Scalars
 from dolfin_elastic.solvers.steps import StepSizes
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
@@ -135,10 +136,13 @@ class Statics:
             log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
         assembler = Assembler(self.problem)
-        newton = Newton(assembler, self.choice, self.tolerance, users=self.petsc)
+        scalars = Scalars(assembler)
+        newton = Newton(
+            assembler, self.choice, self.tolerance, users=self.petsc, border=scalars.border
+        )
         newton.watch_inversion()
         try:
-            yield from _Stepping(self, assembler, newton).run()
+            yield from _Stepping(self, scalars, newton).run()
         finally:
             newton.destroy()
             assembler.destroy()
@@ -172,11 +176,11 @@ class Statics:
 class _Stepping:
     """Load steps: tried, made smaller or larger, given up."""
 
-    def __init__(self, statics: Statics, assembler: Assembler, newton: Newton) -> None:
+    def __init__(self, statics: Statics, scalars: Scalars, newton: Newton) -> None:
         self.statics, self.settings, self.problem = statics, statics.settings, statics.problem
-        self.assembler, self.newton = assembler, newton
+        self.assembler, self.newton, self._scalars = newton.assembler, newton, scalars
         self.ladder = Ladder(newton)
-        self._watch = PathWatch(assembler)
+        self._watch = PathWatch(self.assembler)
         self._strain = Strain(self.problem)
         self._count = 0
         self._before: tuple[float, Vector] | None = None
@@ -197,7 +201,7 @@ class _Stepping:
         sizes, t = self.statics.sizes(), 0.0
         while not sizes.done(t) and not self._is_enough():
             goal = sizes.goal(t)
-            start = self.problem.w.x.array.copy()
+            start = self.newton.present()
             progress = self._attempt(t, goal)
             crushed = progress.rejected > 0 or "NAN" in progress.reason
             if not progress.converged or self._jumped(progress):
@@ -230,8 +234,7 @@ class _Stepping:
         log.warning(
             "no equilibrium at load factor %.6g (%s): a smaller step", goal, progress.reason
         )
-        self.problem.w.x.array[:] = start
-        self.problem.unknowns.tell()
+        self.newton.put_back(start)
 
     def _say_snapped(self, t: float) -> None:
         log.warning(
@@ -253,7 +256,7 @@ class _Stepping:
         """Tries to go to a load factor; the displacement is put back if that fails."""
         self.problem.set_time(goal, default=RAMP)
         self.problem.prescribed.check_finite()
-        now = self.problem.w.x.array.copy()
+        now = self.newton.present()
         starts = [("", now)]
         if self._before is not None and t > self._before[0]:
             before, was = self._before
@@ -264,7 +267,7 @@ class _Stepping:
         """Lets the body flow to another equilibrium, or gives up."""
         failed = self.ladder.failed
         if self.settings.snap and not self.problem.linear:
-            start = self.problem.w.x.array.copy()
+            start = self.newton.present()
             self.newton.refresh()
             found = relax(self.newton)
             if found.converged:
@@ -272,14 +275,14 @@ class _Stepping:
                 self._watch.look()
                 return found
             log.debug("flow to another equilibrium: %s", found.reason)
-            self.problem.w.x.array[:] = start
+            self.newton.put_back(start)
         raise self._failure(t, goal, progress, failed)
 
     def _failure(
         self, t: float, goal: float, progress: Progress, failed: Vector | None
     ) -> ConvergenceError:
         if failed is not None:
-            self.problem.w.x.array[:] = failed
+            self.newton.put_back(failed)
         self.problem.unknowns.tell()
         with stage("assemble"):
             self.assembler.assemble_balance()
@@ -296,7 +299,7 @@ class _Stepping:
 
     def _arc(self) -> Iterator[State]:
         statics = self.statics
-        arc = ArcLength(self.assembler, self.newton, self.ladder, end=self.settings.end)
+        arc = ArcLength(self.ladder, self._scalars.parts, end=self.settings.end)
         try:
             arc.prepare(statics.choice, statics.tolerance, statics.petsc)
             first = statics.sizes().goal(0.0)
@@ -328,6 +331,7 @@ class _Stepping:
             energies={"strain": self._watch.energy(), **self._strain.springs()},
             reactions=assembler.reactions(),
             max_displacement=assembler.max_displacement(),
+            numbers=self._scalars.numbers(),
             negative=negative,
             limit_points=self._limits,
             done=t / self.settings.end,

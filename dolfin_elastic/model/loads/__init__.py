@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dolfin_elastic.model.loads.base import Load as Load
 from dolfin_elastic.model.loads.base import Site as Site
+from dolfin_elastic.model.loads.cavity import Cavity as Cavity
 from dolfin_elastic.model.loads.forces import BodyForce as BodyForce
 from dolfin_elastic.model.loads.forces import Gravity as Gravity
 from dolfin_elastic.model.loads.forces import Traction as Traction
@@ -11,5 +12,5 @@ from dolfin_elastic.model.loads.pressure import Pressure as Pressure
 
 LOADS: dict[str, type[Load]] = {
     str(kind.model_fields["kind"].default): kind
-    for kind in (Traction, Pressure, BodyForce, Gravity)
+    for kind in (Traction, Pressure, Cavity, BodyForce, Gravity)
 }

@@ -30,6 +30,8 @@ class Site(Protocol):
     """Outward unit normal of the reference surface."""
     linear: bool
     """All laws are linear: loads that can act on the undeformed body do, see `Load.linearises`."""
+    geometry: str
+    """Kind of a two-dimensional body."""
 
     def volumes(self, regions: Sequence[str]) -> ufl.Measure:
         """Reference volume of regions, of the whole body if there are none."""
@@ -42,6 +44,9 @@ class Site(Protocol):
 
     def constant(self, value: float | Sequence[float]) -> Expr:
         """A number that can change without compiling anything."""
+
+    def unknown(self, label: str) -> Expr:
+        """A number that is solved for."""
 
     def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
         """The vector at a point of the body, times the amplitude (None: as the solver decides)."""
