@@ -21,6 +21,9 @@ Vector = npt.NDArray[np.float64]
 VOLUME = 1e-10
 """Error of a prescribed volume, as a share of it: the next Newton step would find round-off."""
 
+OPEN = 1e-6
+"""Share of the derivative of the volume that is round-off."""
+
 TURN = 1e-5
 """Angle [rad] over which derivatives are taken: its square and round-off over it are alike."""
 
@@ -92,6 +95,32 @@ class Chamber(Border):
                 f"the surfaces of the cavity '{cavity.label}' enclose {cavity.initial:.3g} m^3",
                 where="load",
                 expected="all surfaces around it, and an origin in all planes of symmetry",
+            )
+
+        if cavity.controlled:
+            self._check_closed()
+
+    def _check_closed(self) -> None:
+        """The pressure's work is that on the volume: nothing flows through the rim. Collective."""
+        a, h = self._assembler, float(self.steps[0])
+        sides = []
+        for pressure in (h, -h):
+            self.put(np.array([pressure]))
+            a.assemble_balance()
+            sides.append(a.balance.array[: a.size].copy())
+        self.put(np.zeros(1))
+        grown = self.rows()[0]
+        lost = grown + (sides[0] - sides[1]) / (2 * h)
+        size, loss = np.sqrt(
+            [total(a.comm, float(np.sum((v - a.constraint_forces(v)) ** 2))) for v in (grown, lost)]
+        )
+        if loss > OPEN * size:
+            raise InputError(
+                f"the cavity '{self.cavity.label}' is open: a part of its rim is not held in a "
+                "plane through its origin",
+                where="load",
+                expected="all surfaces around it, supports in planes of symmetry, and an origin "
+                "in all of them",
             )
 
     def _undeformed(self) -> float:

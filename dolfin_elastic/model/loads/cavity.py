@@ -59,11 +59,7 @@ class Cavity(Load):
 
     @model_validator(mode="after")
     def _one_of(self) -> Cavity:
-        if self.value is not None:
-            raise InputError(
-                "a cavity has no value", where="value", expected=f"one of {', '.join(UNITS)}"
-            )
-        _ = self.values, self.middle
+        _ = self.middle
         return self
 
     @property
@@ -78,6 +74,10 @@ class Cavity(Load):
         Raises:
             InputError: None, or several.
         """
+        if self.value is not None:
+            raise InputError(
+                "a cavity has no value", where="value", expected=f"one of {', '.join(UNITS)}"
+            )
         given = [key for key in UNITS if getattr(self, key) is not None]
         if len(given) != 1:
             what = f"{' and '.join(given)} given together" if given else "nothing is prescribed"
