@@ -264,7 +264,8 @@ class Prescribed:
         Returns:
             Entries of the local vector, and du/dq, of shape (entries, degrees of freedom).
         """
-        found_dofs, found = [np.empty(0, np.int32)], [np.empty((0, len(motion.names)))]
+        found_dofs: list[Dofs] = [np.empty(0, np.int32)]
+        found: list[Floats] = [np.empty((0, len(motion.names)))]
         for hold, dofs, signs in self._entries:
             if hold.support is motion:
                 D = motion.directions(self._x[hold.nodes], self._t, self._default)

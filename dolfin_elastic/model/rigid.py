@@ -104,6 +104,7 @@ class Rigid(Restraint):
         """Numbers, formulas in t, and None for what is free; nothing where nothing is written."""
         if written is None:
             return ()
+        found: tuple[Component, ...]
         try:
             if isinstance(written, list | tuple) and len(written) == 1:
                 found = (_single(written[0], unit, free),)

@@ -17,8 +17,9 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.motion import ConsistentMass, Strain, lumped, work
-from dolfin_elastic.solvers.newton import Newton, Tolerance
+from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.options import PREFIX, ts_reason
+from dolfin_elastic.solvers.progress import Tolerance
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 

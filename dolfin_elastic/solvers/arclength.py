@@ -128,7 +128,7 @@ class ArcLength:
         self._problem = self._assembler.problem
         self._length = Length(self._assembler)
         self._all = Borders([self._length, *others])
-        self._lead = np.zeros(self._all.size)
+        self._lead: Vector = np.zeros(self._all.size)
         self._bordered: Newton | None = None
         self.limits: list[float] = []
         self._points: list[tuple[float, float]] = [(0.0, 0.0)]

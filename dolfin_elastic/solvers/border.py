@@ -136,11 +136,11 @@ class Bordered:
         self.matrix.setUp()
         self._columns: list[Vector] = []
         self._rows: list[Vector] = []
-        self._corner = np.zeros((border.size, border.size))
+        self._corner: Vector = np.zeros((border.size, border.size))
         self._solved: list[Vector] | None = None
-        self._schur = self._corner
+        self._schur: Vector = self._corner
         self.iterations = 0
-        self.last = np.zeros(border.size)
+        self.last: Vector = np.zeros(border.size)
 
     def create_vector(self) -> PETSc.Vec:
         """A vector of fields and scalars; the caller destroys it."""
@@ -220,8 +220,9 @@ class Bordered:
             self._solved = [self._inverse(column) for column in self._columns]
         self._schur = self._corner - np.column_stack([self._products(z) for z in self._solved])
         right = self.scalars(b) - self._products(plain)
+        scalars: Vector
         try:
-            scalars = np.linalg.solve(self._schur, right)
+            scalars = np.asarray(np.linalg.solve(self._schur, right), dtype=np.float64)
         except np.linalg.LinAlgError:
             scalars = np.full(self.border.size, np.nan)
         for s, z in zip(scalars, self._solved, strict=True):

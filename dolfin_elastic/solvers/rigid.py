@@ -66,7 +66,7 @@ def free_motions(problem: Problem) -> list[str]:
 
 def _plates(problem: Problem, held: npt.NDArray[np.int32], size: float) -> list[Floats]:
     """What unit motions of rigid surfaces prescribe at the held entries."""
-    found = []
+    found: list[Floats] = []
     for motion in problem.prescribed.motions:
         dofs, D = problem.prescribed.directions(motion)
         own = np.isin(dofs, held)

@@ -12,6 +12,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.model.components import Component, components, depends_on_time
 from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.geometry import Geometry
 from dolfin_elastic.schema import Record
 
 
@@ -30,7 +31,7 @@ class Site(Protocol):
     """Outward unit normal of the reference surface."""
     linear: bool
     """All laws are linear: loads that can act on the undeformed body do, see `Load.linearises`."""
-    geometry: str
+    geometry: Geometry
     """Kind of a two-dimensional body."""
 
     def volumes(self, regions: Sequence[str]) -> ufl.Measure:
