@@ -24,8 +24,10 @@ import numpy as np
 from mpi4py import MPI
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
+from dolfin_elastic.curve_files import with_curves
 from dolfin_elastic.errors import CaseError, InputError, nearest
 from dolfin_elastic.meshes import Body, Selector, name_parts
+from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.law import Law
 from dolfin_elastic.model.loads import LOADS, Load
 from dolfin_elastic.model.springs import SUPPORTS
@@ -49,6 +51,9 @@ from dolfin_elastic.tables import (
 )
 from dolfin_elastic.toml_text import toml_text
 
+_CURVED = ("support", "load")
+"""Keys of lists whose tables may have a curve."""
+
 
 class Case(Record):
     """Everything a run needs to know.
@@ -61,6 +66,7 @@ class Case(Record):
         materials: Name to law and place; together they fill the body exactly once.
         support: What holds surfaces; where displacements are prescribed twice the later one holds.
         load: External forces.
+        contact: Rigid obstacles that surfaces may touch.
         statics: Equilibrium under growing load (what is done if nothing is said).
         dynamics: Motion in time.
         solver: How linear systems are solved.
@@ -74,6 +80,7 @@ class Case(Record):
     materials: dict[str, Material]
     support: list[Restraint] = Field(default=[])
     load: list[Load] = Field(default=[])
+    contact: list[Contact] = Field(default=[])
     statics: StaticsSettings | None = None
     dynamics: DynamicsSettings | None = None
     solver: LinearSettings = LinearSettings()
@@ -95,16 +102,16 @@ class Case(Record):
             raise InputError("there is no material", expected="write [materials.NAME]")
         return read
 
-    @field_validator("support", "load", mode="before")
+    @field_validator("support", "load", "contact", mode="before")
     @classmethod
-    def _rows(cls, rows: Any, info: ValidationInfo) -> list[Restraint | Load]:
+    def _rows(cls, rows: Any, info: ValidationInfo) -> list[Record]:
         key = str(info.field_name)
         if not isinstance(rows, list | tuple):
             raise InputError(
                 f"a single table cannot be a {key}",
                 expected=f"write [[{key}]] with double brackets",
             )
-        return listed(rows, _support if key == "support" else _load)
+        return listed(rows, {"support": _support, "load": _load, "contact": _contact}[key])
 
     @model_validator(mode="after")
     def _one_analysis(self) -> Self:
@@ -148,6 +155,9 @@ class Case(Record):
         """
         with located(file):
             case = cls(**dict(tables))
+            rows = {key: with_curves(getattr(case, key), key, Path(folder)) for key in _CURVED}
+            if any(rows[key] != getattr(case, key) for key in _CURVED):
+                case = case.model_copy(update=rows)
         case._file, case._folder = file, Path(folder)
         return case
 
@@ -163,6 +173,7 @@ class Case(Record):
         tables["materials"] = {name: item.table() for name, item in self.materials.items()}
         tables["support"] = [_support_table(item) for item in self.support]
         tables["load"] = [{"kind": item.kind, **written(item)} for item in self.load]
+        tables["contact"] = [written(item) for item in self.contact]
         for key in ("statics", "dynamics", "solver", "output"):
             if key in self.model_fields_set and getattr(self, key) is not None:
                 tables[key] = written(getattr(self, key))
@@ -195,6 +206,7 @@ class Case(Record):
                 laws,
                 supports=self.support,
                 loads=self.load,
+                contacts=self.contact,
                 degree=self.mesh.degree,
                 quadrature_degree=self.mesh.quadrature_degree,
                 formulation=self.mesh.formulation,
@@ -338,6 +350,13 @@ def _load(row: Any) -> Load:
         return row
     with _vector("value"):
         return pick(LOADS, row, "kind")(**row)
+
+
+def _contact(row: Any) -> Contact:
+    if isinstance(row, Contact):
+        return row
+    with _vector("motion"):
+        return Contact(**as_table(row))
 
 
 @contextmanager

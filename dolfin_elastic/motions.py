@@ -36,6 +36,8 @@ class RigidMotion:
         names: Of all degrees of freedom: ux, uy, ... rz.
     """
 
+    needs_flat = False
+
     def __init__(self, support: Rigid, body: Body) -> None:
         self.support, self.label, self._dim = support, support.label, body.dim
         self._motion, self._action = support.motion(body.dim), support.action(body.dim)

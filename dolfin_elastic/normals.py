@@ -70,7 +70,7 @@ def sheet(body: Body, V: fem.FunctionSpace, name: str) -> Sheet:
     mean = total(body.comm, shares.sum(axis=0))
     length = float(np.linalg.norm(mean))
     whole = total(body.comm, float(np.linalg.norm(shares, axis=1).sum()))
-    mean = _tidy(mean[None] / length)[0] if length > FLAT * whole else np.zeros(dim)
+    mean = tidy(mean[None] / length)[0] if length > FLAT * whole else np.zeros(dim)
     found = np.flatnonzero(rows[:, dim] > 0.0).astype(np.int32)
     spread = np.linalg.norm(shares, axis=1, keepdims=True) * mean - shares
     off = np.linalg.norm(spread, axis=1) / np.maximum(np.linalg.norm(shares, axis=1), 1e-300)
@@ -80,7 +80,7 @@ def sheet(body: Body, V: fem.FunctionSpace, name: str) -> Sheet:
     high = largest(body.comm, float(np.max(heights, initial=-np.inf)))
     flat = flat and high - low < FLAT * span(body)
     sharp = np.linalg.norm(rows[found, :dim], axis=1) / rows[found, dim]
-    normals = _tidy(rows[found, :dim] / np.linalg.norm(rows[found, :dim], axis=1, keepdims=True))
+    normals = tidy(rows[found, :dim] / np.linalg.norm(rows[found, :dim], axis=1, keepdims=True))
     if smallest(body.comm, float(np.min(sharp, initial=1.0))) < KINK:
         log.warning(
             "the surface '%s' has an edge, where its nodes are held along a mean normal only: "
@@ -108,8 +108,8 @@ def _check_outside(body: Body, facets: Indices, name: str) -> None:
         )
 
 
-def _tidy(normals: Floats) -> Floats:
-    """The same, exactly along an axis where they are so but for round-off."""
+def tidy(normals: Floats) -> Floats:
+    """Unit vectors, exactly along an axis where they are so but for round-off."""
     nearest = np.round(normals)
     close = np.linalg.norm(normals - nearest, axis=1) < ROUND_OFF
     return np.where(close[:, None], nearest + 0.0, normals)

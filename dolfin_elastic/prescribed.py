@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,13 +19,16 @@ from dolfin_elastic.model.rigid import Rigid
 from dolfin_elastic.model.springs import Spring
 from dolfin_elastic.model.supports import NORMAL, Prescribing, Restraint
 from dolfin_elastic.motions import RigidMotion
-from dolfin_elastic.normals import sheet
+from dolfin_elastic.normals import sheet, tidy
 from dolfin_elastic.parallel import total
 from dolfin_elastic.tilted import Hold, Tilted
 
 Dofs = npt.NDArray[np.int32]
 Floats = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
+
+MIRRORED = 0.7
+"""Share of a normal that has to lie in a plane of symmetry for the surface to go on beyond it."""
 
 Projections = tuple[Dofs, Floats]
 """Owned nodes, and projections on the directions held there, of shape (nodes, dim, dim)."""
@@ -93,7 +98,7 @@ class Prescribed:
         ]
         if axis:
             holds.append(self._on_axis(body))
-        self.tilted, holds = self._split(body, holds)
+        self.tilted, holds = self._split(body, self._mirrored(holds))
         self._entries = self._given_to_the_later(holds)
         self._labels = list(dict.fromkeys(support.label for support in chosen))
         dofs = [dofs for _, dofs, _ in self._entries]
@@ -164,6 +169,27 @@ class Prescribed:
         """Radial entries on the axis of an axisymmetric body, which stay at zero."""
         nodes = np.flatnonzero(self._x[:, 0] < 1e-9 * cell_size(body))
         return self._along(None, 0, nodes.astype(np.int32))
+
+    def _mirrored(self, holds: list[Hold]) -> list[Hold]:
+        """Curved surfaces go on beyond planes of symmetry and the axis: their normals lie in them.
+
+        From the facets on this side alone the mean normal leans towards them.
+        """
+        planes = [h for h in holds if h.support is None or h.support.needs_flat]
+        for plane in planes:
+            across = np.zeros((len(self._x), self._bs))
+            across[plane.nodes] = plane.directions
+            for k, hold in enumerate(holds):
+                if hold.curved:
+                    n = hold.directions
+                    t = across[hold.nodes]
+                    n = n - np.einsum("ni,ni->n", n, t)[:, None] * t
+                    length = np.linalg.norm(n, axis=1, keepdims=True)
+                    n = np.where(
+                        length > MIRRORED, n / np.maximum(length, MIRRORED), hold.directions
+                    )
+                    holds[k] = replace(hold, directions=tidy(n))
+        return holds
 
     def _split(self, body: Body, holds: list[Hold]) -> tuple[Tilted | None, list[Hold]]:
         """Takes out all that happens at nodes with a direction that is no axis. Collective."""
@@ -309,7 +335,7 @@ class Prescribed:
         rows = self.tilted.held(array.reshape(-1, self._bs)[nodes])
         return np.concatenate([values, rows.reshape(-1)])
 
-    def impose(self, array: Floats, values: Floats) -> None:
+    def impose(self, array: Floats, values: npt.NDArray[np.floating[Any]]) -> None:
         """Puts prescribed values into a local vector of the displacement's space.
 
         Args:

@@ -21,6 +21,7 @@ from dolfin_elastic.formulation import Formulation, shear_modulus
 from dolfin_elastic.measures import Measures
 from dolfin_elastic.meshes.body import Body, cell_size
 from dolfin_elastic.model.components import depends_on_time
+from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.model.geometry import (
     Geometry,
@@ -28,15 +29,19 @@ from dolfin_elastic.model.geometry import (
     gradient_variation,
     weight,
 )
+from dolfin_elastic.model.growth import Grown
 from dolfin_elastic.model.law import Law, SplitLaw
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.mixed import Mixed
 from dolfin_elastic.model.springs import Dashpot, Resisting, Spring
 from dolfin_elastic.model.supports import Restraint
+from dolfin_elastic.nodal import NodalLoads
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
 from dolfin_elastic.prescribed import Prescribed, Projections, held_by_spring
+from dolfin_elastic.rest import rest_states
 from dolfin_elastic.rims import rim_held
 from dolfin_elastic.site import BodySite
+from dolfin_elastic.touching import Touching, check_contacts, rule
 from dolfin_elastic.unknowns import Unknowns
 
 UNUSED = 1e-6
@@ -54,6 +59,7 @@ class Problem:
             cover every cell exactly once.
         supports: What holds surfaces; where displacements are prescribed twice the later one holds.
         loads: External forces.
+        contacts: Rigid obstacles that surfaces may touch.
         degree: Degree of the displacement on tetrahedra or triangles, 1 or 2.
         quadrature_degree: Overrides the law's own choice for the internal forces.
         formulation: "displacement"; "mixed", with a pressure for nearly incompressible materials;
@@ -67,9 +73,12 @@ class Problem:
         w: All unknowns: the displacement and, in some problems, scalar fields beside it.
         cavities: Hollow spaces with a pressure.
         site: What loads find on the body.
+        rest: Material's name to its growth Fg (UFL), of those that grow.
+        nodal_loads: Forces at points and along lines, which are in no form.
         constant: Makes a number that forms refer to by place, so that changing it compiles nothing.
         t: UFL constant with the time, used by formulas.
         X: Reference coordinates (UFL).
+        touching: The contacts as they stand on the body.
 
     Raises:
         MeshError: A name does not exist, or the materials do not cover the body exactly once.
@@ -84,6 +93,7 @@ class Problem:
         *,
         supports: Sequence[Restraint] = (),
         loads: Sequence[Load] = (),
+        contacts: Sequence[Contact] = (),
         degree: int = 1,
         quadrature_degree: int | None = None,
         formulation: Formulation = "auto",
@@ -94,6 +104,8 @@ class Problem:
         self.supports, self.loads = tuple(supports), tuple(loads)
         self.quadrature_degree = quadrature_degree
         self.geometry = checked_geometry(geometry, thickness, body)
+        turned = self.geometry == "axisymmetric"
+        check_contacts(contacts, body, turned=turned)
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
         self.parts, fields = make_parts(
             body, laws, formulation, degree=degree, order=self._order, geometry=self.geometry
@@ -111,14 +123,20 @@ class Problem:
                 *(s.surfaces for s in self.supports if isinstance(s, Resisting)),
             ],
             weight(self.geometry, ufl.SpatialCoordinate(body.mesh), depth),
+            [contact.surfaces for contact in contacts],
         )
         self.site = BodySite(body, self.unknowns, self.parts, self.measures, self.geometry)
         self.constant, self.t, self.X = self.site.constant, self.site.t, self.site.X
-        self.prescribed = Prescribed(
-            body, self.V, self.supports, axis=self.geometry == "axisymmetric"
-        )
+        self.prescribed = Prescribed(body, self.V, self.supports, axis=turned)
         self.cavities = list(enclosures(self.loads, self.site))
+        self.touching = tuple(self._touching(contact) for contact in contacts)
+        self.rest = rest_states(self.site, self.loads)
+        self.nodal_loads = NodalLoads(body, self.V, self.loads)
         _ = self.external, self.holding  # says now what is wrong with a load or a spring
+
+    def _touching(self, contact: Contact) -> Touching:
+        where = self.measures.touching(contact.surfaces, rule(self._order, self.body.dim))
+        return Touching(contact, self.site, where)
 
     def _scale_unknowns(self) -> None:
         """Gives the scalar fields the size of displacements, see `unknowns`."""
@@ -134,12 +152,14 @@ class Problem:
         """The 3x3 deformation gradient of a function of all unknowns."""
         return self.site.deformation(w)
 
-    def response(self, part: Part, w: Expr) -> Law | Mixed:
-        """A part's law, with the pressure of a function of all unknowns where it has one."""
-        if part.compliance is None:
-            return part.law
-        assert isinstance(part.law, SplitLaw)
-        return Mixed(part.law, self.unknowns.extra("pressure", w), part.compliance)
+    def response(self, part: Part, w: Expr) -> Law | Mixed | Grown:
+        """A part's law, with its growth and with the pressure of a function of all unknowns."""
+        law: Law | Mixed = part.law
+        if part.compliance is not None:
+            assert isinstance(part.law, SplitLaw)
+            law = Mixed(part.law, self.unknowns.extra("pressure", w), part.compliance)
+        growth = self.rest.get(part.name)
+        return law if growth is None else Grown(law, growth)
 
     def _extra(self, name: str, w: Expr) -> Expr | None:
         return self.unknowns.extra(name, w) if self.unknowns.has(name) else None
@@ -170,7 +190,7 @@ class Problem:
         if part.compliance is None:
             return -UNUSED / part.shear * p * q * self.volume(part, 2)
         response = self.response(part, self.w)
-        assert isinstance(response, Mixed)
+        assert not isinstance(response, Law)
         terms = q * response.gap(F) * self._internal_volume(part)
         if self.unknowns.stabilised:
             terms -= self._variance(p, q) / part.shear * self.volume(part, 0)
@@ -212,13 +232,28 @@ class Problem:
     @cached_property
     def external(self) -> ufl.Form | None:
         """External virtual work of all loads; None without loads."""
-        return sum(map(self._work, range(len(self.loads)))) if self.loads else None
+        return sum(work for _, work in self.works) if self.works else None
+
+    @cached_property
+    def works(self) -> list[tuple[Load, ufl.Form]]:
+        """Each load that is an integral, with its external virtual work."""
+        return [
+            (load, self._work(index))
+            for index, load in enumerate(self.loads)
+            if not (load.nodal or load.swells)
+        ]
 
     def _work(self, index: int) -> ufl.Form:
         try:
             return self.loads[index].virtual_work(self.site)
         except InputError as error:
-            raise (error if error.where else error.at(f"load[{index}].value")) from None
+            raise (self._placed(error, index)) from None
+
+    def _placed(self, error: InputError, index: int) -> InputError:
+        """A fault of a load, with its key; those of materials have theirs."""
+        if error.where.startswith("materials"):
+            return error
+        return error.at(f"load[{index}]" if error.where else f"load[{index}].value")
 
     @cached_property
     def holding(self) -> dict[str, ufl.Form]:
@@ -228,6 +263,9 @@ class Problem:
             if isinstance(support, Resisting):
                 work = support.virtual_work(self.site)
                 held[support.label] = held[support.label] + work if support.label in held else work
+        for touch in self.touching:
+            known = held.get(touch.label)
+            held[touch.label] = touch.work if known is None else known + touch.work
         return held
 
     @property
@@ -312,7 +350,9 @@ class Problem:
     @property
     def linear(self) -> bool:
         """The residual is linear in u."""
-        return self.site.linear and not any(self._follows(load) for load in self.loads)
+        if self.touching or any(self._follows(load) for load in self.loads):
+            return False
+        return self.site.linear
 
     @property
     def num_dofs(self) -> int:
@@ -332,8 +372,10 @@ class Problem:
     @property
     def loads_change(self) -> bool:
         """The applied nodal forces change in motion: with time, or with the body's shape."""
-        return self.site.changes or any(
-            self._follows(load) or depends_on_time(load.values) for load in self.loads
+        return (
+            self.site.changes
+            or self.nodal_loads.change
+            or any(self._follows(load) or depends_on_time(load.values) for load in self.loads)
         )
 
     def set_time(self, t: float, *, default: Amplitude = CONSTANT) -> None:
@@ -344,7 +386,10 @@ class Problem:
             default: Amplitude of all that name none.
         """
         self.site.set_time(t, default)
+        self.nodal_loads.set_time(t, default)
         self.prescribed.move_to(t, default)
+        for touch in self.touching:
+            touch.set_time(t, default)
         for cavity in self.cavities:
             cavity.t, cavity.default = t, default
 

@@ -73,6 +73,11 @@ class BodySite:
         """A number that is solved for, the same for all who ask by this label."""
         return self.unknown_numbers.setdefault(label, self.constant(0.0))
 
+    @property
+    def revolved(self) -> bool:
+        """A body of revolution about y."""
+        return self.geometry == "axisymmetric"
+
     @cached_property
     def linear(self) -> bool:
         """All laws are linear."""
@@ -109,12 +114,12 @@ class BodySite:
             self.body.surface(name)
         return self.measures.surfaces(surfaces, 2 * self.order)
 
-    def area(self, surfaces: Sequence[str]) -> float:
-        """The same as a number [m^2]. Collective."""
+    def area(self, surfaces: Sequence[str]) -> Constant:
+        """Size of the reference area of surfaces [m^2]. Collective."""
         comm = self.body.comm
         form = self.constant(1.0) * self.areas(surfaces)
         value = compile_forms(comm, [form], options(comm))[0]
-        return float(total(comm, fem.assemble_scalar(value)))
+        return self.constant(float(total(comm, float(fem.assemble_scalar(value)))))
 
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, Weighted]]:
         """Density and reference volume, material by material."""

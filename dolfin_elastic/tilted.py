@@ -14,6 +14,7 @@ from dolfin_elastic.motions import RigidMotion
 
 Floats = npt.NDArray[np.float64]
 Nodes = npt.NDArray[np.int32]
+Indices = npt.NDArray[np.int64]
 
 SAME = 1e-3
 """Sine of the angle below which two directions count as one."""
@@ -55,6 +56,23 @@ class Hold:
         return goals
 
 
+@dataclass(frozen=True)
+class Slots:
+    """The rows of N that a hold has got.
+
+    Attributes:
+        hold: Whose rows.
+        kept: Which of its nodes got one.
+        where: These nodes' numbers among all tilted ones.
+        row: The row there.
+    """
+
+    hold: Hold
+    kept: Indices
+    where: Indices
+    row: Indices
+
+
 class Tilted:
     """Nodes at which n_k . u = g_k is prescribed for up to `dim` directions n_k.
 
@@ -85,13 +103,13 @@ class Tilted:
         self._rows, self._basis = np.zeros(shape), np.zeros(shape)
         self._bent = np.zeros(shape[:2], dtype=bool)
         self._filled = np.zeros(len(self.nodes), dtype=np.int64)
-        self._slots = [(hold, *self._take(hold)) for hold in reversed(holds)]
+        self._slots = [self._take(hold) for hold in reversed(holds)]
         self._lift = np.linalg.pinv(self._rows) if len(self.nodes) else np.zeros(shape)
         self.P = self._lift @ self._rows
         self.target = np.zeros(shape[:2])
 
-    def _take(self, hold: Hold) -> tuple[npt.NDArray[np.int64], ...]:
-        """Gives a hold its rows; returns which of its nodes got one, where these are, and the row.
+    def _take(self, hold: Hold) -> Slots:
+        """Gives a hold its rows, where it needs any.
 
         By Gram & Schmidt: what a direction has across all that are there already.
         """
@@ -108,13 +126,13 @@ class Tilted:
         self._basis[where, row] = rest[kept] / length[kept, None]
         self._bent[where, row] = hold.curved
         self._filled[where] += 1
-        return kept, where, row
+        return Slots(hold, kept, where, row)
 
     def move_to(self, t: float, default: Amplitude) -> None:
         """Sets the target of time t. Not collective."""
         goals = np.zeros(self.target.shape)
-        for hold, kept, where, row in self._slots:
-            goals[where, row] = hold.goals(self._x, t, default)[kept]
+        for s in self._slots:
+            goals[s.where, s.row] = s.hold.goals(self._x, t, default)[s.kept]
         self.target[:] = np.einsum("nik,nk->ni", self._lift, goals)
 
     def held(self, values: Floats) -> Floats:
@@ -133,10 +151,10 @@ class Tilted:
         """
         along = np.einsum("nik,ni->nk", self._lift[: self.count], out)
         found: dict[str, Floats] = {}
-        for hold, _, where, row in self._slots:
-            own = where < self.count
-            n = self._rows[where[own], row[own]]
-            if hold.support is not None:
-                force = along[where[own], row[own]] @ n
-                found[hold.support.label] = found.get(hold.support.label, 0.0) + force
+        for s in self._slots:
+            if s.hold.support is not None:
+                own = s.where < self.count
+                at = s.where[own], s.row[own]
+                label = s.hold.support.label
+                found[label] = found.get(label, 0.0) + along[at] @ self._rows[at]
         return found

@@ -16,6 +16,7 @@ from dolfin_elastic import (
     Problem,
     Selector,
     Statics,
+    StVenantKirchhoff,
     Support,
     box_body,
     name_parts,
@@ -48,6 +49,8 @@ def moved(problem: Problem, size: float, seed: int = 1) -> None:
     k = np.random.default_rng(seed).uniform(1, 3, (problem.body.dim, problem.body.dim))
     problem.u.x.array[:] = size * np.sin(x @ k + seed).ravel()
     problem.unknowns.take()
+    if problem.w is not problem.u:
+        problem.w.sub(1).interpolate(lambda x: size * np.sin(seed * x[0] + x[1]))
 
 
 def forces(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -62,7 +65,7 @@ def total(problem: Problem, values: np.ndarray) -> np.ndarray:
     return problem.body.comm.allreduce(values.sum(axis=0), op=MPI.SUM)
 
 
-@pytest.mark.parametrize("law", [NeoHookean, LinearElastic])
+@pytest.mark.parametrize("law", [StVenantKirchhoff, LinearElastic])
 def test_nodal_forces_of_a_tetrahedron(comm, law):
     """A third of each face's area vector for each corner: of the deformed faces, but in a linear
     problem of the undeformed ones.  Areas by hand from the corners (1, 1, 0), ...
@@ -90,7 +93,10 @@ def test_closed_surface_has_no_resultant(comm, degree):
         box_body(size=(1, 1, 1), cells=(2, 2, 2), comm=comm), surfaces={"all": Selector(all=True)}
     )
     problem = Problem(
-        body, NeoHookean(E=E, nu=NU), degree=degree, loads=[Pressure(on="all", value="2 kPa")]
+        body,
+        StVenantKirchhoff(E=E, nu=NU),
+        degree=degree,
+        loads=[Pressure(on="all", value="2 kPa")],
     )
     moved(problem, 0.3)
     x, nodal = forces(problem)
@@ -108,7 +114,7 @@ def loaded_cube(on: Any, supports: list[Support], value: Any, degree: int) -> Pr
     body = name_parts(
         box_body(size=(1, 1, 1), cells=(2, 2, 2)), surfaces={"all": Selector(all=True)}
     )
-    law = NeoHookean(E=E, nu=NU)
+    law = StVenantKirchhoff(E=E, nu=NU)
     load = Pressure(on=on, value=value)
     return Problem(body, law, degree=degree, supports=supports, loads=[load])
 
@@ -218,7 +224,7 @@ def test_linear_problem_stays_linear(comm):
     how: dict[str, Any] = {"supports": [Support(on="bottom")]}
     load = Pressure(on="top", value="1e3*x")
     small = Problem(body, LinearElastic(E=E, nu=NU), loads=[load], **how)
-    large = Problem(body, NeoHookean(E=E, nu=NU), loads=[load], **how)
+    large = Problem(body, StVenantKirchhoff(E=E, nu=NU), loads=[load], **how)
     assert (small.linear, small.symmetric, small.loads_change) == (True, True, False)
     assert (large.linear, large.symmetric, large.loads_change) == (False, False, True)
 
@@ -282,9 +288,11 @@ def radial(problem: Problem, radius: float) -> float:
 
 @pytest.mark.parametrize("name", ANNULUS)
 def test_ring_under_inner_pressure(comm, name):
-    """Plane strain, P2 on curved triangles: displacements to 1e-4 on 8x8 squares of them."""
+    """Plane strain, P2 on curved triangles: displacements to 1e-4 on 20x20 squares of them,
+    of which the law that softens leaves the most.
+    """
     problem = Problem(
-        annulus(comm, 8),
+        annulus(comm, 20),
         MATERIALS[name](E=E, nu=NU),
         degree=2,
         supports=SYMMETRY,
@@ -296,13 +304,13 @@ def test_ring_under_inner_pressure(comm, name):
     assert radial(problem, 1) == pytest.approx(inner, rel=1e-4)
     assert radial(problem, 2) == pytest.approx(outer, rel=1e-4)
     if energy is not None:
-        assert 4 * state.energies["strain"] == pytest.approx(energy, rel=2e-4)
+        assert 4 * state.energies["strain"] == pytest.approx(energy, rel=1e-4)
 
 
 @pytest.mark.parametrize("name", ANNULUS)
 def test_tube_under_inner_pressure(comm, name):
     """The same in one dimension more, as a body of revolution: nodal values of P2 to 1e-6."""
-    body = rectangle_body(size=(1, 1 / 16), cells=(32, 2), origin=(1, 0), comm=comm)
+    body = rectangle_body(size=(1, 1 / 16), cells=(128, 2), origin=(1, 0), comm=comm)
     problem = Problem(
         body,
         MATERIALS[name](E=E, nu=NU),
@@ -325,7 +333,7 @@ def test_lame_sphere(comm):
     + (1 + nu) b^3/(2 r^2)), Lame; 0.08 at a = 1, b = 2.
     """
     problem = Problem(
-        annulus(comm, 8),
+        annulus(comm, 20),
         LinearElastic(E=E, nu=NU),
         degree=2,
         supports=[Support(on="y0", displacement=[FREE, 0])],
@@ -333,7 +341,7 @@ def test_lame_sphere(comm):
         geometry="axisymmetric",
     )
     solved(problem, 1)
-    assert radial(problem, 1) == pytest.approx(0.08, rel=2e-4)
+    assert radial(problem, 1) == pytest.approx(0.08, rel=1e-4)
 
 
 def test_incompressible_tube_under_pressure(comm):
@@ -383,7 +391,7 @@ def test_case_with_pressure(comm):
     """A case file's table, back and forth; formulas in x, y, z and t."""
     case = Case(
         mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}},
-        materials={"rubber": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3}},
+        materials={"rubber": {"law": "st-venant-kirchhoff", "E": "1 MPa", "nu": 0.3}},
         support=[{"on": "bottom"}],
         load=[
             {"kind": "pressure", "on": "top", "value": "0.3 bar", "curve": "t^2"},
@@ -402,8 +410,8 @@ def test_case_with_pressure(comm):
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
-        ({"on": "top", "value": [1, 2, 3]}, "value"),
-        ({"on": "top", "value": "3 mm"}, "wrong unit"),
+        ({"on": "top", "value": [1, 2, 3]}, "value: [1, 2, 3] is not a number"),
+        ({"on": "top", "value": "3 mm"}, "value: '3 mm' has the wrong unit"),
         ({"on": "top"}, "value: this key is missing"),
         ({"value": 1}, "on: this key is missing"),
         ({"on": "top", "value": "q*x"}, "q"),

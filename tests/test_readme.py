@@ -19,6 +19,7 @@ from pydantic import BaseModel
 from dolfin_elastic import Problem, Statics, box_body, tables
 from dolfin_elastic.case import Case
 from dolfin_elastic.meshes import Cylinder, Selector, Sphere
+from dolfin_elastic.model.contact import Ball, Contact, Plane, Tube
 from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials import MATERIALS
 from dolfin_elastic.model.supports import Support
@@ -40,6 +41,10 @@ MODELS: list[type[BaseModel]] = [
     Sphere,
     Cylinder,
     Support,
+    Contact,
+    Plane,
+    Ball,
+    Tube,
     *MATERIALS.values(),
     *LOADS.values(),
     StaticsSettings,
@@ -143,7 +148,7 @@ def test_examples_for_contributors(folder: Path, comm: MPI.Comm) -> None:
         rod,
         names["Foam"](mu="1 MPa", density=1000),
         supports=[Support(on="left")],
-        loads=[names["Centrifugal"](value=[0, 0, 2])],
+        loads=[names["Spin"](value=[0, 0, 2])],
     )
     writer = names["Energies"]().open(problem, folder)
     for state in Statics(problem).steps():

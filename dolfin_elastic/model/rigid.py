@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from pydantic import model_validator
 
@@ -52,8 +52,6 @@ class Rigid(Restraint):
     force: list[Any] | None = None
     moment: Any = None
     curve: Curve | None = None
-
-    needs_flat: ClassVar[bool] = False
 
     @model_validator(mode="after")
     def _read(self) -> Rigid:

@@ -35,8 +35,8 @@ class Ground(Protocol):
     def areas(self, surfaces: Sequence[str]) -> ufl.Measure:
         """Reference area of surfaces."""
 
-    def area(self, surfaces: Sequence[str]) -> float:
-        """The same as a number [m^2]. Collective."""
+    def area(self, surfaces: Sequence[str]) -> Any:
+        """The same as a number, a constant [m^2]. Collective."""
 
     def constant(self, value: float | Sequence[float]) -> Expr:
         """A number that can change without compiling anything."""
@@ -126,13 +126,13 @@ class Resisting(Restraint):
         return {} if self.by_normal else {self.axes: self.coefficients}
 
     def _values(self, site: Ground) -> list[Expr]:
-        share = site.area(self.surfaces) if self.total else 1.0
-        if self.total and not share > 0.0:
+        values = [site.value(c) for c in self.coefficients]
+        if not self.total:
+            return values
+        area = site.area(self.surfaces)
+        if not area.value > 0.0:
             raise InputError("the surface has no area", where=f"support '{self.label}'.on")
-        return [
-            site.value(c) if isinstance(c, Formula) else site.constant(float(c or 0.0) / share)
-            for c in self.coefficients
-        ]
+        return [value / area for value in values]
 
     def resistance(self, site: Ground, w: Expr) -> Expr:
         """Force per reference area against w, as a UFL expression. Collective."""

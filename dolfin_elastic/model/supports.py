@@ -298,7 +298,7 @@ class Rotation(Prescribing):
             raise error.at("angle") from None
 
     @cached_property
-    def direction(self) -> Floats:
+    def direction(self) -> tuple[float, ...]:
         """Unit vector of the axis."""
         axis = np.array([0.0, 0.0, 1.0] if self.axis is None else self.axis)
         length = float(np.linalg.norm(axis))
@@ -308,7 +308,7 @@ class Rotation(Prescribing):
                 where="axis",
                 expected="a direction of 3 components, for example [0, 0, 1]",
             )
-        return axis / length
+        return tuple(float(item) for item in axis / length)
 
     @property
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:
@@ -329,7 +329,7 @@ class Rotation(Prescribing):
         where = f"support '{self.label}'.axis"
         if dim == 3 and self.axis is None:
             raise InputError("this key is missing", where=where, expected="for example [0, 0, 1]")
-        if dim == 2 and np.any(self.direction[:2]):
+        if dim == 2 and any(self.direction[:2]):
             raise InputError(
                 "a plane body turns about z only", where=where, expected="leave it out"
             )

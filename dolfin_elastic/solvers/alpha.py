@@ -15,6 +15,8 @@ from dolfin_elastic.errors import ConvergenceError, InputError
 from dolfin_elastic.parallel import largest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.contact import Measured
+from dolfin_elastic.solvers.doctor import diagnose
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.motion import ConsistentMass, Strain, lumped, work
 from dolfin_elastic.solvers.newton import Newton
@@ -71,7 +73,7 @@ class Alpha:
             tangent += self.drag * damping
         self.assembler = Assembler(problem, extra=inertia, extra_tangent=tangent)
         self.measure = ConsistentMass(problem, self.v)
-        self.strain = Strain(problem)
+        self.strain, self._measured = Strain(problem), Measured(problem, moving=True)
         choice = choose(problem, linear, moving=True)
         log.info("%s", choice.why)
         self.ts = PETSc.TS().create(problem.body.comm)
@@ -299,11 +301,15 @@ class Alpha:
         force, place = self.assembler.largest_unbalance()
         where = ", ".join(f"{x:.4g}" for x in place)
         reason = ts_reason(self.ts.getConvergedReason())
+        last = self.problem.w.x.array.copy()
+        self.newton.finish()
+        found = diagnose(self.assembler, self.newton.progress, good=last, failed=last, moving=True)
         return ConvergenceError(
-            f"no solution for the step from t = {t:.6g} s: {reason}; the largest force out of "
-            f"balance, {force:.3g} N, is at ({where}) m",
-            advice="a smaller dt, or a spectral_radius below 1",
+            f"no solution for the step from t = {t:.6g} s: {reason}; {found.text}\n  at the end: "
+            f"the largest force out of balance, {force:.3g} N, is at ({where}) m",
+            advice=found.advice,
             state=self._state(-1, t),
+            diagnosis=found,
         )
 
     def _falls_back(self) -> bool:
@@ -353,13 +359,14 @@ class Alpha:
 
     def _energies(self) -> dict[str, float]:
         kinetic, self._linear, self._angular = self.measure.measure()
-        strain = self.strain.energy()
+        strain, more = self.strain.energy(), self._measured.energies()
         return {
             "strain": strain,
             "kinetic": kinetic,
-            "total": strain + kinetic,
+            "total": strain + kinetic + sum(more.values()),
             "external": self._external_work,
             **self.strain.springs(),
+            **more,
         }
 
     def _state(self, step: int, t: float) -> State:
@@ -380,6 +387,7 @@ class Alpha:
             reactions=self.assembler.reactions(),
             momenta={"linear": self._linear, "angular": self._angular},
             max_displacement=self.assembler.max_displacement(),
+            numbers=self._measured.numbers(),
             done=t / self.settings.end,
         )
 

@@ -19,6 +19,7 @@ from dolfin_elastic.model.curves import PROPORTIONAL
 from dolfin_elastic.parallel import total
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.border import Border, Borders
+from dolfin_elastic.solvers.inertia import negative_eigenvalues
 from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.linear import Choice
 from dolfin_elastic.solvers.newton import Newton
@@ -175,7 +176,7 @@ class ArcLength:
             way, self._lead = self._length.moved(), self._all.get() - before
             self._note(self._length.t, self._points[-1][1] + size)
             assert self._bordered is not None
-            yield Found(self._length.t, progress, self._bordered.negative())
+            yield Found(self._length.t, progress, negative_eigenvalues(self._bordered))
             factor = np.sqrt(WANTED / max(progress.newton, 1))
             size = min(longest, size * float(np.clip(factor, 0.5, 2.0)))
 
@@ -190,7 +191,7 @@ class ArcLength:
             self._lead = self._all.get() - before
             if progress.converged or t / 2 < least:
                 self._points.append((t, self._length.gone()))
-                return Found(t, progress, self._newton.negative())
+                return Found(t, progress, negative_eigenvalues(self._newton))
             t /= 2
 
     def _step(self, way: Vector, size: float) -> Progress:
@@ -230,7 +231,7 @@ class ArcLength:
         share = (self._end - t) / (self._length.t - t)
         self._length.put(np.array([self._end]))
         progress = self._ladder.solve([("", here + share * (beyond - here)), ("", beyond)])
-        return Found(self._end, progress, self._newton.negative())
+        return Found(self._end, progress, negative_eigenvalues(self._newton))
 
     def _note(self, t: float, arc: float) -> None:
         """Keeps the last points and looks for a limit point between them."""

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.compiler import compile_forms
+from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.matrix import TangentMatrix
 from dolfin_elastic.timing import stage
@@ -26,7 +27,8 @@ class Assembler:
     tangent there by zero; what the replaced columns would have done is added to the residual
     (lifting).  So the first Newton step moves the boundary and the inside together, and a line
     search can shorten both.  At tilted nodes (`prescribed.tilted`) the same is done along their
-    held directions: rows Q R + P x - N+ g, and Q K Q + P.  All methods are collective.
+    held directions: rows Q R + s (P x - N+ g), and Q K Q + s P, where s is of the size of K lest
+    round-off of K drown P.  All methods are collective.
 
     Args:
         problem: Whose residual and tangent; its `u` is changed by every evaluation.
@@ -40,6 +42,7 @@ class Assembler:
             entries at prescribed dofs are the reactions.
         free: Norm of the free entries of the last residual [N].
         held: Norm of its prescribed entries (reactions) [N].
+        pushed: Norm of the forces of springs and obstacles at the last residual [N].
         moves: Owned entries of all unknowns that are displacements, in the displacement's order.
         fixed: Owned entries of all unknowns that are prescribed.
         pressures: How many unknowns are pressures, on all ranks.
@@ -74,6 +77,7 @@ class Assembler:
         held, places = problem.prescribed, problem.unknowns.places
         self._held = held.owned
         self.fixed = places(held.owned)
+        self._places = places(np.arange(len(problem.u.x.array), dtype=np.int32))
         self.moves = places(np.arange(_owned(problem.V), dtype=np.int32))
         self._tilted = None if still else held.tilted
         nodes = np.empty(0, np.int32) if self._tilted is None else self._tilted.nodes
@@ -93,7 +97,7 @@ class Assembler:
             self._held = np.arange(_owned(problem.V), dtype=np.int32)
             self.fixed = self.moves
         self.pressures = problem.unknowns.count("pressure")
-        self.free = self.held = self.gap = 0.0
+        self.free = self.held = self.gap = self.pushed = 0.0
         with stage("assemble"):
             self._filled = (
                 TangentMatrix(self._tangent)
@@ -102,6 +106,7 @@ class Assembler:
             )
         self.matrix = self._filled.petsc
         self._shift: float | None = None
+        self._scale = 0.0
         if problem.symmetric:
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
@@ -143,12 +148,26 @@ class Assembler:
             difference, off = self._differences(target)
             out = self.balance.array[: self.size]
             self._measure(out, difference, off)
+            self._measure_holding()
             if self.gap > 0.0 and np.isfinite(self.free):
                 out = out + self._lifted(difference, off)
             f.array_w[:] = out
             f.array_w[self.fixed] = difference
             if self._tilted is not None:
-                f.array_w[self.tilted] = self._tilted.free(out[self.tilted]) + off
+                free = self._tilted.free(out[self.tilted])
+                f.array_w[self.tilted] = free + self._stiffness() * off
+
+    def _stiffness(self) -> float:
+        """Mean size of the tangent's diagonal at the first call, a power of two [N/m]."""
+        if self._scale == 0.0:
+            self._filled.unit = 0.0
+            self._filled.assemble(self._bcs)
+            self.forget_tangent()
+            diagonal = self.matrix.getDiagonal()
+            mean = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
+            diagonal.destroy()
+            self._scale = 2.0 ** np.round(np.log2(mean)) if 0.0 < mean < np.inf else 1.0
+        return self._scale
 
     def _differences(self, target: Vector | None) -> tuple[Vector, Vector]:
         """What prescribed entries, and tilted nodes along their directions, are off [m]."""
@@ -161,10 +180,21 @@ class Assembler:
         rows = self._tilted.held(u.reshape(-1, self._dim)[self._nodes])
         return u[self._held] - wanted, rows - along.reshape(-1, self._dim)
 
+    def norm(self) -> float:
+        """Norm of the residual at the problem's unknowns. Collective."""
+        x, f = self.create_vector(), self.create_vector()
+        self.get(x)
+        self.residual(x, f)
+        norm = float(f.norm())
+        x.destroy()
+        f.destroy()
+        return norm if np.isfinite(norm) else np.inf
+
     def assemble_balance(self) -> None:
         """Out-of-balance nodal forces at the problem's displacement into `balance`."""
         self.balance.array[:] = 0.0
         fem.assemble_vector(self.balance.array, self._residual)
+        self._add_nodal(self.balance.array, -1.0)
         self.balance.scatter_reverse(la.InsertMode.add)
 
     def constraint_forces(self, out: Vector) -> Vector:
@@ -186,6 +216,14 @@ class Assembler:
         gap = float(np.max(np.nan_to_num(np.abs(difference), nan=np.inf), initial=0.0))
         self.gap = float(self.comm.allreduce(gap, op=MPI.MAX))
 
+    def _measure_holding(self) -> None:
+        """What holds by forces is a scale of the residual, as reactions are. Collective."""
+        if not self._holding:
+            return
+        forces = [self.nodal(form) for form in self._holding.values()]
+        squares = total(self.comm, sum(float(np.sum(np.square(force))) for force in forces))
+        self.pushed = float(np.sqrt(squares))
+
     def _lifted(self, difference: Vector, off: Vector) -> Vector:
         """K (g - x) of the prescribed columns, for the free rows."""
         w, values = self.problem.w.x.array, self._values
@@ -202,7 +240,7 @@ class Assembler:
             values.x.array[:] = kept
         return self._lift.array[: self.size]
 
-    def tangent(self, x: PETSc.Vec, shift: float = 0.0, *, unit: float = 1.0) -> None:
+    def tangent(self, x: PETSc.Vec, shift: float = 0.0, *, unit: float | None = None) -> None:
         """Assembles the tangent at x into `matrix`, with ones on prescribed diagonals.
 
         What cannot have changed is left as it is, and so is its factorisation.
@@ -210,14 +248,23 @@ class Assembler:
         Args:
             x: The displacement.
             shift: What the extra tangent is multiplied by.
-            unit: What stands along the held directions of tilted nodes.
+            unit: What stands along the held directions of tilted nodes, if not what fits.
         """
         with stage("assemble"):
             self.put(x)
             if self.problem.linear and shift == self._shift:
                 return
-            self._filled.assemble(self._bcs, unit)
+            if unit is None and self._tilted is not None:
+                unit = self._stiffness()
+            self._filled.unit = unit or 0.0
+            self._filled.assemble(self._bcs)
             self._shift = shift
+
+    def hold(self, step: PETSc.Vec) -> None:
+        """Takes from a step what supports prevent. Not collective."""
+        step.array_w[self.fixed] = 0.0
+        if self._tilted is not None:
+            step.array_w[self.tilted] = self._tilted.free(step.array_r[self.tilted])
 
     def shift_diagonal(self, share: float) -> None:
         """Adds a share of the free diagonal's size to it. Collective."""
@@ -235,20 +282,24 @@ class Assembler:
 
     def external_norm(self) -> float:
         """Norm of the applied nodal forces at the present time [N]."""
-        if self._external is None:
-            return 0.0
-        force = self._vector()
-        fem.assemble_vector(force.array, self._external)
-        force.scatter_reverse(la.InsertMode.add)
-        return float(la.norm(force))
+        return float(la.norm(self._applied()))
 
     def external_forces(self) -> Vector:
         """Applied nodal forces at the present time, owned entries [N]."""
+        return self._applied().array[: self.size]
+
+    def _applied(self) -> la.Vector:
         force = self._vector()
         if self._external is not None:
             fem.assemble_vector(force.array, self._external)
-            force.scatter_reverse(la.InsertMode.add)
-        return force.array[: self.size]
+        self._add_nodal(force.array, 1.0)
+        force.scatter_reverse(la.InsertMode.add)
+        return force
+
+    def _add_nodal(self, forces: Vector, sign: float) -> None:
+        """Adds the loads at points and lines; the ranks' shares are still to be summed."""
+        if self.problem.nodal_loads:
+            forces[self._places] += sign * self.problem.nodal_loads.nodal()
 
     # --- what is known of the solution ---
 

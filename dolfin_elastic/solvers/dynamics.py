@@ -14,6 +14,7 @@ from dolfin_elastic.model.components import Component, components, depends_on_ti
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.alpha import Alpha
+from dolfin_elastic.solvers.contact import begin_motion
 from dolfin_elastic.solvers.explicit import SymplecticEuler
 from dolfin_elastic.solvers.initial import set_initial
 from dolfin_elastic.solvers.linear import LinearSettings
@@ -127,6 +128,7 @@ class Dynamics:
         """
         s = self.settings
         set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
+        begin_motion(self.problem)
         if s.scheme == "symplectic-euler":
             yield from SymplecticEuler(
                 self.problem, self.velocity, end=s.end, dt=s.dt, safety=s.safety, every=s.every

@@ -19,6 +19,7 @@ from dolfin_elastic.errors import InputError, StabilityError
 from dolfin_elastic.parallel import largest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler, compiled
+from dolfin_elastic.solvers.contact import Measured, all_touching
 from dolfin_elastic.solvers.motion import LumpedMass, Strain, lumped
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
@@ -64,7 +65,7 @@ class SymplecticEuler:
         self.safety, self._chosen = safety, dt
         self.a = fem.Function(problem.V, name="acceleration")
         self.assembler = Assembler(problem)
-        self.strain = Strain(problem)
+        self.strain, self._measured = Strain(problem), Measured(problem, moving=True)
         self.mass = lumped(problem, self.assembler)
         self.measure = LumpedMass(problem, v, self.mass)
         self._drag = self._drag_rows()
@@ -86,7 +87,8 @@ class SymplecticEuler:
         with stage("solve"):
             x, scale = self.assembler.create_vector(), self.assembler.create_vector()
             self.assembler.get(x)
-            self.assembler.tangent(x, unit=0.0)
+            with all_touching(self.problem):  # what is free now may hit within the next steps
+                self.assembler.tangent(x, unit=0.0)
             scale.array_w[:] = 1 / np.sqrt(self.mass)
             scale.array_w[self.problem.prescribed.owned] = 0.0
             self.assembler.matrix.diagonalScale(scale, scale)
@@ -258,14 +260,15 @@ class SymplecticEuler:
                 f"the motion has no finite velocity at t = {t:.6g} s",
                 advice="a smaller dt or safety",
             )
-        strain = self.strain.energy()
+        strain, more = self.strain.energy(), self._measured.energies()
         self._acceleration()
         energies = {
             "strain": strain,
             "kinetic": kinetic,
-            "total": strain + kinetic,
+            "total": strain + kinetic + sum(more.values()),
             "external": float(total(self.problem.body.comm, self._local_work)),
             **self.strain.springs(),
+            **more,
         }
         return State(
             step=step,
@@ -278,6 +281,7 @@ class SymplecticEuler:
             reactions=self.assembler.reactions(self._inertia),
             momenta={"linear": linear, "angular": angular},
             max_displacement=self.assembler.max_displacement(),
+            numbers=self._measured.numbers(),
             done=t / self.end,
         )
 

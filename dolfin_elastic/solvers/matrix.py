@@ -32,6 +32,7 @@ class TangentMatrix:
 
     Attributes:
         petsc: The PETSc matrix, owned here.
+        unit: What stands for held directions that are no entries, in place of ones [N/m].
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class TangentMatrix:
         self._diagonal, self._others = self._places()
         if PETSc.ScalarType != np.float64 or self._entries() != self._native.indptr[self._rows()]:
             raise RuntimeError("PETSc's matrix has not the entries of DOLFINx's")
+        self.unit = 1.0
         self._projection: Projection | None = None
         if places is not None and P is not None:
             self._projection = Projection(self._native, self._rows(), places, P)
@@ -98,18 +100,13 @@ class TangentMatrix:
         order = np.lexsort((self._global_columns()[:count][others], row[others]))
         return mine, others[order]
 
-    def assemble(self, bcs: Sequence[fem.DirichletBC], unit: float = 1.0) -> None:
-        """Assembles the form, with ones on the diagonal of constrained rows. Collective.
-
-        Args:
-            bcs: Constrained entries.
-            unit: What stands for held directions that are no entries, in place of ones.
-        """
+    def assemble(self, bcs: Sequence[fem.DirichletBC]) -> None:
+        """Assembles the form, with ones on the diagonal of constrained rows. Collective."""
         self._native.data[:] = 0.0
         fem.assemble_matrix(self._native, self._form, list(bcs))
         self._native.scatter_reverse()
         if self._projection is not None:
-            self._projection.apply(self._native.data, unit)
+            self._projection.apply(self._native.data, self.unit)
         count = int(self._native.indptr[self._rows()])
         data = self._native.data[:count]
         _fill(self.petsc, data[self._diagonal], data[self._others])

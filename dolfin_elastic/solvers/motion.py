@@ -39,6 +39,11 @@ class Strain:
         """Strain energy of the present displacement [J]. Collective."""
         return float("nan") if self._form is None else integral(self._problem, self._form)
 
+    @property
+    def none(self) -> bool:
+        """A law has no energy."""
+        return self._form is None
+
     def springs(self) -> dict[str, float]:
         """Energy stored in supports [J] by its name; nothing without springs. Collective."""
         if self._springs is None:

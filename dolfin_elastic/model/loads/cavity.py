@@ -164,7 +164,7 @@ class Cavity(Load):
                 f"{len(self.middle)} components given, the body has {dim}", where="origin"
             )
         o = site.constant([float(x or 0.0) for x in self.middle or (0.0,) * dim])  # type: ignore[arg-type]
-        d = 3 if site.geometry == "axisymmetric" else dim
+        d = 3 if site.revolved else dim
         areas = site.areas(self.parts)
         if site.linear:
             return -ufl.inner((site.X - o) / d + site.u, site.N) * areas

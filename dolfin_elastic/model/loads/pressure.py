@@ -5,15 +5,14 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any, ClassVar, Literal
 
+import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.formulas import Formula
-from dolfin_elastic.model.components import Component, component
+from dolfin_elastic.model.components import Component, component, vector_at
 from dolfin_elastic.model.kinematics import cofactor
-from dolfin_elastic.model.loads.base import Load, Site
-
-PLACE = frozenset("xyz")
+from dolfin_elastic.model.loads.base import PLACE, Floats, Load, Places, Site, keyed
 
 
 class Pressure(Load):
@@ -45,7 +44,8 @@ class Pressure(Load):
     @cached_property
     def values(self) -> tuple[Component, ...]:
         """The pressure, one number or formula."""
-        return (component(self.value, self.unit),)
+        with keyed("value"):
+            return (component(self.value, self.unit),)
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:
@@ -57,6 +57,11 @@ class Pressure(Load):
         """It is even in space; only with the rim held it has a potential."""
         (p,) = self.values
         return not isinstance(p, Formula) or not p.names & PLACE
+
+    def intensity(self, places: Places) -> Floats:
+        """See `Load.intensity`."""
+        assert places.N is not None
+        return np.asarray(-vector_at(self.values, places.X[..., :1], places.t) * places.N)
 
     def virtual_work(self, site: Site) -> ufl.Form:
         """See the class."""
