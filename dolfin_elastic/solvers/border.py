@@ -161,12 +161,21 @@ class Bordered:
 
     # --- residual and tangent ---
 
-    def residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        """Residual of fields and scalars. Collective."""
+    def get(self, x: PETSc.Vec) -> None:
+        """Copies all unknowns into a vector, before a solve."""
+        self.iterations = 0
+        self.fill(x, self.assembler.problem.w.x.array[: self._size], self.border.get())
+
+    def put(self, x: PETSc.Vec) -> None:
+        """Copies a vector into all unknowns, and evaluates there. Collective."""
         self.border.put(self.scalars(x))
         self._x.array_w[:] = x.array_r[: self._size]
         self.assembler.residual(self._x, self._b)
         self.last = self.border.residual()
+
+    def residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        """Residual of fields and scalars. Collective."""
+        self.put(x)
         self.fill(f, self._b.array_r, self.last)
 
     def renew(self, x: PETSc.Vec) -> None:

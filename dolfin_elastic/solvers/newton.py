@@ -107,11 +107,11 @@ class Newton:
         if border is not None:
             self.ksp = PETSc.KSP().create(assembler.comm)
             self.bordered = Bordered(assembler, border, self.ksp)
-        source = self.bordered or assembler
-        self._x, self._f = source.create_vector(), source.create_vector()
+        self._source: Assembler | Bordered = self.bordered or assembler
+        self._x, self._f = self._source.create_vector(), self._source.create_vector()
         if self._owns:
             self.snes.setFunction(self._residual, self._f)
-            self.snes.setJacobian(self._tangent, source.matrix)
+            self.snes.setJacobian(self._tangent, self._source.matrix)
         self._configure()
 
     def _configure(self) -> None:
@@ -257,10 +257,10 @@ class Newton:
             self.begin()
             if self.guard is not None:
                 self.guard.begin()
-            self._get()
+            self._source.get(self._x)
             self.snes.solve(None, self._x)
             self.finish()
-            self._put()
+            self._source.put(self._x)
             self.options.report_unused()
         return self.progress
 
@@ -280,22 +280,6 @@ class Newton:
         if self.direct:
             p.krylov = 0
 
-    def _get(self) -> None:
-        """Copies the problem's unknowns into our vector."""
-        if self.bordered is None:
-            self.assembler.get(self._x)
-            return
-        self.bordered.iterations = 0
-        fields = self.assembler.problem.w.x.array[: self.assembler.size]
-        self.bordered.fill(self._x, fields, self.bordered.border.get())
-
-    def _put(self) -> None:
-        """Copies our vector into the problem's unknowns. Collective."""
-        if self.bordered is None:
-            self.assembler.put(self._x)
-        else:
-            self.bordered.residual(self._x, self._f)
-
     def present(self) -> Vector:
         """A copy of all unknowns: local array of the fields, and scalars behind them."""
         fields = self.assembler.problem.w.x.array
@@ -313,10 +297,7 @@ class Newton:
         problem.unknowns.tell()
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        if self.bordered is None:
-            self.assembler.residual(x, f)
-        else:
-            self.bordered.residual(x, f)
+        self._source.residual(x, f)
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         if self.bordered is None:
