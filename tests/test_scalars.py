@@ -60,6 +60,7 @@ def test_a_strip_rolls_up_under_a_pure_moment():
     n, R = state.numbers, L / (np.pi / 2)
     found = [n["right_ux"] + L, n["right_uy"], n["right_rz"] / (np.pi / 2)]
     assert found == pytest.approx([R, R, 1.0], abs=5e-4)
+    assert state.audit.verdict == "pass", state.audit.reasons
     # Equilibrium of the plate, to Newton's tolerance.
     assert n["moment_right_z"] == pytest.approx(M, rel=1e-6)
     assert np.linalg.norm(state.reactions["right"]) < 1e-6 * M / L
@@ -287,6 +288,8 @@ def test_sphere_by_its_volume(folder):
         assert exact(a) == pytest.approx(p, rel=1e-10)
         assert found[a] == pytest.approx(p, rel=2e-3)
     assert {s.negative for s in states[1:]} == {0}
+    # Forces, moments, and the work of the pressure against the stored energy.
+    assert states[-1].audit.verdict == "pass", states[-1].audit.reasons
 
 
 def test_sphere_by_arc_length(folder):
