@@ -30,6 +30,7 @@ from dolfin_elastic.motions import cross_matrix, rotation, tangent
 from dolfin_elastic.solvers.arclength import Length
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.border import Bordered, Borders
+from dolfin_elastic.solvers.linear import LinearSettings
 from dolfin_elastic.solvers.scalars import Scalars
 
 FREE = "free"
@@ -143,6 +144,40 @@ def test_rotation_vectors():
             assert dR @ R.T == pytest.approx(cross_matrix(T[:, i]), abs=1e-9)
     quarter_turn = rotation(np.array([0, 0, np.pi / 2]))
     assert quarter_turn @ [1, 0, 0] == pytest.approx([0, 1, 0], abs=1e-15)
+
+
+def two_squares(folder):
+    """Squares of 1 m, half a metre apart: surfaces left, inner (both that face) and right."""
+    geo = folder / "two.geo"
+    if MPI.COMM_WORLD.rank == 0:
+        geo.write_text("""
+SetFactory("OpenCASCADE");
+Rectangle(1) = {0, 0, 0, 1, 1};
+Rectangle(2) = {1.5, 0, 0, 1, 1};
+Physical Curve("left") = {4};
+Physical Curve("inner") = {2, 8};
+Physical Curve("right") = {6};
+Physical Surface("both") = {1, 2};
+""")
+    MPI.COMM_WORLD.barrier()
+    return read_body(geo, size=0.5)
+
+
+def test_a_plate_holds_two_bodies_together(folder):
+    """One body is held, the other by the plate only: springs in series."""
+    two = two_squares(folder)
+    plate = Rigid(on="inner", force=[0, 0], moment=0, name="plate")
+    pull = Traction(on="right", value=[1e-3, 0])
+    law = StVenantKirchhoff(E=1.0, nu=0.0)
+    held = Support(on="left", displacement=[0, 0])
+    problem = Problem(two, law, supports=[held, plate], loads=[pull])
+    *_, state = Statics(problem, steps=1).steps()
+    # Of each body 1e-3 L/E, with an error of the strain's size.
+    assert state.numbers["plate_ux"] == pytest.approx(1e-3, rel=2e-3)
+    assert state.max_displacement == pytest.approx(2e-3, rel=2e-3)
+    loose = Problem(two, law, supports=[plate], loads=[pull])
+    with pytest.raises(InputError, match="move and turn freely"):
+        _ = [*Statics(loose).steps()]
 
 
 def test_hinged_column_buckles_at_eulers_load():
@@ -329,6 +364,18 @@ def test_arc_length_cavity_and_rigid_surface_together(folder):
         assert state.reactions["foot"][0] == pytest.approx(-0.3, rel=1e-7)
     # Newton's tolerance.
     assert found[0] == pytest.approx(found[1], rel=1e-7, abs=1e-9)
+
+
+def test_iterative_solvers_find_the_same(folder):
+    """Block elimination leaves the choice of the fields' solver open."""
+    found = []
+    for method in ("direct", "iterative"):
+        linear = LinearSettings(method=method)
+        *_, state = Statics(ring(folder), linear=linear, steps=2).steps()
+        found.append(state.numbers)
+        assert (state.krylov > 0) == (method == "iterative")
+    # Newton's tolerance.
+    assert found[0] == pytest.approx(found[1], rel=1e-6, abs=1e-8)
 
 
 def test_tangent_of_the_whole_system(folder):
