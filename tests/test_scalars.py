@@ -15,6 +15,7 @@ from dolfin_elastic import (
     Pressure,
     Problem,
     Rigid,
+    Rotation,
     Statics,
     StVenantKirchhoff,
     Support,
@@ -161,6 +162,27 @@ Physical Surface("both") = {1, 2};
 """)
     MPI.COMM_WORLD.barrier()
     return read_body(geo, size=0.5)
+
+
+def test_a_plate_that_is_turned_is_a_rotation():
+    """With every component given it is that support, in motion, too."""
+    body = box_body(size=(1.0, 0.4, 0.3), cells=(2, 1, 1))
+    law = NeoHookean(E=1e5, nu=0.3, density=1e3)
+    found = []
+    for turned in (
+        Rigid(on="right", rotation=[0, 0, "0.4*t"], displacement=["0.1*t", 0, 0], point=[1, 0, 0]),
+        Rotation(
+            on="right", axis=[0, 0, 1], angle="0.4*t", displacement=["0.1*t", 0, 0], point=[1, 0, 0]
+        ),
+    ):
+        held = [Support(on="left"), turned]
+        *_, state = Statics(Problem(body, law, supports=held), steps=1).steps()
+        *_, moving = Dynamics(Problem(body, law, supports=held), end=0.02, dt=0.01).steps()
+        found.append(
+            [state.energies["strain"], moving.energies["strain"], *state.reactions["right"]]
+        )
+    # Newton's tolerance.
+    assert found[0] == pytest.approx(found[1], rel=1e-7, abs=1e-8)
 
 
 def test_a_plate_holds_two_bodies_together(folder):

@@ -53,6 +53,7 @@ class Length(Border):
     def __init__(self, assembler: Assembler) -> None:
         self._assembler, self._problem = assembler, assembler.problem
         self.steps, self.signs = np.array([1e-4]), np.zeros(1)
+        self.prescribing = np.zeros(1, dtype=bool)
         self.t, self.wanted = 0.0, 1.0
         self.start = self.displacement().copy()
 

@@ -22,6 +22,7 @@ from petsc4py import PETSc
 from dolfin_elastic.solvers.assembler import Assembler
 
 Vector = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 
 class Border:
@@ -32,11 +33,13 @@ class Border:
         steps: Differences of s by which derivatives with respect to it are taken.
         signs: What each scalar is in the whole system's energy: 1 a coordinate, whose equation is
             a force; -1 a multiplier, whose equation is a constraint; 0 neither.
+        prescribing: Whether each scalar changes prescribed displacements only, and no force.
     """
 
     size: int
     steps: Vector
     signs: Vector
+    prescribing: Flags
 
     def get(self) -> Vector:
         """The present scalars."""
@@ -86,6 +89,11 @@ class Borders(Border):
     def signs(self) -> Vector:  # type: ignore[override]
         """See `Border`."""
         return np.concatenate([part.signs for part in self.parts])
+
+    @property
+    def prescribing(self) -> Flags:  # type: ignore[override]
+        """See `Border`."""
+        return np.concatenate([part.prescribing for part in self.parts])
 
     def get(self) -> Vector:
         """All scalars."""
@@ -184,26 +192,40 @@ class Bordered:
         self._x.array_w[:] = x.array_r[: self._size]
         self.border.put(values)
         self._columns, self._corner = self._differences(values)
-        self.assembler.residual(self._x, self._b)  # back to where we are
         self._rows = self.border.rows()
         self.assembler.tangent(self._x)
         self._solved = None
 
     def _differences(self, values: Vector) -> tuple[list[Vector], Vector]:
         """Derivatives of the fields' and the scalars' residuals with respect to the scalars."""
-        columns, corner = [], []
-        for j, h in enumerate(self.border.steps):
-            sides = []
-            for sign in (1.0, -1.0):
-                moved = values.copy()
-                moved[j] += sign * h
-                self.border.put(moved)
-                self.assembler.residual(self._x, self._b)
-                sides.append((self._b.array_r.copy(), self.border.residual()))
-            columns.append((sides[0][0] - sides[1][0]) / (2 * h))
-            corner.append((sides[0][1] - sides[1][1]) / (2 * h))
+        steps, mild = self.border.steps, self.border.prescribing
+        found = {j: self._difference(values, j, steps[j]) for j in np.flatnonzero(~mild)}
         self.border.put(values)
-        return columns, np.column_stack(corner)
+        self.assembler.residual(self._x, self._b)  # back to where we are
+        for j in np.flatnonzero(mild):
+            found[j] = self._difference(values, j, steps[j], moving=True)
+        self.border.put(values)
+        self.assembler.constrain(self._b)
+        columns, corner = zip(*(found[j] for j in range(len(steps))), strict=True)
+        return list(columns), np.column_stack(corner)
+
+    def _difference(
+        self, values: Vector, j: int, h: float, *, moving: bool = False
+    ) -> tuple[Vector, Vector]:
+        """The same with respect to one scalar, which only moves what is prescribed or not."""
+        sides = []
+        for sign in (1.0, -1.0):
+            changed = values.copy()
+            changed[j] += sign * h
+            self.border.put(changed)
+            if moving:
+                self.assembler.constrain(self._b)
+            else:
+                self.assembler.residual(self._x, self._b)
+            sides.append((self._b.array_r.copy(), self.border.residual()))
+        (f, g), (p, q) = sides
+        column, corner = np.asarray(f - p) / (2 * h), np.asarray(g - q) / (2 * h)
+        return np.asarray(column, dtype=np.float64), np.asarray(corner, dtype=np.float64)
 
     # --- what PETSc calls ---
 

@@ -89,6 +89,7 @@ class Chamber(Border):
         self._forms = compiled(self._problem, forms)
         # The residual is linear in the pressure: a large difference has no error but round-off.
         self.steps, self.signs = np.array([self._problem.stiffness]), np.array([-1.0])
+        self.prescribing = np.zeros(1, dtype=bool)
         cavity.initial = self._undeformed()
         if not cavity.initial > 0.0:
             raise InputError(
@@ -175,6 +176,7 @@ class RigidSurface(Border):
         length = span(problem.body)
         is_turn = np.array(motion.free) >= dim
         self.steps, self.signs = np.where(is_turn, TURN, TURN * length), np.ones(self.size)
+        self.prescribing = np.ones(self.size, dtype=bool)
         self._along = fem.Function(problem.W)
         test = ufl.TestFunction(problem.W)
         works = ufl.derivative(ufl.action(problem.residual, self._along), problem.w, test)
