@@ -440,6 +440,25 @@ def test_tangent_of_the_whole_system(folder):
     assert np.abs(scalars).max() < 1e-8 * np.abs(system.scalars(y)).max()
 
 
+def test_pressure_is_the_derivative_of_energy_by_volume():
+    """dW/dV = p in a solid whose bottom, held at its rim, bulges; the cone below it has V = 1/3."""
+    problem = Problem(
+        box_body(size=(1, 1, 0.5), cells=(3, 3, 1), origin=(0, 0, 1)),
+        NeoHookean(E=1e4, nu=0.3),
+        supports=[Support(on=["left", "right", "front", "back"])],
+        loads=[Cavity(on="bottom", added="-20 L", name="cone")],
+    )
+    states = [*Statics(problem, times=[0.98, 0.99]).steps()]
+    a, b, c = states[-3:]
+    assert states[0].numbers["volume_cone"] == pytest.approx(1 / 3, rel=1e-12)
+    assert c.numbers["volume_cone"] == pytest.approx(1 / 3 - 0.02, rel=1e-9)
+    work = c.energies["strain"] - a.energies["strain"]
+    grown = c.numbers["volume_cone"] - a.numbers["volume_cone"]
+    # Of the central difference over 2 % of the change: some 1e-5.
+    assert work / grown == pytest.approx(b.numbers["pressure_cone"], rel=1e-4)
+    assert b.numbers["pressure_cone"] < 0.0
+
+
 def test_given_pressure_is_a_pressure(folder):
     """A cavity with a pressure is that load, and tells the volume."""
     found = []
