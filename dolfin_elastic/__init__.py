@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.meshes import rectangle_body as rectangle_body
     from dolfin_elastic.model.contact import Contact as Contact
     from dolfin_elastic.model.loads import BodyForce as BodyForce
+    from dolfin_elastic.model.loads import Cavity as Cavity
     from dolfin_elastic.model.loads import Centrifugal as Centrifugal
     from dolfin_elastic.model.loads import Gravity as Gravity
     from dolfin_elastic.model.loads import Growth as Growth
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.materials import Yeoh as Yeoh
     from dolfin_elastic.model.own import Energy as Energy
     from dolfin_elastic.model.own import SplitEnergy as SplitEnergy
+    from dolfin_elastic.model.rigid import Rigid as Rigid
     from dolfin_elastic.model.springs import Dashpot as Dashpot
     from dolfin_elastic.model.springs import Spring as Spring
     from dolfin_elastic.model.supports import Normal as Normal
@@ -99,9 +101,11 @@ _PLACES = {
     "model.own": ("Energy", "SplitEnergy"),
     "model.contact": ("Contact",),
     "model.supports": ("Normal", "Rotation", "Support", "Symmetry"),
+    "model.rigid": ("Rigid",),
     "model.springs": ("Dashpot", "Spring"),
     "model.loads": (
         "BodyForce",
+        "Cavity",
         "Centrifugal",
         "Gravity",
         "Growth",

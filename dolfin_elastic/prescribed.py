@@ -15,8 +15,10 @@ from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.meshes.body import Body, cell_size
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
+from dolfin_elastic.model.rigid import Rigid
 from dolfin_elastic.model.springs import Spring
 from dolfin_elastic.model.supports import NORMAL, Prescribing, Restraint
+from dolfin_elastic.motions import RigidMotion
 from dolfin_elastic.normals import sheet, tidy
 from dolfin_elastic.parallel import total
 from dolfin_elastic.tilted import Hold, Tilted
@@ -68,6 +70,7 @@ class Prescribed:
         moving: Support's label to the owned entries it holds: its reaction is their sum, together
             with what `tilted` has of it.
         tilted: Nodes held along other directions; None if no rank has any.
+        motions: Of rigid surfaces.
     """
 
     def __init__(
@@ -82,8 +85,17 @@ class Prescribed:
         self._V = V
         self._x = V.tabulate_dof_coordinates()
         self._bs = V.dofmap.index_map_bs
-        chosen = [s for s in supports if isinstance(s, Prescribing)]
-        holds = [hold for support in chosen for hold in self._of(body, support, axis)]
+        self.motions: list[RigidMotion] = []
+        chosen = [s for s in supports if isinstance(s, Prescribing | Rigid)]
+        holds = [
+            hold
+            for support in chosen
+            for hold in (
+                self._rigid(body, support, axis)
+                if isinstance(support, Rigid)
+                else self._of(body, support, axis)
+            )
+        ]
         if axis:
             holds.append(self._on_axis(body))
         self.tilted, holds = self._split(body, self._mirrored(holds))
@@ -95,7 +107,30 @@ class Prescribed:
         self.owned = self.dofs[self.dofs < owned_size]
         self.bcs = [self._condition(i) for i in range(self._bs)] if dofs else []
         self.moving = self._reactions_of(owned_size)
-        self._t = 0.0
+        self._t, self._default = 0.0, CONSTANT
+
+    def _rigid(self, body: Body, support: Rigid, axis: bool) -> list[Hold]:
+        """What a rigid surface holds. Collective."""
+        where = f"support '{support.label}'"
+        if axis:
+            raise InputError(
+                "an axisymmetric body has no rigid surface",
+                where=f"{where}.kind",
+                expected='"displacement"',
+            )
+        if any(motion.label == support.label for motion in self.motions):
+            raise InputError(
+                "another rigid surface has this name", where=f"{where}.name", expected="its own"
+            )
+        motion = RigidMotion(support, body)
+        self.motions.append(motion)
+        return [self._along(motion, i, self._nodes(body, support)) for i in range(self._bs)]
+
+    def _nodes(self, body: Body, support: Restraint) -> Dofs:
+        """Nodes of its surfaces, owned and ghost, sorted. Collective."""
+        facets = np.unique(np.concatenate([body.surface(name) for name in support.surfaces]))
+        nodes = fem.locate_dofs_topological(self._V, body.mesh.topology.dim - 1, facets)
+        return np.sort(nodes).astype(np.int32)
 
     def _of(self, body: Body, support: Prescribing, axis: bool) -> list[Hold]:
         """What a support holds. Collective."""
@@ -108,12 +143,10 @@ class Prescribed:
                 where=f"support '{support.label}'.kind",
                 expected='"displacement"',
             )
-        facets = np.unique(np.concatenate([body.surface(name) for name in support.surfaces]))
-        nodes = fem.locate_dofs_topological(self._V, body.mesh.topology.dim - 1, facets)
-        nodes = np.sort(nodes).astype(np.int32)
+        nodes = self._nodes(body, support)
         return [self._along(support, i, nodes) for i in which]
 
-    def _along(self, support: Prescribing | None, i: int, nodes: Dofs) -> Hold:
+    def _along(self, support: Prescribing | RigidMotion | None, i: int, nodes: Dofs) -> Hold:
         return Hold(support, i, nodes, np.tile(np.eye(self._bs)[i], (len(nodes), 1)))
 
     def _across(self, body: Body, support: Prescribing, name: str) -> Hold:
@@ -165,6 +198,7 @@ class Prescribed:
             is_tilted[hold.nodes[np.max(np.abs(hold.directions), axis=1, initial=0.0) < 1.0]] = True
         if not total(body.comm, int(is_tilted.sum())):
             return None, holds
+        self._check_apart(holds, is_tilted)
         tilted = Tilted(
             [hold.of(is_tilted[hold.nodes]) for hold in holds],
             size=self._V.dofmap.index_map.size_local,
@@ -172,6 +206,21 @@ class Prescribed:
             dim=self._bs,
         )
         return tilted, [hold.of(~is_tilted[hold.nodes]) for hold in holds]
+
+    def _check_apart(self, holds: list[Hold], is_tilted: npt.NDArray[np.bool_]) -> None:
+        """A rigid surface with unknowns meets no node that is held across the axes. Collective."""
+        for hold in holds:
+            support = hold.support
+            free = isinstance(support, RigidMotion) and len(support.free) > 0
+            met = int(is_tilted[hold.nodes].sum()) if free else 0
+            if total(self._V.mesh.comm, met):
+                assert support is not None
+                raise InputError(
+                    "a rigid surface with free motion meets another support whose direction is "
+                    "not along an axis",
+                    where=f"support '{support.label}'.on",
+                    expected="surfaces that share no edge with it",
+                )
 
     def _given_to_the_later(self, holds: list[Hold]) -> list[tuple[Hold, Dofs, Floats]]:
         """Holds with the dofs that no later one prescribes too, and the signs of the directions."""
@@ -209,12 +258,65 @@ class Prescribed:
             t: Time [s], or load parameter.
             default: Amplitude of supports that name none.
         """
-        self._t = t
+        self._t, self._default = t, default
+        self._evaluate(t, default)
+
+    def _evaluate(self, t: float, default: Amplitude, only: RigidMotion | None = None) -> None:
         for hold, dofs, signs in self._entries:
+            if only is not None and hold.support is not only:
+                continue
             if hold.support is not None and len(dofs):
                 self.values.x.array[dofs] = signs * hold.goals(self._x, t, default)
-        if self.tilted is not None:
+        if self.tilted is not None and only is None:
             self.tilted.move_to(t, default)
+
+    # --- rigid surfaces ---
+
+    def follow(self, motion: RigidMotion) -> None:
+        """Takes over changed degrees of freedom of a rigid surface. Not collective."""
+        self._evaluate(self._t, self._default, motion)
+
+    def applied(self, motion: RigidMotion) -> Floats:
+        """Forces and moments on its free degrees of freedom at the present time [N, N m]."""
+        return motion.applied(self._t, self._default)
+
+    def freedoms(self, motion: RigidMotion) -> Floats:
+        """All its degrees of freedom at the present time [m, rad]."""
+        return motion.all_at(self._t, self._default)
+
+    def directions(self, motion: RigidMotion) -> tuple[Dofs, Floats]:
+        """Entries that it prescribes, owned and ghost, and their derivatives.
+
+        Returns:
+            Entries of the local vector, and du/dq, of shape (entries, degrees of freedom).
+        """
+        found_dofs: list[Dofs] = [np.empty(0, np.int32)]
+        found: list[Floats] = [np.empty((0, len(motion.names)))]
+        for hold, dofs, signs in self._entries:
+            if hold.support is motion:
+                D = motion.directions(self._x[hold.nodes], self._t, self._default)
+                found.append(signs[:, None] * D[:, hold.which])
+                found_dofs.append(dofs)
+        return np.concatenate(found_dofs), np.concatenate(found)
+
+    def moment(self, motion: RigidMotion, forces: Floats) -> Floats:
+        """Moment about the present reference point of forces at its entries. Collective.
+
+        Args:
+            motion: The rigid surface.
+            forces: At the owned entries of the displacement's space [N].
+        """
+        f = np.zeros_like(self._x)
+        place = motion.place(self._t, self._default)
+        for hold, dofs, _ in self._entries:
+            if hold.support is motion:
+                own = dofs < len(forces)
+                f[hold.nodes[own], hold.which] = forces[dofs[own]]
+        held = np.flatnonzero(np.any(f != 0.0, axis=1))
+        u = np.zeros((len(held), 3))
+        for i in range(self._bs):
+            u[:, i] = motion.at(i, self._x[held], self._t, self._default)
+        return total(self._V.mesh.comm, np.cross(self._x[held] + u - place, f[held]).sum(axis=0))
 
     @property
     def targets(self) -> Floats:

@@ -15,8 +15,9 @@ from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
 from dolfin_elastic import compiler
+from dolfin_elastic.enclosures import enclosures
 from dolfin_elastic.errors import InputError
-from dolfin_elastic.formulation import Formulation
+from dolfin_elastic.formulation import Formulation, shear_modulus
 from dolfin_elastic.measures import Measures
 from dolfin_elastic.meshes.body import Body, cell_size
 from dolfin_elastic.model.components import depends_on_time
@@ -70,6 +71,7 @@ class Problem:
     Attributes:
         u: The displacement [m]; solvers change it through `w`.
         w: All unknowns: the displacement and, in some problems, scalar fields beside it.
+        cavities: Hollow spaces with a pressure.
         site: What loads find on the body.
         rest: Material's name to its growth Fg (UFL), of those that grow.
         nodal_loads: Forces at points and along lines, which are in no form.
@@ -126,6 +128,7 @@ class Problem:
         self.site = BodySite(body, self.unknowns, self.parts, self.measures, self.geometry)
         self.constant, self.t, self.X = self.site.constant, self.site.t, self.site.X
         self.prescribed = Prescribed(body, self.V, self.supports, axis=turned)
+        self.cavities = list(enclosures(self.loads, self.site))
         self.touching = tuple(self._touching(contact) for contact in contacts)
         self.rest = rest_states(self.site, self.loads)
         self.nodal_loads = NodalLoads(body, self.V, self.loads)
@@ -387,3 +390,10 @@ class Problem:
         self.prescribed.move_to(t, default)
         for touch in self.touching:
             touch.set_time(t, default)
+        for cavity in self.cavities:
+            cavity.t, cavity.default = t, default
+
+    @cached_property
+    def stiffness(self) -> float:
+        """Largest shear modulus of all parts at small strains [Pa]."""
+        return max(shear_modulus(part.typical) for part in self.parts)

@@ -43,6 +43,7 @@ class BodySite:
         N: Outward unit normal of the reference surface (UFL).
         velocity: Velocity [m/s] that dashpots see; solvers of motion keep it.
         t: Time [s] or load parameter (UFL constant).
+        unknown_numbers: Numbers that are solved for, by label.
     """
 
     def __init__(
@@ -61,11 +62,16 @@ class BodySite:
         self.N = ufl.FacetNormal(body.mesh)
         self.velocity = fem.Function(unknowns.V, name="velocity of dashpots")
         self.t = Constant(body.mesh, 0.0)
+        self.unknown_numbers: dict[str, Constant] = {}
         self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
 
     def constant(self, value: float | Sequence[float]) -> Constant:
         """A number that forms refer to by place, so that changing it compiles nothing."""
         return Constant(self.body.mesh, np.asarray(value, dtype=np.float64))
+
+    def unknown(self, label: str) -> Constant:
+        """A number that is solved for, the same for all who ask by this label."""
+        return self.unknown_numbers.setdefault(label, self.constant(0.0))
 
     @property
     def revolved(self) -> bool:

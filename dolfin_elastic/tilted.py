@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.model.supports import Prescribing
+from dolfin_elastic.motions import RigidMotion
 
 Floats = npt.NDArray[np.float64]
 Nodes = npt.NDArray[np.int32]
@@ -35,7 +36,7 @@ class Hold:
         curved: They come from a curved surface.
     """
 
-    support: Prescribing | None
+    support: Prescribing | RigidMotion | None
     which: int
     nodes: Nodes
     directions: Floats

@@ -22,6 +22,7 @@ from dolfin_elastic.meshes import Cylinder, Selector, Sphere
 from dolfin_elastic.model.contact import Ball, Contact, Plane, Tube
 from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials import MATERIALS
+from dolfin_elastic.model.rigid import Rigid
 from dolfin_elastic.model.supports import Support
 from dolfin_elastic.operations import FUNCTIONS
 from dolfin_elastic.results.fields import FIELDS
@@ -41,6 +42,7 @@ MODELS: list[type[BaseModel]] = [
     Sphere,
     Cylinder,
     Support,
+    Rigid,
     Contact,
     Plane,
     Ball,

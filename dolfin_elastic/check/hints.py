@@ -32,7 +32,8 @@ def size_hints(case: Case, body: Body) -> Iterator[str]:
         what = f"{longest:.3g} m" + (" long" if longest > _LONG else " at most")
         yield f"the body is {what}: is mesh.unit what the mesh is in?"
     for i, support in enumerate(case.support):
-        moved = max((_size(value) for value in support.values), default=0.0)
+        vector = support.vectors.get("displacement", ())
+        moved = max((_size(value) for value in vector), default=0.0)
         if moved > longest:
             yield (
                 f"support[{i}].displacement: {moved:.3g} m is more than the body is long "

@@ -14,6 +14,7 @@ from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.model.components import Component, component, components, depends_on_time
 from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.rigid import Rigid
 from dolfin_elastic.model.supports import Normal, Restraint, Rotation, Support, Symmetry
 
 T = TypeVar("T")
@@ -257,6 +258,7 @@ SUPPORTS: dict[str, type[Restraint]] = {
     "roller": Normal,
     "symmetry": Symmetry,
     "rotation": Rotation,
+    "rigid": Rigid,
     "spring": Spring,
     "dashpot": Dashpot,
 }

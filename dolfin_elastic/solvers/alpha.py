@@ -19,8 +19,9 @@ from dolfin_elastic.solvers.contact import Measured
 from dolfin_elastic.solvers.doctor import diagnose
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.motion import ConsistentMass, Strain, lumped, work
-from dolfin_elastic.solvers.newton import Newton, Tolerance
+from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.options import PREFIX, ts_reason
+from dolfin_elastic.solvers.progress import Tolerance
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 

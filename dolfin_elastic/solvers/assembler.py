@@ -145,6 +145,11 @@ class Assembler:
         with stage("assemble"):
             self.put(x)
             self.assemble_balance()
+        self.constrain(f, target=target)
+
+    def constrain(self, f: PETSc.Vec, *, target: Vector | None = None) -> None:
+        """The residual from `balance` as it stands and the present prescribed values."""
+        with stage("assemble"):
             difference, off = self._differences(target)
             out = self.balance.array[: self.size]
             self._measure(out, difference, off)

@@ -18,6 +18,7 @@ from dolfin_elastic.solvers.contact import begin_motion
 from dolfin_elastic.solvers.explicit import SymplecticEuler
 from dolfin_elastic.solvers.initial import set_initial
 from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.solvers.scalars import refuse_scalars
 from dolfin_elastic.state import State
 from dolfin_elastic.units import Force, Time
 
@@ -109,6 +110,7 @@ class Dynamics:
         petsc: Mapping[str, Any] | None = None,
         **fields: Any,
     ) -> None:
+        refuse_scalars(problem)
         self.problem = problem
         if settings is not None and fields:
             raise TypeError(f"give settings or keywords, not both: {', '.join(fields)}")

@@ -23,7 +23,7 @@ def negative_eigenvalues(newton: Newton) -> int | None:
     """Negative eigenvalues of the last tangent that a stable body has not. Collective.
 
     As many as negative pivots of its factorisation (Sylvester's law of inertia), less those of the
-    pressures, which belong to a saddle point.
+    pressures, which belong to a saddle point, and with those that scalar unknowns add.
 
     Returns:
         Their number; None where no symmetric factorisation is at hand.
@@ -34,7 +34,8 @@ def negative_eigenvalues(newton: Newton) -> int | None:
     if pc.getType() != "cholesky" or "pc_factor_mat_solver_type" in newton.options.users:
         return None
     below = pc.getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS)
-    return int(below) - newton.assembler.pressures
+    scalars = 0 if newton.bordered is None else newton.bordered.negative()
+    return int(below) - newton.assembler.pressures + scalars
 
 
 def disturb(newton: Newton) -> None:

@@ -33,7 +33,7 @@ class Ladder:
         augmentation: Of its contacts.
 
     Attributes:
-        failed: The last iterate of the last failure: local array of all unknowns.
+        failed: The last iterate of the last failure, as `Newton.present`.
     """
 
     def __init__(self, newton: Newton, augmentation: Augmentation) -> None:
@@ -45,12 +45,11 @@ class Ladder:
         """Finds equilibrium from the first start that leads there. Collective.
 
         Args:
-            starts: In words, and as local arrays of all unknowns: the last equilibrium, which is
-                put back where none leads to another, and perhaps a further one.
+            starts: In words, and as `Newton.present`: the last equilibrium, which is put back
+                where none leads to another, and perhaps a further one.
         """
-        newton, problem = self.newton, self.newton.assembler.problem
-        w = problem.w.x.array
-        rejected, worst, first = 0, None, starts[0][1]
+        newton, first = self.newton, starts[0][1]
+        rejected, worst = 0, None
         self._augmentation.save()
         if len(starts) > 1 and self._residual(starts[1][1]) < self._residual(first):
             starts = [("", starts[1][1]), ("from where the last step ended", first)]
@@ -67,11 +66,10 @@ class Ladder:
                     log.info("found %s", said)
                 return progress
             log.debug("%s, line search '%s': %s", said or "start", line_search, progress.reason)
-        self.failed = w.copy()
+        self.failed = newton.present()
         progress.rejected, progress.worst = rejected, worst
-        w[:] = first
+        newton.put_back(first)
         self._augmentation.restore()
-        problem.unknowns.tell()
         return progress
 
     def _rungs(self, starts: Sequence[tuple[str, Vector]]) -> Iterator[tuple[str, Vector, str]]:
@@ -85,18 +83,17 @@ class Ladder:
     def _residual(self, start: Vector) -> float:
         """Norm of the residual at a start; infinite where a cell is inside out. Collective."""
         assembler, guard = self.newton.assembler, self.newton.guard
-        assembler.problem.w.x.array[:] = start
+        self.newton.put_back(start)
         if guard is not None and guard.watch.smallest()[0] <= 0.0:
             return np.inf
         return assembler.norm()
 
     def _try(self, start: Vector, line_search: str) -> Progress:
-        w = self.newton.assembler.problem.w.x.array
-        w[:] = start
+        self.newton.put_back(start)
         self._augmentation.restore()
         progress = self.newton.solve(line_search)
         while "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
-            w[:] = start
+            self.newton.put_back(start)
             progress = self.newton.solve(line_search)
         progress = self._augmentation.settle(progress, partial(self.newton.solve, line_search))
         self._refuse_inverted(progress)

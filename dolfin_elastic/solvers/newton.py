@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from petsc4py import PETSc
 
 from dolfin_elastic.errors import InputError
@@ -31,6 +32,7 @@ from dolfin_elastic.solvers.progress import Progress, Tolerance
 from dolfin_elastic.solvers.schur import SchurSplit
 from dolfin_elastic.timing import stage
 
+Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 FORCING = 1e-3
@@ -67,6 +69,7 @@ class Newton:
     Attributes:
         guard: Shortens steps that turn cells inside out, after `watch_inversion`.
         ksp: The linear solver of the fields.
+        bordered: The system with scalar unknowns, if there are any.
         shift: Share of its diagonal that was added to the last tangent.
         inertia: Norm of the forces of inertia at the present iterate [N], in motion.
         mass: Norm of the mass's share of the tangent's diagonal [N/m], in motion.
@@ -99,22 +102,22 @@ class Newton:
         self.options = Options({**_SNES, **choice.options, **(defaults or {})}, users or {})
         self.snes = PETSc.SNES().create(assembler.comm) if snes is None else snes
         self.guard: InversionGuard | None = None
-        self._bordered: Bordered | None = None
+        self.bordered: Bordered | None = None
         self.ksp = self.snes.ksp
         if border is not None:
             self.ksp = PETSc.KSP().create(assembler.comm)
-            self._bordered = Bordered(assembler, border, self.ksp)
-        source = self._bordered or assembler
-        self._x, self._f = source.create_vector(), source.create_vector()
+            self.bordered = Bordered(assembler, border, self.ksp)
+        self._source: Assembler | Bordered = self.bordered or assembler
+        self._x, self._f = self._source.create_vector(), self._source.create_vector()
         if self._owns:
             self.snes.setFunction(self._residual, self._f)
-            self.snes.setJacobian(self._tangent, source.matrix)
+            self.snes.setJacobian(self._tangent, self._source.matrix)
         self._configure()
 
     def _configure(self) -> None:
         self.snes.setOptionsPrefix(PREFIX)
-        if self._bordered is not None:
-            python_solver(self.snes, self._bordered, PREFIX + "bordered_")
+        if self.bordered is not None:
+            python_solver(self.snes, self.bordered, PREFIX + "bordered_")
             self.ksp.setOptionsPrefix(PREFIX)
             self.ksp.setOperators(self.assembler.matrix)
         with self.options.in_force(), self.options.told():
@@ -254,10 +257,10 @@ class Newton:
             self.begin()
             if self.guard is not None:
                 self.guard.begin()
-            self._get()
+            self._source.get(self._x)
             self.snes.solve(None, self._x)
             self.finish()
-            self._put()
+            self._source.put(self._x)
             self.options.report_unused()
         return self.progress
 
@@ -265,8 +268,8 @@ class Newton:
         """Notes how the solve ended."""
         p, number = self.progress, self.snes.getConvergedReason()
         p.newton, p.krylov = self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
-        if self._bordered is not None:
-            p.krylov = self._bordered.iterations
+        if self.bordered is not None:
+            p.krylov = self.bordered.iterations
         p.converged, p.reason = number > 0, snes_reason(number)
         if number == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
             p.reason += f" ({ksp_reason(self.ksp.getConvergedReason())})"
@@ -277,33 +280,31 @@ class Newton:
         if self.direct:
             p.krylov = 0
 
-    def _get(self) -> None:
-        """Copies the problem's unknowns into our vector."""
-        if self._bordered is None:
-            self.assembler.get(self._x)
-            return
-        self._bordered.iterations = 0
-        fields = self.assembler.problem.w.x.array[: self.assembler.size]
-        self._bordered.fill(self._x, fields, self._bordered.border.get())
+    def present(self) -> Vector:
+        """A copy of all unknowns: local array of the fields, and scalars behind them."""
+        fields = self.assembler.problem.w.x.array
+        if self.bordered is None:
+            return np.asarray(fields.copy())
+        return np.concatenate([fields, self.bordered.border.get()])
 
-    def _put(self) -> None:
-        """Copies our vector into the problem's unknowns. Collective."""
-        if self._bordered is None:
-            self.assembler.put(self._x)
-        else:
-            self._bordered.residual(self._x, self._f)
+    def put_back(self, unknowns: Vector) -> None:
+        """Changes all unknowns to those of `present`. Not collective."""
+        problem = self.assembler.problem
+        fields = problem.w.x.array
+        fields[:] = unknowns[: len(fields)]
+        if self.bordered is not None:
+            self.bordered.border.put(unknowns[len(fields) :])
+        problem.unknowns.tell()
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        if self._bordered is None:
-            self.assembler.residual(x, f)
-        else:
-            self._bordered.residual(x, f)
+        self._source.residual(x, f)
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        if self._bordered is None:
+        if self.bordered is None:
             self.assembler.tangent(x)
         else:
-            self._bordered.renew(x)
+            self.bordered.renew(x)
+            self._external = self.assembler.external_norm()  # scalars may load the body
             # SNES would lag the preconditioner of its own linear solver only.
             self.ksp.getPC().setReusePreconditioner(self._prepared and not self.direct)
             self.ksp.setOperators(self.assembler.matrix)
@@ -365,9 +366,9 @@ class Newton:
         return guard is not None and (guard.stuck or (guard.rejected > PATIENCE and not patient))
 
     def _settled(self) -> bool:
-        if self._bordered is None:
+        if self.bordered is None:
             return True
-        return self._bordered.border.settled(self._bordered.last, self.tolerance.rtol)
+        return self.bordered.border.settled(self.bordered.last, self._target())
 
     def _stalled(self) -> bool:
         """Backtracking takes ever smaller steps: a smaller load step gets there sooner."""
@@ -385,8 +386,8 @@ class Newton:
             self._multigrid.destroy()
         if self._owns:
             self.snes.destroy()
-        if self._bordered is not None:
-            self._bordered.free()
+        if self.bordered is not None:
+            self.bordered.free()
             self.ksp.destroy()
         self._x.destroy()
         self._f.destroy()

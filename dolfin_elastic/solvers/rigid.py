@@ -18,6 +18,7 @@ from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.bodies import Bodies
 from dolfin_elastic.solvers.contact import check_start, nearest_gap, rows_of, touches
+from dolfin_elastic.solvers.plates import couple, restricted, turns_alone
 from dolfin_elastic.solvers.rigid_words import Floats, motions_in_words, planes
 
 _ROUND_OFF = 1e-10
@@ -111,11 +112,27 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
     bodies = Bodies(problem)
     centres, sizes = _frames(bodies)
     sums = _products(bodies, held_directions(problem, reached=reached), centres, sizes)
-    names = bodies.names()
-    return [
-        FreeBody(name, tuple(_motions(problem, matrix, centre, float(size))))
-        for name, matrix, centre, size in zip(names, sums, centres, sizes, strict=True)
+    nulls = [_null(problem, matrix) for matrix in sums]
+    stray = False
+    if any(len(motion.free) for motion in problem.prescribed.motions):
+
+        def motions_at(nodes: npt.NDArray[np.int32]) -> Floats:
+            of = bodies.of_node[nodes]
+            return rigid_motions((bodies.places[nodes] - centres[of]) / sizes[of, None])
+
+        which, joint = couple(problem, bodies, sums, motions_at, sizes)
+        n = sums.shape[1]
+        null = _null(problem, joint)
+        for k, body in enumerate(which):
+            nulls[body] = restricted(null, k, n)
+        stray = turns_alone(null, len(which) * n)
+    found = [
+        FreeBody(name, tuple(_motions(problem, null, centre, float(size))))
+        for name, null, centre, size in zip(bodies.names(), nulls, centres, sizes, strict=True)
     ]
+    if stray:
+        found[0] = FreeBody(found[0].name, (*found[0].motions, "let a rigid surface turn alone"))
+    return found
 
 
 def held_directions(problem: Problem, *, reached: bool = False) -> Held:
@@ -160,13 +177,16 @@ def _products(bodies: Bodies, held: Held, centres: Floats, sizes: Floats) -> Flo
     return np.asarray(total(bodies.comm, sums))
 
 
-def _motions(problem: Problem, matrix: Floats, centre: Floats, size: float) -> list[str]:
-    axisymmetric = problem.geometry == "axisymmetric"
-    if axisymmetric:  # of rigid motions only the one along the axis is one
+def _null(problem: Problem, matrix: Floats) -> Floats:
+    """Orthonormal null space of a matrix of products."""
+    if problem.geometry == "axisymmetric":  # of rigid motions only the one along the axis is one
         matrix = matrix[1:2, 1:2]
     values, vectors = np.linalg.eigh(matrix)
-    null = vectors[:, values <= _ROUND_OFF * max(values[-1], 1.0)]
-    if axisymmetric:
+    return np.asarray(vectors[:, values <= _ROUND_OFF * max(values[-1], 1.0)])
+
+
+def _motions(problem: Problem, null: Floats, centre: Floats, size: float) -> list[str]:
+    if problem.geometry == "axisymmetric":
         return ["move along y"] * null.shape[1]
     return motions_in_words(null, centre, size)
 

@@ -27,6 +27,7 @@ from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.progress import ANOTHER, BEYOND, UNSTABLE, Progress, Tolerance
 from dolfin_elastic.solvers.relaxation import relax
 from dolfin_elastic.solvers.rigid import check_held
+from dolfin_elastic.solvers.scalars import Scalars
 from dolfin_elastic.solvers.steps import StepSizes
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
@@ -138,10 +139,13 @@ class Statics:
             log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
         assembler = Assembler(self.problem)
-        newton = Newton(assembler, self.choice, self.tolerance, users=self.petsc)
+        scalars = Scalars(assembler)
+        newton = Newton(
+            assembler, self.choice, self.tolerance, users=self.petsc, border=scalars.border
+        )
         newton.watch_inversion()
         try:
-            yield from _Stepping(self, assembler, newton).run()
+            yield from _Stepping(self, scalars, newton).run()
         finally:
             newton.destroy()
             assembler.destroy()
@@ -176,13 +180,13 @@ class Statics:
 class _Stepping:
     """Load steps: tried, made smaller or larger, given up."""
 
-    def __init__(self, statics: Statics, assembler: Assembler, newton: Newton) -> None:
+    def __init__(self, statics: Statics, scalars: Scalars, newton: Newton) -> None:
         self.statics, self.settings, self.problem = statics, statics.settings, statics.problem
-        self.assembler, self.newton = assembler, newton
+        self.assembler, self.newton, self._scalars = newton.assembler, newton, scalars
         self.ladder = Ladder(newton, Augmentation(self.problem))
-        self._watch, self._measured = PathWatch(assembler), Measured(self.problem)
+        self._watch, self._measured = PathWatch(self.assembler), Measured(self.problem)
         assert newton.guard is not None
-        self._auditor = Auditor(self.problem, assembler, newton.guard.watch)
+        self._auditor = Auditor(self.problem, self.assembler, newton.guard.watch)
         self._count = 0
         self._before: tuple[float, Vector] | None = None
         self._limits: tuple[float, ...] = ()
@@ -202,14 +206,14 @@ class _Stepping:
         sizes, t = self.statics.sizes(), 0.0
         while not sizes.done(t) and not self._is_enough():
             goal = sizes.goal(t)
-            start = self.problem.w.x.array.copy()
+            start = self.newton.present()
             progress = self._attempt(t, goal)
             crushed = progress.rejected > 0 or "NAN" in progress.reason
             fault = self._fault() if progress.converged else progress.reason
             if fault:
                 if sizes.failed(t, goal, crushed=crushed and not progress.converged):
                     log.info("load factor %.6g: %s; a smaller step", goal, fault)
-                    self._go_to(start)
+                    self.newton.put_back(start)
                     continue
                 progress = self._elsewhere(t, goal, progress, fault, start)
             self._watch.accept()
@@ -217,10 +221,6 @@ class _Stepping:
             sizes.succeeded(t, goal, progress.newton)
             t = goal
             yield self._state(t, progress, negative_eigenvalues(self.newton))
-
-    def _go_to(self, start: Vector) -> None:
-        self.problem.w.x.array[:] = start
-        self.problem.unknowns.tell()
 
     def _fault(self) -> str:
         """Why the equilibrium that was found is none that a body would come to. Collective."""
@@ -239,7 +239,7 @@ class _Stepping:
     ) -> Progress:
         """Goes on where no step is small enough, or gives up."""
         progress.reason = fault
-        kept = self.problem.w.x.array.copy() if progress.converged else self.ladder.failed
+        kept = self.newton.present() if progress.converged else self.ladder.failed
         if not self.settings.snap or self.problem.linear or fault == BEYOND or t == 0.0:
             raise self._failure(t, goal, progress, start, kept)
         if not progress.converged or fault == UNSTABLE:
@@ -274,7 +274,7 @@ class _Stepping:
         """Tries to go to a load factor; the displacement is put back if that fails."""
         self.problem.set_time(goal, default=RAMP)
         self.problem.prescribed.check_finite()
-        now = self.problem.w.x.array.copy()
+        now = self.newton.present()
         starts = [("", now)]
         if self._before is not None and t > self._before[0]:
             before, was = self._before
@@ -287,7 +287,9 @@ class _Stepping:
         """The error, with why; the problem is left with the last iterate."""
         progress.converged = False
         last = good if failed is None else failed
-        found = diagnose(self.assembler, progress, good=good, failed=last)
+        self.newton.put_back(last)
+        fields = len(self.problem.w.x.array)
+        found = diagnose(self.assembler, progress, good=good[:fields], failed=last[:fields])
         force, place = self.assembler.largest_unbalance()
         return ConvergenceError(
             f"no equilibrium beyond load factor {t:.6g}: {found.text}\n  at the end: "
@@ -302,13 +304,13 @@ class _Stepping:
 
     def _arc(self) -> Iterator[State]:
         statics = self.statics
-        arc = ArcLength(self.assembler, self.newton, self.ladder, end=self.settings.end)
+        arc = ArcLength(self.ladder, self._scalars.parts, end=self.settings.end)
         try:
             arc.prepare(statics.choice, statics.tolerance, statics.petsc)
             first = statics.sizes().goal(0.0)
             for found in arc.path(first, self.settings.min_step):
                 if not found.progress.converged:
-                    good = self.problem.w.x.array.copy()
+                    good = self.newton.present()
                     raise self._failure(found.t, found.t, found.progress, good, self.ladder.failed)
                 self._limits = tuple(arc.limits)
                 yield self._state(found.t, found.progress, found.negative)
@@ -340,7 +342,7 @@ class _Stepping:
             max_displacement=assembler.max_displacement(),
             negative=negative,
             limit_points=self._limits,
-            numbers=self._measured.numbers(),
+            numbers={**self._measured.numbers(), **self._scalars.numbers()},
             audit=self._auditor.of(t, energies["strain"]) if judged else None,
             done=t / self.settings.end,
         )

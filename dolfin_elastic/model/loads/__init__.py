@@ -5,6 +5,7 @@ from __future__ import annotations
 from dolfin_elastic.model.loads.base import Load as Load
 from dolfin_elastic.model.loads.base import Places as Places
 from dolfin_elastic.model.loads.base import Site as Site
+from dolfin_elastic.model.loads.cavity import Cavity as Cavity
 from dolfin_elastic.model.loads.concentrated import Concentrated as Concentrated
 from dolfin_elastic.model.loads.concentrated import LineForce as LineForce
 from dolfin_elastic.model.loads.concentrated import PointForce as PointForce
@@ -22,6 +23,7 @@ LOADS: dict[str, type[Load]] = {
     for kind in (
         Traction,
         Pressure,
+        Cavity,
         BodyForce,
         Gravity,
         Centrifugal,

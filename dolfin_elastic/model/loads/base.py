@@ -63,6 +63,9 @@ class Site(Protocol):
     def constant(self, value: float | Sequence[float]) -> Expr:
         """A number that can change without compiling anything."""
 
+    def unknown(self, label: str) -> Expr:
+        """A number that is solved for."""
+
     def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
         """The vector at a point of the body, times the amplitude (None: as the solver decides)."""
 

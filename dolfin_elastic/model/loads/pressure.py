@@ -66,13 +66,14 @@ class Pressure(Load):
     def virtual_work(self, site: Site) -> ufl.Form:
         """See the class."""
         p = site.scalar(self.values[0], self.amplitude)
-        return -p * ufl.inner(self._area(site), site.v) * site.areas(self.parts)
+        return -p * ufl.inner(area_vector(site), site.v) * site.areas(self.parts)
 
-    def _area(self, site: Site) -> Expr:
-        """Current area vector over reference area."""
-        if site.linear:
-            return site.N
-        dim = len(site.v)
-        N = ufl.as_vector([site.N[i] if i < dim else 0.0 for i in range(3)])
-        n = ufl.dot(cofactor(site.F), N)
-        return ufl.as_vector([n[i] for i in range(dim)])
+
+def area_vector(site: Site) -> Expr:
+    """Current area vector over reference area, cof F N; N where all laws are linear."""
+    if site.linear:
+        return site.N
+    dim = len(site.v)
+    N = ufl.as_vector([site.N[i] if i < dim else 0.0 for i in range(3)])
+    n = ufl.dot(cofactor(site.F), N)
+    return ufl.as_vector([n[i] for i in range(dim)])
