@@ -109,10 +109,14 @@ def _offer(name: str, names: Mapping[str, Indices]) -> str:
 
 def _check_components(case: Case, body: Body) -> None:
     vectors = [
-        (f"{table}[{i}].{key}", values)
-        for table, rows in (("support", case.support), ("load", case.load))
-        for i, row in enumerate(rows)
-        for key, values in row.vectors.items()
+        (f"support[{i}].{key}", values)
+        for i, support in enumerate(case.support)
+        for key, values in support.vectors.items()
+    ]
+    vectors += [
+        (f"load[{i}].{key}", values)
+        for i, load in enumerate(case.load)
+        for key, values in load.vectors.items()
     ]
     if case.dynamics is not None:
         vectors += [
