@@ -18,7 +18,7 @@ from dolfin_elastic.results.colours import bar
 from dolfin_elastic.results.evaluate import Evaluator
 
 ROOT = Path(__file__).resolve().parent.parent
-SIZE = 3.0
+SIZE = 4.0
 FROM, UP, APART = np.array([1.0, -0.42, 0.36]), np.array([0.0, 0.0, 1.0]), 0.125
 YELLOW, ORANGE, BLACK = "#ffcc1a", "#ff7a1a", "#202020"
 HEAT = LinearSegmentedColormap.from_list(
@@ -26,7 +26,7 @@ HEAT = LinearSegmentedColormap.from_list(
 )
 
 
-def squeezed():
+def pressed():
     """The surface, its displacement [m] and von Mises stress [kPa]."""
     tables = read_case(ROOT / "demos/duck/case.toml").to_dict()
     tables["mesh"] |= {"size": SIZE, "degree": 1}
@@ -56,7 +56,7 @@ def paint(surface):
 
 def main():
     """Two ducks side by side."""
-    surface = squeezed()
+    surface = pressed()
     paint(surface)
     plot = pv.Plotter(off_screen=True, window_size=[1800, 800])
     plot.set_background("white")

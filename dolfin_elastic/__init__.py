@@ -28,8 +28,16 @@ if TYPE_CHECKING:
     from dolfin_elastic.meshes import name_parts as name_parts
     from dolfin_elastic.meshes import read_body as read_body
     from dolfin_elastic.meshes import rectangle_body as rectangle_body
+    from dolfin_elastic.model.contact import Contact as Contact
     from dolfin_elastic.model.loads import BodyForce as BodyForce
+    from dolfin_elastic.model.loads import Cavity as Cavity
+    from dolfin_elastic.model.loads import Centrifugal as Centrifugal
     from dolfin_elastic.model.loads import Gravity as Gravity
+    from dolfin_elastic.model.loads import Growth as Growth
+    from dolfin_elastic.model.loads import LineForce as LineForce
+    from dolfin_elastic.model.loads import PointForce as PointForce
+    from dolfin_elastic.model.loads import Pressure as Pressure
+    from dolfin_elastic.model.loads import Thermal as Thermal
     from dolfin_elastic.model.loads import Traction as Traction
     from dolfin_elastic.model.materials import ArrudaBoyce as ArrudaBoyce
     from dolfin_elastic.model.materials import BlatzKo as BlatzKo
@@ -51,12 +59,19 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.own import Energy as Energy
     from dolfin_elastic.model.own import SplitEnergy as SplitEnergy
     from dolfin_elastic.model.periodic import Periodic as Periodic
+    from dolfin_elastic.model.rigid import Rigid as Rigid
+    from dolfin_elastic.model.springs import Dashpot as Dashpot
+    from dolfin_elastic.model.springs import Spring as Spring
+    from dolfin_elastic.model.supports import Normal as Normal
+    from dolfin_elastic.model.supports import Rotation as Rotation
     from dolfin_elastic.model.supports import Support as Support
+    from dolfin_elastic.model.supports import Symmetry as Symmetry
     from dolfin_elastic.problem import Problem as Problem
     from dolfin_elastic.results.outputs import History as History
     from dolfin_elastic.results.outputs import Picture as Picture
     from dolfin_elastic.results.outputs import Summary as Summary
     from dolfin_elastic.results.outputs import Xdmf as Xdmf
+    from dolfin_elastic.results.probes import Probe as Probe
     from dolfin_elastic.run import run as run
     from dolfin_elastic.solvers.dynamics import Dynamics as Dynamics
     from dolfin_elastic.solvers.statics import Statics as Statics
@@ -86,12 +101,27 @@ _PLACES = {
     ),
     "model.own": ("Energy", "SplitEnergy"),
     "model.periodic": ("Periodic",),
-    "model.supports": ("Support",),
-    "model.loads": ("BodyForce", "Gravity", "Traction"),
+    "model.contact": ("Contact",),
+    "model.supports": ("Normal", "Rotation", "Support", "Symmetry"),
+    "model.rigid": ("Rigid",),
+    "model.springs": ("Dashpot", "Spring"),
+    "model.loads": (
+        "BodyForce",
+        "Cavity",
+        "Centrifugal",
+        "Gravity",
+        "Growth",
+        "LineForce",
+        "PointForce",
+        "Pressure",
+        "Thermal",
+        "Traction",
+    ),
     "problem": ("Problem",),
     "solvers.statics": ("Statics",),
     "solvers.dynamics": ("Dynamics",),
     "results.outputs": ("History", "Picture", "Summary", "Xdmf"),
+    "results.probes": ("Probe",),
 }
 _WHERE = {name: place for place, names in _PLACES.items() for name in names}
 __all__ = sorted(_WHERE)  # noqa: PLE0605

@@ -24,12 +24,15 @@ import numpy as np
 from mpi4py import MPI
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
+from dolfin_elastic.curve_files import with_curves
 from dolfin_elastic.errors import CaseError, InputError, nearest
 from dolfin_elastic.meshes import Body, Selector, name_parts
+from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.law import Law
 from dolfin_elastic.model.loads import LOADS, Load
 from dolfin_elastic.model.periodic import Periodic
-from dolfin_elastic.model.supports import Support
+from dolfin_elastic.model.springs import SUPPORTS
+from dolfin_elastic.model.supports import Restraint
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record, within
@@ -49,6 +52,9 @@ from dolfin_elastic.tables import (
 )
 from dolfin_elastic.toml_text import toml_text
 
+_CURVED = ("support", "load")
+"""Keys of lists whose tables may have a curve."""
+
 
 class Case(Record):
     """Everything a run needs to know.
@@ -59,8 +65,9 @@ class Case(Record):
         surfaces: Name to selector, or to a list of selectors that are joined.
         regions: The same for cells.
         materials: Name to law and place; together they fill the body exactly once.
-        support: Prescribed displacements; where they meet the later one holds.
+        support: What holds surfaces; where displacements are prescribed twice the later one holds.
         load: External forces.
+        contact: Rigid obstacles that surfaces may touch.
         periodic: Opposite faces that are one, and the macroscopic deformation of the cell.
         statics: Equilibrium under growing load (what is done if nothing is said).
         dynamics: Motion in time.
@@ -73,8 +80,9 @@ class Case(Record):
     surfaces: dict[str, list[Selector]] = Field(default={})
     regions: dict[str, list[Selector]] = Field(default={})
     materials: dict[str, Material]
-    support: list[Support] = Field(default=[])
+    support: list[Restraint] = Field(default=[])
     load: list[Load] = Field(default=[])
+    contact: list[Contact] = Field(default=[])
     periodic: Periodic | None = None
     statics: StaticsSettings | None = None
     dynamics: DynamicsSettings | None = None
@@ -97,16 +105,16 @@ class Case(Record):
             raise InputError("there is no material", expected="write [materials.NAME]")
         return read
 
-    @field_validator("support", "load", mode="before")
+    @field_validator("support", "load", "contact", mode="before")
     @classmethod
-    def _rows(cls, rows: Any, info: ValidationInfo) -> list[Support | Load]:
+    def _rows(cls, rows: Any, info: ValidationInfo) -> list[Record]:
         key = str(info.field_name)
         if not isinstance(rows, list | tuple):
             raise InputError(
                 f"a single table cannot be a {key}",
                 expected=f"write [[{key}]] with double brackets",
             )
-        return listed(rows, _support if key == "support" else _load)
+        return listed(rows, {"support": _support, "load": _load, "contact": _contact}[key])
 
     @model_validator(mode="after")
     def _one_analysis(self) -> Self:
@@ -156,6 +164,9 @@ class Case(Record):
         """
         with located(file):
             case = cls(**dict(tables))
+            rows = {key: with_curves(getattr(case, key), key, Path(folder)) for key in _CURVED}
+            if any(rows[key] != getattr(case, key) for key in _CURVED):
+                case = case.model_copy(update=rows)
         case._file, case._folder = file, Path(folder)
         return case
 
@@ -169,8 +180,9 @@ class Case(Record):
             named = {n: [written(s) for s in rows] for n, rows in getattr(self, key).items()}
             tables[key] = {n: rows[0] if len(rows) == 1 else rows for n, rows in named.items()}
         tables["materials"] = {name: item.table() for name, item in self.materials.items()}
-        tables["support"] = [written(item) for item in self.support]
+        tables["support"] = [_support_table(item) for item in self.support]
         tables["load"] = [{"kind": item.kind, **written(item)} for item in self.load]
+        tables["contact"] = [written(item) for item in self.contact]
         for key in ("periodic", "statics", "dynamics", "solver", "output"):
             if key in self.model_fields_set and getattr(self, key) is not None:
                 tables[key] = written(getattr(self, key))
@@ -203,6 +215,7 @@ class Case(Record):
                 laws,
                 supports=self.support,
                 loads=self.load,
+                contacts=self.contact,
                 degree=self.mesh.degree,
                 quadrature_degree=self.mesh.quadrature_degree,
                 formulation=self.mesh.formulation,
@@ -329,11 +342,17 @@ def located(file: str, key: str = "", *, exact: bool = True) -> Iterator[None]:
 # --- rows of lists ---
 
 
-def _support(row: Any) -> Support:
-    if isinstance(row, Support):
+def _support(row: Any) -> Restraint:
+    if isinstance(row, Restraint):
         return row
+    table = {"kind": "displacement", **as_table(row)}
     with _vector("displacement"):
-        return Support(**as_table(row))
+        return pick(SUPPORTS, table, "kind")(**table)
+
+
+def _support_table(support: Restraint) -> dict[str, Any]:
+    table = written(support)
+    return table if support.kind == "displacement" else {"kind": support.kind, **table}
 
 
 def _load(row: Any) -> Load:
@@ -341,6 +360,13 @@ def _load(row: Any) -> Load:
         return row
     with _vector("value"):
         return pick(LOADS, row, "kind")(**row)
+
+
+def _contact(row: Any) -> Contact:
+    if isinstance(row, Contact):
+        return row
+    with _vector("motion"):
+        return Contact(**as_table(row))
 
 
 @contextmanager

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -83,6 +85,42 @@ class Cell:
         F = self._periodic.gradient_at(t, default)
         self.H.value[:] = np.where(np.isnan(F), self.H.value, F - np.eye(self._dim))
         self.stress = self._periodic.stress_at(t, default)
+
+
+def make_cell(
+    body: Body,
+    periodic: Periodic,
+    others: Mapping[str, Sequence[object]],
+    *,
+    geometry: str,
+    depth: float,
+) -> Cell:
+    """The cell of a body. Collective.
+
+    Args:
+        body: The mesh and its names.
+        periodic: Pairs of faces and what is prescribed.
+        others: Key to what else is to act on the body.
+        geometry: What a plane body is.
+        depth: Thickness of a plane body [m].
+
+    Raises:
+        InputError: Something else acts on the cell, or the body cannot be repeated.
+    """
+    for key, given in others.items():
+        if given:
+            raise InputError(
+                f"a periodic cell takes no {key}s: it is loaded by its macroscopic deformation",
+                where=f"{key}[0]",
+                expected="leave it out; periodic.gradient and periodic.stress deform the cell",
+            )
+    if geometry == "axisymmetric":
+        raise InputError(
+            "an axisymmetric body cannot be repeated along its radius",
+            where="mesh.geometry",
+            expected='"plane-strain" or "plane-stress"',
+        )
+    return Cell(body, periodic, depth)
 
 
 def _check_gradient(periodic: Periodic, dim: int) -> None:

@@ -117,8 +117,7 @@ def run(
     _log_to_screen(comm.rank, logging.WARNING if quiet else logging.INFO)
     read = read_case(case, comm=comm)
     folder = output if output is not None else read.results_folder()
-    stop = Stop(folder)
-    code = _compute(read, folder, options, stop, loud=loud)
+    code = _compute(read, folder, options, Stop(folder), loud=loud)
     if profile:
         _show_profile(comm)
     if loud:
@@ -140,7 +139,7 @@ def check(
       dolfin-elastic check beam.toml
       dolfin-elastic check beam.toml --json | jq .unknowns
 
-    Reads the mesh and compares every name, unit and size with it; nothing is computed.
+    Compares every name, unit and size with the mesh, sums up masses and loads; computes nothing.
     """
     from mpi4py import MPI
 
@@ -156,7 +155,7 @@ def check(
 
         print(dumps(asdict(found), indent=2, ensure_ascii=False))
     elif comm.rank == 0:
-        from dolfin_elastic.screen import show_check
+        from dolfin_elastic.check_screen import show_check
 
         show_check(found)
 
@@ -363,8 +362,9 @@ def _told(error: ElasticError) -> int:
     """Shows an error once, before any rank leaves (the launcher ends all when one does)."""
     comm = _comm()
     if (comm.rank if comm else launched_rank()) == 0:
-        notes = "".join(f"\n  {note}" for note in getattr(error, "__notes__", ()))
-        print(f"error: {error}{notes}", file=sys.stderr, flush=True)
+        from dolfin_elastic.screen import error_text
+
+        print(error_text(error), file=sys.stderr, flush=True)
     if comm and comm.size > 1 and not _all_here(comm):
         if comm.rank:
             print(f"error (rank {comm.rank} alone): {error}", file=sys.stderr, flush=True)

@@ -15,6 +15,7 @@ ElasticError                      base: `except ElasticError` catches all of the
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from difflib import get_close_matches
 
 
@@ -100,8 +101,74 @@ def _rebuild_solve(kind: type[SolveError], what: str, advice: str) -> SolveError
     return kind(what, advice=advice)
 
 
+@dataclass(frozen=True)
+class BadCell:
+    """A cell of a state that is no solution.
+
+    Attributes:
+        place: Its middle in the reference configuration [m].
+        material: Name of its material.
+        regions: Named regions it belongs to.
+        jacobian: Its smallest det F.
+        residual: Largest force out of balance at its free nodes [N].
+    """
+
+    place: tuple[float, ...]
+    material: str
+    regions: tuple[str, ...]
+    jacobian: float
+    residual: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Why a solve failed: plain data, the same on every rank.
+
+    Attributes:
+        cause: One of "nan", "inverted", "rigid-motion", "unstable", "linear-solver", "round-off",
+            "stalled" and "iterations".
+        text: One or two sentences with names, places and numbers, without a final stop.
+        advice: What to try.
+        place: Where the trouble is, in the reference configuration [m]; empty if nowhere.
+        cells: The worst cells of the last iterate, at most ten, the worst first.
+    """
+
+    cause: str
+    text: str
+    advice: str
+    place: tuple[float, ...] = ()
+    cells: tuple[BadCell, ...] = ()
+
+
 class ConvergenceError(SolveError):
-    """Newton's method or the load stepping gave up."""
+    """Newton's method or the load stepping gave up.
+
+    Args:
+        what: The cause in plain words.
+        advice: What to try.
+        state: See `SolveError`.
+        diagnosis: Why, where, and what to try, as data.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        advice: str = "",
+        state: object | None = None,
+        diagnosis: Diagnosis | None = None,
+    ) -> None:
+        self.diagnosis = diagnosis
+        super().__init__(what, advice=advice, state=state)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild_convergence, (type(self), self.what, self.advice, self.diagnosis)
+
+
+def _rebuild_convergence(
+    kind: type[ConvergenceError], what: str, advice: str, diagnosis: Diagnosis | None
+) -> ConvergenceError:
+    return kind(what, advice=advice, diagnosis=diagnosis)
 
 
 class StabilityError(SolveError):

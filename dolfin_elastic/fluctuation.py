@@ -15,6 +15,20 @@ from dolfin_elastic.paired import Field, Merged
 from dolfin_elastic.unknowns import Dofs, Element, Extra, Unknowns
 
 
+def make_unknowns(mesh: Mesh, degree: int, extras: Sequence[Extra], cell: Cell | None) -> Unknowns:
+    """What is solved for; see `Unknowns`. Collective.
+
+    Args:
+        mesh: The mesh.
+        degree: Degree of the displacement.
+        extras: Scalar fields beside it.
+        cell: Of a periodic body.
+    """
+    if cell is None:
+        return Unknowns(mesh, degree, extras)
+    return Fluctuation(mesh, degree, extras, cell)
+
+
 class Fluctuation(Unknowns):
     """Unknowns whose nodes on paired faces are merged; see `unknowns.Unknowns`. Collective.
 

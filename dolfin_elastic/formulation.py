@@ -52,10 +52,10 @@ def plan(
         InputError: A material cannot be computed so.
     """
     nearly = {name for name, law in laws.items() if poisson(law) > STIFF_IN_VOLUME}
-    exactly = {name for name, law in laws.items() if not math.isfinite(_volume_modulus(law))}
+    exactly = {name for name, law in laws.items() if not math.isfinite(volume_modulus(law))}
     _check(laws, exactly, formulation, degree)
     split = {
-        name for name, law in laws.items() if isinstance(law, SplitLaw) and _volume_modulus(law) > 0
+        name for name, law in laws.items() if isinstance(law, SplitLaw) and volume_modulus(law) > 0
     }
     mixed: set[str] = set()
     if formulation == "mixed":
@@ -92,7 +92,7 @@ def _check(
                 where=f"materials.{name}.nu",
                 expected='mesh.formulation = "mixed" or mesh.degree = 2, or nu below 0.5',
             )
-    carried = (isinstance(law, SplitLaw) and _volume_modulus(law) > 0 for law in laws.values())
+    carried = (isinstance(law, SplitLaw) and volume_modulus(law) > 0 for law in laws.values())
     if formulation == "mixed" and not any(carried):
         raise InputError(
             "no material has a volumetric part that a pressure could carry",
@@ -124,7 +124,8 @@ def describe(plan: Plan, degree: int) -> str:
     )
 
 
-def _volume_modulus(law: Law) -> float:
+def volume_modulus(law: Law) -> float:
+    """Bulk modulus of a law with a volumetric part of its own [Pa]; 0 without one."""
     if math.inf in law.constants().values():
         return math.inf
     return float(getattr(law, law.volume_modulus)) if isinstance(law, SplitLaw) else 0.0
@@ -136,7 +137,7 @@ def poisson(law: Law) -> float:
         return known.nu
     if not isinstance(law, SplitLaw):
         return 0.0
-    k, mu = _volume_modulus(law), shear_modulus(law)
+    k, mu = volume_modulus(law), shear_modulus(law)
     return 0.5 if math.isinf(k) else (3 * k - 2 * mu) / (2 * (3 * k + mu))
 
 

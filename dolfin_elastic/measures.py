@@ -7,7 +7,7 @@ carries more than one quadrature degree.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,7 @@ class Measures:
         fillings: The cells of each material, in the order of their numbers from 1.
         loaded: Names of the parts of each load.
         weight: Factor of every integrand, see `model.geometry.weight`.
+        touching: Names of the surfaces of each contact, whose integrals have rules of their own.
     """
 
     def __init__(
@@ -35,6 +36,7 @@ class Measures:
         fillings: Sequence[Indices],
         loaded: Iterable[tuple[str, ...]],
         weight: Expr | None,
+        touching: Iterable[tuple[str, ...]] = (),
     ) -> None:
         self._body, self._fillings, self._weight = body, fillings, weight
         sets = [names for names in dict.fromkeys(loaded) if names]
@@ -42,6 +44,8 @@ class Measures:
         surfaces = [names for names in sets if all(n in body.surfaces for n in names)]
         self._regions = {names: len(fillings) + 2 + i for i, names in enumerate(regions)}
         self._surfaces = {names: 1 + i for i, names in enumerate(surfaces)}
+        first = 1 + len(surfaces)
+        self._touching = {names: first + i for i, names in enumerate(dict.fromkeys(touching))}
 
     @property
     def _plain(self) -> bool:
@@ -68,7 +72,7 @@ class Measures:
         mesh.topology.create_connectivity(tdim, tdim - 1)
         mesh.topology.create_connectivity(tdim - 1, tdim)
         sides = []
-        for names, marker in self._surfaces.items():
+        for names, marker in (*self._surfaces.items(), *self._touching.items()):
             facets = np.unique(np.concatenate([self._body.owned_facets(n) for n in names]))
             sides.append((marker, integration_entities(mesh, facets)))
         return ufl.Measure("ds", domain=mesh, subdomain_data=sides)
@@ -90,3 +94,7 @@ class Measures:
         """Area of loaded surfaces."""
         rule = {"quadrature_degree": degree}
         return Weighted(self._weight, self._ds(self._surfaces[tuple(names)], metadata=rule))
+
+    def touching(self, names: Sequence[str], rule: Mapping[str, object]) -> Weighted:
+        """Area of surfaces in contact, with a quadrature rule as UFL's metadata."""
+        return Weighted(self._weight, self._ds(self._touching[tuple(names)], metadata=dict(rule)))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,24 +14,52 @@ from dolfinx import fem
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.meshes.body import Body, cell_size
-from dolfin_elastic.model.components import Component
-from dolfin_elastic.model.curves import Amplitude
-from dolfin_elastic.model.supports import Support
+from dolfin_elastic.model.curves import CONSTANT, Amplitude
+from dolfin_elastic.model.rigid import Rigid
+from dolfin_elastic.model.springs import Spring
+from dolfin_elastic.model.supports import NORMAL, Prescribing, Restraint
+from dolfin_elastic.motions import RigidMotion
+from dolfin_elastic.normals import sheet, tidy
 from dolfin_elastic.parallel import total
+from dolfin_elastic.tilted import Hold, Tilted
 
 Dofs = npt.NDArray[np.int32]
+Floats = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
+
+MIRRORED = 0.7
+"""Share of a normal that has to lie in a plane of symmetry for the surface to go on beyond it."""
+
+Projections = tuple[Dofs, Floats]
+"""Owned nodes, and projections on the directions held there, of shape (nodes, dim, dim)."""
+
+
+def held_by_spring(spring: Spring, body: Body, V: fem.FunctionSpace) -> Iterator[Projections]:
+    """The nodes at which a spring resists, surface by surface. Collective."""
+    dim, size = body.dim, V.dofmap.index_map.size_local
+    stiff = np.array([isinstance(k, Formula) or k != 0.0 for k in spring.coefficients], float)
+    for name in spring.surfaces:
+        found = sheet(body, V, name)
+        own = found.nodes < size
+        n = found.normals[own]
+        if spring.by_normal:
+            along = n[:, :, None] * n[:, None, :]
+            P = stiff[0] * along + stiff[1] * (np.eye(dim) - along)
+        else:
+            P = np.tile(np.diag(stiff), (len(n), 1, 1))
+        yield found.nodes[own], P
 
 
 class Prescribed:
-    """All prescribed displacement components of a body.
+    """All prescribed displacements of a body.
 
-    Where supports meet, the later one holds.
+    Where supports meet, the later one holds.  Nodes that are held along axes only are constrained
+    entry by entry; all others are `tilted`.
 
     Args:
         body: The mesh and its names.
         V: Space of the displacement.
-        supports: What is prescribed.
+        supports: What is prescribed; those that prescribe nothing are passed over.
         axis: The body is axisymmetric: nothing leaves the axis.
 
     Attributes:
@@ -37,14 +67,17 @@ class Prescribed:
         bcs: One DOLFINx condition a component, ready for assembly.
         dofs: Constrained entries of the local vector, owned and ghost, sorted, unrolled.
         owned: Those of them that this rank owns.
-        moving: Support's label to the owned entries it holds: its reaction is their sum.
+        moving: Support's label to the owned entries it holds: its reaction is their sum, together
+            with what `tilted` has of it.
+        tilted: Nodes held along other directions; None if no rank has any.
+        motions: Of rigid surfaces.
     """
 
     def __init__(
         self,
         body: Body,
         V: fem.FunctionSpace,
-        supports: Sequence[Support],
+        supports: Sequence[Restraint],
         *,
         axis: bool = False,
     ) -> None:
@@ -52,58 +85,170 @@ class Prescribed:
         self._V = V
         self._x = V.tabulate_dof_coordinates()
         self._bs = V.dofmap.index_map_bs
-        self._entries = [self._of(body, support) for support in supports]
-        self._give_to_the_later(body)
-        on_axis = self._on_axis(body) if axis else np.empty(0, dtype=np.int32)
-        for k, (support, parts) in enumerate(self._entries):  # nothing leaves the axis
-            self._entries[k] = (support, [np.setdiff1d(part, on_axis) for part in parts])
-        dofs = [dofs for entry in self._entries for dofs in entry[1]]
+        self.motions: list[RigidMotion] = []
+        chosen = [s for s in supports if isinstance(s, Prescribing | Rigid)]
+        holds = [
+            hold
+            for support in chosen
+            for hold in (
+                self._rigid(body, support, axis)
+                if isinstance(support, Rigid)
+                else self._of(body, support, axis)
+            )
+        ]
         if axis:
-            dofs.append(on_axis)
+            holds.append(self._on_axis(body))
+        self.tilted, holds = self._split(body, self._mirrored(holds))
+        self._entries = self._given_to_the_later(holds)
+        self._labels = list(dict.fromkeys(support.label for support in chosen))
+        dofs = [dofs for _, dofs, _ in self._entries]
         self.dofs = np.unique(np.concatenate(dofs)) if dofs else np.empty(0, dtype=np.int32)
         owned_size = V.dofmap.index_map.size_local * self._bs
         self.owned = self.dofs[self.dofs < owned_size]
         self.bcs = [self._condition(i) for i in range(self._bs)] if dofs else []
         self.moving = self._reactions_of(owned_size)
-        self._t = 0.0
+        self._t, self._default = 0.0, CONSTANT
 
-    def _of(self, body: Body, support: Support) -> tuple[Support, list[Dofs]]:
-        """Unrolled dofs of each prescribed component. Collective."""
-        values = support.values_in(self._bs)
+    def _rigid(self, body: Body, support: Rigid, axis: bool) -> list[Hold]:
+        """What a rigid surface holds. Collective."""
+        where = f"support '{support.label}'"
+        if axis:
+            raise InputError(
+                "an axisymmetric body has no rigid surface",
+                where=f"{where}.kind",
+                expected='"displacement"',
+            )
+        if any(motion.label == support.label for motion in self.motions):
+            raise InputError(
+                "another rigid surface has this name", where=f"{where}.name", expected="its own"
+            )
+        motion = RigidMotion(support, body)
+        self.motions.append(motion)
+        return [self._along(motion, i, self._nodes(body, support)) for i in range(self._bs)]
+
+    def _nodes(self, body: Body, support: Restraint) -> Dofs:
+        """Nodes of its surfaces, owned and ghost, sorted. Collective."""
         facets = np.unique(np.concatenate([body.surface(name) for name in support.surfaces]))
         nodes = fem.locate_dofs_topological(self._V, body.mesh.topology.dim - 1, facets)
-        nodes = np.sort(nodes).astype(np.int32)
-        empty = np.empty(0, dtype=np.int32)
-        return support, [
-            empty if value is None else nodes * self._bs + i for i, value in enumerate(values)
-        ]
+        return np.sort(nodes).astype(np.int32)
 
-    def _on_axis(self, body: Body) -> Dofs:
+    def _of(self, body: Body, support: Prescribing, axis: bool) -> list[Hold]:
+        """What a support holds. Collective."""
+        which = support.held(self._bs)
+        if which == (NORMAL,):
+            return [self._across(body, support, name) for name in support.surfaces]
+        if axis and support.kind == "rotation":
+            raise InputError(
+                "an axisymmetric body cannot be turned",
+                where=f"support '{support.label}'.kind",
+                expected='"displacement"',
+            )
+        nodes = self._nodes(body, support)
+        return [self._along(support, i, nodes) for i in which]
+
+    def _along(self, support: Prescribing | RigidMotion | None, i: int, nodes: Dofs) -> Hold:
+        return Hold(support, i, nodes, np.tile(np.eye(self._bs)[i], (len(nodes), 1)))
+
+    def _across(self, body: Body, support: Prescribing, name: str) -> Hold:
+        """What is held along a surface's normal. Collective."""
+        found = sheet(body, self._V, name)
+        if support.needs_flat and not found.flat:
+            deviation = (
+                f"its nodes lie {found.unevenness:.3g} m apart across it"
+                if np.isfinite(found.unevenness)
+                else "it is closed"
+            )
+            raise InputError(
+                f"the surface '{name}' is not flat: {deviation}",
+                where=f"support '{support.label}'.on",
+                expected='a plane of symmetry is flat; kind = "normal" takes any surface',
+            )
+        return Hold(support, NORMAL, found.nodes, found.normals, not found.flat)
+
+    def _on_axis(self, body: Body) -> Hold:
         """Radial entries on the axis of an axisymmetric body, which stay at zero."""
         nodes = np.flatnonzero(self._x[:, 0] < 1e-9 * cell_size(body))
-        return (nodes * self._bs).astype(np.int32)
+        return self._along(None, 0, nodes.astype(np.int32))
 
-    def _give_to_the_later(self, body: Body) -> None:
-        """Takes from each support the dofs that a later one prescribes too."""
+    def _mirrored(self, holds: list[Hold]) -> list[Hold]:
+        """Curved surfaces go on beyond planes of symmetry and the axis: their normals lie in them.
+
+        From the facets on this side alone the mean normal leans towards them.
+        """
+        planes = [h for h in holds if h.support is None or h.support.needs_flat]
+        for plane in planes:
+            across = np.zeros((len(self._x), self._bs))
+            across[plane.nodes] = plane.directions
+            for k, hold in enumerate(holds):
+                if hold.curved:
+                    n = hold.directions
+                    t = across[hold.nodes]
+                    n = n - np.einsum("ni,ni->n", n, t)[:, None] * t
+                    length = np.linalg.norm(n, axis=1, keepdims=True)
+                    n = np.where(
+                        length > MIRRORED, n / np.maximum(length, MIRRORED), hold.directions
+                    )
+                    holds[k] = replace(hold, directions=tidy(n))
+        return holds
+
+    def _split(self, body: Body, holds: list[Hold]) -> tuple[Tilted | None, list[Hold]]:
+        """Takes out all that happens at nodes with a direction that is no axis. Collective."""
+        is_tilted = np.zeros(len(self._x), dtype=bool)
+        for hold in holds:
+            is_tilted[hold.nodes[np.max(np.abs(hold.directions), axis=1, initial=0.0) < 1.0]] = True
+        if not total(body.comm, int(is_tilted.sum())):
+            return None, holds
+        self._check_apart(holds, is_tilted)
+        tilted = Tilted(
+            [hold.of(is_tilted[hold.nodes]) for hold in holds],
+            size=self._V.dofmap.index_map.size_local,
+            x=self._x,
+            dim=self._bs,
+        )
+        return tilted, [hold.of(~is_tilted[hold.nodes]) for hold in holds]
+
+    def _check_apart(self, holds: list[Hold], is_tilted: npt.NDArray[np.bool_]) -> None:
+        """A rigid surface with unknowns meets no node that is held across the axes. Collective."""
+        for hold in holds:
+            support = hold.support
+            free = isinstance(support, RigidMotion) and len(support.free) > 0
+            met = int(is_tilted[hold.nodes].sum()) if free else 0
+            if total(self._V.mesh.comm, met):
+                assert support is not None
+                raise InputError(
+                    "a rigid surface with free motion meets another support whose direction is "
+                    "not along an axis",
+                    where=f"support '{support.label}'.on",
+                    expected="surfaces that share no edge with it",
+                )
+
+    def _given_to_the_later(self, holds: list[Hold]) -> list[tuple[Hold, Dofs, Floats]]:
+        """Holds with the dofs that no later one prescribes too, and the signs of the directions."""
+        entries = []
         taken: Dofs = np.empty(0, dtype=np.int32)
-        for k in reversed(range(len(self._entries))):
-            support, parts = self._entries[k]
-            kept = [np.setdiff1d(part, taken) for part in parts]
-            taken = np.union1d(taken, np.concatenate(parts)).astype(np.int32)
-            self._entries[k] = (support, kept)
+        for hold in reversed(holds):
+            axis = np.argmax(np.abs(hold.directions), axis=1)
+            dofs = (hold.nodes * self._bs + axis).astype(np.int32)
+            kept = ~np.isin(dofs, taken)
+            taken = np.union1d(taken, dofs).astype(np.int32)
+            signs = hold.directions[np.flatnonzero(kept), axis[kept]]
+            entries.append((hold.of(kept), dofs[kept], signs))
+        return entries[::-1]
 
     def _condition(self, i: int) -> fem.DirichletBC:
         dofs = self.dofs[self.dofs % self._bs == i]
         return fem.dirichletbc(self.values, [dofs, dofs], self._V.sub(i))
 
     def _reactions_of(self, owned_size: int) -> dict[str, Dofs]:
-        held: dict[str, list[Dofs]] = {}
-        for support, parts in self._entries:
-            held.setdefault(support.label, []).extend(parts)
+        held: dict[str, list[Dofs]] = {label: [] for label in self._labels}
+        for hold, dofs, _ in self._entries:
+            if hold.support is not None:
+                held[hold.support.label].append(dofs)
+        empty = np.empty(0, dtype=np.int32)
         return {
             label: np.sort(dofs[dofs < owned_size])
             for label, parts in held.items()
-            for dofs in [np.concatenate(parts)]
+            for dofs in [np.concatenate([empty, *parts])]
         }
 
     def pin(self, dofs: Dofs, owned: Dofs) -> None:
@@ -115,32 +260,107 @@ class Prescribed:
         """
         self.dofs, self.owned = np.sort(dofs), owned
 
-    def move_to(self, t: float, default: Amplitude) -> None:
+    def move_to(self, t: float, default: Amplitude = CONSTANT) -> None:
         """Sets the values of time t. Not collective.
 
         Args:
             t: Time [s], or load parameter.
             default: Amplitude of supports that name none.
         """
-        self._t = t
-        for support, parts in self._entries:
-            scale = (support.amplitude or default).at(t)
-            values = support.values_in(self._bs)
-            for i, (dofs, value) in enumerate(zip(parts, values, strict=True)):
-                if value is not None and len(dofs):
-                    self.values.x.array[dofs] = scale * self._at(value, (dofs - i) // self._bs, t)
+        self._t, self._default = t, default
+        self._evaluate(t, default)
 
-    def _at(self, value: Component, nodes: Dofs, t: float) -> float | npt.NDArray[np.float64]:
-        if isinstance(value, Formula):
-            x, y, z = self._x[nodes].T
-            return value.evaluate(x=x, y=y, z=z, t=t)
-        return float(value or 0.0)
+    def _evaluate(self, t: float, default: Amplitude, only: RigidMotion | None = None) -> None:
+        for hold, dofs, signs in self._entries:
+            if only is not None and hold.support is not only:
+                continue
+            if hold.support is not None and len(dofs):
+                self.values.x.array[dofs] = signs * hold.goals(self._x, t, default)
+        if self.tilted is not None and only is None:
+            self.tilted.move_to(t, default)
+
+    # --- rigid surfaces ---
+
+    def follow(self, motion: RigidMotion) -> None:
+        """Takes over changed degrees of freedom of a rigid surface. Not collective."""
+        self._evaluate(self._t, self._default, motion)
+
+    def applied(self, motion: RigidMotion) -> Floats:
+        """Forces and moments on its free degrees of freedom at the present time [N, N m]."""
+        return motion.applied(self._t, self._default)
+
+    def freedoms(self, motion: RigidMotion) -> Floats:
+        """All its degrees of freedom at the present time [m, rad]."""
+        return motion.all_at(self._t, self._default)
+
+    def directions(self, motion: RigidMotion) -> tuple[Dofs, Floats]:
+        """Entries that it prescribes, owned and ghost, and their derivatives.
+
+        Returns:
+            Entries of the local vector, and du/dq, of shape (entries, degrees of freedom).
+        """
+        found_dofs: list[Dofs] = [np.empty(0, np.int32)]
+        found: list[Floats] = [np.empty((0, len(motion.names)))]
+        for hold, dofs, signs in self._entries:
+            if hold.support is motion:
+                D = motion.directions(self._x[hold.nodes], self._t, self._default)
+                found.append(signs[:, None] * D[:, hold.which])
+                found_dofs.append(dofs)
+        return np.concatenate(found_dofs), np.concatenate(found)
+
+    def moment(self, motion: RigidMotion, forces: Floats) -> Floats:
+        """Moment about the present reference point of forces at its entries. Collective.
+
+        Args:
+            motion: The rigid surface.
+            forces: At the owned entries of the displacement's space [N].
+        """
+        f = np.zeros_like(self._x)
+        place = motion.place(self._t, self._default)
+        for hold, dofs, _ in self._entries:
+            if hold.support is motion:
+                own = dofs < len(forces)
+                f[hold.nodes[own], hold.which] = forces[dofs[own]]
+        held = np.flatnonzero(np.any(f != 0.0, axis=1))
+        u = np.zeros((len(held), 3))
+        for i in range(self._bs):
+            u[:, i] = motion.at(i, self._x[held], self._t, self._default)
+        return total(self._V.mesh.comm, np.cross(self._x[held] + u - place, f[held]).sum(axis=0))
+
+    @property
+    def targets(self) -> Floats:
+        """All prescribed values of the present time at owned nodes, as one new vector."""
+        values = self.values.x.array[self.owned]
+        if self.tilted is None:
+            return values
+        return np.concatenate([values, self.tilted.target[: self.tilted.count].reshape(-1)])
+
+    def present(self, array: Floats) -> Floats:
+        """What a local vector of the displacement's space has where `targets` are prescribed."""
+        values = array[self.owned]
+        if self.tilted is None:
+            return values
+        nodes = self.tilted.nodes[: self.tilted.count]
+        rows = self.tilted.held(array.reshape(-1, self._bs)[nodes])
+        return np.concatenate([values, rows.reshape(-1)])
+
+    def impose(self, array: Floats, values: npt.NDArray[np.floating[Any]]) -> None:
+        """Puts prescribed values into a local vector of the displacement's space.
+
+        Args:
+            array: Owned entries are changed.
+            values: Like `targets`, whose time derivative serves for velocities.
+        """
+        array[self.owned] = values[: len(self.owned)]
+        if self.tilted is not None:
+            nodes = self.tilted.nodes[: self.tilted.count]
+            rows = array.reshape(-1, self._bs)
+            wanted = values[len(self.owned) :].reshape(-1, self._bs)
+            rows[nodes] = self.tilted.free(rows[nodes]) + wanted
 
     def check_finite(self) -> None:
         """Raises on all ranks when a formula gave no finite number. Collective."""
-        bad = int(
-            total(self._V.mesh.comm, int(~np.isfinite(self.values.x.array[self.owned]).all()))
-        )
+        bad = int(total(self._V.mesh.comm, int(~np.isfinite(self.targets).all())))
         if bad:
             raise InputError(
                 f"a prescribed displacement is not finite at some nodes at t = {self._t:g}",

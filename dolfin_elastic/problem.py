@@ -15,13 +15,15 @@ from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
 from dolfin_elastic import compiler
-from dolfin_elastic.cell import Cell
+from dolfin_elastic.cell import Cell, make_cell
+from dolfin_elastic.enclosures import enclosures
 from dolfin_elastic.errors import InputError
-from dolfin_elastic.fluctuation import Fluctuation
-from dolfin_elastic.formulation import Formulation
+from dolfin_elastic.fluctuation import Fluctuation, make_unknowns
+from dolfin_elastic.formulation import Formulation, shear_modulus
 from dolfin_elastic.measures import Measures
 from dolfin_elastic.meshes.body import Body, cell_size
 from dolfin_elastic.model.components import depends_on_time
+from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.model.geometry import (
     Geometry,
@@ -29,15 +31,20 @@ from dolfin_elastic.model.geometry import (
     gradient_variation,
     weight,
 )
+from dolfin_elastic.model.growth import Grown
 from dolfin_elastic.model.law import Law, SplitLaw
 from dolfin_elastic.model.loads import Load
-from dolfin_elastic.model.mixed import Mixed
+from dolfin_elastic.model.mixed import Mixed, variance
 from dolfin_elastic.model.periodic import Periodic
-from dolfin_elastic.model.supports import Support
+from dolfin_elastic.model.springs import Dashpot, Resisting, Spring
+from dolfin_elastic.model.supports import Restraint
+from dolfin_elastic.nodal import NodalLoads
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
-from dolfin_elastic.prescribed import Prescribed
+from dolfin_elastic.prescribed import Prescribed, Projections, held_by_spring
+from dolfin_elastic.rest import rest_states
+from dolfin_elastic.rims import rim_held
 from dolfin_elastic.site import BodySite
-from dolfin_elastic.unknowns import Unknowns
+from dolfin_elastic.touching import check_contacts, make_touching
 
 UNUSED = 1e-6
 """Compliance, over 1/shear modulus, of the pressure in parts that have none."""
@@ -52,8 +59,9 @@ class Problem:
         body: The mesh and its names.
         materials: A law for the whole body, or region's name to law; together the regions must
             cover every cell exactly once.
-        supports: Prescribed displacements; where they meet the later one holds.
+        supports: What holds surfaces; where displacements are prescribed twice the later one holds.
         loads: External forces.
+        contacts: Rigid obstacles that surfaces may touch.
         degree: Degree of the displacement on tetrahedra or triangles, 1 or 2.
         quadrature_degree: Overrides the law's own choice for the internal forces.
         formulation: "displacement"; "mixed", with a pressure for nearly incompressible materials;
@@ -66,11 +74,15 @@ class Problem:
     Attributes:
         u: The displacement [m]; solvers change it through `w`.
         w: All unknowns: the displacement and, in some problems, scalar fields beside it.
+        cavities: Hollow spaces with a pressure.
         site: What loads find on the body.
         cell: The macroscopic deformation of a periodic cell, or None.
+        rest: Material's name to its growth Fg (UFL), of those that grow.
+        nodal_loads: Forces at points and along lines, which are in no form.
         constant: Makes a number that forms refer to by place, so that changing it compiles nothing.
         t: UFL constant with the time, used by formulas.
         X: Reference coordinates (UFL).
+        touching: The contacts as they stand on the body.
 
     Raises:
         MeshError: A name does not exist, or the materials do not cover the body exactly once.
@@ -83,8 +95,9 @@ class Problem:
         body: Body,
         materials: Law | Mapping[str, Law],
         *,
-        supports: Sequence[Support] = (),
+        supports: Sequence[Restraint] = (),
         loads: Sequence[Load] = (),
+        contacts: Sequence[Contact] = (),
         degree: int = 1,
         quadrature_degree: int | None = None,
         formulation: Formulation = "auto",
@@ -96,16 +109,17 @@ class Problem:
         self.supports, self.loads = tuple(supports), tuple(loads)
         self.quadrature_degree = quadrature_degree
         self.geometry = checked_geometry(geometry, thickness, body)
-        self.cell = None if periodic is None else self._cell(periodic, thickness)
+        turned = self.geometry == "axisymmetric"
+        check_contacts(contacts, body, turned=turned)
+        self.cell: Cell | None = None
+        if periodic is not None:
+            others = {"support": supports, "load": loads, "contact": contacts}
+            self.cell = make_cell(body, periodic, others, geometry=self.geometry, depth=thickness)
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
         self.parts, fields = make_parts(
             body, laws, formulation, degree=degree, order=self._order, geometry=self.geometry
         )
-        self.unknowns = (
-            Unknowns(body.mesh, degree, fields.extras)
-            if self.cell is None
-            else Fluctuation(body.mesh, degree, fields.extras, self.cell)
-        )
+        self.unknowns = make_unknowns(body.mesh, degree, fields.extras, self.cell)
         self.V, self.u = self.unknowns.V, self.unknowns.u
         self.W, self.w, self.v = self.unknowns.W, self.unknowns.w, self.unknowns.v
         self._scale_unknowns()
@@ -113,33 +127,23 @@ class Problem:
         self.measures = Measures(
             body,
             [part.cells for part in self.parts],
-            [term.parts for term in self.loads],
+            [
+                *(term.parts for term in self.loads),
+                *(s.surfaces for s in self.supports if isinstance(s, Resisting)),
+            ],
             weight(self.geometry, ufl.SpatialCoordinate(body.mesh), depth),
+            [contact.surfaces for contact in contacts],
         )
         self.site = BodySite(body, self.unknowns, self.parts, self.measures, self.geometry)
         self.constant, self.t, self.X = self.site.constant, self.site.t, self.site.X
-        self.prescribed = Prescribed(
-            body, self.V, self.supports, axis=self.geometry == "axisymmetric"
-        )
+        self.prescribed = Prescribed(body, self.V, self.supports, axis=turned)
         if isinstance(self.unknowns, Fluctuation):
             self.prescribed.pin(*self.unknowns.pinned)
-        _ = self.external  # says now what is wrong with a load
-
-    def _cell(self, periodic: Periodic, thickness: float) -> Cell:
-        for key, given in (("support", self.supports), ("load", self.loads)):
-            if given:
-                raise InputError(
-                    f"a periodic cell takes no {key}s: it is loaded by its macroscopic deformation",
-                    where=f"{key}[0]",
-                    expected="leave it out; periodic.gradient and periodic.stress deform the cell",
-                )
-        if self.geometry == "axisymmetric":
-            raise InputError(
-                "an axisymmetric body cannot be repeated along its radius",
-                where="mesh.geometry",
-                expected='"plane-strain" or "plane-stress"',
-            )
-        return Cell(self.body, periodic, thickness)
+        self.cavities = list(enclosures(self.loads, self.site))
+        self.touching = make_touching(contacts, self.site, self._order)
+        self.rest = rest_states(self.site, self.loads)
+        self.nodal_loads = NodalLoads(body, self.V, self.loads)
+        _ = self.external, self.holding  # says now what is wrong with a load or a spring
 
     def _scale_unknowns(self) -> None:
         """Gives the scalar fields the size of displacements, see `unknowns`."""
@@ -155,12 +159,14 @@ class Problem:
         """The 3x3 deformation gradient of a function of all unknowns."""
         return self.site.deformation(w)
 
-    def response(self, part: Part, w: Expr) -> Law | Mixed:
-        """A part's law, with the pressure of a function of all unknowns where it has one."""
-        if part.compliance is None:
-            return part.law
-        assert isinstance(part.law, SplitLaw)
-        return Mixed(part.law, self.unknowns.extra("pressure", w), part.compliance)
+    def response(self, part: Part, w: Expr) -> Law | Mixed | Grown:
+        """A part's law, with its growth and with the pressure of a function of all unknowns."""
+        law: Law | Mixed = part.law
+        if part.compliance is not None:
+            assert isinstance(part.law, SplitLaw)
+            law = Mixed(part.law, self.unknowns.extra("pressure", w), part.compliance)
+        growth = self.rest.get(part.name)
+        return law if growth is None else Grown(law, growth)
 
     def _extra(self, name: str, w: Expr) -> Expr | None:
         return self.unknowns.extra(name, w) if self.unknowns.has(name) else None
@@ -191,23 +197,12 @@ class Problem:
         if part.compliance is None:
             return -UNUSED / part.shear * p * q * self.volume(part, 2)
         response = self.response(part, self.w)
-        assert isinstance(response, Mixed)
+        assert not isinstance(response, Law)
         terms = q * response.gap(F) * self._internal_volume(part)
         if self.unknowns.stabilised:
-            terms -= self._variance(p, q) / part.shear * self.volume(part, 0)
+            off = variance(p, q, ufl.Jacobian(self.body.mesh))
+            terms -= off / part.shear * self.volume(part, 0)
         return terms
-
-    def _variance(self, p: Expr, q: Expr) -> Expr:
-        """Mean over a cell of the product of what two linear functions differ from their means.
-
-        It is grad p . C grad q with the covariance C of a point anywhere in the cell, which for the
-        reference simplex of d dimensions is (I - 1/(d + 1))/((d + 1)(d + 2)).
-        """
-        d = self.body.dim
-        G = ufl.Jacobian(self.body.mesh).T
-        a, b = ufl.dot(G, ufl.grad(p)), ufl.dot(G, ufl.grad(q))
-        product = ufl.inner(a, b) - sum(a) * sum(b) / (d + 1)
-        return product / ((d + 1) * (d + 2))
 
     def _internal_volume(self, part: Part) -> Weighted:
         return self.volume(part, self.rule(part))
@@ -233,18 +228,66 @@ class Problem:
     @cached_property
     def external(self) -> ufl.Form | None:
         """External virtual work of all loads; None without loads."""
-        return sum(map(self._work, range(len(self.loads)))) if self.loads else None
+        return sum(work for _, work in self.works) if self.works else None
+
+    @cached_property
+    def works(self) -> list[tuple[Load, ufl.Form]]:
+        """Each load that is an integral, with its external virtual work."""
+        return [
+            (load, self._work(index))
+            for index, load in enumerate(self.loads)
+            if not (load.nodal or load.swells)
+        ]
 
     def _work(self, index: int) -> ufl.Form:
         try:
             return self.loads[index].virtual_work(self.site)
         except InputError as error:
-            raise (error if error.where else error.at(f"load[{index}].value")) from None
+            raise (self._placed(error, index)) from None
+
+    def _placed(self, error: InputError, index: int) -> InputError:
+        """A fault of a load, with its key; those of materials have theirs."""
+        if error.where.startswith("materials"):
+            return error
+        return error.at(f"load[{index}]" if error.where else f"load[{index}].value")
 
     @cached_property
     def holding(self) -> dict[str, ufl.Form]:
         """Virtual work of the forces by which springs and obstacles hold the body, by label."""
-        return {}
+        held: dict[str, ufl.Form] = {}
+        for support in self.supports:
+            if isinstance(support, Resisting):
+                work = support.virtual_work(self.site)
+                held[support.label] = held[support.label] + work if support.label in held else work
+        for touch in self.touching:
+            known = held.get(touch.label)
+            held[touch.label] = touch.work if known is None else known + touch.work
+        return held
+
+    @property
+    def springs(self) -> tuple[Spring, ...]:
+        """Supports that hold by stored energy."""
+        return tuple(s for s in self.supports if isinstance(s, Spring))
+
+    @property
+    def dashpots(self) -> tuple[Dashpot, ...]:
+        """Supports that hold against velocity, in motion only."""
+        return tuple(s for s in self.supports if isinstance(s, Dashpot))
+
+    @cached_property
+    def spring_energy(self) -> ufl.Form | None:
+        """Energy stored in springs; None without any."""
+        return sum(s.energy(self.site) for s in self.springs) if self.springs else None
+
+    @cached_property
+    def resisting(self) -> list[Projections]:
+        """Owned nodes that springs hold, with projections on the directions. Collective."""
+        return [held for s in self.springs for held in held_by_spring(s, self.body, self.V)]
+
+    def damping(self, velocity: Expr) -> ufl.Form | None:
+        """Virtual work against dashpots at a velocity; None without any."""
+        works = [d.work_at(self.site, velocity) for d in self.dashpots]
+        return -sum(works) if works else None
 
     @cached_property
     def residual(self) -> ufl.Form:
@@ -284,17 +327,28 @@ class Problem:
         """All laws derive from an energy."""
         return all(part.law.has_energy for part in self.parts)
 
-    @property
+    @cached_property
     def symmetric(self) -> bool:
-        """The tangent is symmetric: laws and loads derive from potentials."""
-        return self.has_energy and all(load.conservative for load in self.loads)
+        """The tangent is symmetric: laws and loads derive from potentials. Collective."""
+        return self.has_energy and all(self._conservative(load) for load in self.loads)
+
+    def _conservative(self, load: Load) -> bool:
+        if load.conservative or not self._follows(load):
+            return True
+        # A stretch out of the plane widens the surface, but no work of the load belongs to it.
+        if not load.conservative_if_held or self.unknowns.has("stretch"):
+            return False
+        return rim_held(self.body, self.prescribed, load.parts)
+
+    def _follows(self, load: Load) -> bool:
+        return load.follows and not (load.linearises and self.site.linear)
 
     @property
     def linear(self) -> bool:
         """The residual is linear in u."""
-        return all(part.law.linear for part in self.parts) and not any(
-            load.follows for load in self.loads
-        )
+        if self.touching or any(self._follows(load) for load in self.loads):
+            return False
+        return self.site.linear
 
     @property
     def num_dofs(self) -> int:
@@ -314,8 +368,10 @@ class Problem:
     @property
     def loads_change(self) -> bool:
         """The applied nodal forces change in motion: with time, or with the body's shape."""
-        return self.site.changes or any(
-            load.follows or depends_on_time(load.values) for load in self.loads
+        return (
+            self.site.changes
+            or self.nodal_loads.change
+            or any(self._follows(load) or depends_on_time(load.values) for load in self.loads)
         )
 
     def set_time(self, t: float, *, default: Amplitude = CONSTANT) -> None:
@@ -326,7 +382,17 @@ class Problem:
             default: Amplitude of all that name none.
         """
         self.site.set_time(t, default)
+        self.nodal_loads.set_time(t, default)
         self.prescribed.move_to(t, default)
         if self.cell is not None:
             self.cell.move_to(t, default)
             self.unknowns.tell()
+        for touch in self.touching:
+            touch.set_time(t, default)
+        for cavity in self.cavities:
+            cavity.t, cavity.default = t, default
+
+    @cached_property
+    def stiffness(self) -> float:
+        """Largest shear modulus of all parts at small strains [Pa]."""
+        return max(shear_modulus(part.typical) for part in self.parts)

@@ -54,8 +54,9 @@ def run(
     steps = cast(States, solver.steps())
     with located(case.file), closing(steps):
         first = next(steps)  # a fault that only shows at the start leaves no folder behind
+        probe = case.output.probe(problem, case.mesh.scale)
         with case.output.opened(problem, folder, case.frames, case.title) as writers:
-            for state in chain([first], steps):
+            for state in map(probe.onto, chain([first], steps)):
                 for writer in writers:
                     writer.write(state)
                 yield state

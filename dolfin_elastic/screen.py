@@ -7,6 +7,7 @@ import math
 import os
 import re
 import sys
+import textwrap
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -17,8 +18,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
+from dolfin_elastic.errors import ElasticError, SolveError
+
 if TYPE_CHECKING:
-    from dolfin_elastic.check import PartSize, Report
     from dolfin_elastic.state import State
 
 WIDTH = 100
@@ -146,36 +148,32 @@ class Handler(logging.Handler):
         self.screen.print(f"{mark}{record.getMessage()}", soft_wrap=True)
 
 
+# --- errors ---
+
+
+def error_text(error: ElasticError) -> str:
+    """An error with its notes; the long lines of a failed solve are folded."""
+    notes = "".join(f"\n  {note}" for note in getattr(error, "__notes__", ()))
+    text = f"error: {error}{notes}"
+    return _folded(text) if isinstance(error, SolveError) else text
+
+
+def _folded(text: str) -> str:
+    """Long lines in several, the later ones indented; words and paths stay whole."""
+    folded = (
+        textwrap.wrap(
+            line,
+            WIDTH,
+            subsequent_indent="    ",
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        for line in text.splitlines()
+    )
+    return "\n".join(part for lines in folded for part in lines)
+
+
 # --- tables ---
-
-
-def show_check(report: Report) -> None:
-    """The report of a check."""
-    screen = console()
-    screen.print(f"{report.case}: {report.title}" if report.title else report.case, style="bold")
-    kind = "" if report.dim == 3 else f" ({report.geometry})"
-    screen.print(f"  mesh       {report.mesh}, {report.dim}D{kind}, {report.cells} cells")
-    screen.print(f"  extent     {' x '.join(f'{side:.4g}' for side in report.extent)} m")
-    screen.print(f"  analysis   {report.analysis}, {report.unknowns} unknowns")
-    screen.print(f"  equations  {report.linear_solver}")
-    units = ("area [m^2]", "volume [m^3]") if report.dim == 3 else ("length [m]", "area [m^2]")
-    screen.print(_parts("surface", "facets", units[0], report.surfaces))
-    screen.print(_parts("region", "cells", units[1], report.regions))
-    for field in report.fields:
-        screen.print(f"field {field}", soft_wrap=True)
-    for note in report.notes:
-        screen.print(f"note: {note}", soft_wrap=True)
-    screen.print("nothing is wrong")
-
-
-def _parts(kind: str, count: str, unit: str, parts: Sequence[PartSize]) -> Table:
-    table = Table(kind, box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column(count, justify="right")
-    table.add_column(unit, justify="right")
-    table.add_column("used by")
-    for part in parts:
-        table.add_row(part.name, str(part.count), f"{part.measure:.4g}", part.use)
-    return table
 
 
 def show_end(state: State, *, motion: bool, seconds: Mapping[str, float], newton: int) -> None:
@@ -203,6 +201,8 @@ def _end_rows(state: State, motion: bool) -> list[tuple[str, str]]:
             rows.append((label, f"{state.energies[name]:.5g} J"))
     for name, force in state.reactions.items():
         rows.append((f"reaction of {name}", vector_text(force) + " N"))
+    if state.audit is not None:
+        rows += [("audit", reason) for reason in state.audit.so_far or ("pass",)]
     return rows
 
 

@@ -11,6 +11,7 @@ from dolfinx import fem
 from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
+from dolfin_elastic.compiler import compile_forms, options
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.measures import Measures
@@ -40,7 +41,9 @@ class BodySite:
         u: Displacement (UFL, of the unknowns, so that derivatives see it).
         X: Reference coordinates (UFL).
         N: Outward unit normal of the reference surface (UFL).
+        velocity: Velocity [m/s] that dashpots see; solvers of motion keep it.
         t: Time [s] or load parameter (UFL constant).
+        unknown_numbers: Numbers that are solved for, by label.
     """
 
     def __init__(
@@ -57,12 +60,28 @@ class BodySite:
         self.u = unknowns.motion(unknowns.w)
         self.X = ufl.SpatialCoordinate(body.mesh)
         self.N = ufl.FacetNormal(body.mesh)
+        self.velocity = fem.Function(unknowns.V, name="velocity of dashpots")
         self.t = Constant(body.mesh, 0.0)
+        self.unknown_numbers: dict[str, Constant] = {}
         self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
 
     def constant(self, value: float | Sequence[float] | Sequence[Sequence[float]]) -> Constant:
         """A number that forms refer to by place, so that changing it compiles nothing."""
         return Constant(self.body.mesh, np.asarray(value, dtype=np.float64))
+
+    def unknown(self, label: str) -> Constant:
+        """A number that is solved for, the same for all who ask by this label."""
+        return self.unknown_numbers.setdefault(label, self.constant(0.0))
+
+    @property
+    def revolved(self) -> bool:
+        """A body of revolution about y."""
+        return self.geometry == "axisymmetric"
+
+    @cached_property
+    def linear(self) -> bool:
+        """All laws are linear."""
+        return all(part.law.linear for part in self.parts)
 
     @property
     def order(self) -> int:
@@ -94,6 +113,13 @@ class BodySite:
         for name in surfaces:
             self.body.surface(name)
         return self.measures.surfaces(surfaces, 2 * self.order)
+
+    def area(self, surfaces: Sequence[str]) -> Constant:
+        """Size of the reference area of surfaces [m^2]. Collective."""
+        comm = self.body.comm
+        form = self.constant(1.0) * self.areas(surfaces)
+        value = compile_forms(comm, [form], options(comm))[0]
+        return self.constant(float(total(comm, float(fem.assemble_scalar(value)))))
 
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, Weighted]]:
         """Density and reference volume, material by material."""

@@ -4,12 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
 Vector = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Audit:
+    """Whether a converged step obeys the laws that any equilibrium obeys.
+
+    Attributes:
+        force: Length of the sum of applied forces and reactions, over the sum of their lengths at
+            the nodes; axial ones only in an axisymmetric body; nan for a periodic cell.
+        moment: The same of their moments about the origin; nan where there is no such balance.
+        work: Work of loads, springs and supports on the body since the start [J], by the
+            trapezoidal rule.
+        energy: Growth of the stored energy since the start [J]; nan where a law has none.
+        min_jacobian: Smallest det F at the points where the energy is integrated.
+        max_jacobian: The largest.
+        min_place: Reference place of the cell with the smallest det F [m].
+        max_place: The same of the largest.
+        verdict: "pass" or "warn".
+        reasons: Why it warns, one for each kind.
+        so_far: The first reason of each kind since the start.
+        notes: What is not judged, and why.
+    """
+
+    force: float
+    moment: float
+    work: float
+    energy: float
+    min_jacobian: float
+    max_jacobian: float
+    min_place: tuple[float, ...] = ()
+    max_place: tuple[float, ...] = ()
+    verdict: Literal["pass", "warn"] = "pass"
+    reasons: tuple[str, ...] = ()
+    so_far: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -31,7 +67,7 @@ class State:
         reason: Why the step counts as converged, PETSc's name.
         residuals: Norm of the free residual before each Newton iteration and after the last [N].
         energies: "strain" [J]; in motion also "kinetic", "external" (work of the loads so far),
-            "total".
+            "total"; with springs "springs", stored in them and no part of the total.
         reactions: Support's name to the force it exerts on the body [N], from the residual
             (virtual work).  The implicit scheme has its equilibrium, and so its reactions, at a
             time within the step.
@@ -40,7 +76,9 @@ class State:
         negative: In statics the number of negative eigenvalues of the tangent, 0 where the body is
             stable, if the solver tells.
         limit_points: Load factors of the limit points that a path has passed so far.
-        numbers: Further results by name, for example the volume of a cavity [SI units].
+        numbers: Further results by name, for example of probes or the volume of a cavity
+            [SI units].
+        audit: Whether the step obeys what any equilibrium obeys, in statics only.
         done: Share of the whole run that is done, 0 to 1.
     """
 
@@ -62,4 +100,5 @@ class State:
     negative: int | None = None
     limit_points: tuple[float, ...] = ()
     numbers: Mapping[str, float] = field(default_factory=dict)
+    audit: Audit | None = None
     done: float = 0.0

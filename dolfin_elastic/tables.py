@@ -18,6 +18,7 @@ from pydantic import Field, field_validator, model_validator
 from dolfin_elastic.errors import (
     ElasticError,
     InputError,
+    MeshError,
     OutputError,
     SolveError,
     UnitError,
@@ -25,6 +26,7 @@ from dolfin_elastic.errors import (
 )
 from dolfin_elastic.formulation import Formulation
 from dolfin_elastic.meshes import Body, Selector, box_body, read_body, rectangle_body
+from dolfin_elastic.meshes.places import locate
 from dolfin_elastic.meshes.selectors import MeshLength
 from dolfin_elastic.model.geometry import Geometry
 from dolfin_elastic.model.law import Law
@@ -35,6 +37,7 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, Picture, Summary, Xdmf
 from dolfin_elastic.results.outputs import Output as File
+from dolfin_elastic.results.probes import Probe, ProbePoint
 from dolfin_elastic.results.writer import Writer
 from dolfin_elastic.results.xdmf import remove
 from dolfin_elastic.schema import Record, known_keys, shown, within
@@ -219,12 +222,14 @@ class Output(Record):
         every: Fields are written every so many steps, and at the end; by default every step, with
             an explicit scheme about 200 states.
         pictures: Pictures of the deformed body.
+        probes: Name to a point of the undeformed body, where fields are read off at every step.
     """
 
     folder: str | None = None
     fields: tuple[str, ...] | None = None
     every: Count | None = None
     pictures: list[Picture] = Field(default=[])
+    probes: dict[str, ProbePoint] = Field(default={})
 
     @field_validator("fields")
     @classmethod
@@ -235,6 +240,27 @@ class Output(Record):
                     f"unknown field '{name}'", where=f"[{index}]", expected=nearest(name, FIELDS)
                 )
         return names
+
+    def check_probes(self, body: Body, scale: float) -> None:
+        """Finds the probes' points in the body. Collective.
+
+        Raises:
+            MeshError: A point lies outside, or has too few coordinates.
+        """
+        try:
+            locate(body, {name: probe.place(scale) for name, probe in self.probes.items()})
+        except MeshError as error:
+            raise within("output.probes", error) from None
+
+    def probe(self, problem: Problem, scale: float) -> Probe:
+        """What reads the fields off. Collective.
+
+        Args:
+            problem: The problem that is solved.
+            scale: Metres per unit of the mesh.
+        """
+        points = {name: probe.place(scale) for name, probe in self.probes.items()}
+        return Probe(problem, points, {n: probe.fields for n, probe in self.probes.items()})
 
     def files(self, frames: int | None = None, title: str = "") -> list[File]:
         """Everything that is written.
@@ -270,6 +296,7 @@ class Output(Record):
             if isinstance(error, SolveError) and isinstance(error.state, State):
                 try:
                     _write_failed(problem, folder, error.state)
+                    error.add_note(f"the state that failed is in {folder / _FAILED}")
                 except OutputError as second:
                     log.warning("%s", second)
             raise
@@ -298,9 +325,9 @@ def _close(writers: Iterable[Writer], ending: tuple[str, object]) -> None:
 
 def _write_failed(problem: Problem, folder: Path, state: State) -> None:
     """The state that is no solution, in a file of its own. Collective."""
-    fields = ("displacement", "jacobian", "von_mises", "energy_density")
-    known = fields if problem.has_energy else fields[:-1]
-    writer = Xdmf(file=_FAILED, fields=known).open(problem, folder)
+    fields = ["displacement", "jacobian", "von_mises"]
+    fields += ["residual"] * (state.v is None) + ["energy_density"] * problem.has_energy
+    writer = Xdmf(file=_FAILED, fields=tuple(fields)).open(problem, folder)
     writer.write(state)
     writer.close("failed", None)
 

@@ -40,10 +40,17 @@ COMMON = {
     "kg/m^3": {"kg/m^3": 1.0, "g/cm^3": 1e3},
     "N/m^3": {"N/m^3": 1.0, "kN/m^3": 1e3},
     "s": {"s": 1.0, "ms": 1e-3},
+    "rad/s": {"rad/s": 1.0, "rpm": math.tau / 60},
+    "K": {"K": 1.0},
+    "1/K": {"1/K": 1.0, "ppm/K": 1e-6},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},
     "m/s^2": {"m/s^2": 1.0},
+    "rad": {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180},
 }
 """Units that most cases use, so that most cases start without pint's 0.3 s."""
+
+MEANT = {"rad/s": {"Hz": math.tau}, "K": {"degC": 1.0, "°C": 1.0}}
+"""Units whose sense pint cannot see: turns per second, and changes of temperature."""
 
 
 @lru_cache(maxsize=1)
@@ -103,8 +110,9 @@ def _from_text(text: str, unit: str) -> float:
     number, name = float(match[1]), match[2]
     if not name:
         return number
-    if name in COMMON.get(unit, ()):
-        return number * COMMON[unit][name]
+    for table in (COMMON, MEANT):
+        if name in table.get(unit, ()):
+            return number * table[unit][name]
     if not _known(name):
         raise UnitError(f"unknown unit '{name}' in '{text}'", expected=_expected(unit))
     quantity = _registry().Quantity(1.0, name)
@@ -146,6 +154,11 @@ _EXAMPLES = {
     "s": "0.1 s",
     "N/m^3": "10 kN/m^3",
     "N": "5 kN",
+    "rad": "90 deg",
+    "N/m": "2 kN/m",
+    "rad/s": "3000 rpm",
+    "K": "80 K",
+    "1/K": "12 ppm/K",
 }
 
 
@@ -216,6 +229,7 @@ if TYPE_CHECKING:
     Time: TypeAlias = float
     Force: TypeAlias = float
     ForceDensity: TypeAlias = float
+    Expansion: TypeAlias = float
 else:
     Number = quantity("")
     Length = quantity("m")
@@ -226,3 +240,4 @@ else:
     Time = quantity("s")
     Force = quantity("N")
     ForceDensity = quantity("N/m^3")
+    Expansion = quantity("1/K")

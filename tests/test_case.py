@@ -445,7 +445,8 @@ MISTAKES = {
         'on = "left"\ndisplacement = [0, 0, 0]',
         'on = "left"\ndisplacement = [0, "free", "free"]',
         "support: the supports leave the body free: as a rigid body it can move along y, "
-        "move along z, turn about x; statics needs supports that hold it; [dynamics] does not",
+        "move along z, turn about x through (0.001, 0.0005, 0.0005) m; statics needs supports that "
+        "hold it; [dynamics] does not",
     ),
     "toml": (
         "steps = 2",
@@ -714,7 +715,11 @@ def test_support_without_displacement_in_the_plane(folder: Path) -> None:
         ([{"on": "left"}], []),
         (
             [{"on": "left", "displacement": [0, "free", "free"]}],
-            ["move along y", "move along z", "turn about x"],
+            [
+                "move along y",
+                "move along z",
+                "turn about x through (0.001, 0.0005, 0.0005) m",
+            ],
         ),
         (
             [

@@ -236,7 +236,7 @@ def test_smaller_steps(caplog):
     for settings in ({"steps": 1, "max_iterations": 4}, {"steps": 8}):
         body = rectangle_body(size=(1, 1), cells=(4, 4))
         problem = cored(body, degree=2, periodic=Periodic(pairs=PAIRS, gradient=gradient))
-        with caplog.at_level("WARNING"):
+        with caplog.at_level("INFO"):
             *_, state = Statics(problem, rtol=1e-11, **settings).steps()
         found.append([*stress(state, 2).reshape(-1), E * state.numbers["F22"]])
     if MPI.COMM_WORLD.rank == 0:  # which logs for all
@@ -258,7 +258,7 @@ def test_bordered_tangent():
     newton = Newton(
         assembler, choose(problem, LinearSettings()), Tolerance(1e-8, 0, 30), border=border
     )
-    system: Bordered = newton._bordered
+    system: Bordered = newton.bordered
     problem.set_time(1.0)
     rng = np.random.default_rng(3)
     x, y, f, g, z = (system.create_vector() for _ in range(5))

@@ -19,9 +19,11 @@ from pydantic import BaseModel
 from dolfin_elastic import Problem, Statics, box_body, tables
 from dolfin_elastic.case import Case
 from dolfin_elastic.meshes import Cylinder, Selector, Sphere
+from dolfin_elastic.model.contact import Ball, Contact, Plane, Tube
 from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials import MATERIALS
 from dolfin_elastic.model.periodic import Periodic
+from dolfin_elastic.model.rigid import Rigid
 from dolfin_elastic.model.supports import Support
 from dolfin_elastic.operations import FUNCTIONS
 from dolfin_elastic.results.fields import FIELDS
@@ -41,6 +43,11 @@ MODELS: list[type[BaseModel]] = [
     Sphere,
     Cylinder,
     Support,
+    Rigid,
+    Contact,
+    Plane,
+    Ball,
+    Tube,
     *MATERIALS.values(),
     *LOADS.values(),
     Periodic,
@@ -151,7 +158,7 @@ def test_examples_for_contributors(folder: Path, comm: MPI.Comm) -> None:
         rod,
         names["Foam"](mu="1 MPa", density=1000),
         supports=[Support(on="left")],
-        loads=[names["Centrifugal"](value=[0, 0, 2])],
+        loads=[names["Spin"](value=[0, 0, 2])],
     )
     writer = names["Energies"]().open(problem, folder)
     for state in Statics(problem).steps():

@@ -140,3 +140,11 @@ def test_no_unit_keeps_the_machine_busy(text: str) -> None:
 )
 def test_units_as_people_write_them(text: str, unit: str, value: float) -> None:
     assert to_si(text, unit) == pytest.approx(value, rel=1e-12)
+
+
+def test_units_that_mean_more():
+    """A turn is 2 pi, and a change of temperature knows no zero."""
+    assert to_si("50 Hz", "rad/s") == pytest.approx(314.1592653589793, rel=1e-15)
+    assert to_si("3000 rpm", "rad/s") == pytest.approx(314.1592653589793, rel=1e-15)
+    assert to_si("80 degC", "K") == to_si("80 K", "K") == 80.0
+    assert to_si("12 ppm/K", "1/K") == pytest.approx(12e-6, rel=1e-15)

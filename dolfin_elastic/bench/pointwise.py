@@ -216,6 +216,12 @@ class Program:
         return np.array(np.moveaxis(full, -1, 0))
 
 
+def symbol() -> Expr:
+    """A 3x3 tensor that stands for F in expressions of programs."""
+    cell = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
+    return ufl.Constant(cell, (3, 3))
+
+
 class Point:
     """A law at points: energy, first Piola-Kirchhoff stress and tangent for given F.
 
@@ -224,8 +230,7 @@ class Point:
     """
 
     def __init__(self, law: Law) -> None:
-        cell = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
-        self.law, self._F = law, ufl.Constant(cell, (3, 3))
+        self.law, self._F = law, symbol()
 
     def _program(self, expression: Expr) -> Program:
         return Program(expand_derivatives(expression), self._F)

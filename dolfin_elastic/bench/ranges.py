@@ -49,22 +49,30 @@ def directions(count: int = _DIRECTIONS) -> Array:
     return np.concatenate([spread, grid / np.linalg.norm(grid, axis=1, keepdims=True)])
 
 
-def acoustic(point: Point, F: Array) -> Array:
+def acoustic(point: Point, F: Array, *, flat: bool = False) -> Array:
     """Smallest eigenvalue of the acoustic tensor over all directions, of shape (n,) [Pa].
 
     Q_ik = A_ijkl N_j N_l in the reference configuration; strong ellipticity is Q > 0 for all N.
 
     Source: J. Marsden and T. Hughes, Mathematical Foundations of Elasticity, 1983, section 4.3.
+
+    Args:
+        point: The law.
+        F: Deformation gradients, of shape (n, 3, 3).
+        flat: Directions and motions in the plane of x and y only.
     """
-    N, least = directions(), []
+    N, least, dim = directions(), [], 3
+    if flat:
+        turn = np.linspace(0.0, np.pi, 180, endpoint=False)
+        N, dim = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1), 2
     for start in range(0, len(F), _CHUNK):
         A = point.tangent(F[start : start + _CHUNK])
         Q = np.einsum("nijkl,mj,ml->nmik", A, N, N, optimize=True)
-        Q = (Q + Q.swapaxes(-1, -2)) / 2
+        Q = ((Q + Q.swapaxes(-1, -2)) / 2)[..., :dim, :dim]
         bad = ~np.isfinite(Q).all(axis=(1, 2, 3))
-        Q[bad] = -np.eye(3)
+        Q[bad] = -np.eye(dim)
         least.append(np.linalg.eigvalsh(Q)[..., 0].min(axis=1))
-    return np.concatenate(least)
+    return np.concatenate(least) if least else np.zeros(0)
 
 
 def elliptic(trial: Trial, curves: dict[str, Curve]) -> Iterator[Finding]:

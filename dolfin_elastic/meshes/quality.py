@@ -104,6 +104,14 @@ def measures(body: Body, *, worst: int = 5) -> Measures:
     )
 
 
+def worst_cells(body: Body, count: int) -> tuple[Cell, ...]:
+    """The cells of the lowest quality, the worst first. Collective."""
+    owned = body.owned_cells()
+    corners = cell_corners(body.mesh, owned)
+    volumes = cell_volumes(body.mesh)[owned]
+    return _worst(body, qualities(corners), corners.mean(axis=1), volumes, count)
+
+
 def _worst(
     body: Body,
     shape: npt.NDArray[np.float64],

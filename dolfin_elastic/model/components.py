@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.units import is_quantity, to_si
@@ -68,3 +71,24 @@ def components(written: Any, unit: str, *, may_be_free: bool = False) -> tuple[C
 def depends_on_time(vector: tuple[Component, ...]) -> bool:
     """True when a component's formula uses t."""
     return any(isinstance(item, Formula) and "t" in item.names for item in vector)
+
+
+def vector_at(
+    vector: tuple[Component, ...], X: npt.NDArray[np.float64], t: float
+) -> npt.NDArray[np.float64]:
+    """The numbers of a vector at places of the undeformed body.
+
+    Args:
+        vector: Its components; free ones count as 0.
+        X: Places [m], shape (..., dim).
+        t: Time [s], or load parameter.
+
+    Returns:
+        Shape of X.
+    """
+    found = np.empty_like(X)
+    place = dict(zip(COORDINATES, np.moveaxis(X, -1, 0), strict=False))
+    place.setdefault("z", np.zeros(X.shape[:-1]))
+    for i, item in enumerate(vector):
+        found[..., i] = item.evaluate(**place, t=t) if isinstance(item, Formula) else item or 0.0
+    return found

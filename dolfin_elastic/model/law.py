@@ -12,7 +12,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.model import moduli, varying
 from dolfin_elastic.model.directions import numbers
 from dolfin_elastic.schema import Record
-from dolfin_elastic.units import Deferred, Density, Number, Stress
+from dolfin_elastic.units import Deferred, Density, Expansion, Number, Stress
 
 
 class Law(Record):
@@ -26,6 +26,7 @@ class Law(Record):
     Attributes:
         law: The law's name in a case file.
         density: Mass per reference volume [kg/m^3]; needed for gravity and for motion.
+        expansion: Coefficient of thermal expansion, strain per change of temperature [1/K].
         allowable: Von Mises stress that the material may bear [Pa]; needed for safety factors.
     """
 
@@ -33,6 +34,7 @@ class Law(Record):
     density: Density | None = Field(
         default=None, gt=0, validation_alias=AliasChoices("density", "rho")
     )
+    expansion: Expansion | None = None
     allowable: Stress | None = Field(default=None, gt=0)
 
     linear: ClassVar[bool] = False

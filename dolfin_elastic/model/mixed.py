@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.law import SplitLaw
@@ -49,3 +50,20 @@ class Mixed:
     def stress(self, F: Expr) -> Expr:
         """First Piola-Kirchhoff stress [Pa], the derivative of the energy at fixed p."""
         return self.law.shape_stress(F) + self.p * self.law.volume_gradient(F)
+
+
+def variance(p: Expr, q: Expr, J: Expr) -> Expr:
+    """Mean over a cell of the product of what two linear functions differ from their means.
+
+    It is grad p . C grad q with the covariance C of a point anywhere in the cell, which for the
+    reference simplex of d dimensions is (I - 1/(d + 1))/((d + 1)(d + 2)).
+
+    Args:
+        p: One function.
+        q: The other.
+        J: Jacobian of the cell, dim x dim.
+    """
+    d = J.ufl_shape[0]
+    a, b = ufl.dot(J.T, ufl.grad(p)), ufl.dot(J.T, ufl.grad(q))
+    product = ufl.inner(a, b) - sum(a) * sum(b) / (d + 1)
+    return product / ((d + 1) * (d + 2))

@@ -236,7 +236,13 @@ class Energy(Own):
 
     function: Callable[..., Any]
 
-    own_keys: ClassVar[tuple[str, ...]] = ("density", "rho", "fibre", "fibre2")
+    own_keys: ClassVar[tuple[str, ...]] = (
+        "density",
+        "rho",
+        "expansion",
+        "fibre",
+        "fibre2",
+    )
 
     def __init__(self, function: Callable[..., Any], **given: Any) -> None:
         keys = {key: given.pop(key) for key in self.own_keys if key in given}

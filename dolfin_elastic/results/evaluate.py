@@ -48,7 +48,7 @@ class Evaluator:
         needed = (other for name in self.names for other in (name, *FIELDS[name].needs))
         self.cell_names = tuple(name for name in known(needed) if FIELDS[name].formula)
         self._kernels = [self._kernel(part) for part in problem.parts] if self.cell_names else []
-        if "reaction" in self.names:
+        if {"reaction", "residual"} & set(self.names):
             _ = self.residual
 
     def _kernel(self, part: Part) -> _Kernel | None:
@@ -164,17 +164,31 @@ class Source:
 
     def reaction(self) -> Array:
         """Residual of an equilibrium."""
+        return self._padded(self._out_of_balance("reaction"))
+
+    def residual(self) -> Array:
+        """The same where no support holds."""
+        forces = self._out_of_balance("residual")
+        held = self.evaluator.problem.prescribed
+        forces[held.owned] = 0.0
+        if (tilted := held.tilted) is not None:
+            rows = forces.reshape(-1, self.evaluator.problem.body.dim)
+            nodes = tilted.nodes[: tilted.count]
+            rows[nodes] = tilted.free(rows[nodes])
+        return self._padded(forces)
+
+    def _out_of_balance(self, name: str) -> Array:
         if self.state.v is not None:
             raise InputError(
                 f"the state of step {self.state.step} is in motion: its nodal forces are not in "
                 "equilibrium",
-                expected="the field 'reaction' exists in statics only",
+                expected=f"the field '{name}' exists in statics only",
             )
         force = fem.assemble_vector(self.evaluator.residual)
         force.scatter_reverse(la.InsertMode.add)
         force.scatter_forward()  # nodes of periodic faces may be unknowns of another rank
         places = self.evaluator.problem.unknowns.places
-        return self._padded(force.array[places(np.arange(self._own(), dtype=np.int32))])
+        return np.asarray(force.array[places(np.arange(self._own(), dtype=np.int32))])
 
     def averaged(self, name: str) -> Array:
         """A cell field, averaged at the owned points."""

@@ -105,6 +105,14 @@ FIELDS: dict[str, Field] = {
         statics=True,
         values=lambda source: source.reaction(),
     ),
+    "residual": Field(
+        "vector",
+        "node",
+        "N",
+        "nodal force out of balance; round-off in an equilibrium, zero where supports hold",
+        statics=True,
+        values=lambda source: source.residual(),
+    ),
     "von_mises": Field(
         "scalar",
         "cell",

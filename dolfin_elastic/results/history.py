@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import errno
 import io
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.results.files import make_folder, writing
-from dolfin_elastic.state import State
+from dolfin_elastic.state import Audit, State
 from dolfin_elastic.timing import stage
 
 if TYPE_CHECKING:
@@ -31,8 +32,10 @@ class HistoryWriter:
     * ``strain_energy`` [J] if the material has one; in motion ``kinetic_energy``,
       ``external_energy`` (work of the loads so far), ``total_energy``,
     * ``reaction_<support>_x``, ``_y``, ``_z`` [N] for each support,
-    * further results by name, for example of obstacles and cavities,
-    * in motion ``momentum_x`` ... [kg m/s] and ``angular_momentum_x`` ... [kg m^2/s].
+    * further results by name, for example of probes, obstacles and cavities,
+    * in motion ``momentum_x`` ... [kg m/s] and ``angular_momentum_x`` ... [kg m^2/s],
+    * in statics the audit: ``balance_force`` and ``balance_moment`` (shares that are left),
+      ``external_work`` [J], ``min_jacobian``, ``max_jacobian``, ``verdict`` (pass or warn).
 
     A row is on disk when `write` returns.
 
@@ -60,7 +63,7 @@ class HistoryWriter:
         with stage("output"):
             on_root(self.comm, lambda: self._append(row(state)))
 
-    def _append(self, values: dict[str, Number]) -> None:
+    def _append(self, values: dict[str, Number | str]) -> None:
         text = ""
         if not self._columns:
             self._columns = list(values)
@@ -78,7 +81,7 @@ class HistoryWriter:
             self._file = None
 
 
-def row(state: State) -> dict[str, Number]:
+def row(state: State) -> dict[str, Number | str]:
     """Column to value of one step, in the columns' order."""
     values: dict[str, Number] = {
         "step": state.step,
@@ -99,7 +102,24 @@ def row(state: State) -> dict[str, Number]:
         if name in state.momenta:
             values.update(_components(column, state.momenta[name]))
     values.update(state.numbers)
-    return {name: v if isinstance(v, int) else float(v) for name, v in values.items()}
+    found = {name: v if isinstance(v, int) else float(v) for name, v in values.items()}
+    return {**found, **_judged(state.audit)}
+
+
+def _judged(audit: Audit | None) -> dict[str, Number | str]:
+    """The audit's columns; no forces or moments where there is no balance of them."""
+    if audit is None:
+        return {}
+    force = {} if math.isnan(audit.force) else {"balance_force": audit.force}
+    moment = {} if math.isnan(audit.moment) else {"balance_moment": audit.moment}
+    return {
+        **force,
+        **moment,
+        "external_work": audit.work,
+        "min_jacobian": audit.min_jacobian,
+        "max_jacobian": audit.max_jacobian,
+        "verdict": audit.verdict,
+    }
 
 
 def _components(name: str, vector: Iterable[float]) -> dict[str, Number]:

@@ -20,6 +20,7 @@ from dolfin_elastic import timing
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.results.extremes import Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
+from dolfin_elastic.results.worst import Worst
 from dolfin_elastic.results.writer import Kept
 from dolfin_elastic.state import State
 from dolfin_elastic.version import __version__
@@ -63,6 +64,7 @@ class SummaryWriter:
         self._started = _now()
         self._steps = self._newton = self._krylov = 0
         self._kept = Kept()
+        self._audit = Worst()
         with timing.stage("output"):
             self._extremes = Extremes(problem)
             on_root(self.comm, lambda: make_folder(path.parent))
@@ -75,6 +77,7 @@ class SummaryWriter:
             self._newton += state.newton
             self._krylov += state.krylov
             self._kept.keep(state)
+            self._audit.take(state)
             # Clocks differ between ranks: the first one decides for all.
             if self.comm.bcast(time.monotonic() - self._written > _INTERVAL):
                 self._save("running")
@@ -88,6 +91,8 @@ class SummaryWriter:
                 "finished": _now(),
                 "extremes": {k: asdict(e) for k, e in found.items()},
             }
+            if (diagnosis := getattr(error, "diagnosis", None)) is not None:
+                extra["diagnosis"] = asdict(diagnosis)
             if self.problem.mixed and found:
                 J = [found[name].value for name in ("min_jacobian", "max_jacobian")]
                 extra["volume_change"] = max(abs(value - 1) for value in J)
@@ -132,6 +137,8 @@ class SummaryWriter:
             "energies": dict(state.energies) if state else {},
             "reactions": dict(state.reactions) if state else {},
             "numbers": dict(state.numbers) if state else {},
+            "limit_points": list(state.limit_points) if state else [],
+            "audit": self._audit.told(),
         }
 
     def _timings(self) -> dict[str, float]:

@@ -15,10 +15,13 @@ from dolfin_elastic.errors import ConvergenceError, InputError
 from dolfin_elastic.parallel import largest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.contact import Measured
+from dolfin_elastic.solvers.doctor import diagnose
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.motion import ConsistentMass, Strain, lumped, work
-from dolfin_elastic.solvers.newton import Newton, Tolerance
+from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.options import PREFIX, ts_reason
+from dolfin_elastic.solvers.progress import Tolerance
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
@@ -64,9 +67,13 @@ class Alpha:
         inertia = problem.inertia(self.a, problem.v)
         trial = problem.unknowns.displacement(ufl.TrialFunction(problem.W))
         mass = problem.inertia(trial, problem.v)
-        self.assembler = Assembler(problem, extra=inertia, extra_tangent=self.shift * mass)
+        self.drag = problem.constant(0.0)
+        tangent = self.shift * mass
+        if (damping := problem.damping(trial)) is not None:
+            tangent += self.drag * damping
+        self.assembler = Assembler(problem, extra=inertia, extra_tangent=tangent)
         self.measure = ConsistentMass(problem, self.v)
-        self.strain = Strain(problem)
+        self.strain, self._measured = Strain(problem), Measured(problem, moving=True)
         choice = choose(problem, linear, moving=True)
         log.info("%s", choice.why)
         self.ts = PETSc.TS().create(problem.body.comm)
@@ -85,7 +92,7 @@ class Alpha:
         self.options = self.newton.options
         self.options.change(self._defaults())
         self._configure()
-        self._from = self._to = problem.prescribed.values.x.array[problem.prescribed.owned]
+        self._from = self._to = problem.prescribed.targets
         self._external_work = 0.0
         self._start, self._known_dt = 0.0, 0.0
         self._mass = np.abs(lumped(problem, self.assembler))
@@ -141,6 +148,7 @@ class Alpha:
             return
         self.a.x.array[: len(self.assembler.moves)] = A.array_r[self.assembler.moves]
         self.a.x.scatter_forward()
+        self._tell_dashpots(V.array_r[self.assembler.moves])
         forces = self._mass * A.array_r[self.assembler.moves]
         self.newton.inertia = float(np.sqrt(total(self.problem.body.comm, np.sum(forces**2))))
         share = (t - self._start) / self._dt()
@@ -158,10 +166,17 @@ class Alpha:
         J: PETSc.Mat,
         P: PETSc.Mat,
     ) -> None:
-        self.shift.value = shift_a
+        self.shift.value, self.drag.value = shift_a, shift_v
         self.newton.mass = shift_a * self._norm_of_mass
         self.assembler.tangent(U, shift_a)
         self.newton.note_tangent(P)
+
+    def _tell_dashpots(self, v: Any) -> None:
+        """Gives dashpots the owned entries of a velocity. Collective."""
+        if self.problem.dashpots:
+            velocity = self.problem.site.velocity.x
+            velocity.array[: len(v)] = v
+            velocity.scatter_forward()
 
     def _dt(self) -> float:
         dt = self.ts.getTimeStep()
@@ -173,7 +188,7 @@ class Alpha:
     def _prescribed_at(self, t: float) -> Any:
         held, now = self.problem.prescribed, float(self.problem.t.value)
         self.problem.set_time(t)
-        values = held.values.x.array[held.owned].copy()
+        values = held.targets
         self.problem.set_time(now)
         return values
 
@@ -184,8 +199,10 @@ class Alpha:
         s, step = self.settings, 0
         with stage("assemble"):
             self.problem.set_time(0.0)
+            self._tell_dashpots(self.v.x.array[: len(self.assembler.moves)])
             self.assembler.assemble_balance()
         self._settle()
+        self._held = self.assembler.holding_forces()
         yield self._state(0, 0.0)
         t = 0.0
         while t < s.end * (1 - 1e-12):
@@ -278,16 +295,21 @@ class Alpha:
         self._mean.x.scatter_forward()
         self.v.x.array[:size] = v
         self.v.x.scatter_forward()
+        self._tell_dashpots(v)
 
     def _failure(self, t: float) -> ConvergenceError:
         force, place = self.assembler.largest_unbalance()
         where = ", ".join(f"{x:.4g}" for x in place)
         reason = ts_reason(self.ts.getConvergedReason())
+        last = self.problem.w.x.array.copy()
+        self.newton.finish()
+        found = diagnose(self.assembler, self.newton.progress, good=last, failed=last, moving=True)
         return ConvergenceError(
-            f"no solution for the step from t = {t:.6g} s: {reason}; the largest force out of "
-            f"balance, {force:.3g} N, is at ({where}) m",
-            advice="a smaller dt, or a spectral_radius below 1",
+            f"no solution for the step from t = {t:.6g} s: {reason}; {found.text}\n  at the end: "
+            f"the largest force out of balance, {force:.3g} N, is at ({where}) m",
+            advice=found.advice,
             state=self._state(-1, t),
+            diagnosis=found,
         )
 
     def _falls_back(self) -> bool:
@@ -328,19 +350,23 @@ class Alpha:
     def _add_work(self, before: Any) -> None:
         """Work of loads and supports, with the forces of the stage within the step."""
         du = self.problem.w.x.array[: self.assembler.size] - before
-        forces = self.assembler.external_forces().copy()
-        fixed = self.assembler.fixed
-        forces[fixed] += self.assembler.balance.array[fixed]
+        a = self.assembler
+        forces = a.external_forces() + a.constraint_forces(a.balance.array[: a.size])
+        now = a.holding_forces()
+        forces += (self._held + now) / 2
+        self._held = now
         self._external_work += work(self.problem, forces, du)
 
     def _energies(self) -> dict[str, float]:
         kinetic, self._linear, self._angular = self.measure.measure()
-        strain = self.strain.energy()
+        strain, more = self.strain.energy(), self._measured.energies()
         return {
             "strain": strain,
             "kinetic": kinetic,
-            "total": strain + kinetic,
+            "total": strain + kinetic + sum(more.values()),
             "external": self._external_work,
+            **self.strain.springs(),
+            **more,
         }
 
     def _state(self, step: int, t: float) -> State:
@@ -361,6 +387,7 @@ class Alpha:
             reactions=self.assembler.reactions(),
             momenta={"linear": self._linear, "angular": self._angular},
             max_displacement=self.assembler.max_displacement(),
+            numbers=self._measured.numbers(),
             done=t / self.settings.end,
         )
 

@@ -8,7 +8,7 @@ linearised consistently, so Newton's method stays quadratic and no root needs to
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,8 @@ import numpy.typing as npt
 from dolfin_elastic.model.curves import PROPORTIONAL
 from dolfin_elastic.parallel import total
 from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.border import Border
+from dolfin_elastic.solvers.border import Border, Borders
+from dolfin_elastic.solvers.inertia import negative_eigenvalues
 from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.linear import Choice
 from dolfin_elastic.solvers.newton import Newton
@@ -51,7 +52,8 @@ class Length(Border):
 
     def __init__(self, assembler: Assembler) -> None:
         self._assembler, self._problem = assembler, assembler.problem
-        self.steps = np.array([1e-4])
+        self.steps, self.signs = np.array([1e-4]), np.zeros(1)
+        self.prescribing = np.zeros(1, dtype=bool)
         self.t, self.wanted = 0.0, 1.0
         self.start = self.displacement().copy()
 
@@ -90,7 +92,7 @@ class Length(Border):
         row[self._assembler.moves] = 2.0 * self.moved() / self.wanted
         return [row]
 
-    def settled(self, residual: Vector, rtol: float) -> bool:
+    def settled(self, residual: Vector, target: float) -> bool:
         """The step has its length."""
         return bool(abs(residual[0]) <= LOOSE * self.wanted)
 
@@ -114,28 +116,28 @@ class ArcLength:
     """Follows a path from the unloaded state to the load factor `end`.
 
     Args:
-        assembler: Residual and tangent.
-        newton: For steps of the load: the first and the last.
-        ladder: Of that solver.
+        ladder: Of the solver for steps of the load: the first and the last.
+        others: Further scalar unknowns, which that solver has, too.
         end: Load factor at which the path ends, when it is first reached.
 
     Attributes:
         limits: Load factors of the limit points passed so far.
     """
 
-    def __init__(self, assembler: Assembler, newton: Newton, ladder: Ladder, *, end: float) -> None:
-        self._assembler, self._problem = assembler, assembler.problem
-        self._newton, self._ladder, self._end = newton, ladder, end
-        self._length = Length(assembler)
+    def __init__(self, ladder: Ladder, others: Sequence[Border], *, end: float) -> None:
+        self._newton, self._ladder, self._end = ladder.newton, ladder, end
+        self._assembler = self._newton.assembler
+        self._problem = self._assembler.problem
+        self._length = Length(self._assembler)
+        self._all = Borders([self._length, *others])
+        self._lead: Vector = np.zeros(self._all.size)
         self._bordered: Newton | None = None
         self.limits: list[float] = []
         self._points: list[tuple[float, float]] = [(0.0, 0.0)]
 
     def prepare(self, choice: Choice, tolerance: Tolerance, users: Mapping[str, Any]) -> None:
         """Makes the solver for displacement and load factor together. Collective."""
-        self._bordered = Newton(
-            self._assembler, choice, tolerance, users=users, border=self._length
-        )
+        self._bordered = Newton(self._assembler, choice, tolerance, users=users, border=self._all)
         self._bordered.watch_inversion()
 
     def destroy(self) -> None:
@@ -154,12 +156,12 @@ class ArcLength:
         yield found
         if not found.progress.converged:
             return
-        way, load = self._length.moved(), found.t
+        way = self._length.moved()
         size = longest = self._length.gone()
         longest, shortest = LONGEST * size, smallest * size
         while self._length.t < self._end * (1 - 1e-12):
-            here, t = self._problem.w.x.array.copy(), self._length.t
-            progress = self._step(way, load, size)
+            here, t, before = self._newton.present(), self._length.t, self._all.get()
+            progress = self._step(way, size)
             if not progress.converged or self._turned(way):
                 self._back(here, t)
                 size /= 2
@@ -172,10 +174,10 @@ class ArcLength:
             if self._length.t >= self._end:
                 yield self._land(here, t)
                 return
-            way, load = self._length.moved(), self._length.t - t
+            way, self._lead = self._length.moved(), self._all.get() - before
             self._note(self._length.t, self._points[-1][1] + size)
             assert self._bordered is not None
-            yield Found(self._length.t, progress, self._bordered.negative())
+            yield Found(self._length.t, progress, negative_eigenvalues(self._bordered))
             factor = np.sqrt(WANTED / max(progress.newton, 1))
             size = min(longest, size * float(np.clip(factor, 0.5, 2.0)))
 
@@ -183,30 +185,34 @@ class ArcLength:
         """A step of the load, which gives the path its direction."""
         least = smallest * t
         while True:
-            self._length.start = self._length.displacement().copy()
+            self._length.start, before = self._length.displacement().copy(), self._all.get()
+            before[0] = 0.0
             self._length.put(np.array([t]))
-            progress = self._ladder.solve([("", self._problem.w.x.array.copy())])
+            progress = self._ladder.solve([("", self._newton.present())])
+            self._lead = self._all.get() - before
             if progress.converged or t / 2 < least:
                 self._points.append((t, self._length.gone()))
-                return Found(t, progress, self._newton.negative())
+                return Found(t, progress, negative_eigenvalues(self._newton))
             t /= 2
 
-    def _step(self, way: Vector, load: float, size: float) -> Progress:
+    def _step(self, way: Vector, size: float) -> Progress:
         """Goes on in the last step's direction and corrects from there."""
         assert self._bordered is not None
         length, w = self._length, self._problem.w
         length.start, length.wanted = length.displacement().copy(), size
         share = size / np.sqrt(length.product(way, way))
-        length.steps[0] = max(1e-4 * abs(load * share), 1e-7 * self._end)
+        lead = share * self._lead
+        length.steps[0] = max(1e-4 * abs(lead[0]), 1e-7 * self._end)
         moves = self._assembler.moves
         w.x.array[moves] += share * way
         w.x.scatter_forward()
-        length.put(np.array([length.t + share * load]))
+        self._all.put(self._all.get() + lead)
         self._problem.unknowns.tell()
+        start = self._bordered.present()
         self._bordered.refresh()
         progress = self._bordered.solve("basic")
         while "LINEAR_SOLVE" in progress.reason and self._bordered.fall_back():
-            w.x.array[moves] = length.start + share * way
+            self._bordered.put_back(start)
             progress = self._bordered.solve("basic")
         return progress
 
@@ -217,17 +223,16 @@ class ArcLength:
         return product(way, now) < SHARPEST * np.sqrt(product(way, way) * product(now, now))
 
     def _back(self, here: Vector, t: float) -> None:
-        self._problem.w.x.array[:] = here
-        self._problem.unknowns.tell()
+        self._newton.put_back(here)
         self._length.put(np.array([t]))
 
     def _land(self, here: Vector, t: float) -> Found:
         """Ends the path at its load factor, between the last two points."""
-        beyond = self._problem.w.x.array.copy()
+        beyond = self._newton.present()
         share = (self._end - t) / (self._length.t - t)
         self._length.put(np.array([self._end]))
         progress = self._ladder.solve([("", here + share * (beyond - here)), ("", beyond)])
-        return Found(self._end, progress, self._newton.negative())
+        return Found(self._end, progress, negative_eigenvalues(self._newton))
 
     def _note(self, t: float, arc: float) -> None:
         """Keeps the last points and looks for a limit point between them."""

@@ -11,6 +11,7 @@ a rigid surface.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from petsc4py import PETSc
 from dolfin_elastic.solvers.assembler import Assembler
 
 Vector = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 
 class Border:
@@ -29,10 +31,15 @@ class Border:
     Attributes:
         size: How many there are.
         steps: Differences of s by which derivatives with respect to it are taken.
+        signs: What each scalar is in the whole system's energy: 1 a coordinate, whose equation is
+            a force; -1 a multiplier, whose equation is a constraint; 0 neither.
+        prescribing: Whether each scalar changes prescribed displacements only, and no force.
     """
 
     size: int
     steps: Vector
+    signs: Vector
+    prescribing: Flags
 
     def get(self) -> Vector:
         """The present scalars."""
@@ -50,13 +57,65 @@ class Border:
         """dg/du at the owned entries, one array a scalar. Collective."""
         raise TypeError(f"{type(self).__name__} has no equations")
 
-    def corner(self) -> Vector:
-        """dg/ds, shape (size, size)."""
-        return np.zeros((self.size, self.size))
+    def settled(self, residual: Vector, target: float) -> bool:
+        """Whether the equations hold well enough.
 
-    def settled(self, residual: Vector, rtol: float) -> bool:
-        """Whether the equations hold well enough."""
+        Args:
+            residual: g.
+            target: Norm of nodal forces out of balance that counts as none [N].
+        """
         raise TypeError(f"{type(self).__name__} has no equations")
+
+
+class Borders(Border):
+    """Several borders as one, one after the other.
+
+    Args:
+        parts: The borders.  Each `put` may undo what one before has set in the problem, never one
+            behind: what sets the time comes first.
+    """
+
+    def __init__(self, parts: Sequence[Border]) -> None:
+        self.parts = tuple(parts)
+        self.size = sum(part.size for part in parts)
+        self._cuts = np.cumsum([part.size for part in parts])[:-1]
+
+    @property
+    def steps(self) -> Vector:  # type: ignore[override]
+        """See `Border`."""
+        return np.concatenate([part.steps for part in self.parts])
+
+    @property
+    def signs(self) -> Vector:  # type: ignore[override]
+        """See `Border`."""
+        return np.concatenate([part.signs for part in self.parts])
+
+    @property
+    def prescribing(self) -> Flags:  # type: ignore[override]
+        """See `Border`."""
+        return np.concatenate([part.prescribing for part in self.parts])
+
+    def get(self) -> Vector:
+        """All scalars."""
+        return np.concatenate([part.get() for part in self.parts])
+
+    def put(self, values: Vector) -> None:
+        """Changes all scalars. Not collective."""
+        for part, own in zip(self.parts, np.split(values, self._cuts), strict=True):
+            part.put(own)
+
+    def residual(self) -> Vector:
+        """All equations. Collective."""
+        return np.concatenate([part.residual() for part in self.parts])
+
+    def rows(self) -> list[Vector]:
+        """All their derivatives. Collective."""
+        return [row for part in self.parts for row in part.rows()]
+
+    def settled(self, residual: Vector, target: float) -> bool:
+        """All equations hold well enough."""
+        owns = np.split(residual, self._cuts)
+        return all(part.settled(own, target) for part, own in zip(self.parts, owns, strict=True))
 
 
 class Bordered:
@@ -85,10 +144,11 @@ class Bordered:
         self.matrix.setUp()
         self._columns: list[Vector] = []
         self._rows: list[Vector] = []
-        self._corner = np.zeros((border.size, border.size))
+        self._corner: Vector = np.zeros((border.size, border.size))
         self._solved: list[Vector] | None = None
+        self._schur: Vector = self._corner
         self.iterations = 0
-        self.last = np.zeros(border.size)
+        self.last: Vector = np.zeros(border.size)
 
     def create_vector(self) -> PETSc.Vec:
         """A vector of fields and scalars; the caller destroys it."""
@@ -109,12 +169,21 @@ class Bordered:
 
     # --- residual and tangent ---
 
-    def residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        """Residual of fields and scalars. Collective."""
+    def get(self, x: PETSc.Vec) -> None:
+        """Copies all unknowns into a vector, before a solve."""
+        self.iterations = 0
+        self.fill(x, self.assembler.problem.w.x.array[: self._size], self.border.get())
+
+    def put(self, x: PETSc.Vec) -> None:
+        """Copies a vector into all unknowns, and evaluates there. Collective."""
         self.border.put(self.scalars(x))
         self._x.array_w[:] = x.array_r[: self._size]
         self.assembler.residual(self._x, self._b)
         self.last = self.border.residual()
+
+    def residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        """Residual of fields and scalars. Collective."""
+        self.put(x)
         self.fill(f, self._b.array_r, self.last)
 
     def renew(self, x: PETSc.Vec) -> None:
@@ -122,26 +191,41 @@ class Bordered:
         values = self.scalars(x)
         self._x.array_w[:] = x.array_r[: self._size]
         self.border.put(values)
-        self._columns = self._differences(values)
-        self.assembler.residual(self._x, self._b)  # back to where we are
-        self._rows, self._corner = self.border.rows(), self.border.corner()
+        self._columns, self._corner = self._differences(values)
+        self._rows = self.border.rows()
         self.assembler.tangent(self._x)
         self._solved = None
 
-    def _differences(self, values: Vector) -> list[Vector]:
-        """Derivatives of the fields' residual with respect to the scalars."""
-        columns = []
-        for j, h in enumerate(self.border.steps):
-            sides = []
-            for sign in (1.0, -1.0):
-                moved = values.copy()
-                moved[j] += sign * h
-                self.border.put(moved)
-                self.assembler.residual(self._x, self._b)
-                sides.append(self._b.array_r.copy())
-            columns.append((sides[0] - sides[1]) / (2 * h))
+    def _differences(self, values: Vector) -> tuple[list[Vector], Vector]:
+        """Derivatives of the fields' and the scalars' residuals with respect to the scalars."""
+        steps, mild = self.border.steps, self.border.prescribing
+        found = {j: self._difference(values, j, steps[j]) for j in np.flatnonzero(~mild)}
         self.border.put(values)
-        return columns
+        self.assembler.residual(self._x, self._b)  # back to where we are
+        for j in np.flatnonzero(mild):
+            found[j] = self._difference(values, j, steps[j], moving=True)
+        self.border.put(values)
+        self.assembler.constrain(self._b)
+        columns, corner = zip(*(found[j] for j in range(len(steps))), strict=True)
+        return list(columns), np.column_stack(corner)
+
+    def _difference(
+        self, values: Vector, j: int, h: float, *, moving: bool = False
+    ) -> tuple[Vector, Vector]:
+        """The same with respect to one scalar, which only moves what is prescribed or not."""
+        sides = []
+        for sign in (1.0, -1.0):
+            changed = values.copy()
+            changed[j] += sign * h
+            self.border.put(changed)
+            if moving:
+                self.assembler.constrain(self._b)
+            else:
+                self.assembler.residual(self._x, self._b)
+            sides.append((self._b.array_r.copy(), self.border.residual()))
+        (f, g), (p, q) = sides
+        column, corner = np.asarray(f - p) / (2 * h), np.asarray(g - q) / (2 * h)
+        return np.asarray(column, dtype=np.float64), np.asarray(corner, dtype=np.float64)
 
     # --- what PETSc calls ---
 
@@ -165,10 +249,11 @@ class Bordered:
         plain = self._inverse(b.array_r[: self._size])
         if self._solved is None:
             self._solved = [self._inverse(column) for column in self._columns]
-        schur = self._corner - np.column_stack([self._products(z) for z in self._solved])
+        self._schur = self._corner - np.column_stack([self._products(z) for z in self._solved])
         right = self.scalars(b) - self._products(plain)
+        scalars: Vector
         try:
-            scalars = np.linalg.solve(schur, right)
+            scalars = np.asarray(np.linalg.solve(self._schur, right), dtype=np.float64)
         except np.linalg.LinAlgError:
             scalars = np.full(self.border.size, np.nan)
         for s, z in zip(scalars, self._solved, strict=True):
@@ -176,6 +261,17 @@ class Bordered:
         self.fill(x, plain, scalars)
         reason = self.ksp.getConvergedReason()
         ksp.setConvergedReason(reason if reason < 0 else PETSc.KSP.ConvergedReason.CONVERGED_ITS)
+
+    def negative(self) -> int:
+        """Negative eigenvalues that the scalars add to those of the fields' tangent.
+
+        By Haynsworth's formula for the Schur complement; a constraint has one of its own.
+        """
+        signs = self.border.signs
+        kept = np.flatnonzero(signs)
+        S = (signs[:, None] * self._schur)[np.ix_(kept, kept)]
+        below = int(np.sum(np.linalg.eigvalsh((S + S.T) / 2) < 0.0)) if len(kept) else 0
+        return below - int(np.sum(signs < 0.0))
 
     def _inverse(self, right: Vector) -> Vector:
         self._b.array_w[:] = right

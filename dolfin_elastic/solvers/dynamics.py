@@ -14,9 +14,11 @@ from dolfin_elastic.model.components import Component, components, depends_on_ti
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.alpha import Alpha
+from dolfin_elastic.solvers.contact import begin_motion
 from dolfin_elastic.solvers.explicit import SymplecticEuler
 from dolfin_elastic.solvers.initial import set_initial
 from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.solvers.scalars import refuse_scalars
 from dolfin_elastic.state import State
 from dolfin_elastic.units import Force, Time
 
@@ -108,6 +110,7 @@ class Dynamics:
         petsc: Mapping[str, Any] | None = None,
         **fields: Any,
     ) -> None:
+        refuse_scalars(problem)
         self.problem = problem
         if settings is not None and fields:
             raise TypeError(f"give settings or keywords, not both: {', '.join(fields)}")
@@ -131,6 +134,7 @@ class Dynamics:
             )
         s = self.settings
         set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
+        begin_motion(self.problem)
         if s.scheme == "symplectic-euler":
             yield from SymplecticEuler(
                 self.problem, self.velocity, end=s.end, dt=s.dt, safety=s.safety, every=s.every

@@ -16,9 +16,10 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from dolfin_elastic.errors import InputError, StabilityError
-from dolfin_elastic.parallel import total
+from dolfin_elastic.parallel import largest, total
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.assembler import Assembler, compiled
+from dolfin_elastic.solvers.contact import Measured, all_touching
 from dolfin_elastic.solvers.motion import LumpedMass, Strain, lumped
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
@@ -64,9 +65,10 @@ class SymplecticEuler:
         self.safety, self._chosen = safety, dt
         self.a = fem.Function(problem.V, name="acceleration")
         self.assembler = Assembler(problem)
-        self.strain = Strain(problem)
+        self.strain, self._measured = Strain(problem), Measured(problem, moving=True)
         self.mass = lumped(problem, self.assembler)
         self.measure = LumpedMass(problem, v, self.mass)
+        self._drag = self._drag_rows()
         self.dt = self._first_step()
         self._local_work = 0.0
         self._change = np.zeros(self.assembler.size)
@@ -85,15 +87,42 @@ class SymplecticEuler:
         with stage("solve"):
             x, scale = self.assembler.create_vector(), self.assembler.create_vector()
             self.assembler.get(x)
-            self.assembler.tangent(x)
+            with all_touching(self.problem):  # what is free now may hit within the next steps
+                self.assembler.tangent(x, unit=0.0)
             scale.array_w[:] = 1 / np.sqrt(self.mass)
             scale.array_w[self.problem.prescribed.owned] = 0.0
             self.assembler.matrix.diagonalScale(scale, scale)
             self.assembler.forget_tangent()
-            largest = _largest_eigenvalue(self.assembler.matrix, self.problem.symmetric)
+            square = _largest_eigenvalue(self.assembler.matrix, self.problem.symmetric)
             x.destroy()
             scale.destroy()
-        return float(2 / np.sqrt(largest)) if largest > 0 else np.inf
+        return self._damped(square)
+
+    def _damped(self, square: float) -> float:
+        """Stable step for the largest omega^2 and the dashpots' largest rate c/m [s]. Collective.
+
+        With dashpots at the old velocity, z^2 - (2 - h c/m - h^2 omega^2) z + 1 - h c/m has no root
+        beyond -1 up to h = 4/(c/m + sqrt((c/m)^2 + 4 omega^2)), which is 2/omega without them.
+        """
+        rate = 0.0
+        if self._drag is not None:
+            rows = self._drag / self.mass
+            rate = largest(self.problem.body.comm, float(np.max(rows, initial=0.0)))
+        below = rate + np.sqrt(rate**2 + 4 * max(square, 0.0))
+        return float(4 / below) if below > 0 else np.inf
+
+    def _drag_rows(self) -> Vector | None:
+        """Bounds of the rows of the dashpots' matrix, owned entries [N s/m]. Collective."""
+        dashpots = self.problem.dashpots
+        if not dashpots:
+            return None
+        form = sum(dashpot.bound(self.problem.site) for dashpot in dashpots)
+        return self.assembler.nodal(compiled(self.problem, [form])[0])
+
+    def _tell_dashpots(self) -> None:
+        if self._drag is not None:
+            self.problem.site.velocity.x.array[:] = self.v.x.array
+            self.problem.site.velocity.x.scatter_forward()
 
     def _first_step(self) -> float:
         stable = self._stable = self.stable_step()
@@ -145,8 +174,9 @@ class SymplecticEuler:
         t, step, check = 0.0, 0, RECHECK[0]
         self._interval = check
         with stage("assemble"):
+            self._tell_dashpots()
             self.assembler.assemble_balance()
-            self._forces = self.assembler.external_forces()
+            self._forces = self._applied()
         first = self._state(step, t)
         self._initial = first.energies["total"]
         yield first
@@ -175,47 +205,53 @@ class SymplecticEuler:
     def _advance(self, t: float, dt: float) -> None:
         """One step; `balance` holds the forces at t before and at t + dt afterwards."""
         n, u, v = self.assembler.size, self.problem.u.x, self.v.x
-        held = self.problem.prescribed
-        balance = self.assembler.balance.array
+        a, held = self.assembler, self.problem.prescribed
         with stage("solve"):
-            reactions, before = balance[held.owned], v.array[held.owned]
-            np.multiply(balance[:n], dt / self.mass, out=self._change)
-            np.negative(self._change, out=self._change)
+            reactions = a.constraint_forces(a.balance.array[:n])
+            old = v.array[:n].copy()
+            np.multiply(a.balance.array[:n], -dt / self.mass, out=self._change)
             self.problem.set_time(t + dt)
-            goal = (held.values.x.array[held.owned] - u.array[held.owned]) / dt
-            self._change[held.owned] = goal - before
+            goal = (held.targets - held.present(u.array)) / dt
             v.array[:n] += self._change
-            v.array[held.owned] = goal
+            held.impose(v.array[:n], goal)
+            np.subtract(v.array[:n], old, out=self._change)
             u.array[:n] += dt * v.array[:n]
             u.scatter_forward()
         with stage("assemble"):
-            self.assembler.assemble_balance()
+            self._tell_dashpots()
+            a.assemble_balance()
         self._dt_done = dt
-        self._add_work(dt, reactions, before)
+        self._add_work(dt, reactions, a.constraint_forces(old))
 
     def _add_work(self, dt: float, reactions: Vector, before: Vector) -> None:
         """This rank's work of loads and supports over a step, by the trapezoidal rule.
 
         What a support gives to the mass it moves is the change of that mass's kinetic energy.
         """
-        n, held = self.assembler.size, self.problem.prescribed.owned
+        a, n = self.assembler, self.assembler.size
         forces = self._forces
-        if self.problem.loads_change:
-            forces = self.assembler.external_forces()
+        if self.problem.loads_change or self.problem.holding:
+            forces = self._applied()
         v = self.v.x.array[:n]
-        now = v[held]
-        pushed = dt * np.dot((reactions + self.assembler.balance.array[held]) / 2, now)
-        moved = 0.5 * np.dot(self.mass[held], now * now - before * before)
+        now = a.constraint_forces(v)
+        reactions = reactions + a.constraint_forces(a.balance.array[:n])
+        pushed = dt * np.dot(reactions / 2, now)
+        moved = 0.5 * np.dot(self.mass, now * now - before * before)
         loaded = dt * (np.dot(forces, v) + np.dot(self._forces, v)) / 2
         self._local_work += float(pushed + moved + loaded)
         self._forces = forces
 
+    def _applied(self) -> Vector:
+        """Nodal forces of loads, and of all that holds by forces [N]."""
+        forces = self.assembler.external_forces()
+        return forces + self.assembler.holding_forces() if self.problem.holding else forces
+
     def _acceleration(self) -> None:
         """Mean acceleration of the last step, and with it the reactions of moving supports."""
-        n, held = self.assembler.size, self.problem.prescribed.owned
+        n = self.assembler.size
         self.a.x.array[:n] = self._change / self._dt_done
         self.a.x.scatter_forward()
-        self._inertia[held] = self.mass[held] * self.a.x.array[held]
+        self._inertia[:] = self.assembler.constraint_forces(self.mass * self.a.x.array[:n])
 
     def _state(self, step: int, t: float) -> State:
         kinetic, linear, angular = self.measure.measure()
@@ -224,13 +260,15 @@ class SymplecticEuler:
                 f"the motion has no finite velocity at t = {t:.6g} s",
                 advice="a smaller dt or safety",
             )
-        strain = self.strain.energy()
+        strain, more = self.strain.energy(), self._measured.energies()
         self._acceleration()
         energies = {
             "strain": strain,
             "kinetic": kinetic,
-            "total": strain + kinetic,
+            "total": strain + kinetic + sum(more.values()),
             "external": float(total(self.problem.body.comm, self._local_work)),
+            **self.strain.springs(),
+            **more,
         }
         return State(
             step=step,
@@ -243,6 +281,7 @@ class SymplecticEuler:
             reactions=self.assembler.reactions(self._inertia),
             momenta={"linear": linear, "angular": angular},
             max_displacement=self.assembler.max_displacement(),
+            numbers=self._measured.numbers(),
             done=t / self.end,
         )
 

@@ -57,11 +57,11 @@ def set_initial(
         _put(problem, v, velocity, "dynamics.initial_velocity")
     moment = 1e-7 * span
     problem.set_time(moment)
-    later = held.values.x.array[held.dofs].copy()
+    later = held.targets
     problem.set_time(0.0)
     held.check_finite()
-    u.x.array[held.dofs] = held.values.x.array[held.dofs]
-    v.x.array[held.dofs] = (later - u.x.array[held.dofs]) / moment
+    held.impose(u.x.array, held.targets)
+    held.impose(v.x.array, (later - held.targets) / moment)
     u.x.scatter_forward()
     v.x.scatter_forward()
     problem.unknowns.take()

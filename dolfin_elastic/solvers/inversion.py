@@ -6,14 +6,19 @@ import basix
 import numpy as np
 import numpy.typing as npt
 import ufl
+from mpi4py import MPI
 
 from dolfin_elastic.compiler import compile_expression
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.timing import stage
 
+Floats = npt.NDArray[np.float64]
+Extreme = tuple[float, Floats]
+"""A value and the place of its cell in the reference configuration [m]."""
+
 
 class JacobianWatch:
-    """Smallest det F of a body, at the points where the energy is integrated.
+    """Smallest and largest det F of a body, at the points where the energy is integrated.
 
     Args:
         problem: Whose displacement is watched.
@@ -28,15 +33,41 @@ class JacobianWatch:
         self._problem, self._points = problem, points
         self._cells = problem.body.owned_cells()
 
-    def smallest(self) -> tuple[float, npt.NDArray[np.float64]]:
+        self._seen: Floats | None = None
+        self._found: tuple[Extreme, Extreme] | None = None
+
+    def smallest(self) -> Extreme:
         """Smallest det F and the reference place of its cell [m]. Collective."""
+        return self.extremes()[0]
+
+    def extremes(self) -> tuple[Extreme, Extreme]:
+        """Smallest and largest det F and the reference places of their cells [m]. Collective.
+
+        Asked again before anything has moved, nothing is evaluated again.
+        """
+        now = self._problem.w.x.array
+        same = self._seen is not None and np.array_equal(self._seen, now)
+        comm = self._problem.body.comm
+        if self._found is None or not comm.allreduce(same, op=MPI.LAND):
+            self._seen, self._found = now.copy(), self._evaluated()
+        return self._found
+
+    def _evaluated(self) -> tuple[Extreme, Extreme]:
         mesh = self._problem.body.mesh
         with stage("assemble"):
             values = self._J.eval(mesh, self._cells)
-        values = values.reshape(len(self._cells), len(self._points)).min(axis=1)
-        mine = (np.inf, np.zeros(3))
+        values = values.reshape(len(self._cells), len(self._points))
+        low, high = values.min(axis=1), values.max(axis=1)
+        mine: tuple[Extreme, Extreme] = (np.inf, np.zeros(3)), (-np.inf, np.zeros(3))
         if len(values):
-            worst = int(np.argmin(values))
-            nodes = mesh.geometry.dofmap[self._cells[worst]]
-            mine = (float(values[worst]), mesh.geometry.x[nodes].mean(axis=0))
-        return min(mesh.comm.allgather(mine), key=lambda pair: pair[0])
+            mine = (self._at(low, int(np.argmin(low))), self._at(high, int(np.argmax(high))))
+        found = mesh.comm.allgather(mine)
+        return (
+            min((low for low, _ in found), key=lambda pair: pair[0]),
+            max((high for _, high in found), key=lambda pair: pair[0]),
+        )
+
+    def _at(self, values: Floats, row: int) -> Extreme:
+        mesh = self._problem.body.mesh
+        nodes = mesh.geometry.dofmap[self._cells[row]]
+        return float(values[row]), mesh.geometry.x[nodes].mean(axis=0)

@@ -9,15 +9,19 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
 
 from dolfin_elastic.parallel import total
-from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.motion import Strain
 
 Vector = npt.NDArray[np.float64]
 
 SLACK = 0.02
 """Share of the step's energy that is no sign of anything."""
+
+SMALL = 2e-3
+"""Share of all stored energy that is none: where nodes touch an obstacle one after the other, the
+energy of a discrete body goes up and down a little."""
 
 
 class PathWatch:
@@ -25,21 +29,16 @@ class PathWatch:
 
     Args:
         assembler: Of a problem at rest.
+
+    Attributes:
+        strain: Measures the stored energy.
     """
 
     def __init__(self, assembler: Assembler) -> None:
-        self._assembler, problem = assembler, assembler.problem
-        self._form: fem.Form | None = None
-        if problem.strain_energy is not None:
-            self._form = compiled(problem, [problem.strain_energy])[0]
+        self._assembler = assembler
+        self.strain = Strain(assembler.problem)
         self._before: tuple[float, Vector, Vector] | None = None
         self._now: tuple[float, Vector, Vector] | None = None
-
-    def energy(self) -> float:
-        """Strain energy of the present state [J]; NaN where there is none. Collective."""
-        if self._form is None:
-            return float("nan")
-        return integral(self._assembler.problem, self._form)
 
     def look(self) -> None:
         """Takes in the present equilibrium, whose forces are in the assembler. Collective."""
@@ -50,20 +49,34 @@ class PathWatch:
             whole = a.cell.work()
             if a.comm.rank == 0:
                 forces, moved = np.append(forces, whole[0]), np.append(moved, whole[1])
-        self._now = self.energy(), forces, moved
+        self._now = self.strain.energy(), forces, moved
+
+    def finite(self) -> bool:
+        """Whether the energy looked at last is finite, if there is one."""
+        return self.strain.none or self._now is None or bool(np.isfinite(self._now[0]))
 
     def accept(self) -> None:
         """The state looked at last is where the next step begins."""
         self._before = self._now
 
-    def jumped(self) -> bool:
-        """Whether the energy between the last two states came from somewhere else. Collective."""
-        if self._form is None or self._before is None or self._now is None:
+    def jumped(self, unsure: float) -> bool:
+        """Whether the energy between the last two states came from somewhere else. Collective.
+
+        Args:
+            unsure: Norm of the forces that Newton's method leaves undetermined [N].
+        """
+        if (
+            self.strain.none
+            or self._assembler.problem.rest
+            or self._before is None
+            or self._now is None
+        ):
             return False
         (was, f, u), (now, g, v) = self._before, self._now
         du = v - u
-        sums = np.array([np.dot(f, du), np.dot(g, du)])
-        before, after = total(self._assembler.comm, sums)
+        sums = np.array([np.dot(f, du), np.dot(g, du), np.dot(du, du)])
+        before, after, square = total(self._assembler.comm, sums)
         gained = now - was
         slack = SLACK * max(abs(gained), abs(before), abs(after))
+        slack += SMALL * max(abs(was), abs(now)) + 2 * unsure * np.sqrt(square)
         return bool(abs(gained - (before + after) / 2) > abs(after - before) / 2 + slack)

@@ -21,6 +21,7 @@ from dolfin_elastic._compat import interpolation_matrix
 from dolfin_elastic.prescribed import Prescribed
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
+from dolfin_elastic.tilted import Tilted
 
 DIRECT_LIMIT = {2: 150_000, 3: 20_000}
 """Largest number of unknowns that are factorised by default, by dimension."""
@@ -179,12 +180,38 @@ def rigid_body_modes(
     return space
 
 
+def _free_directions(like: PETSc.Vec, tilted: Tilted) -> PETSc.Mat:
+    """The matrix of 1 - P at tilted nodes and ones elsewhere, sized like a vector. Collective."""
+    size, dim = like.getLocalSize(), tilted.P.shape[1]
+    nodes = tilted.nodes[: tilted.count]
+    plain = np.setdiff1d(np.arange(size // dim), nodes)
+    own = np.arange(size).reshape(-1, dim)
+    rows = np.concatenate([np.repeat(own[nodes], dim, axis=1).reshape(-1), own[plain].reshape(-1)])
+    columns = np.concatenate([np.tile(own[nodes], dim).reshape(-1), own[plain].reshape(-1)])
+    blocks = np.eye(dim) - tilted.P[: tilted.count]
+    values = np.concatenate([blocks.reshape(-1), np.ones(plain.size * dim)])
+    order = np.argsort(rows, kind="stable")
+    start = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=size))])
+    matrix = PETSc.Mat().createAIJ(
+        ((size, None), (size, None)),
+        comm=like.comm,
+        csr=(
+            start.astype(PETSc.IntType),
+            (columns[order] + like.getOwnershipRange()[0]).astype(PETSc.IntType),
+            values[order],
+        ),
+    )
+    matrix.assemble()
+    return matrix
+
+
 class QuadraticMultigrid:
     """PETSc python preconditioner: quadratic elements, below them linear ones, below them GAMG.
 
     The coarse tangent is P^T K P with the interpolation P between elements of the same mesh.
     Constrained rows and columns of P are zero, and the coarse tangent has ones on its diagonal
-    there, so that both levels keep the prescribed values.
+    there, so that both levels keep the prescribed values.  With directions that are no entries it
+    is Q_fine P Q_coarse, and their projections on the coarse diagonal.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -197,10 +224,13 @@ class QuadraticMultigrid:
             problem.supports,
             axis=problem.geometry == "axisymmetric",
         )
+        self._tilted = coarse.tilted
         self._fixed = self._P.createVecRight()
         self._fixed.array_w[coarse.owned] = 1.0
         self._fixed.array_w[pinned] = 1.0
         self._scale_interpolation(problem.unknowns.local(problem.prescribed.owned))
+        if problem.prescribed.tilted is not None:
+            self._project_interpolation(problem.prescribed.tilted)
         self._problem = problem
         self._coarse: PETSc.Mat | None = None
         self._pc: PETSc.PC | None = None
@@ -214,12 +244,37 @@ class QuadraticMultigrid:
         rows.destroy()
         columns.destroy()
 
+    def _project_interpolation(self, fine: Tilted) -> None:
+        """Collective."""
+        left, right = self._P.createVecLeft(), self._P.createVecRight()
+        factors = [_free_directions(left, fine)]
+        if self._tilted is not None:
+            factors.append(_free_directions(right, self._tilted))
+        product = factors[0].matMult(self._P)
+        for factor in factors[1:]:
+            once, product = product, product.matMult(factor)
+            once.destroy()
+        for thing in (*factors, self._P, left, right):
+            thing.destroy()
+        self._P = product
+
+    def _hold_coarse(self) -> None:
+        """Adds what stands for held directions on the coarse level. Collective."""
+        assert self._coarse is not None
+        self._coarse.setDiagonal(self._fixed, addv=PETSc.InsertMode.ADD_VALUES)
+        if self._tilted is not None:
+            start, tilted = self._coarse.getOwnershipRange()[0], self._tilted
+            for node, P in zip(tilted.nodes[: tilted.count], tilted.P, strict=False):
+                rows = (start + node * len(P) + np.arange(len(P))).astype(PETSc.IntType)
+                self._coarse.setValues(rows, rows, P, addv=PETSc.InsertMode.ADD_VALUES)
+            self._coarse.assemble()
+
     def setUp(self, pc: PETSc.PC) -> None:
         """Makes the coarse tangent anew and sets both levels up. Collective."""
         _, matrix = pc.getOperators()
         first = self._coarse is None
         self._coarse = matrix.ptap(self._P, result=self._coarse)
-        self._coarse.setDiagonal(self._fixed, addv=PETSc.InsertMode.ADD_VALUES)
+        self._hold_coarse()
         if first:
             self._prepare(pc, matrix)
         assert self._pc is not None

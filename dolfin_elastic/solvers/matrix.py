@@ -16,6 +16,8 @@ import numpy.typing as npt
 from dolfinx import fem, la
 from petsc4py import PETSc
 
+from dolfin_elastic.solvers.projection import Projection
+
 Values = npt.NDArray[np.float64]
 
 
@@ -24,18 +26,31 @@ class TangentMatrix:
 
     Args:
         form: Compiled bilinear form; its sparsity is fixed here. Collective.
+        places: Owned rows of nodes that are held along given directions, of shape (nodes, dim);
+            None if no rank has any.
+        P: Projections on these directions, of shape (nodes, dim, dim).
 
     Attributes:
         petsc: The PETSc matrix, owned here.
+        unit: What stands for held directions that are no entries, in place of ones [N/m].
     """
 
-    def __init__(self, form: fem.Form) -> None:
+    def __init__(
+        self,
+        form: fem.Form,
+        places: npt.NDArray[np.int32] | None = None,
+        P: Values | None = None,
+    ) -> None:
         self._form = form
         self._native = fem.create_matrix(form, la.BlockMode.expanded)
         self.petsc = self._like_native()
         self._diagonal, self._others = self._places()
         if PETSc.ScalarType != np.float64 or self._entries() != self._native.indptr[self._rows()]:
             raise RuntimeError("PETSc's matrix has not the entries of DOLFINx's")
+        self.unit = 1.0
+        self._projection: Projection | None = None
+        if places is not None and P is not None:
+            self._projection = Projection(self._native, self._rows(), places, P)
 
     def _rows(self) -> int:
         dofmap = self._form.function_spaces[0].dofmap
@@ -90,6 +105,8 @@ class TangentMatrix:
         self._native.data[:] = 0.0
         fem.assemble_matrix(self._native, self._form, list(bcs))
         self._native.scatter_reverse()
+        if self._projection is not None:
+            self._projection.apply(self._native.data, self.unit)
         count = int(self._native.indptr[self._rows()])
         data = self._native.data[:count]
         _fill(self.petsc, data[self._diagonal], data[self._others])

@@ -32,10 +32,23 @@ class Strain:
         form = problem.strain_energy
         self._problem = problem
         self._form = compiled(problem, [form])[0] if form is not None else None
+        springs = problem.spring_energy
+        self._springs = compiled(problem, [springs])[0] if springs is not None else None
 
     def energy(self) -> float:
         """Strain energy of the present displacement [J]. Collective."""
         return float("nan") if self._form is None else integral(self._problem, self._form)
+
+    @property
+    def none(self) -> bool:
+        """A law has no energy."""
+        return self._form is None
+
+    def springs(self) -> dict[str, float]:
+        """Energy stored in supports [J] by its name; nothing without springs. Collective."""
+        if self._springs is None:
+            return {}
+        return {"springs": integral(self._problem, self._springs)}
 
 
 class ConsistentMass:

@@ -11,12 +11,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from petsc4py import PETSc
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes.body import cell_size, span
 from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.border import Border, Bordered, Vector, python_solver
+from dolfin_elastic.solvers.border import Border, Bordered, python_solver
 from dolfin_elastic.solvers.guard import PATIENCE, InversionGuard
 from dolfin_elastic.solvers.linear import (
     GMRES,
@@ -31,6 +32,7 @@ from dolfin_elastic.solvers.progress import Progress, Tolerance
 from dolfin_elastic.solvers.schur import SchurSplit
 from dolfin_elastic.timing import stage
 
+Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 FORCING = 1e-3
@@ -42,9 +44,6 @@ LINEAR = 1e-12
 
 STALL = 6
 """Backtracking iterations over which the residual has to fall by a third."""
-
-NEGATIVE_PIVOTS = 12
-"""Index of their number in MUMPS's INFOG."""
 
 HOPELESS = 1e8
 """Growth of the residual from which no Newton iteration comes back."""
@@ -70,6 +69,7 @@ class Newton:
     Attributes:
         guard: Shortens steps that turn cells inside out, after `watch_inversion`.
         ksp: The linear solver of the fields.
+        bordered: The system with scalar unknowns, if there are any.
         shift: Share of its diagonal that was added to the last tangent.
         inertia: Norm of the forces of inertia at the present iterate [N], in motion.
         mass: Norm of the mass's share of the tangent's diagonal [N/m], in motion.
@@ -96,28 +96,28 @@ class Newton:
         self._floor = self._first = self._norm = 0.0
         self._line_search = ""
         body = assembler.problem.body
-        self.span, self._cell_size = span(body), cell_size(body)
+        self.span, self.cell_size = span(body), cell_size(body)
         self._multigrid: QuadraticMultigrid | SchurSplit | None = None
         self._owns = snes is None
         self.options = Options({**_SNES, **choice.options, **(defaults or {})}, users or {})
         self.snes = PETSc.SNES().create(assembler.comm) if snes is None else snes
         self.guard: InversionGuard | None = None
-        self._bordered: Bordered | None = None
+        self.bordered: Bordered | None = None
         self.ksp = self.snes.ksp
         if border is not None:
             self.ksp = PETSc.KSP().create(assembler.comm)
-            self._bordered = Bordered(assembler, border, self.ksp)
-        source = self._bordered or assembler
-        self._x, self._f = source.create_vector(), source.create_vector()
+            self.bordered = Bordered(assembler, border, self.ksp)
+        self._source: Assembler | Bordered = self.bordered or assembler
+        self._x, self._f = self._source.create_vector(), self._source.create_vector()
         if self._owns:
             self.snes.setFunction(self._residual, self._f)
-            self.snes.setJacobian(self._tangent, source.matrix)
+            self.snes.setJacobian(self._tangent, self._source.matrix)
         self._configure()
 
     def _configure(self) -> None:
         self.snes.setOptionsPrefix(PREFIX)
-        if self._bordered is not None:
-            python_solver(self.snes, self._bordered, PREFIX + "bordered_")
+        if self.bordered is not None:
+            python_solver(self.snes, self.bordered, PREFIX + "bordered_")
             self.ksp.setOptionsPrefix(PREFIX)
             self.ksp.setOperators(self.assembler.matrix)
         with self.options.in_force(), self.options.told():
@@ -164,7 +164,7 @@ class Newton:
 
         A linear problem has one solution only, which is judged when it is found.
         """
-        self.guard = InversionGuard(self.assembler, self._bordered)
+        self.guard = InversionGuard(self.assembler, self.bordered)
         if not self.assembler.problem.linear:
             self.snes.setLineSearchPreCheck(self.guard.shorten)
 
@@ -257,10 +257,10 @@ class Newton:
             self.begin()
             if self.guard is not None:
                 self.guard.begin()
-            self._get()
+            self._source.get(self._x)
             self.snes.solve(None, self._x)
             self.finish()
-            self._put()
+            self._source.put(self._x)
             self.options.report_unused()
         return self.progress
 
@@ -268,8 +268,8 @@ class Newton:
         """Notes how the solve ended."""
         p, number = self.progress, self.snes.getConvergedReason()
         p.newton, p.krylov = self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
-        if self._bordered is not None:
-            p.krylov = self._bordered.iterations
+        if self.bordered is not None:
+            p.krylov = self.bordered.iterations
         p.converged, p.reason = number > 0, snes_reason(number)
         if number == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
             p.reason += f" ({ksp_reason(self.ksp.getConvergedReason())})"
@@ -280,43 +280,31 @@ class Newton:
         if self.direct:
             p.krylov = 0
 
-    def _get(self) -> None:
-        """Copies the problem's unknowns into our vector."""
-        if self._bordered is None:
-            self.assembler.get(self._x)
-            return
-        self._bordered.iterations = 0
-        fields = self.assembler.problem.w.x.array[: self.assembler.size]
-        self._bordered.fill(self._x, fields, self._bordered.border.get())
+    def present(self) -> Vector:
+        """A copy of all unknowns: local array of the fields, and scalars behind them."""
+        fields = self.assembler.problem.w.x.array
+        if self.bordered is None:
+            return np.asarray(fields.copy())
+        return np.concatenate([fields, self.bordered.border.get()])
 
-    def _put(self) -> None:
-        """Copies our vector into the problem's unknowns. Collective."""
-        if self._bordered is None:
-            self.assembler.put(self._x)
-        else:
-            self._bordered.residual(self._x, self._f)
-
-    def scalars(self) -> Vector:
-        """The scalar unknowns beside the fields."""
-        return np.zeros(0) if self._bordered is None else self._bordered.border.get()
-
-    def set_scalars(self, values: Vector) -> None:
-        """Puts the scalar unknowns back. Not collective."""
-        if self._bordered is not None:
-            self._bordered.border.put(values)
-            self.assembler.problem.unknowns.tell()
+    def put_back(self, unknowns: Vector) -> None:
+        """Changes all unknowns to those of `present`. Not collective."""
+        problem = self.assembler.problem
+        fields = problem.w.x.array
+        fields[:] = unknowns[: len(fields)]
+        if self.bordered is not None:
+            self.bordered.border.put(unknowns[len(fields) :])
+        problem.unknowns.tell()
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        if self._bordered is None:
-            self.assembler.residual(x, f)
-        else:
-            self._bordered.residual(x, f)
+        self._source.residual(x, f)
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        if self._bordered is None:
+        if self.bordered is None:
             self.assembler.tangent(x)
         else:
-            self._bordered.renew(x)
+            self.bordered.renew(x)
+            self._external = self.assembler.external_norm()  # scalars may load the body
             # SNES would lag the preconditioner of its own linear solver only.
             self.ksp.getPC().setReusePreconditioner(self._prepared and not self.direct)
             self.ksp.setOperators(self.assembler.matrix)
@@ -331,7 +319,7 @@ class Newton:
         a = self.assembler
         diagonal = P.getDiagonal()
         # Round-off of the stress is that of F = I + grad u, that of inertia is that of u.
-        stiff = max(float(diagonal.norm()) - self.mass, 0.0) * self._cell_size
+        stiff = max(float(diagonal.norm()) - self.mass, 0.0) * self.cell_size
         self._floor = 4 * np.finfo(float).eps * (stiff + self.mass * a.max_unknown())
         diagonal.destroy()
         if not self.direct and "ksp_rtol" not in self.options.users:
@@ -341,7 +329,7 @@ class Newton:
 
     def _target(self) -> float:
         a, p = self.assembler, self.progress
-        reference = max(self._external, a.held, p.reference)
+        reference = max(self._external, a.held, a.pushed, p.reference)
         if self._moving:
             reference = max(reference, self.inertia)
         return max(self.tolerance.rtol * reference, self.tolerance.atol, self._floor)
@@ -378,9 +366,9 @@ class Newton:
         return guard is not None and (guard.stuck or (guard.rejected > PATIENCE and not patient))
 
     def _settled(self) -> bool:
-        if self._bordered is None:
+        if self.bordered is None:
             return True
-        return self._bordered.border.settled(self._bordered.last, self.tolerance.rtol)
+        return self.bordered.border.settled(self.bordered.last, self._target())
 
     def _stalled(self) -> bool:
         """Backtracking takes ever smaller steps: a smaller load step gets there sooner."""
@@ -392,29 +380,14 @@ class Newton:
             and norms[-1] > 0.7 * norms[-1 - STALL]
         )
 
-    def negative(self) -> int | None:
-        """Negative eigenvalues of the last tangent that a stable body has not. Collective.
-
-        From the inertia of its factorisation (Sylvester's law); None where there is none.
-        """
-        problem = self.assembler.problem
-        if not (self.direct and problem.symmetric and self.progress.newton and self.shift == 0.0):
-            return None
-        if self.ksp.getPC().getType() != "cholesky":
-            return None
-        if "pc_factor_mat_solver_type" in self.options.users:
-            return None
-        below = self.ksp.getPC().getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS)
-        return int(below) - self.assembler.pressures
-
     def destroy(self) -> None:
         """Frees what it owns. Collective."""
         if self._multigrid is not None:
             self._multigrid.destroy()
         if self._owns:
             self.snes.destroy()
-        if self._bordered is not None:
-            self._bordered.free()
+        if self.bordered is not None:
+            self.bordered.free()
             self.ksp.destroy()
         self._x.destroy()
         self._f.destroy()

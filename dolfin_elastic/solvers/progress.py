@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+UNSTABLE = "an unstable equilibrium"
+BEYOND = "the strain energy has no finite value: a material is beyond its limit"
+ANOTHER = "another equilibrium than that of the path"
+
 
 @dataclass
 class Progress:

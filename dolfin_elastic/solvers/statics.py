@@ -16,15 +16,19 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.arclength import ArcLength
 from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.audit import Auditor
+from dolfin_elastic.solvers.contact import Augmentation, Measured
+from dolfin_elastic.solvers.doctor import diagnose
+from dolfin_elastic.solvers.inertia import disturb, negative_eigenvalues
 from dolfin_elastic.solvers.jump import PathWatch
 from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton
-from dolfin_elastic.solvers.progress import Progress, Tolerance
+from dolfin_elastic.solvers.progress import ANOTHER, BEYOND, UNSTABLE, Progress, Tolerance
 from dolfin_elastic.solvers.relaxation import relax
 from dolfin_elastic.solvers.rigid import check_held
+from dolfin_elastic.solvers.scalars import Scalars
 from dolfin_elastic.solvers.steps import StepSizes
-from dolfin_elastic.solvers.strains import free_strains
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 from dolfin_elastic.units import Force, Length
@@ -132,13 +136,17 @@ class Statics:
         """
         check_held(self.problem)
         self._check_path()
+        for dashpot in self.problem.dashpots:
+            log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
         assembler = Assembler(self.problem)
-        border = free_strains(assembler.cell)
-        newton = Newton(assembler, self.choice, self.tolerance, users=self.petsc, border=border)
+        scalars = Scalars(assembler)
+        newton = Newton(
+            assembler, self.choice, self.tolerance, users=self.petsc, border=scalars.border
+        )
         newton.watch_inversion()
         try:
-            yield from _Stepping(self, assembler, newton).run()
+            yield from _Stepping(self, scalars, newton).run()
         finally:
             newton.destroy()
             assembler.destroy()
@@ -174,17 +182,20 @@ class Statics:
             largest=largest,
             smallest=first * s.min_step,
             stops=[*stops, *s.times],
+            steady=s.steps is not None,
         )
 
 
 class _Stepping:
     """Load steps: tried, made smaller or larger, given up."""
 
-    def __init__(self, statics: Statics, assembler: Assembler, newton: Newton) -> None:
+    def __init__(self, statics: Statics, scalars: Scalars, newton: Newton) -> None:
         self.statics, self.settings, self.problem = statics, statics.settings, statics.problem
-        self.assembler, self.newton = assembler, newton
-        self.ladder = Ladder(newton)
-        self._watch = PathWatch(assembler)
+        self.assembler, self.newton, self._scalars = newton.assembler, newton, scalars
+        self.ladder = Ladder(newton, Augmentation(self.problem))
+        self._watch, self._measured = PathWatch(self.assembler), Measured(self.problem)
+        assert newton.guard is not None
+        self._auditor = Auditor(self.problem, self.assembler, newton.guard.watch)
         self._count = 0
         self._before: tuple[float, Vector] | None = None
         self._limits: tuple[float, ...] = ()
@@ -204,49 +215,60 @@ class _Stepping:
         sizes, t = self.statics.sizes(), 0.0
         while not sizes.done(t) and not self._is_enough():
             goal = sizes.goal(t)
-            start, scalars = self.problem.w.x.array.copy(), self.newton.scalars()
+            start = self.newton.present()
             progress = self._attempt(t, goal)
             crushed = progress.rejected > 0 or "NAN" in progress.reason
-            if not progress.converged or self._jumped(progress):
+            fault = self._fault() if progress.converged else progress.reason
+            if fault:
                 if sizes.failed(t, goal, crushed=crushed and not progress.converged):
-                    self._retreat(goal, progress, start)
-                    self.newton.set_scalars(scalars)
+                    log.info("load factor %.6g: %s; a smaller step", goal, fault)
+                    self.newton.put_back(start)
                     continue
-                if not progress.converged:
-                    progress = self._snap(t, goal, progress)
-                elif self.settings.snap:
-                    self._say_snapped(t)
-                else:
-                    raise self._failure(t, goal, progress, None)
+                progress = self._elsewhere(t, goal, progress, fault, start)
             self._watch.accept()
             self._before = t, start
             sizes.succeeded(t, goal, progress.newton)
             t = goal
-            yield self._state(t, progress, self.newton.negative())
+            yield self._state(t, progress, negative_eigenvalues(self.newton))
 
-    def _jumped(self, progress: Progress) -> bool:
-        """The equilibrium that was found lies on another path. Collective."""
+    def _fault(self) -> str:
+        """Why the equilibrium that was found is none that a body would come to. Collective."""
         if self.problem.linear:
-            return False
+            return ""
         self._watch.look()
-        if self._watch.jumped():
-            progress.reason = "another equilibrium than that of the path"
-            return True
-        return False
+        if not self._watch.finite():
+            return BEYOND
+        if (negative_eigenvalues(self.newton) or 0) > 0:
+            return UNSTABLE
+        jumped = self._watch.jumped(self.newton.progress.target)
+        return ANOTHER if jumped else ""
 
-    def _retreat(self, goal: float, progress: Progress, start: Vector) -> None:
+    def _elsewhere(
+        self, t: float, goal: float, progress: Progress, fault: str, start: Vector
+    ) -> Progress:
+        """Goes on where no step is small enough, or gives up."""
+        progress.reason = fault
+        kept = self.newton.present() if progress.converged else self.ladder.failed
+        if not self.settings.snap or self.problem.linear or fault == BEYOND or t == 0.0:
+            raise self._failure(t, goal, progress, start, kept)
+        if not progress.converged or fault == UNSTABLE:
+            if progress.converged:
+                disturb(self.newton)
+            self.newton.refresh()
+            found = relax(self.newton)
+            self._watch.look()
+            if not found.converged or not self._watch.finite():
+                log.debug("flow to another equilibrium: %s", found.reason)
+                raise self._failure(t, goal, progress, start, kept)
+            progress = found
+        what = "the body buckles" if fault == UNSTABLE else "the body has snapped"
         log.warning(
-            "no equilibrium at load factor %.6g (%s): a smaller step", goal, progress.reason
-        )
-        self.problem.w.x.array[:] = start
-        self.problem.unknowns.tell()
-
-    def _say_snapped(self, t: float) -> None:
-        log.warning(
-            "no equilibrium is near beyond load factor %.6g: the body has snapped to another one; "
+            "no stable equilibrium is near beyond load factor %.6g: %s to another one; "
             'statics.method = "arc-length" shows the path between',
             t,
+            what,
         )
+        return progress
 
     def _is_enough(self) -> bool:
         limit = self.settings.max_displacement
@@ -261,56 +283,44 @@ class _Stepping:
         """Tries to go to a load factor; the displacement is put back if that fails."""
         self.problem.set_time(goal, default=RAMP)
         self.problem.prescribed.check_finite()
-        now = self.problem.w.x.array.copy()
+        now = self.newton.present()
         starts = [("", now)]
         if self._before is not None and t > self._before[0]:
             before, was = self._before
             starts.append(("along the path", now + (goal - t) / (t - before) * (now - was)))
         return self.ladder.solve(starts)
 
-    def _snap(self, t: float, goal: float, progress: Progress) -> Progress:
-        """Lets the body flow to another equilibrium, or gives up."""
-        failed = self.ladder.failed
-        if self.settings.snap and not self.problem.linear:
-            start = self.problem.w.x.array.copy()
-            self.newton.refresh()
-            found = relax(self.newton)
-            if found.converged:
-                self._say_snapped(t)
-                self._watch.look()
-                return found
-            log.debug("flow to another equilibrium: %s", found.reason)
-            self.problem.w.x.array[:] = start
-        raise self._failure(t, goal, progress, failed)
-
     def _failure(
-        self, t: float, goal: float, progress: Progress, failed: Vector | None
+        self, t: float, goal: float, progress: Progress, good: Vector, failed: Vector | None
     ) -> ConvergenceError:
-        if failed is not None:
-            self.problem.w.x.array[:] = failed
-        self.problem.unknowns.tell()
-        with stage("assemble"):
-            self.assembler.assemble_balance()
+        """The error, with why; the problem is left with the last iterate."""
+        progress.converged = False
+        last = good if failed is None else failed
+        self.newton.put_back(last)
+        fields = len(self.problem.w.x.array)
+        found = diagnose(self.assembler, progress, good=good[:fields], failed=last[:fields])
         force, place = self.assembler.largest_unbalance()
         return ConvergenceError(
-            f"no equilibrium beyond load factor {t:.6g}: {progress.reason}, Newton iterations: "
-            f"{progress.newton}; the largest force out of balance, {force:.3g} N, is at "
-            f"{_text(place)} m",
-            advice=_advice(progress),
+            f"no equilibrium beyond load factor {t:.6g}: {found.text}\n  at the end: "
+            f"{progress.reason}, Newton iterations: {progress.newton}; the largest force out of "
+            f"balance, {force:.3g} N, is at {_text(place)} m",
+            advice=found.advice,
             state=self._state(goal, progress),
+            diagnosis=found,
         )
 
     # --- the path grows ---
 
     def _arc(self) -> Iterator[State]:
         statics = self.statics
-        arc = ArcLength(self.assembler, self.newton, self.ladder, end=self.settings.end)
+        arc = ArcLength(self.ladder, self._scalars.parts, end=self.settings.end)
         try:
             arc.prepare(statics.choice, statics.tolerance, statics.petsc)
             first = statics.sizes().goal(0.0)
             for found in arc.path(first, self.settings.min_step):
                 if not found.progress.converged:
-                    raise self._failure(found.t, found.t, found.progress, self.ladder.failed)
+                    good = self.newton.present()
+                    raise self._failure(found.t, found.t, found.progress, good, self.ladder.failed)
                 self._limits = tuple(arc.limits)
                 yield self._state(found.t, found.progress, found.negative)
                 if self._is_enough():
@@ -322,6 +332,9 @@ class _Stepping:
 
     def _state(self, t: float, progress: Progress, negative: int | None = None) -> State:
         problem, assembler = self.problem, self.assembler
+        strain = self._watch.strain
+        energies = {"strain": strain.energy(), **strain.springs()}
+        judged = progress.converged or t == 0.0
         self._count += 1
         return State(
             step=self._count - 1,
@@ -333,26 +346,16 @@ class _Stepping:
             krylov=progress.krylov,
             reason=progress.reason,
             residuals=tuple(progress.residuals),
-            energies={"strain": self._watch.energy()},
+            energies=energies,
             reactions=assembler.reactions(),
             max_displacement=assembler.max_displacement(),
             negative=negative,
             limit_points=self._limits,
-            numbers={} if assembler.cell is None else assembler.cell.numbers(),
+            numbers={**self._measured.numbers(), **self._scalars.numbers()},
+            audit=self._auditor.of(t, energies["strain"]) if judged else None,
             done=t / self.settings.end,
         )
 
 
 def _text(place: Any) -> str:
     return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"
-
-
-def _advice(progress: Progress) -> str:
-    if "LINEAR_SOLVE" in progress.reason:
-        return (
-            "is the body held against every rigid motion? Otherwise "
-            'solver.method = "direct" or a smaller load'
-        )
-    if progress.rejected or "NAN" in progress.reason:
-        return "more load steps, a smaller load, or a finer mesh where the cells are crushed"
-    return "more load steps or a smaller load; beyond a limit point no static equilibrium exists"

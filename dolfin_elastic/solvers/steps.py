@@ -7,6 +7,9 @@ from collections.abc import Sequence
 QUICK, SLOW = 5, 10
 """Newton iterations up to which the next step is doubled, and from which it is shortened."""
 
+CALM = 3
+"""Steps after a failure from which they grow again."""
+
 
 class StepSizes:
     """The sizes of load steps from 0 to the end.
@@ -17,6 +20,7 @@ class StepSizes:
         largest: Size that no step exceeds.
         smallest: Size below which no step is tried.
         stops: Load factors that are met exactly, beside the end.
+        steady: The size is the user's: a step that was found is not shortened for its iterations.
     """
 
     def __init__(
@@ -27,8 +31,10 @@ class StepSizes:
         largest: float,
         smallest: float,
         stops: Sequence[float] = (),
+        steady: bool = False,
     ) -> None:
         self.end, self.size = end, first
+        self._calm, self._steady = CALM, steady
         self._largest, self._smallest = largest, smallest
         self._stops = sorted({s for s in stops if 0.0 < s < end} | {end})
 
@@ -44,10 +50,11 @@ class StepSizes:
 
     def succeeded(self, t: float, goal: float, newton: int) -> None:
         """Takes note of a step from t to goal and of its Newton iterations."""
-        if newton <= QUICK:
+        self._calm += 1
+        if newton <= QUICK and self._calm >= CALM:
             # A step that was cut short by a stop says nothing against a longer one.
             self.size = min(self._largest, 2.0 * max(self.size, goal - t))
-        elif newton >= SLOW:
+        elif newton >= SLOW and not self._steady:
             self.size = max(self._smallest, 0.7 * (goal - t))
 
     def failed(self, t: float, goal: float, *, crushed: bool) -> bool:
@@ -64,5 +71,5 @@ class StepSizes:
         size = (goal - t) * (0.25 if crushed else 0.5)
         if size < self._smallest:
             return False
-        self.size = size
+        self.size, self._calm = size, 0
         return True

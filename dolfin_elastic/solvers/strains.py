@@ -30,6 +30,9 @@ class FreeStrains(Border):
         self._mean, self._cell, problem = mean, mean.cell, mean.problem
         self._free, self.size = self._cell.free, len(self._cell.free)
         self.steps = np.full(self.size, 1e-5 * self._cell.length)
+        # The residual is the derivative of the energy with respect to them.
+        self.signs = np.ones(self.size)
+        self.prescribing = np.zeros(self.size, dtype=bool)
         row = ufl.derivative(mean.mean, problem.w, ufl.TestFunction(problem.W))
         self._row = mean.compiled([row])[0]
         self._stiff = 0.0
@@ -53,6 +56,7 @@ class FreeStrains(Border):
 
     def rows(self) -> list[Vector]:
         """Its derivative with respect to the fields."""
+        self._measure()
         found, dofmap = [], self._mean.problem.W.dofmap
         size = dofmap.index_map.size_local * dofmap.index_map_bs
         for ij in self._free:
@@ -63,24 +67,27 @@ class FreeStrains(Border):
             found.append(row.array[:size] / self._cell.length)
         return found
 
-    def corner(self) -> Vector:
-        """Its derivative with respect to the free strains, by differences."""
-        found, values = np.zeros((self.size, self.size)), self.get()
+    def _measure(self) -> None:
+        """Notes how stiff the cell is, by differences."""
+        values = self.get()
+        found = np.zeros(self.size)
         for b, h in enumerate(self.steps):
             sides = []
             for moved in (h, -h):
                 self.put(values + moved * (np.arange(self.size) == b))
-                sides.append(self.residual())
-            found[:, b] = (sides[0] - sides[1]) / (2 * h)
+                sides.append(self.residual()[b])
+            found[b] = (sides[0] - sides[1]) / (2 * h)
         self.put(values)
         self._stiff = float(np.abs(found).max())
-        return found
 
-    def settled(self, residual: Vector, rtol: float) -> bool:
-        """The stresses are as prescribed, to the tolerance of forces or to round-off."""
-        own = self._mean.force() * np.sqrt(self._cell.pairing.face_nodes)
+    def settled(self, residual: Vector, target: float) -> bool:
+        """The stresses are as prescribed, to the tolerance of forces or to round-off.
+
+        The force of a face is spread over its nodes, the target is a norm of nodal forces.
+        """
+        own = target * np.sqrt(self._cell.pairing.face_nodes)
         floor = ROUND_OFF * self._stiff * self._cell.length
-        return bool(np.abs(residual).max() <= max(rtol * own, floor))
+        return bool(np.abs(residual).max() <= max(own, floor))
 
 
 def free_strains(mean: Macroscopic | None) -> FreeStrains | None:

@@ -1,126 +1,23 @@
-"""Everything that can be said about a case before anything is compiled or solved."""
+"""Whether a case fits its mesh: the first thing that is wrong, as one error."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
-from mpi4py import MPI
 
 from dolfin_elastic.bench.gate import gate
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.errors import CaseError, MeshError, nearest
-from dolfin_elastic.meshes.body import Body, Indices, extent
-from dolfin_elastic.meshes.shapes import cell_corners, facet_corners, signed_volumes
+from dolfin_elastic.meshes.body import Body, Indices
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.parallel import total
-from dolfin_elastic.parts import locking_notes
 from dolfin_elastic.results.fields import FIELDS
-from dolfin_elastic.solvers.explicit import check_explicit
-from dolfin_elastic.solvers.linear import choose
-from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.tables import Material
 from dolfin_elastic.toml_text import key_text
 from dolfin_elastic.varying import Binder
-
-Floats = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class PartSize:
-    """How large a named part is.
-
-    Attributes:
-        name: Its name.
-        count: Facets or cells on all ranks.
-        measure: Area or volume [m^2, m^3]; length or area of a plane body [m, m^2].
-        use: What it is there for: "support", "load", material's names; empty: nothing.
-    """
-
-    name: str
-    count: int
-    measure: float
-    use: str
-
-
-@dataclass(frozen=True)
-class Report:
-    """What a check finds.
-
-    Attributes:
-        case: Name of the case file.
-        title: The case's title.
-        mesh: Where the mesh comes from.
-        dim: 3, or 2 for plane strain.
-        extent: Sides of the body's bounding box [m].
-        geometry: "solid", or what a plane mesh is.
-        cells: Cells on all ranks.
-        unknowns: Displacement components on all ranks.
-        analysis: "statics" or "dynamics".
-        linear_solver: Which linear solver, and why.
-        surfaces: The named surfaces.
-        regions: The named regions.
-        notes: What a user should know.
-        fields: Name, place and range of each field that the mesh carries.
-    """
-
-    case: str
-    title: str
-    mesh: str
-    dim: int
-    geometry: str
-    extent: tuple[float, ...]
-    cells: int
-    unknowns: int
-    analysis: str
-    linear_solver: str
-    surfaces: tuple[PartSize, ...]
-    regions: tuple[PartSize, ...]
-    notes: tuple[str, ...]
-    fields: tuple[str, ...] = ()
-
-
-def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
-    """Checks a case against its mesh and says how large everything is.
-
-    Collective.
-
-    Raises:
-        InputError: Something is wrong.
-    """
-    body = case.read_body(comm)
-    notes = check(case, body)
-    problem = case.make_problem(body)
-    with located(case.file):
-        if case.dynamics is None:
-            check_held(problem)
-        elif explicit(case):
-            check_explicit(problem)
-    return Report(
-        case=case.file,
-        title=case.title,
-        mesh=body.source,
-        dim=body.dim,
-        geometry=case.mesh.geometry if body.dim == 2 else "solid",
-        extent=extent(body),
-        cells=body.num_cells,
-        unknowns=problem.num_dofs,
-        analysis="dynamics" if case.dynamics else "statics",
-        linear_solver="none: explicit scheme"
-        if explicit(case)
-        else choose(problem, case.solver).why,
-        surfaces=_surface_sizes(case, body),
-        regions=_region_sizes(case, body),
-        notes=(
-            *body.notes,
-            *notes,
-            *locking_notes(body, problem.parts, problem.degree, problem.geometry),
-        ),
-        fields=tuple(f"{name}: {body.fields[name].said(comm)}" for name in sorted(body.fields)),
-    )
 
 
 def check(case: Case, body: Body) -> tuple[str, ...]:
@@ -142,6 +39,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_densities(case)
         _check_constants(case, body)
         _check_fields(case)
+        case.output.check_probes(body, case.mesh.scale)
         if explicit(case) and case.mesh.degree > 1:
             raise CaseError(
                 "symplectic-euler has a lumped mass, for linear elements only",
@@ -163,6 +61,9 @@ def _check_names(case: Case, body: Body) -> None:
     for i, support in enumerate(case.support):
         for where, name in _keys(f"support[{i}].on", support.on):
             _check_name(where, name, "surface", "a support holds surfaces", body)
+    for i, contact in enumerate(case.contact):
+        for where, name in _keys(f"contact[{i}].on", contact.on):
+            _check_name(where, name, "surface", "a contact holds surfaces", body)
     for i, load in enumerate(case.load):
         kind = "surface" if acts_on_surfaces(load) else "region"
         for where, name in _keys(f"load[{i}].on", getattr(load, "on", None)):
@@ -210,8 +111,16 @@ def _offer(name: str, names: Mapping[str, Indices]) -> str:
 
 
 def _check_components(case: Case, body: Body) -> None:
-    vectors = [(f"support[{i}].displacement", s.values) for i, s in enumerate(case.support)]
-    vectors += [(f"load[{i}].value", load.values) for i, load in enumerate(case.load)]
+    vectors = [
+        (f"support[{i}].{key}", values)
+        for i, support in enumerate(case.support)
+        for key, values in support.vectors.items()
+    ]
+    vectors += [
+        (f"load[{i}].{key}", values)
+        for i, load in enumerate(case.load)
+        for key, values in load.vectors.items()
+    ]
     if case.dynamics is not None:
         vectors += [
             ("dynamics.initial_displacement", case.dynamics.displacement),
@@ -229,6 +138,11 @@ def _check_components(case: Case, body: Body) -> None:
 def _check_fields(case: Case) -> None:
     fields = [(f"output.fields[{i}]", name) for i, name in enumerate(case.output.fields or ())]
     fields += [(f"output.pictures[{i}].field", p.field) for i, p in enumerate(case.output.pictures)]
+    fields += [
+        (f"output.probes.{key_text(key)}.fields", name)
+        for key, probe in case.output.probes.items()
+        for name in probe.fields
+    ]
     powerless = [n for n, m in case.materials.items() if not m.law.has_energy]
     for where, name in fields:
         if FIELDS[name].motion and case.dynamics is None:
@@ -325,52 +239,18 @@ def _check_constants(case: Case, body: Body) -> None:
             binder.values(material.law, cells, f"materials.{key_text(name)}")
 
 
-# --- notes and sizes ---
+# --- notes ---
 
 
 def _notes(case: Case) -> Iterator[str]:
     for name, material in case.materials.items():
         if material.law.warning:
             yield f"materials.{key_text(name)}: {material.law.warning}"
-    moving = any(value not in (None, 0.0) for support in case.support for value in support.values)
+    moving = any(not support.at_rest for support in case.support)
+    moving = moving or any(value != 0.0 for c in case.contact for value in c.values)
+    for i, support in enumerate(case.support):
+        if support.kind == "dashpot" and case.dynamics is None:
+            yield f"support[{i}]: a dashpot does nothing in statics"
     still = case.dynamics is None and not case.load and not moving
     if still and case.periodic is None:
         yield "there is no load and every support is at rest: nothing will move"
-
-
-def _uses(case: Case, name: str, *, surface: bool) -> str:
-    loads = [
-        load.kind for load in case.load if acts_on_surfaces(load) == surface and name in load.parts
-    ]
-    if surface:
-        paired = (
-            ["periodic"] if case.periodic and any(name in p for p in case.periodic.pairs) else []
-        )
-        return ", ".join(["support" for s in case.support if name in s.surfaces] + loads + paired)
-    return ", ".join([key for key, m in case.materials.items() if name in m.regions] + loads)
-
-
-def _surface_sizes(case: Case, body: Body) -> tuple[PartSize, ...]:
-    sizes = []
-    for name in sorted(body.surfaces):
-        facets = body.owned_facets(name)
-        area = float(total(body.comm, float(np.sum(_areas(facet_corners(body.mesh, facets))))))
-        sizes.append(PartSize(name, body.count(name), area, _uses(case, name, surface=True)))
-    return tuple(sizes)
-
-
-def _areas(corners: Floats) -> Floats:
-    edges = corners[:, 1:] - corners[:, :1]
-    gram = np.einsum("nik,njk->nij", edges, edges)
-    return np.asarray(np.sqrt(np.maximum(np.linalg.det(gram), 0.0)) / edges.shape[1])
-
-
-def _region_sizes(case: Case, body: Body) -> tuple[PartSize, ...]:
-    sizes = []
-    for name in [None, *sorted(body.regions)]:
-        cells = body.owned_cells(name)
-        volume = float(np.sum(np.abs(signed_volumes(cell_corners(body.mesh, cells)))))
-        count, volume = total(body.comm, np.array([len(cells), volume]))
-        use = "" if name is None else _uses(case, name, surface=False)
-        sizes.append(PartSize(name or "(whole body)", int(count), float(volume), use))
-    return tuple(sizes)

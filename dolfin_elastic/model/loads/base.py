@@ -1,18 +1,26 @@
-"""Loads: one external virtual-work term each, and their table."""
+"""What every load is: one external virtual-work term, and the site where it acts."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Protocol
 
+import numpy as np
+import numpy.typing as npt
 import ufl
-from pydantic import Field, model_validator
+from pydantic import model_validator
 from ufl.core.expr import Expr
 
+from dolfin_elastic.errors import InputError
 from dolfin_elastic.model.components import Component, components, depends_on_time
 from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
 from dolfin_elastic.schema import Record
+
+PLACE = frozenset("xyz")
+"""Names of the place in formulas."""
 
 
 class Site(Protocol):
@@ -22,12 +30,23 @@ class Site(Protocol):
     """Virtual displacement."""
     u: Expr
     """Displacement, of the unknowns: derivatives see it."""
-    F: Expr
-    """The 3x3 deformation gradient."""
+
+    @property
+    def F(self) -> Expr:
+        """The 3x3 deformation gradient."""
+
     X: Expr
     """Reference coordinates."""
     N: Expr
     """Outward unit normal of the reference surface."""
+
+    @property
+    def revolved(self) -> bool:
+        """A body of revolution about y: its first coordinate is the radius."""
+
+    @property
+    def linear(self) -> bool:
+        """All laws are linear: see `Load.linearises`."""
 
     def volumes(self, regions: Sequence[str]) -> ufl.Measure:
         """Reference volume of regions, of the whole body if there are none."""
@@ -35,17 +54,51 @@ class Site(Protocol):
     def areas(self, surfaces: Sequence[str]) -> ufl.Measure:
         """Reference area of surfaces."""
 
+    def area(self, surfaces: Sequence[str]) -> Expr:
+        """Size of the reference area of surfaces [m^2]."""
+
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
         """Density [kg/m^3] and reference volume, material by material."""
 
     def constant(self, value: float | Sequence[float]) -> Expr:
         """A number that can change without compiling anything."""
 
+    def unknown(self, label: str) -> Expr:
+        """A number that is solved for."""
+
     def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
         """The vector at a point of the body, times the amplitude (None: as the solver decides)."""
 
+    def factor(self, amplitude: Amplitude | None) -> Expr:
+        """A number that follows an amplitude (None: as the solver decides)."""
+
+    def value(self, value: Component) -> Expr:
+        """A number or formula at a point of the body."""
+
     def scalar(self, value: Component, amplitude: Amplitude | None) -> Expr:
         """A number or formula at a point of the body, times the amplitude."""
+
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Places:
+    """Points of the undeformed body at which a load is asked how strong it is.
+
+    Attributes:
+        X: Places [m], shape (..., dim).
+        t: Time [s], or load parameter.
+        N: Outward unit normals, shape of X, on surfaces only.
+        density: Mass density [kg/m^3], shape (...), for loads that need it.
+        size: Area or volume of all points' part [m^2, m^3].
+    """
+
+    X: Floats
+    t: float
+    N: Floats | None = None
+    density: Floats | None = None
+    size: float = 1.0
 
 
 class Load(Record):
@@ -68,18 +121,34 @@ class Load(Record):
     """The load is proportional to mass."""
     follows: ClassVar[bool] = False
     """The load depends on the displacement."""
+    linearises: ClassVar[bool] = False
+    """Of a load that follows: where all laws are linear it acts on the undeformed body."""
+    nodal: ClassVar[bool] = False
+    """The load acts at points, not on volumes or surfaces: see `concentrated`."""
+    swells: ClassVar[bool] = False
+    """The load is no force but changes the rest state: see `growth`."""
     conservative: ClassVar[bool] = True
     """The load has a potential, so its part of the tangent is symmetric."""
 
     @model_validator(mode="after")
     def _read_components(self) -> Load:
-        _ = self.values  # fails now, not when it is used
+        _ = self.values, self.vectors  # fails now, not when it is used
         return self
 
     @cached_property
     def values(self) -> tuple[Component, ...]:
         """The components as numbers or formulas."""
         return components(self.value, self.unit)
+
+    @property
+    def vectors(self) -> dict[str, tuple[Component, ...]]:
+        """Key to the components of what must have as many of them as the body."""
+        return {"value": self.values}
+
+    @property
+    def conservative_if_held(self) -> bool:
+        """The load has a potential if the rim of its surfaces cannot move across them."""
+        return False
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -100,67 +169,25 @@ class Load(Record):
         """The load's vector as a UFL expression."""
         return site.vector(self.values, self.amplitude)
 
+    def intensity(self, places: Places) -> Floats | None:
+        """Force per reference area or volume on the undeformed body, without its amplitude.
+
+        A report integrates it before anything is compiled: the same as `virtual_work`, in numbers.
+
+        Returns:
+            Shape of `places.X` [N/m^2 or N/m^3]; None: the load cannot be told so.
+        """
+        return None
+
     def virtual_work(self, site: Site) -> ufl.Form:
         """External virtual work of the load, linear in `site.v`."""
         raise TypeError(f"{type(self).__name__} has no virtual work")
 
 
-class Traction(Load):
-    """Dead traction: force per reference area [Pa], fixed in direction.
-
-    The virtual work is the integral of t . v over the reference surface, so the total force is
-    t times the reference area however the body deforms.
-    """
-
-    kind: Literal["traction"] = "traction"
-    on: str | list[str]
-    unit: ClassVar[str] = "Pa"
-
-    def virtual_work(self, site: Site) -> ufl.Form:
-        """See the class."""
-        return ufl.inner(self.field(site), site.v) * site.areas(self.parts)
-
-
-class BodyForce(Load):
-    """Force per reference volume [N/m^3], on regions or on the whole body."""
-
-    kind: Literal["body-force"] = "body-force"
-    on: str | list[str] | None = None
-    unit: ClassVar[str] = "N/m^3"
-
-    def virtual_work(self, site: Site) -> ufl.Form:
-        """See the class."""
-        return ufl.inner(self.field(site), site.v) * site.volumes(self.parts)
-
-
-class Gravity(Load):
-    """Weight: density times an acceleration [m/s^2], on regions or on the whole body.
-
-    Without a value it is 9.81 m/s^2 downwards, against the last axis (z, or y in a plane).
-    """
-
-    kind: Literal["gravity"] = "gravity"
-    value: list[Any] = Field(default=[])
-    on: str | list[str] | None = None
-    unit: ClassVar[str] = "m/s^2"
-    needs_density: ClassVar[bool] = True
-
-    @cached_property
-    def values(self) -> tuple[Component, ...]:
-        """The components; none stands for the standard weight."""
-        return components(self.value, self.unit) if self.value else ()
-
-    def field(self, site: Site) -> Expr:
-        """The acceleration as a UFL expression."""
-        down = (0.0,) * (len(site.v) - 1) + (-9.81,)
-        return site.vector(self.values or down, self.amplitude)
-
-    def virtual_work(self, site: Site) -> ufl.Form:
-        """See the class."""
-        g = self.field(site)
-        return sum(rho * ufl.inner(g, site.v) * dx for rho, dx in site.densities(self.parts))
-
-
-LOADS: dict[str, type[Load]] = {
-    str(kind.model_fields["kind"].default): kind for kind in (Traction, BodyForce, Gravity)
-}
+@contextmanager
+def keyed(key: str) -> Iterator[None]:
+    """Gives faults inside the key that they belong to."""
+    try:
+        yield
+    except InputError as error:
+        raise error.at(key) from None

@@ -1,0 +1,123 @@
+"""What a check finds: how large everything is, what loads it, what holds it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+from dolfin_elastic.case import Case, located
+from dolfin_elastic.check.case import check, explicit
+from dolfin_elastic.check.hints import hints
+from dolfin_elastic.check.loads import LoadSum, load_sums
+from dolfin_elastic.check.memory import Memory, memory
+from dolfin_elastic.check.sizes import PartSize, material_sizes, region_sizes, surface_sizes
+from dolfin_elastic.check.sums import Integrals
+from dolfin_elastic.meshes.body import Body, extent
+from dolfin_elastic.parts import locking_notes
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.contact import check_start, out_of_reach
+from dolfin_elastic.solvers.explicit import check_explicit
+from dolfin_elastic.solvers.linear import choose
+from dolfin_elastic.solvers.rigid import FreeBody, check_held, free_bodies
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a check finds.
+
+    Attributes:
+        case: Name of the case file.
+        title: The case's title.
+        mesh: Where the mesh comes from.
+        dim: 3, or 2 for plane strain.
+        extent: Sides of the body's bounding box [m].
+        geometry: "solid", or what a plane mesh is.
+        cells: Cells on all ranks.
+        unknowns: Displacement components on all ranks.
+        analysis: "statics" or "dynamics".
+        linear_solver: Which linear solver, and why.
+        surfaces: The named surfaces.
+        regions: The named regions.
+        notes: What a user should know.
+        fields: Name, place and range of each field that the mesh carries.
+        materials: What each material fills.
+        loads: What each load sums up to, and all of them.
+        bodies: Connected bodies and the rigid motions that nothing prevents.
+        memory: What the solution will need.
+    """
+
+    case: str
+    title: str
+    mesh: str
+    dim: int
+    geometry: str
+    extent: tuple[float, ...]
+    cells: int
+    unknowns: int
+    analysis: str
+    linear_solver: str
+    surfaces: tuple[PartSize, ...]
+    regions: tuple[PartSize, ...]
+    notes: tuple[str, ...]
+    fields: tuple[str, ...]
+    materials: tuple[PartSize, ...]
+    loads: tuple[LoadSum, ...]
+    bodies: tuple[FreeBody, ...]
+    memory: Memory
+
+
+def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
+    """Checks a case against its mesh and says how large everything is.
+
+    Collective.
+
+    Raises:
+        InputError: Something is wrong.
+    """
+    body = case.read_body(comm)
+    notes = check(case, body)
+    problem = case.make_problem(body)
+    with located(case.file):
+        if case.dynamics is None:
+            check_held(problem)
+        elif explicit(case):
+            check_explicit(problem)
+        if case.dynamics is not None:
+            check_start(problem)
+        notes = (*notes, *out_of_reach(problem))
+        return _found(case, body, problem, notes)
+
+
+def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> Report:
+    integrals = Integrals(problem, case.mesh.metres_thick)
+    sums = load_sums(case, integrals)
+    moving = case.dynamics is not None
+    choice = None if explicit(case) else choose(problem, case.solver, moving=moving)
+    return Report(
+        case=case.file,
+        title=case.title,
+        mesh=body.source,
+        dim=body.dim,
+        geometry=case.mesh.geometry if body.dim == 2 else "solid",
+        extent=extent(body),
+        cells=body.num_cells,
+        unknowns=problem.num_dofs,
+        analysis="dynamics" if moving else "statics",
+        linear_solver="none: explicit scheme" if choice is None else choice.why,
+        surfaces=surface_sizes(case, integrals),
+        regions=region_sizes(case, body, integrals),
+        notes=(
+            *body.notes,
+            *notes,
+            *locking_notes(body, problem.parts, problem.degree, problem.geometry),
+            *hints(case, body, integrals, sums),
+        ),
+        fields=tuple(
+            f"{name}: {body.fields[name].said(body.comm)}" for name in sorted(body.fields)
+        ),
+        materials=material_sizes(integrals),
+        loads=sums,
+        bodies=tuple(free_bodies(problem)),
+        memory=memory(problem, choice),
+    )

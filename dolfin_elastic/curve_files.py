@@ -1,0 +1,82 @@
+"""Curves in CSV files: times in one column, values in another."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from dolfin_elastic.errors import CaseError, InputError, nearest
+from dolfin_elastic.model.curves import Amplitude, CurveFile
+from dolfin_elastic.schema import Record
+
+R = TypeVar("R", bound=Record)
+
+
+def with_curves(rows: Sequence[R], key: str, folder: Path) -> list[R]:
+    """The same loads or supports, their curves read from their files. Not collective.
+
+    Args:
+        rows: Records that may have a `curve`.
+        key: Their key in the case file, for messages.
+        folder: Folder that the paths are relative to.
+
+    Raises:
+        InputError: A file that cannot be read, or that has no such columns.
+    """
+    return [_with_curve(row, f"{key}[{i}].curve", folder) for i, row in enumerate(rows)]
+
+
+def _with_curve(row: R, where: str, folder: Path) -> R:
+    curve = getattr(row, "curve", None)
+    if not isinstance(curve, Amplitude) or curve.source is None or curve.rows:
+        return row
+    try:
+        read = curve.with_rows(_columns(curve.source, folder / curve.source.file))
+    except InputError as error:
+        raise CaseError(
+            f"{curve.source.file}: {error.what}", where=where, expected=error.expected
+        ) from None
+    return row.model_copy(update={"curve": read})
+
+
+def _columns(source: CurveFile, path: Path) -> list[list[str]]:
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError:
+        others = sorted(p.name for p in path.parent.glob("*.csv"))
+        hint = nearest(path.name, others) if others else "paths are relative to the case file"
+        raise InputError("there is no such file", expected=hint) from None
+    except (OSError, UnicodeDecodeError):
+        raise InputError("this is no text file that can be read") from None
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    mark = next((m for m in ";\t," if lines and m in lines[0]), ",")
+    table = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
+    if not table or len(table[0]) < 2:
+        raise InputError("a curve needs two columns", expected="for example a line 0.1, 2.5")
+    head = None if _number(table[0][0]) else table.pop(0)
+    at = [_place(source.time, head, 0), _place(source.value, head, 1)]
+    if short := [row for row in table if len(row) <= max(at)]:
+        raise InputError(f"the line {mark.join(short[0])!r} ends too early")
+    if not table:
+        raise InputError("there are headings but no numbers")
+    return [[row[i] for i in at] for row in table]
+
+
+def _number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _place(name: str, head: list[str] | None, default: int) -> int:
+    if not name:
+        return default
+    if head is None:
+        raise InputError(f"the file has no headings, so no column '{name}'")
+    if name not in head:
+        raise InputError(f"there is no column '{name}'", expected=nearest(name, head))
+    return head.index(name)

@@ -1,0 +1,330 @@
+"""Contact: rigid obstacles that surfaces of a body may touch and press, but not pass.
+
+The gap g of a point is its signed distance to the obstacle, positive outside, and n the obstacle's
+outward normal there.  One formula serves UFL expressions and arrays alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.formulas import Formula
+from dolfin_elastic.model.components import components
+from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
+from dolfin_elastic.schema import Record
+from dolfin_elastic.units import ForceDensity, Length
+
+Place = Annotated[list[Length], Field(min_length=2, max_length=3)]
+Vector = Annotated[list[float], Field(min_length=2, max_length=3)]
+Gap = tuple[Any, list[Any]]
+"""Signed distance [m] and components of the obstacle's outward unit normal."""
+
+
+class Obstacle(Record):
+    """A rigid body with a smooth surface."""
+
+    def check(self, dim: int, *, turned: bool) -> None:
+        """Raises where the obstacle does not fit the body.
+
+        Args:
+            dim: Dimension of the body.
+            turned: The body is axisymmetric about y.
+
+        Raises:
+            InputError: A vector has the wrong length, or the obstacle is none in this plane.
+        """
+        raise NotImplementedError
+
+    def gap(
+        self, x: Sequence[Any], number: Callable[[float], Any], root: Callable[[Any], Any]
+    ) -> Gap:
+        """Signed distance and outward normal at points.
+
+        Args:
+            x: Components of places, the obstacle's motion taken off: UFL scalars or arrays [m].
+            number: What stands for a number of the obstacle in formulas of `x`.
+            root: Square root of such formulas.
+        """
+        raise NotImplementedError
+
+
+class Plane(Obstacle):
+    """A half space.
+
+    Attributes:
+        point: A point of its surface [m].
+        normal: Direction from the obstacle to the free side, of any length but zero.
+        axis: In place of a point and a normal: the normal is x, y, z, -x, -y or -z, ...
+        at: ... and this the coordinate of the surface [m].
+    """
+
+    point: Place | None = None
+    normal: Vector | None = None
+    axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    at: Length | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Plane:
+        given = [getattr(self, key) is not None for key in ("point", "normal", "axis", "at")]
+        if given not in ([True, True, False, False], [False, False, True, True]):
+            raise InputError(
+                "a plane is not given in full, or twice",
+                expected='{point = [0, 0, 0], normal = [0, 0, 1]} or {axis = "z", at = 0}',
+            )
+        if self.normal is not None and not any(self.normal):
+            raise InputError("a normal cannot be zero", where="normal", expected="[0, 0, 1]")
+        return self
+
+    def check(self, dim: int, *, turned: bool) -> None:
+        """See `Obstacle.check`."""
+        if self.axis is not None:
+            if self.axis[-1] not in "xyz"[:dim]:
+                raise InputError(
+                    f"a plane body has no axis '{self.axis}'", where="axis", expected="x or y"
+                )
+            return
+        _check_length(self.point, dim, "point")
+        _check_length(self.normal, dim, "normal")
+
+    def _placed(self, dim: int) -> tuple[list[float], list[float]]:
+        """A point of the surface and the unit normal."""
+        if self.axis is not None:
+            assert self.at is not None
+            unit = [1.0 if axis == self.axis[-1] else 0.0 for axis in "xyz"[:dim]]
+            sign = -1.0 if self.axis.startswith("-") else 1.0
+            return [self.at * item for item in unit], [sign * item for item in unit]
+        assert self.point is not None
+        assert self.normal is not None
+        return self.point, _unit(self.normal)
+
+    def gap(
+        self, x: Sequence[Any], number: Callable[[float], Any], root: Callable[[Any], Any]
+    ) -> Gap:
+        """See `Obstacle.gap`: g = (x - point) . n."""
+        point, normal = self._placed(len(x))
+        n = [number(item) for item in normal]
+        return sum((a - number(p)) * b for a, p, b in zip(x, point, n, strict=True)), n
+
+
+class Ball(Obstacle):
+    """A ball (a disc in a plane), or all that lies outside of one.
+
+    Attributes:
+        center: Its middle [m].
+        radius: Its radius [m].
+        inside: The body is inside: the obstacle is a hollow.
+    """
+
+    center: Place
+    radius: Length = Field(gt=0)
+    inside: bool = False
+
+    def check(self, dim: int, *, turned: bool) -> None:
+        """See `Obstacle.check`."""
+        _check_length(self.center, dim, "center")
+        if turned and self.center[0] != 0.0:
+            raise InputError(
+                "an axisymmetric body meets spheres about its axis only",
+                where="center",
+                expected="[0, y]",
+            )
+
+    def gap(
+        self, x: Sequence[Any], number: Callable[[float], Any], root: Callable[[Any], Any]
+    ) -> Gap:
+        """See `Obstacle.gap`: g = |x - center| - radius, or its negative inside."""
+        arm = [a - number(c) for a, c in zip(x, self.center, strict=True)]
+        return _round(arm, number(self.radius), root, self.inside)
+
+
+class Tube(Obstacle):
+    """An endless circular cylinder, or all that lies outside of one.
+
+    Attributes:
+        axis: x, y, z or a direction; z in plane strain and plane stress, y in an axisymmetric body.
+        point: A point of the axis [m].
+        radius: Its radius [m].
+        inside: The body is inside: the obstacle is a bore.
+    """
+
+    axis: Literal["x", "y", "z"] | Vector = "z"
+    point: Place
+    radius: Length = Field(gt=0)
+    inside: bool = False
+
+    @model_validator(mode="after")
+    def _has_direction(self) -> Tube:
+        if not isinstance(self.axis, str) and not any(self.axis):
+            raise InputError("a direction cannot be zero", where="axis", expected="[0, 0, 1]")
+        return self
+
+    def check(self, dim: int, *, turned: bool) -> None:
+        """See `Obstacle.check`."""
+        _check_length(self.point, dim, "point")
+        if dim == 2 and self.axis != ("y" if turned else "z"):
+            raise InputError(
+                f"this body is no cut through a cylinder along {self.axis}",
+                where="axis",
+                expected='"y"' if turned else '"z"',
+            )
+        if turned and self.point[0] != 0.0:
+            raise InputError(
+                "an axisymmetric body meets cylinders about its axis only",
+                where="point",
+                expected="[0, 0]",
+            )
+        if dim == 3 and not isinstance(self.axis, str):
+            _check_length(self.axis, dim, "axis")
+
+    def gap(
+        self, x: Sequence[Any], number: Callable[[float], Any], root: Callable[[Any], Any]
+    ) -> Gap:
+        """See `Obstacle.gap`: g is the distance from the axis minus the radius, or its negative."""
+        arm = [a - number(p) for a, p in zip(x, self.point, strict=True)]
+        if isinstance(self.axis, str):
+            along = [1.0 if axis == self.axis else 0.0 for axis in "xyz"[: len(x)]]
+        else:
+            along = _unit(self.axis)
+        a = [number(item) for item in along]
+        share = sum(p * q for p, q in zip(arm, a, strict=True))
+        across = [p - share * q for p, q in zip(arm, a, strict=True)]
+        return _round(across, number(self.radius), root, self.inside)
+
+
+def _round(arm: list[Any], radius: Any, root: Callable[[Any], Any], inside: bool) -> Gap:
+    length = root(sum(item * item for item in arm))
+    sign = -1.0 if inside else 1.0
+    return sign * (length - radius), [sign * item / length for item in arm]
+
+
+def _unit(vector: Sequence[float]) -> list[float]:
+    length = math.hypot(*vector)
+    return [item / length for item in vector]
+
+
+def _check_length(vector: Sequence[float] | None, dim: int, where: str) -> None:
+    if vector is not None and len(vector) != dim:
+        raise InputError(
+            f"{len(vector)} components",
+            where=where,
+            expected=f"the body is {dim}-dimensional, expected {dim}",
+        )
+
+
+class Contact(Record):
+    """Surfaces of the body that a rigid obstacle keeps out, without friction.
+
+    Attributes:
+        on: Name of a surface that may touch it, or several.
+        plane: A half space; exactly one of the three shapes is given.
+        sphere: A ball, or the hollow in which the body lies.
+        cylinder: A cylinder, or the bore in which the body lies.
+        motion: Displacement of the obstacle [m]: numbers, texts with units, or formulas in t.
+        curve: Amplitude of the motion over time, as that of a support.
+        gap_tolerance: Penetration that statics leaves [m]; 1e-3 of the cells' size there.
+        stiffness: Pressure per depth [Pa/m]; about 10 (K + 4 mu/3)/h of the cells there.
+        name: What results call it; the surfaces' names by default.
+    """
+
+    on: str | list[str]
+    plane: Plane | None = None
+    sphere: Ball | None = None
+    cylinder: Tube | None = None
+    motion: list[Any] = Field(default=[])
+    curve: Curve | None = None
+    gap_tolerance: Length | None = Field(default=None, gt=0)
+    stiffness: ForceDensity | None = Field(default=None, gt=0)
+    name: str = ""
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Contact:
+        given = [key for key in SHAPES if getattr(self, key) is not None]
+        if len(given) != 1:
+            said = f"{' and '.join(given)} are given" if given else "the obstacle has no shape"
+            raise InputError(
+                said,
+                expected=f"exactly one of {', '.join(SHAPES)}",
+            )
+        for index, value in enumerate(self.values):
+            if isinstance(value, Formula) and value.names - {"t"}:
+                raise InputError(
+                    "the obstacle is rigid: its motion depends on t only",
+                    where=f"motion[{index}]",
+                    expected='for example "0.01*sin(pi*t)"',
+                )
+        return self
+
+    @cached_property
+    def values(self) -> tuple[float | Formula, ...]:
+        """The motion's components as numbers or formulas; none: the obstacle rests."""
+        return components(self.motion, "m") if self.motion else ()  # type: ignore[return-value]
+
+    @property
+    def shape(self) -> str:
+        """The key of its shape."""
+        return next(key for key in SHAPES if getattr(self, key) is not None)
+
+    @property
+    def obstacle(self) -> Obstacle:
+        """What the body may touch."""
+        found: Obstacle = getattr(self, self.shape)
+        return found
+
+    @property
+    def surfaces(self) -> tuple[str, ...]:
+        """Names of its surfaces."""
+        return (self.on,) if isinstance(self.on, str) else tuple(self.on)
+
+    @property
+    def label(self) -> str:
+        """What results call it."""
+        return self.name or "+".join(self.surfaces)
+
+    @property
+    def amplitude(self) -> Amplitude | None:
+        """Its curve; constant where formulas already say how it moves; None: not said."""
+        timed = any(isinstance(v, Formula) and "t" in v.names for v in self.values)
+        return CONSTANT if self.curve is None and timed else self.curve
+
+    def moved(self, t: float, default: Amplitude, dim: int) -> list[float]:
+        """Displacement of the obstacle at time t [m].
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude if it names none.
+            dim: Components.
+        """
+        if not self.values:
+            return [0.0] * dim
+        scale = (self.amplitude or default).at(t)
+        return [
+            scale * float(v.evaluate(t=t) if isinstance(v, Formula) else v) for v in self.values
+        ]
+
+    def check(self, dim: int, *, turned: bool) -> None:
+        """Raises where the obstacle or its motion does not fit the body, see `Obstacle.check`.
+
+        Raises:
+            InputError: With the key inside the contact's table.
+        """
+        try:
+            self.obstacle.check(dim, turned=turned)
+        except InputError as error:
+            raise error.at(self.shape) from None
+        if self.values:
+            _check_length([0.0] * len(self.values), dim, "motion")
+        if turned and self.values and self.values[0] != 0.0:
+            raise InputError(
+                "an obstacle about the axis moves along it only",
+                where="motion[0]",
+                expected="0",
+            )
+
+
+SHAPES = ("plane", "sphere", "cylinder")

@@ -1,0 +1,35 @@
+"""Loads: one external virtual-work term each, and their table."""
+
+from __future__ import annotations
+
+from dolfin_elastic.model.loads.base import Load as Load
+from dolfin_elastic.model.loads.base import Places as Places
+from dolfin_elastic.model.loads.base import Site as Site
+from dolfin_elastic.model.loads.cavity import Cavity as Cavity
+from dolfin_elastic.model.loads.concentrated import Concentrated as Concentrated
+from dolfin_elastic.model.loads.concentrated import LineForce as LineForce
+from dolfin_elastic.model.loads.concentrated import PointForce as PointForce
+from dolfin_elastic.model.loads.forces import BodyForce as BodyForce
+from dolfin_elastic.model.loads.forces import Centrifugal as Centrifugal
+from dolfin_elastic.model.loads.forces import Gravity as Gravity
+from dolfin_elastic.model.loads.forces import Traction as Traction
+from dolfin_elastic.model.loads.growth import Growth as Growth
+from dolfin_elastic.model.loads.growth import Swelling as Swelling
+from dolfin_elastic.model.loads.growth import Thermal as Thermal
+from dolfin_elastic.model.loads.pressure import Pressure as Pressure
+
+LOADS: dict[str, type[Load]] = {
+    str(kind.model_fields["kind"].default): kind
+    for kind in (
+        Traction,
+        Pressure,
+        Cavity,
+        BodyForce,
+        Gravity,
+        Centrifugal,
+        PointForce,
+        LineForce,
+        Thermal,
+        Growth,
+    )
+}

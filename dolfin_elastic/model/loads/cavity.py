@@ -1,0 +1,171 @@
+"""Cavities: hollow spaces with a pressure inside, which may be an unknown."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import ufl
+from pydantic import model_validator
+from ufl.core.expr import Expr
+
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.formulas import Formula
+from dolfin_elastic.model.components import Component, component, components
+from dolfin_elastic.model.curves import Amplitude
+from dolfin_elastic.model.loads.base import Load, Site
+from dolfin_elastic.model.loads.pressure import area_vector
+
+UNITS = {"pressure": "Pa", "volume": "m^3", "volume_ratio": "", "added": "m^3"}
+
+
+class Cavity(Load):
+    """A hollow space: its pressure is given, or its volume, whose pressure is then an unknown.
+
+    The pressure pushes on the deformed surfaces, as `Pressure` does.  The enclosed volume is
+    -1/d times the integral of (x - o) . (cof F N) over the reference surfaces with the outward
+    normal N of the body, o the origin, and d = 3 dimensions (2 in plane strain, for the whole
+    thickness); flat walls through the origin have no share in it, so the body may be cut at planes
+    of symmetry.  Its derivative is the pressure's virtual work, and the pressure the multiplier of
+    the equation volume = given volume.
+
+    Source: divergence theorem with Nanson's formula, Holzapfel, Nonlinear Solid Mechanics (2000),
+    (2.54); T. Rumpel and K. Schweizerhof, Int. J. Numer. Meth. Engng 56 (2003) 849.
+
+    Attributes:
+        on: The surfaces around it.
+        pressure: A number, a text with a unit, or a formula in t.
+        volume: The same; without a curve a number is reached from the initial volume as the load
+            grows.
+        volume_ratio: The same, over the initial volume.
+        added: The same, beside the initial volume.
+        origin: A point in all planes of symmetry [m]; zero by default.
+        curve: Amplitude over time of the pressure, or of the change of volume.
+        name: What results call it; the surfaces' names by default.
+    """
+
+    kind: Literal["cavity"] = "cavity"
+    on: str | list[str]
+    value: Any = None
+    pressure: Any = None
+    volume: Any = None
+    volume_ratio: Any = None
+    added: Any = None
+    origin: list[Any] | None = None
+    name: str = ""
+    follows: ClassVar[bool] = True
+    linearises: ClassVar[bool] = True
+    conservative: ClassVar[bool] = False
+
+    @model_validator(mode="after")
+    def _one_of(self) -> Cavity:
+        _ = self.middle
+        return self
+
+    @property
+    def label(self) -> str:
+        """What results call it."""
+        return self.name or "+".join(self.parts)
+
+    @property
+    def key(self) -> str:
+        """Which of the four is given.
+
+        Raises:
+            InputError: None, or several.
+        """
+        if self.value is not None:
+            raise InputError(
+                "a cavity has no value", where="value", expected=f"one of {', '.join(UNITS)}"
+            )
+        given = [key for key in UNITS if getattr(self, key) is not None]
+        if len(given) != 1:
+            what = f"{' and '.join(given)} given together" if given else "nothing is prescribed"
+            raise InputError(what, expected=f"exactly one of {', '.join(UNITS)}")
+        return given[0]
+
+    @property
+    def controlled(self) -> bool:
+        """The volume is prescribed, so the pressure is an unknown."""
+        return self.key != "pressure"
+
+    @cached_property
+    def values(self) -> tuple[Component, ...]:
+        """What is prescribed, as one number or formula."""
+        key = self.key
+        try:
+            found = component(getattr(self, key), UNITS[key])
+        except InputError as error:
+            raise error.at(key) from None
+        if isinstance(found, Formula) and not found.names <= {"t"}:
+            raise InputError(
+                "a cavity has one pressure and one volume",
+                where=key,
+                expected="a number, or a formula in t",
+            )
+        return (found,)
+
+    @cached_property
+    def middle(self) -> tuple[Component, ...]:
+        """The origin as numbers; nothing where it is zero."""
+        if self.origin is None:
+            return ()
+        try:
+            found = components(self.origin, "m")
+        except InputError as error:
+            raise error.at("origin" + error.where) from None
+        if any(isinstance(item, Formula) for item in found):
+            raise InputError("a point does not move", where="origin", expected="numbers")
+        return found
+
+    @property
+    def vectors(self) -> dict[str, tuple[Component, ...]]:
+        """See `Load`."""
+        return {"origin": self.middle} if self.middle else {}
+
+    @property
+    def conservative_if_held(self) -> bool:
+        """The pressure is the same everywhere."""
+        return True
+
+    def prescribed(self, t: float, default: Amplitude, initial: float) -> float:
+        """The pressure [Pa] or the volume [m^3] at time t.
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude if none is named.
+            initial: Volume of the undeformed cavity [m^3].
+        """
+        (value,) = self.values
+        number = float(value.evaluate(t=t)) if isinstance(value, Formula) else float(value or 0.0)
+        scale = (self.amplitude or default).at(t)
+        if self.key == "pressure":
+            return scale * number
+        change = {
+            "volume": number - initial,
+            "volume_ratio": (number - 1.0) * initial,
+            "added": number,
+        }
+        return initial + scale * change[self.key]
+
+    def virtual_work(self, site: Site) -> ufl.Form:
+        """See the class."""
+        p = site.unknown(self.label) if self.controlled else self._given(site)
+        return -p * ufl.inner(area_vector(site), site.v) * site.areas(self.parts)
+
+    def _given(self, site: Site) -> Expr:
+        return site.scalar(self.values[0], self.amplitude)
+
+    def enclosed(self, site: Site) -> ufl.Form:
+        """Its present volume [m^3]; where all laws are linear, to first order in u."""
+        dim = len(site.v)
+        if self.middle and len(self.middle) != dim:
+            raise InputError(
+                f"{len(self.middle)} components given, the body has {dim}", where="origin"
+            )
+        o = site.constant([float(x or 0.0) for x in self.middle or (0.0,) * dim])  # type: ignore[arg-type]
+        d = 3 if site.revolved else dim
+        areas = site.areas(self.parts)
+        if site.linear:
+            return -ufl.inner((site.X - o) / d + site.u, site.N) * areas
+        return -ufl.inner(site.X + site.u - o, area_vector(site)) / d * areas

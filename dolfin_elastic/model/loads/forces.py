@@ -1,0 +1,218 @@
+"""Forces per reference area or volume, and those of weight and spin."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+import ufl
+from pydantic import Field, model_validator
+from ufl.core.expr import Expr
+
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.formulas import Formula
+from dolfin_elastic.model.components import Component, component, components, vector_at
+from dolfin_elastic.model.loads.base import PLACE, Floats, Load, Places, Site, keyed
+
+
+class Traction(Load):
+    """Dead traction: force per reference area [Pa], fixed in direction.
+
+    The virtual work is the integral of t . v over the reference surface, so the total force is
+    t times the reference area however the body deforms.
+
+    Attributes:
+        force: Total force [N] in place of `value`, spread evenly over the reference area.
+    """
+
+    kind: Literal["traction"] = "traction"
+    on: str | list[str]
+    value: list[Any] = Field(default=[])
+    force: list[Any] | None = None
+    unit: ClassVar[str] = "Pa"
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        given = self.model_fields_set & {"value", "force"}
+        if not given:
+            raise InputError("this key is missing", where="value", expected="or give force = [..]")
+        if len(given) == 2:
+            raise InputError(
+                "value and force given together",
+                where="force",
+                expected="value is per area [Pa], force the total [N]; leave one of them out",
+            )
+        return self
+
+    @cached_property
+    def values(self) -> tuple[Component, ...]:
+        """The components, per area or in total."""
+        if self.force is None:
+            return components(self.value, self.unit) if "value" in self.model_fields_set else ()
+        with keyed("force"):
+            return components(self.force, "N")
+
+    @property
+    def vectors(self) -> dict[str, tuple[Component, ...]]:
+        """See `Load.vectors`."""
+        return {"value" if self.force is None else "force": self.values}
+
+    def intensity(self, places: Places) -> Floats:
+        """See `Load.intensity`."""
+        share = 1.0 if self.force is None else places.size
+        return np.asarray(vector_at(self.values, places.X, places.t) / share)
+
+    def virtual_work(self, site: Site) -> ufl.Form:
+        """See the class."""
+        traction = self.field(site)
+        if self.force is not None:
+            traction = traction / site.area(self.parts)
+        return ufl.inner(traction, site.v) * site.areas(self.parts)
+
+
+class BodyForce(Load):
+    """Force per reference volume [N/m^3], on regions or on the whole body."""
+
+    kind: Literal["body-force"] = "body-force"
+    on: str | list[str] | None = None
+    unit: ClassVar[str] = "N/m^3"
+
+    def intensity(self, places: Places) -> Floats:
+        """See `Load.intensity`."""
+        return vector_at(self.values, places.X, places.t)
+
+    def virtual_work(self, site: Site) -> ufl.Form:
+        """See the class."""
+        return ufl.inner(self.field(site), site.v) * site.volumes(self.parts)
+
+
+class Gravity(Load):
+    """Weight: density times an acceleration [m/s^2], on regions or on the whole body.
+
+    Without a value it is 9.81 m/s^2 downwards, against the last axis (z, or y in a plane).
+    """
+
+    kind: Literal["gravity"] = "gravity"
+    value: list[Any] = Field(default=[])
+    on: str | list[str] | None = None
+    unit: ClassVar[str] = "m/s^2"
+    needs_density: ClassVar[bool] = True
+
+    @cached_property
+    def values(self) -> tuple[Component, ...]:
+        """The components; none stands for the standard weight."""
+        return components(self.value, self.unit) if self.value else ()
+
+    def acceleration(self, dim: int) -> tuple[Component, ...]:
+        """Its components [m/s^2] in 2 or 3 dimensions."""
+        return self.values or (0.0,) * (dim - 1) + (-9.81,)
+
+    def field(self, site: Site) -> Expr:
+        """The acceleration as a UFL expression."""
+        return site.vector(self.acceleration(len(site.v)), self.amplitude)
+
+    def intensity(self, places: Places) -> Floats:
+        """See `Load.intensity`."""
+        assert places.density is not None
+        g = vector_at(self.acceleration(places.X.shape[-1]), places.X, places.t)
+        return np.asarray(places.density[..., None] * g)
+
+    def virtual_work(self, site: Site) -> ufl.Form:
+        """See the class."""
+        g = self.field(site)
+        return sum(rho * ufl.inner(g, site.v) * dx for rho, dx in site.densities(self.parts))
+
+
+class Centrifugal(Load):
+    """Centrifugal force of a body that spins about an axis, seen by one who spins with it.
+
+    Per reference volume it is density omega^2 (I - a a^T) (x - c), with the unit axis a, a point c
+    on it, and the current place x; where all laws are linear the reference place X, so that the
+    problem stays linear.  The potential is -density omega^2 |(I - a a^T) (x - c)|^2/2.  The curve
+    multiplies the force, not the speed.
+
+    Attributes:
+        value: Speed omega [rad/s], a number, a text such as "3000 rpm" or a formula in t.
+        axis: Direction of the axis, of any length; z by default, of a body of revolution y.
+        point: A point on the axis [m]; the origin by default.
+
+    Source: Goldstein, Poole & Safko, Classical Mechanics (2002), (4.91).
+    """
+
+    kind: Literal["centrifugal"] = "centrifugal"
+    value: Any
+    axis: list[Any] | None = None
+    point: list[Any] | None = None
+    on: str | list[str] | None = None
+    unit: ClassVar[str] = "rad/s"
+    needs_density: ClassVar[bool] = True
+    follows: ClassVar[bool] = True
+    linearises: ClassVar[bool] = True
+
+    @cached_property
+    def values(self) -> tuple[Component, ...]:
+        """The speed."""
+        with keyed("value"):
+            speed = component(self.value, self.unit)
+            if isinstance(speed, Formula) and speed.names & PLACE:
+                raise InputError("a body spins with one speed", expected="a formula in t only")
+        for key in ("axis", "point"):
+            self._numbers(key)
+        return (speed,)
+
+    @property
+    def vectors(self) -> dict[str, tuple[Component, ...]]:
+        """The point; an axis has three components in a plane, too."""
+        return {} if self.point is None else {"point": tuple(self._numbers("point"))}
+
+    def _numbers(self, key: str) -> list[float]:
+        """The axis or the point as plain numbers; none where it was left out."""
+        written = getattr(self, key)
+        with keyed(key):
+            found = () if written is None else components(written, "" if key == "axis" else "m")
+            if not all(isinstance(item, float) for item in found):
+                raise InputError("a formula cannot stand here", expected="expected numbers")
+            if key == "axis" and found and not any(found):
+                raise InputError("an axis of no length", expected="for example [0, 0, 1]")
+        return [float(item) for item in found]  # type: ignore[arg-type]
+
+    def virtual_work(self, site: Site) -> ufl.Form:
+        """See the class."""
+        dim = len(site.v)
+        a, c = self._axis(site), self._centre(site)
+        place = site.X if site.linear else site.X + site.u
+        r = ufl.as_vector([place[i] for i in range(dim)]) - site.constant(c)
+        axis = site.constant(a[:dim])
+        across = r - ufl.inner(axis, r) * axis
+        force = site.factor(self.amplitude) * site.value(self.values[0]) ** 2 * across
+        return sum(rho * ufl.inner(force, site.v) * dx for rho, dx in site.densities(self.parts))
+
+    def intensity(self, places: Places) -> Floats:
+        """See `Load.intensity`; of a body of revolution only the radial part is left."""
+        assert places.density is not None
+        dim = places.X.shape[-1]
+        a = np.array([*(self._numbers("axis") or [0.0, 0.0, 1.0]), 0.0][:3])
+        a = (a / np.linalg.norm(a))[:dim]
+        r = places.X - np.array(self._numbers("point") or [0.0] * dim)
+        (speed,) = self.values
+        omega = speed.evaluate(t=places.t) if isinstance(speed, Formula) else float(speed or 0.0)
+        across = r - (r @ a)[..., None] * a
+        return np.asarray(places.density[..., None] * omega**2 * across)
+
+    def _centre(self, site: Site) -> list[float]:
+        c, dim = self._numbers("point") or [0.0] * len(site.v), len(site.v)
+        if len(c) != dim:
+            raise InputError(f"{len(c)} components given, the body has {dim}", where="point")
+        if site.revolved and c[0]:
+            raise InputError("a body of revolution spins about y only", where="point")
+        return c
+
+    def _axis(self, site: Site) -> list[float]:
+        """Unit vector of three components."""
+        given = self._numbers("axis") or ([0.0, 1.0, 0.0] if site.revolved else [0.0, 0.0, 1.0])
+        a = [*given, 0.0][:3]
+        if site.revolved and (a[0] or a[2]):
+            raise InputError("a body of revolution spins about y only", where="axis")
+        length = sum(item * item for item in a) ** 0.5
+        return [item / length for item in a]

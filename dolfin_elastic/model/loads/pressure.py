@@ -1,0 +1,79 @@
+"""Pressure that follows the surface it acts on."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.formulas import Formula
+from dolfin_elastic.model.components import Component, component, vector_at
+from dolfin_elastic.model.kinematics import cofactor
+from dolfin_elastic.model.loads.base import PLACE, Floats, Load, Places, Site, keyed
+
+
+class Pressure(Load):
+    """Pressure [Pa] on the deformed surface, along its normal; positive pushes on the body.
+
+    The virtual work is the integral of -p (cof F N) . v over the reference surface, N its outward
+    normal: n da = cof F N dA.  Where all laws are linear the surface counts as undeformed (F = I),
+    so that the problem stays linear.
+
+    The tangent's skew part is the integral of p (v x du) . dx along the deformed rim of the
+    surface, and one of grad p over it.  So an even pressure has a potential where the surface is
+    closed, or its rim is held.
+
+    Attributes:
+        value: A number, a text with a unit, or a formula in x, y, z [m] (undeformed) and t.
+
+    Source: Bonet & Wood (2008), (4.68) and section 8.5.2; Schweizerhof & Ramm, Computers &
+    Structures 18 (1984).
+    """
+
+    kind: Literal["pressure"] = "pressure"
+    on: str | list[str]
+    value: Any
+    unit: ClassVar[str] = "Pa"
+    follows: ClassVar[bool] = True
+    linearises: ClassVar[bool] = True
+    conservative: ClassVar[bool] = False
+
+    @cached_property
+    def values(self) -> tuple[Component, ...]:
+        """The pressure, one number or formula."""
+        with keyed("value"):
+            return (component(self.value, self.unit),)
+
+    @property
+    def vectors(self) -> dict[str, tuple[Component, ...]]:
+        """It is no vector."""
+        return {}
+
+    @property
+    def conservative_if_held(self) -> bool:
+        """It is even in space; only with the rim held it has a potential."""
+        (p,) = self.values
+        return not isinstance(p, Formula) or not p.names & PLACE
+
+    def intensity(self, places: Places) -> Floats:
+        """See `Load.intensity`."""
+        assert places.N is not None
+        return np.asarray(-vector_at(self.values, places.X[..., :1], places.t) * places.N)
+
+    def virtual_work(self, site: Site) -> ufl.Form:
+        """See the class."""
+        p = site.scalar(self.values[0], self.amplitude)
+        return -p * ufl.inner(area_vector(site), site.v) * site.areas(self.parts)
+
+
+def area_vector(site: Site) -> Expr:
+    """Current area vector over reference area, cof F N; N where all laws are linear."""
+    if site.linear:
+        return site.N
+    dim = len(site.v)
+    N = ufl.as_vector([site.N[i] if i < dim else 0.0 for i in range(3)])
+    n = ufl.dot(cofactor(site.F), N)
+    return ufl.as_vector([n[i] for i in range(dim)])

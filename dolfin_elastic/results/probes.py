@@ -1,0 +1,295 @@
+"""Probes: what a state is like at given points of the undeformed body."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import basix
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from pydantic import Field as Key
+from pydantic import field_validator, model_validator
+from ufl.core.expr import Expr
+
+from dolfin_elastic.compiler import compile_expression
+from dolfin_elastic.errors import InputError, nearest
+from dolfin_elastic.meshes.curved import cell_volumes
+from dolfin_elastic.meshes.places import Place, locate
+from dolfin_elastic.meshes.selectors import MeshLength, metres
+from dolfin_elastic.parallel import total
+from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.schema import Record
+from dolfin_elastic.state import State
+from dolfin_elastic.timing import stage
+
+if TYPE_CHECKING:
+    from dolfin_elastic.model.law import Law
+    from dolfin_elastic.parts import Part
+    from dolfin_elastic.problem import Problem
+
+Array = npt.NDArray[np.float64]
+NODAL = {"displacement": "u", "velocity": "v", "acceleration": "a"}
+"""Fields that are read off a state's functions."""
+_AXES = "xyz"
+
+
+class ProbePoint(Record):
+    """A point of the undeformed body where fields are read off.
+
+    Attributes:
+        at: Its coordinates, bare numbers in the mesh's unit.
+        fields: Names from `FIELDS`: displacement, velocity, acceleration and those of cells.
+    """
+
+    at: Annotated[list[MeshLength], Key(min_length=2, max_length=3)]
+    fields: tuple[str, ...] = ("displacement",)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short(cls, value: Any) -> Any:
+        """Coordinates alone stand for a point where the displacement is read."""
+        return {"at": value} if isinstance(value, list | tuple) else value
+
+    @field_validator("fields")
+    @classmethod
+    def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return readable(names)
+
+    def place(self, scale: float) -> list[float]:
+        """Its coordinates [m].
+
+        Args:
+            scale: Metres per unit of the mesh.
+        """
+        return [metres(x, scale) for x in self.at]
+
+
+def readable(names: Iterable[str]) -> tuple[str, ...]:
+    """The names, if all of them are fields that a probe can read.
+
+    Raises:
+        InputError: One is not.
+    """
+    known = [name for name in FIELDS if name in NODAL or FIELDS[name].formula]
+    for name in (found := tuple(names)):
+        if name not in known:
+            raise InputError(f"a probe cannot read '{name}'", expected=nearest(name, known))
+    return found
+
+
+class Probe:
+    """Reads fields off states at points of the undeformed body.  All of it is collective.
+
+    The displacement is that of the elements.  Fields of cells are fitted by linear functions to
+    their values inside the cells (at the points of the quadrature rule of degree 2 in quadratic
+    elements, where stresses are most accurate: Barlow, Int. J. Numer. Meth. Eng. 10 (1976) 243),
+    averaged at the corners over the cells of the same material that meet there, with their volumes
+    as weights, and interpolated.
+
+    Args:
+        problem: The problem that is solved.
+        points: Name to coordinates [m] in the reference configuration.
+        fields: Fields at all points, or name of the point to its fields.
+
+    Raises:
+        InputError: A point lies outside of the body, or a field cannot be read at a point.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        points: Mapping[str, Sequence[float]],
+        fields: Iterable[str] | Mapping[str, Iterable[str]] = ("displacement",),
+    ) -> None:
+        self.problem, self.dim = problem, problem.body.dim
+        of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
+        self.fields = {name: readable(of[name]) for name in points}
+        self.places = locate(problem.body, points)
+        names = dict.fromkeys(n for row in self.fields.values() for n in row if n not in NODAL)
+        self._cells = _CellFields(problem, self.places, tuple(names)) if names else None
+
+    def __call__(self, state: State) -> dict[str, Array]:
+        """`POINT_FIELD` to the field's components there, the same on every rank.
+
+        Vectors have as many components as the body has dimensions, tensors nine, row by row.
+        """
+        if not self.fields:
+            return {}
+        with stage("output"):
+            cells = self._cells(state) if self._cells else {}
+            values = {
+                f"{name}_{field}": self._nodal(state, field, self.places[name])
+                if field in NODAL
+                else cells[name][field]
+                for name, row in self.fields.items()
+                for field in row
+            }
+            sent = np.concatenate(list(values.values()))
+            ends = np.cumsum([len(v) for v in values.values()])[:-1]
+            found = np.split(total(self.problem.body.comm, sent), ends)
+            return dict(zip(values, found, strict=True))
+
+    def _nodal(self, state: State, field: str, place: Place) -> Array:
+        """A vector at a point, on the rank that has it; zeros elsewhere."""
+        function = getattr(state, NODAL[field])
+        if function is None:
+            raise InputError(f"there is no '{field}' in statics", where="output.probes")
+        if place.cell < 0:
+            return np.zeros(self.dim)
+        shape = _shape_functions(self.problem.body.dim, self.problem.degree, place.local)
+        nodes = function.function_space.dofmap.list[place.cell]
+        return np.asarray(shape @ function.x.array.reshape(-1, self.dim)[nodes])
+
+    def numbers(self, state: State) -> dict[str, float]:
+        """Column to value: `POINT_x` ... of the displacement, `POINT_FIELD` ... of other fields."""
+        return {
+            column: float(value)
+            for name, components in self(state).items()
+            for column, value in zip(_columns(name, len(components)), components, strict=True)
+        }
+
+    def onto(self, state: State) -> State:
+        """The state with these numbers among its own.
+
+        Raises:
+            InputError: A probe's column has the name of another number.
+        """
+        found = self.numbers(state)
+        if twice := found.keys() & state.numbers.keys():
+            raise InputError(
+                f"there are two results called '{min(twice)}'",
+                where="output.probes",
+                expected="give the probe another name",
+            )
+        return replace(state, numbers={**state.numbers, **found})
+
+
+def _columns(name: str, size: int) -> list[str]:
+    name = name.removesuffix("_displacement")
+    if size == 1:
+        return [name]
+    ends = _AXES[:size] if size < 4 else [a + b for a in _AXES for b in _AXES]
+    return [f"{name}_{end}" for end in ends]
+
+
+def _shape_functions(dim: int, degree: int, local: Array) -> Array:
+    """Values of a cell's shape functions at a point of the reference cell."""
+    kind = (basix.CellType.triangle, basix.CellType.tetrahedron)[dim - 2]
+    element = basix.create_element(
+        basix.ElementFamily.P, kind, degree, basix.LagrangeVariant.equispaced
+    )
+    return np.asarray(element.tabulate(0, local[None])[0, 0, :, 0])
+
+
+@dataclass(frozen=True)
+class _PartFields:
+    """Points in one material, its owned cells around them, and what gives which columns there."""
+
+    places: Mapping[str, Place]
+    cells: npt.NDArray[np.int32]
+    columns: npt.NDArray[np.int64]
+    kernel: Any
+
+
+class _CellFields:
+    """Fields of cells at points, averaged over the cells that meet at a corner. Collective.
+
+    Args:
+        problem: The problem that is solved.
+        places: Where the points are.
+        names: Names of fields of cells.
+    """
+
+    def __init__(self, problem: Problem, places: Mapping[str, Place], names: Sequence[str]) -> None:
+        self.problem, self.places, self.names = problem, places, names
+        self.mesh = problem.body.mesh
+        self.w = fem.Function(problem.W)
+        self.widths = [FIELDS[name].columns for name in names]
+        self.corners = fem.functionspace(self.mesh, ("Lagrange", 1)).dofmap
+        self.volumes = cell_volumes(self.mesh)
+        self.samples = _samples(self.mesh.topology.dim, problem.degree)
+        dim = self.mesh.topology.dim
+        at_samples = np.array([_shape_functions(dim, 1, sample) for sample in self.samples])
+        # From values at the samples to values at the corners, of the linear function through them.
+        self.fit = np.linalg.pinv(at_samples)
+        self._parts = [self._of(part) for part in problem.parts]
+
+    def _of(self, part: Part) -> _PartFields | None:
+        """A part's points, its kernel, and its owned cells near the points. None: no points."""
+        mine = {n: p for n, p in self.places.items() if p.cell >= 0 and p.cell in part.cells}
+        if not total(self.problem.body.comm, len(mine)):
+            return None
+        marks = la.vector(self.corners.index_map, 1)
+        for place in mine.values():
+            marks.array[self.corners.list[place.cell]] = 1.0
+        marks.scatter_reverse(la.InsertMode.add)
+        marks.scatter_forward()
+        near = (marks.array[self.corners.list[part.cells]] > 0).any(axis=1)
+        return _PartFields(mine, part.cells[near], *self._kernel(part))
+
+    def _kernel(self, part: Part) -> tuple[npt.NDArray[np.int64], Any]:
+        """The columns that a part's material has, and what gives them."""
+        law = cast("Law", self.problem.response(part, self.w))
+        if "energy_density" in self.names and not law.has_energy:
+            raise InputError(
+                f"the law of '{part.name}' has no strain energy", where="output.probes"
+            )
+        F = self.problem.F(self.w)
+        tensors = [FIELDS[name].formula(law, F) for name in self.names]  # type: ignore[misc]
+        columns = np.flatnonzero(np.repeat([t is not None for t in tensors], self.widths))
+        if not len(columns):
+            return columns, None
+        components = ufl.as_vector([c for t in tensors if t is not None for c in _flat(t)])
+        comm, jit = self.problem.body.comm, self.problem.jit
+        return columns, compile_expression(comm, components, self.samples, jit)
+
+    def __call__(self, state: State) -> dict[str, dict[str, Array]]:
+        """Point and field to components, on the rank that has the point; zeros elsewhere."""
+        self.w.x.array[:] = (state.w or state.u).x.array
+        width = sum(self.widths)
+        values = {
+            name: np.full(width, np.nan if place.cell >= 0 else 0.0)
+            for name, place in self.places.items()
+        }
+        for part in self._parts:
+            if part is not None and part.kernel is not None:
+                corners = self._at_corners(part)
+                for name, place in part.places.items():
+                    shape = _shape_functions(self.mesh.topology.dim, 1, place.local)
+                    values[name][part.columns] = shape @ corners[self.corners.list[place.cell]]
+        ends = np.cumsum(self.widths)[:-1]
+        return {
+            point: dict(zip(self.names, np.split(row, ends), strict=True))
+            for point, row in values.items()
+        }
+
+    def _at_corners(self, part: _PartFields) -> Array:
+        """Means at the local corners, shape (corners, columns); nothing where no cell is near."""
+        width, cells = len(part.columns), part.cells
+        sums = la.vector(self.corners.index_map, width + 1)
+        table = sums.array.reshape(-1, width + 1)
+        if len(cells):
+            sampled = part.kernel.eval(self.mesh, cells).reshape(len(cells), -1, width)
+            fitted = np.einsum("cs,nsw->ncw", self.fit, sampled)
+            ones = np.ones((*fitted.shape[:2], 1))
+            weighted = np.concatenate([fitted, ones], axis=2) * self.volumes[cells, None, None]
+            np.add.at(table, self.corners.list[cells], weighted)
+        sums.scatter_reverse(la.InsertMode.add)
+        sums.scatter_forward()
+        weights = table[:, -1:]
+        return np.asarray(table[:, :-1] / np.where(weights > 0, weights, 1.0))
+
+
+def _flat(tensor: Expr) -> list[Expr]:
+    return [tensor[i, j] for i in range(3) for j in range(3)] if tensor.ufl_shape else [tensor]
+
+
+def _samples(dim: int, degree: int) -> Array:
+    """Where fields of cells are taken: the barycentre, or the rule of degree 2 points."""
+    kind = (basix.CellType.triangle, basix.CellType.tetrahedron)[dim - 2]
+    points, _ = basix.make_quadrature(kind, 1 if degree == 1 else 2)
+    return np.asarray(points, dtype=np.float64)

@@ -1,0 +1,418 @@
+"""What a check says before anything is compiled: sizes, masses, loads, free bodies, hints."""
+
+from __future__ import annotations
+
+import io
+import json
+from contextlib import redirect_stdout
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dolfinx import fem
+from mpi4py import MPI
+
+from dolfin_elastic import compiler
+from dolfin_elastic.case import Case
+from dolfin_elastic.check import PartSize, report
+from dolfin_elastic.check.hints import cell_notes, part_notes
+from dolfin_elastic.check.memory import per_unknown
+from dolfin_elastic.check.sums import Integrals
+from dolfin_elastic.check_screen import show_check
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.meshes import box_body
+from dolfin_elastic.meshes.shapes import boundary_facets
+from dolfin_elastic.model.loads import LOADS, Load, Places, Traction
+from dolfin_elastic.parallel import on_root, total
+from dolfin_elastic.solvers.rigid import free_bodies
+from dolfin_elastic.solvers.rigid_words import motions_in_words
+
+COMM = MPI.COMM_WORLD
+E = 1e6
+RUBBER = {"law": "neo-hookean", "E": E, "nu": 0.3, "density": 1000}
+EXACT = 1e-12
+"""Sums of polynomials that the rules integrate exactly: only round-off is left."""
+FREE = "free"
+
+
+def case(**tables: Any) -> Case:
+    """A block of 2 x 1 x 3 m held at its bottom, with changes."""
+    defaults: dict[str, Any] = {
+        "mesh": {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}},
+        "materials": {"rubber": RUBBER},
+        "support": [{"on": "bottom"}],
+    }
+    return Case(**{**defaults, **tables})
+
+
+def named(parts: tuple[PartSize, ...]) -> dict[str, PartSize]:
+    return {part.name: part for part in parts}
+
+
+def meshed(folder: Path, geo: str, **tables: Any) -> Case:
+    """A case whose mesh Gmsh makes. Collective."""
+    on_root(COMM, lambda: (folder / "body.geo").write_text(geo))
+    return Case.from_dict(
+        {
+            "mesh": {"file": "body.geo", "geometry": "plane-strain"},
+            "materials": {"rubber": RUBBER},
+            **tables,
+        },
+        folder,
+    )
+
+
+# --- nothing is compiled ---
+
+
+def test_compiles_no_form(monkeypatch):
+    """The report comes without the form compiler."""
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise AssertionError("a form is compiled")
+
+    for name in ("compile_forms", "compile_expression"):
+        monkeypatch.setattr(compiler, name, refuse)
+    monkeypatch.setattr("dolfin_elastic.solvers.assembler.compile_forms", refuse)
+    loads = [{"kind": "gravity"}, {"kind": "traction", "on": "top", "value": ["x*y", 0, "z^2"]}]
+    assert len(report(case(load=loads)).loads) == 3
+
+
+# --- sizes and masses ---
+
+
+def test_sizes_and_masses():
+    """Areas, volumes, centroids and masses of a block and of its lower third."""
+    found = report(
+        case(
+            regions={"foot": {"box": [[0, 0, 0], [2, 1, 1]]}},
+            materials={"rubber": RUBBER, "lead": {**RUBBER, "density": 11000, "on": "foot"}},
+        )
+    )
+    surfaces, regions = named(found.surfaces), named(found.regions)
+    assert surfaces["right"].measure == pytest.approx(3, rel=EXACT)
+    assert surfaces["right"].centroid == pytest.approx((2, 0.5, 1.5), rel=EXACT)
+    assert surfaces["right"].mass is None
+    assert list(regions) == ["(whole body)", "foot"]
+    assert regions["foot"].centroid == pytest.approx((1, 0.5, 0.5), rel=EXACT)
+    assert regions["foot"].mass == pytest.approx(22000, rel=EXACT)
+    whole = regions["(whole body)"]
+    assert whole.mass == pytest.approx(26000, rel=EXACT)
+    # (22 t at 0.5 m and 4 t at 2 m)/26 t
+    assert whole.centre_of_mass == pytest.approx((1, 0.5, 19 / 26), rel=EXACT)
+    assert whole.centroid == pytest.approx((1, 0.5, 1.5), rel=EXACT)
+    materials = named(found.materials)
+    assert materials["rubber"].mass == pytest.approx(4000, rel=EXACT)
+    assert materials["lead"].count == 12
+
+
+def test_density_that_varies():
+    """A density that is linear in the place, in quadratic elements: exact."""
+    found = report(
+        case(
+            mesh={"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}, "degree": 2},
+            materials={"rubber": {**RUBBER, "density": "1000*(1 + x)"}},
+        )
+    )
+    whole = found.regions[0]
+    assert whole.mass == pytest.approx(12000, rel=EXACT)
+    # Integral of x (1 + x) over 0..2, over that of 1 + x: (2 + 8/3)/4.
+    assert whole.centre_of_mass == pytest.approx((7 / 6, 0.5, 1.5), rel=EXACT)
+
+
+def test_without_density():
+    """There is no mass, and nothing is said of it."""
+    law = {key: value for key, value in RUBBER.items() if key != "density"}
+    found = report(case(materials={"rubber": law}))
+    assert found.regions[0].mass is None
+    assert found.materials[0].centre_of_mass == ()
+
+
+def test_axisymmetric_and_thickness():
+    """What the mesh does not show counts: a ring of 1 to 2 m, 1 m high, and a thin plate."""
+    mesh = {"rectangle": {"size": [1, 1], "cells": [2, 2], "origin": [1, 0]}}
+    ring = report(case(mesh={**mesh, "geometry": "axisymmetric"})).regions[0]
+    assert ring.mass == pytest.approx(3000 * np.pi, rel=EXACT)
+    assert ring.centre_of_mass == pytest.approx((0, 0.5), rel=EXACT)
+    plate = report(case(mesh={**mesh, "thickness": "10 mm"})).regions[0]
+    assert plate.mass == pytest.approx(10, rel=EXACT)
+
+
+CIRCLE = """
+Point(1) = {0, 0, 0, 0.5}; Point(2) = {1, 0, 0, 0.5}; Point(3) = {-1, 0, 0, 0.5};
+Circle(1) = {2, 1, 3}; Circle(2) = {3, 1, 2};
+Curve Loop(1) = {1, 2}; Plane Surface(1) = {1};
+Physical Curve("rim") = {1, 2}; Physical Surface("disc") = {1};
+Mesh.ElementOrder = 2;
+"""
+
+
+def test_curved_cells(folder: Path):
+    """The true length of a circle, with normals that point outwards."""
+    disc = meshed(folder, CIRCLE, support=[{"on": "rim"}])
+    found = report(disc)
+    # Quadratic arcs of half a radius: the fourth power of their half angle, 0.25, is 4e-3; the
+    # constant in front is about 1/100.
+    assert found.surfaces[0].measure == pytest.approx(2 * np.pi, rel=1e-4)
+    assert found.regions[0].measure == pytest.approx(np.pi, rel=1e-4)
+    body = disc.read_body()
+    points = Integrals(disc.make_problem(body)).facets(["rim"])
+    sums = np.concatenate(
+        [
+            np.einsum("fp,fpj->j", points.weights, points.N),
+            [np.einsum("fp,fpj,fpj->", points.weights, points.N, points.X)],
+        ]
+    )
+    sums = total(COMM, sums)
+    # Divergence theorem on the curved cells themselves; the rules are not exact on facets.
+    np.testing.assert_allclose(sums, [0, 0, 2 * found.regions[0].measure], rtol=1e-9, atol=1e-9)
+
+
+# --- loads ---
+
+
+def test_loads_and_their_sum():
+    """Forces and moments about the origin by hand, and the sum of all."""
+    loads = [
+        {"kind": "traction", "on": "top", "value": [0, 0, "-1 kPa"]},
+        {"kind": "traction", "on": ["right", "left"], "value": ["x*z", 0, 0]},
+        {"kind": "body-force", "value": [0, 10, 0]},
+        {"kind": "gravity"},
+    ]
+    found = report(case(load=loads)).loads
+    assert [row.load for row in found][-2:] == ["load[3] (gravity)", "all loads"]
+    down, sideways, across, weight, both = found
+    assert down.on == "top"
+    assert down.force == pytest.approx((0, 0, -2000), rel=EXACT)
+    assert down.moment == pytest.approx((-1000, 2000, 0), rel=EXACT)
+    # On the right, x = 2: integral of 2 z over 3 m^2 is 9 N, of 2 z^2 is 18 N m, of 2 z y 4.5.
+    assert sideways.force == pytest.approx((9, 0, 0), rel=EXACT)
+    assert sideways.moment == pytest.approx((0, 18, -4.5), rel=EXACT)
+    assert across.force == pytest.approx((0, 60, 0), rel=EXACT)
+    assert across.moment == pytest.approx((-90, 0, 60), rel=EXACT)
+    assert weight.force == pytest.approx((0, 0, -58860), rel=EXACT)
+    assert weight.on == "(whole body)"
+    np.testing.assert_allclose(both.force, (9, 60, -60860), rtol=EXACT)
+    np.testing.assert_allclose(both.moment, (-30520, 60878, 55.5), rtol=EXACT)
+    assert {row.time for row in found} == {1.0}
+
+
+@pytest.mark.parametrize("name", sorted(LOADS))
+def test_same_as_the_forms(name):
+    """What is summed up in numbers is what the virtual work gives."""
+    if LOADS[name].intensity is Load.intensity:
+        pytest.skip("not told in numbers")
+    table = {"kind": name, "value": ["1 + x*y", "z", "x^2"]}
+    if LOADS[name].model_fields["on"].is_required():
+        table["on"] = "top"
+    this = case(load=[table])
+    (row,) = report(this).loads
+    problem = this.make_problem(this.read_body())
+    problem.set_time(1.0)
+    form = compiler.compile_forms(COMM, [problem.external], problem.jit)[0]
+    nodal = fem.assemble_vector(form).array.reshape(-1, 3)
+    sums = total(COMM, nodal.sum(axis=0))
+    np.testing.assert_allclose(row.force, sums, rtol=EXACT)
+
+
+def test_curves():
+    """In statics at the end; in motion when the load is largest, each at its own time."""
+    pull = {"kind": "traction", "on": "top", "value": [100, 0, 0], "curve": [[0, 0], [1, 3]]}
+    wave = {"kind": "body-force", "value": ["sin(pi*t)", 0, 0]}
+    still = report(case(load=[pull, wave])).loads
+    assert still[0].force == pytest.approx((600, 0, 0), rel=EXACT)
+    assert still[1].force == pytest.approx((0, 0, 0), abs=1e-14)
+    peak = {**pull, "curve": [[0, 0], [0.123, -3], [1, 1]]}
+    moving = report(
+        case(load=[peak, wave, {"kind": "gravity"}], dynamics={"end": 2, "dt": 0.1})
+    ).loads
+    assert [row.time for row in moving] == pytest.approx([0.123, 0.5, 0.0])
+    assert moving[0].force == pytest.approx((-600, 0, 0), rel=EXACT)
+    assert moving[1].force == pytest.approx((6, 0, 0), rel=EXACT)
+    assert len(moving) == 3  # at different times they have no sum
+
+
+def test_in_the_plane():
+    """Thickness counts, the moment is about z; round an axis there is none."""
+    mesh = {"rectangle": {"size": [2, 1], "cells": [2, 1]}}
+    load = [{"kind": "traction", "on": "right", "value": [0, "1 kPa"]}]
+    (row,) = report(case(mesh={**mesh, "thickness": 0.5}, load=load)).loads
+    assert (row.force, row.moment) == (pytest.approx((0, 500)), pytest.approx((1000,)))
+    axial = [{"kind": "traction", "on": "top", "value": [0, "1 kPa"]}]
+    (row,) = report(case(mesh={**mesh, "geometry": "axisymmetric"}, load=axial)).loads
+    assert row.force == pytest.approx((0, 4000 * np.pi), rel=EXACT)
+    assert row.moment == ()
+
+
+def test_load_that_is_not_told(monkeypatch):
+    """A kind that does not know its intensity is listed without numbers, and so is the sum."""
+    monkeypatch.setattr(Traction, "intensity", lambda self, places: None)
+    loads = [{"kind": "traction", "on": "top", "value": [0, 0, 1]}, {"kind": "gravity"}]
+    found = report(case(load=loads)).loads
+    assert [row.force is None for row in found] == [True, False]
+
+
+def test_load_that_is_not_finite():
+    """A formula that gives no number somewhere is refused, on every rank."""
+    loads = [{"kind": "traction", "on": "top", "value": [0, 0, "log(x - 1)"]}]
+    with pytest.raises(InputError, match=r"load\[0\]\.value: the load is not finite somewhere"):
+        report(case(load=loads))
+
+
+def test_intensity_of_pressure_like_loads():
+    """Normals are there for whoever needs them."""
+
+    class Push(Traction):
+        def intensity(self, places: Places) -> Any:
+            assert places.N is not None
+            return -1e3 * places.N
+
+    this = case(load=[Push(on=["top", "right"], value=[0, 0, 0])])
+    (row,) = report(this).loads
+    assert row.force == pytest.approx((-3000, 0, -2000), rel=EXACT)
+
+
+# --- bodies ---
+
+TWO = """
+Rectangle(1) = {0, 0, 0, 1, 1}; Rectangle(2) = {2, 0, 0, 1, 1};
+Physical Surface("base") = {1}; Physical Surface("lid") = {2};
+Physical Curve("foot") = {1}; Physical Curve("edge") = {5};
+"""
+
+
+def test_two_bodies(folder: Path):
+    """Each is judged by itself: holding one does not hold the other."""
+    geo = 'SetFactory("OpenCASCADE");' + TWO
+    both = [{"on": ["foot", "edge"]}]
+    held = report(meshed(folder, geo, support=both))
+    assert [(body.name, body.motions) for body in held.bodies] == [("base", ()), ("lid", ())]
+    one = meshed(folder, geo, support=[{"on": "foot"}])
+    with pytest.raises(InputError) as caught:
+        report(one)
+    assert str(caught.value) == (
+        "support: the supports leave bodies free: of 2 bodies that share no nodes, `lid` can move "
+        "and turn freely; statics needs supports that hold each body; [dynamics] does not"
+    )
+    # The same before a solver starts.
+    problem = one.make_problem(one.read_body())
+    assert [bool(body.motions) for body in free_bodies(problem)] == [False, True]
+    rolls = [{"on": "foot"}, {"on": "edge", "displacement": [FREE, 0]}]
+    moving = report(meshed(folder, geo, support=rolls, dynamics={"end": 1, "dt": 0.1}))
+    assert [body.motions for body in moving.bodies] == [(), ("move along x",)]
+
+
+@pytest.mark.parametrize(
+    ("along", "motion"),
+    [
+        ((1, 2), "turn about x through (1, 0, 0) m"),
+        ((0, 2), "turn about y through (0, 0.5, 0) m"),
+    ],
+)
+def test_axis_and_its_place(along, motion):
+    """A block that is held along one edge turns about that edge."""
+    problem = case().make_problem(case().read_body())
+    x = problem.V.tabulate_dof_coordinates()
+    nodes = np.flatnonzero((np.abs(x[:, along]) < 1e-9).all(axis=1))
+    nodes = nodes[nodes < problem.V.dofmap.index_map.size_local]
+    problem.prescribed.owned = (3 * nodes[:, None] + np.arange(3)).ravel().astype(np.int32)
+    assert free_bodies(problem)[0].motions == (motion,)
+
+
+def test_axes_that_are_skew():
+    """A slanting axis through a place, and a screw, in words."""
+    axis = np.array([0.0, 0.6, 0.8])
+    point, centre, size = np.array([3.0, 1.0, -2.0]), np.array([1.0, 1.0, 1.0]), 2.0
+    shift = -np.cross(axis, (point - centre) / size)
+    for pitch, more in ((0.0, ""), (0.25, " while it moves 0.5 m along it per radian")):
+        null = np.concatenate([shift + pitch * axis, axis])[:, None]
+        (said,) = motions_in_words(null / np.linalg.norm(null), centre, size)
+        foot = centre + (point - centre) - axis * (axis @ (point - centre))  # nearest the centre
+        place = ", ".join(f"{x:.4g}" for x in foot)
+        assert said == f"turn about (0, 0.6, 0.8) through ({place}) m{more}"
+    slide = np.array([0.6, -0.8, 0, 0, 0, 0])[:, None]
+    assert motions_in_words(slide, centre, size) == ["move along (0.6, -0.8, 0)"]
+
+
+# --- hints ---
+
+
+def test_forgotten_units():
+    """Loads beyond the material, bodies of a kilometre or of nanometres, moves beyond the body."""
+    assert report(case(load=[{"kind": "gravity"}])).notes == ()
+    load = [{"kind": "traction", "on": "top", "value": [0, 0, "1 MPa"]}]
+    (note,) = report(case(load=load)).notes
+    assert note.startswith(
+        "the loads on the area of the supports are 1e+06 Pa in the mean, Young's"
+    )
+    (note,) = report(case(load=[{**load[0], "value": [0, 0, "0.49 MPa"]}])).notes or ("",)
+    assert note == ""
+    for unit, start in (("km", "the body is 3e+03 m long"), ("nm", "the body is 3e-09 m at most")):
+        mesh = {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}, "unit": unit}
+        notes = report(case(mesh=mesh, load=[{"kind": "gravity"}])).notes
+        assert any(note.startswith(start) for note in notes)
+    (note,) = report(case(support=[{"on": "bottom", "displacement": [0, 0, 5]}])).notes
+    assert note.startswith("support[0].displacement: 5 m is more than the body is long (3 m)")
+
+
+def test_parts_that_no_cell_carries():
+    """Empty names, and surfaces inside the body."""
+    body = box_body(size=(1, 1, 1), cells=(2, 2, 2))
+    none = np.empty(0, dtype=np.int32)
+    facets = np.arange(body.mesh.topology.index_map(2).size_local, dtype=np.int32)
+    inside = np.setdiff1d(facets, boundary_facets(body.mesh))
+    count = int(total(COMM, len(inside)))
+    odd = body.named(regions={"nobody": none}, surfaces={"nowhere": none, "cut": inside})
+    assert list(part_notes(odd)) == [
+        "the region 'nobody' is empty: no cell carries it",
+        f"{count} of {count} facets of the surface 'cut' lie inside the body, not on its boundary",
+        "the surface 'nowhere' is empty: no facet carries it",
+    ]
+    assert list(part_notes(body)) == []
+
+
+def test_thin_cells():
+    """The worst cells are named with their places."""
+    (note,) = cell_notes(box_body(size=(100, 1, 1), cells=(1, 1, 1)))
+    assert note.startswith("6 of 6 cells are thin (quality below 0.05; 1 is regular): ")
+    assert note.count(" at (") == 5
+    assert list(cell_notes(box_body(size=(1, 1, 1), cells=(1, 1, 1)))) == []
+
+
+@pytest.mark.parametrize(
+    ("n", "dim", "degree", "direct", "measured"),
+    [
+        (17496, 3, 1, True, 7.0e3),
+        (46875, 3, 1, True, 9.0e3),
+        (36501, 3, 2, True, 11.2e3),
+        (65522, 2, 2, True, 2.1e3),
+        (59049, 3, 1, False, 2.1e3),
+        (46875, 3, 2, False, 3.2e3),
+    ],
+)
+def test_memory(n, dim, degree, direct, measured):
+    """The estimate stays within 25 % of what has been measured."""
+    assert per_unknown(n, dim, degree, direct=direct) == pytest.approx(measured, rel=0.25)
+
+
+# --- how it is shown ---
+
+
+def test_shown_and_as_json():
+    """The screen keeps to 100 columns, and JSON has the same numbers."""
+    loads = [{"kind": "gravity"}, {"kind": "traction", "on": "top", "value": [100, 0, 0]}]
+    found = report(case(load=loads))
+    with redirect_stdout(io.StringIO()) as out:
+        show_check(found)
+    text = out.getvalue()
+    assert max(map(len, text.splitlines())) <= 100
+    assert "mass       6000 kg, centre of mass (1, 0.5, 1.5) m" in text
+    assert "all loads" in text
+    assert "Loads are summed up on the undeformed body, each at load parameter 1." in text
+    assert "is held against every rigid motion" in text
+    read = json.loads(json.dumps(asdict(found), allow_nan=False))
+    assert read["loads"][2]["force"] == pytest.approx([200, 0, -58860])
+    assert read["memory"]["solver"] == "direct"
+    assert read["bodies"] == [{"name": "", "motions": []}]

@@ -1,0 +1,261 @@
+"""Cases on which static solvers break: each ends with the right answer, or with the right cause."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import ufl
+
+from dolfin_elastic import (
+    Energy,
+    FixedCorotated,
+    Gent,
+    Gravity,
+    LinearElastic,
+    NeoHookean,
+    NeoHookeanSplit,
+    Problem,
+    Statics,
+    StVenantKirchhoff,
+    Support,
+    Traction,
+    box_body,
+    rectangle_body,
+)
+from dolfin_elastic.errors import ConvergenceError, InputError
+from dolfin_elastic.model.law import Law
+from dolfin_elastic.state import State
+
+E, NU = 1e6, 0.3
+FREE = "free"
+NH = NeoHookean(E=E, nu=NU)
+
+
+def last(problem: Problem, **settings: Any) -> State:
+    *_, state = Statics(problem, **settings).steps()
+    return state
+
+
+def failure(problem: Problem, **settings: Any) -> tuple[list[State], ConvergenceError]:
+    states: list[State] = []
+    with pytest.raises(ConvergenceError) as caught:
+        states.extend(Statics(problem, **settings).steps())
+    return states, caught.value
+
+
+def square(law: Law, *supports: Support, loads: Any = (), n: int = 4, **more: Any) -> Problem:
+    body = rectangle_body(size=(1, 1), cells=(n, n))
+    return Problem(body, law, supports=supports, loads=loads, **more)
+
+
+def squeezed(law: Law, by: float, **more: Any) -> Problem:
+    """Between two plates that hold its ends: the upper one comes down."""
+    return square(law, Support(on="bottom"), Support(on="top", displacement=[0, -by]), **more)
+
+
+def column(factor: float, side: float = 0.0) -> Problem:
+    """Clamped below, free above, L/h = 10, under `factor` times Euler's load and a side load."""
+    euler = np.pi**2 * E / (1 - NU**2) / 12 / 4 / 100
+    body = rectangle_body(size=(1, 10), cells=(2, 20))
+    return Problem(
+        body,
+        NH,
+        degree=2,
+        supports=[Support(on="bottom")],
+        loads=[Traction(on="top", value=[side * euler, -factor * euler])],
+    )
+
+
+# --- steps that are too large ---
+
+
+def test_stretched_to_four_times_its_length_at_once():
+    make = lambda: square(NH, Support(on="left"), Support(on="right", displacement=[3, 0]))  # noqa: E731
+    # The same equilibrium to Newton's tolerance, quadratically below 1e-8.
+    assert last(make(), steps=1).energies["strain"] == pytest.approx(
+        last(make(), steps=20).energies["strain"], rel=1e-8
+    )
+
+
+@pytest.mark.parametrize("law", [NH, FixedCorotated(E=E, nu=NU)])
+def test_squeezed_to_a_third_at_once(law):
+    """Also a law that has no barrier at J = 0 and would let cells turn inside out."""
+    hasty, patient = last(squeezed(law, 0.7), steps=1), last(squeezed(law, 0.7), steps=20)
+    assert hasty.energies["strain"] == pytest.approx(patient.energies["strain"], rel=1e-8)
+
+
+def test_twisted_by_150_degrees_at_once():
+    """A full step finds an equilibrium with folded layers, of much more energy: not taken."""
+    angle = "150/180*pi*t"
+    turned = [
+        f"(x - 0.5)*(cos({angle}) - 1) - (y - 0.5)*sin({angle})",
+        f"(x - 0.5)*sin({angle}) + (y - 0.5)*(cos({angle}) - 1)",
+        0,
+    ]
+    found = []
+    for steps in (1, 15):
+        body = box_body(size=(1, 1, 4), cells=(2, 2, 8))
+        supports = [Support(on="bottom"), Support(on="top", displacement=turned)]
+        found.append(last(Problem(body, NH, supports=supports), steps=steps).energies["strain"])
+    assert found[0] == pytest.approx(found[1], rel=1e-8)
+
+
+def test_a_slender_beam_bent_by_more_than_its_length():
+    """L/h = 100 under ten times EI/L^2 and more: the tip points along the force."""
+    body = rectangle_body(size=(100, 1), cells=(50, 1))
+    load = Traction(on="right", value=[0, -1e-4 * E])
+    beam = Problem(body, NH, degree=2, supports=[Support(on="left")], loads=[load])
+    state = last(beam)
+    assert state.load_factor == 1.0
+    assert state.negative == 0
+    force = state.reactions["left"]
+    assert force == pytest.approx([0, 1e-4 * E], abs=1e-5)  # rtol 1e-8 of reactions of 1e2 N
+
+
+# --- stability ---
+
+
+def test_a_straight_column_buckles():
+    """What an imperfection of a thousandth finds, the perfectly straight column finds, too."""
+    straight, crooked = last(column(1.5)), last(column(1.5, 1e-5))
+    assert straight.negative == crooked.negative == 0
+    # The side load moves the energy by its share of the work, 1e-5.
+    assert straight.energies["strain"] == pytest.approx(crooked.energies["strain"], rel=1e-3)
+    assert straight.max_displacement > 5.0
+
+
+def test_a_crooked_column_is_not_found_on_its_other_side():
+    """Large steps would end on the branch that bends against its imperfection: unstable."""
+    hasty, patient = last(column(1.5, 1e-3), steps=1), last(column(1.5, 1e-3), steps=40)
+    assert hasty.energies["strain"] == pytest.approx(patient.energies["strain"], rel=1e-6)
+
+
+def test_a_column_below_its_load_stays_straight():
+    state = last(column(0.9))
+    assert state.negative == 0
+    assert state.max_displacement < 0.1
+
+
+def test_a_material_that_gives_way_in_compression():
+    """St. Venant-Kirchhoff bears no more than E s (s^2 - 1)/2 at s = 1/sqrt(3)."""
+    limit = E / (1 - NU**2) / (3 * np.sqrt(3))
+    free = square(
+        StVenantKirchhoff(E=E, nu=NU),
+        Support(on="left", displacement=[0, FREE]),
+        Support(on="bottom", displacement=[FREE, 0]),
+        loads=[Traction(on="right", value=[-2 * limit, 0])],
+        n=2,
+    )
+    states, error = failure(free)
+    assert 0.49 <= states[-1].load_factor <= 0.5
+    assert error.exit_code == 3
+
+
+# --- beyond what a material can ---
+
+
+@pytest.mark.parametrize("law", [NH, FixedCorotated(E=E, nu=NU), StVenantKirchhoff(E=E, nu=NU)])
+def test_squeezed_through_itself(law):
+    """A plate that goes below the other one: no law has an equilibrium, and none is found."""
+    states, _ = failure(squeezed(law, 1.2))
+    assert states[-1].load_factor < 1 / 1.2
+
+
+def test_stretched_beyond_the_limit_of_its_chains():
+    """Gent's stress is finite, and wrong, beyond the limit; its energy is not."""
+    body = square(
+        Gent(mu=1e5, limit=0.5, nu=0.4),
+        Support(on="left"),
+        Support(on="right", displacement=[1.5, 0]),
+    )
+    states, _ = failure(body)
+    assert all(np.isfinite(state.energies["strain"]) for state in states)
+    assert states[-1].load_factor < 0.6
+
+
+def test_far_too_heavy():
+    """Jelly of 1 Pa under its weight of 10 kPa/m: no smallest step helps, and it does not hang."""
+    soft = NeoHookean(E=1.0, nu=NU, density=1000)
+    states, _ = failure(square(soft, Support(on="bottom"), loads=[Gravity()]))
+    assert states[-1].load_factor == 0.0
+
+
+def test_an_energy_with_a_logarithm_that_ends():
+    """The energy of the user's own has no value beyond a stretch of 1.5."""
+    law = Energy(
+        lambda I1, J, mu: (
+            mu / 2 * (I1 - 3 - 2 * ufl.ln(J) + ufl.ln(J) ** 2 - ufl.ln(1 - (I1 - 3) ** 2 / 4))
+        ),
+        mu=1e5,
+    )
+    pulled = square(law, Support(on="left"), Support(on="right", displacement=[2, 0]))
+    states, _ = failure(pulled)
+    assert states[-1].load_factor < 0.75
+
+
+# --- numbers ---
+
+
+@pytest.mark.parametrize("nu", [0.4999, 0.499999])
+def test_hardly_compressible_in_displacements(nu):
+    """Quadratic displacements near nu = 1/2: as the mixed form, to the compressibility left."""
+    locked = last(squeezed(NeoHookeanSplit(mu=1e5, nu=nu), 0.2, degree=2, formulation="mixed"))
+    exact = last(squeezed(NeoHookeanSplit(mu=1e5, nu=0.5), 0.2, degree=2))
+    assert locked.energies["strain"] == pytest.approx(exact.energies["strain"], rel=20 * (0.5 - nu))
+
+
+def test_stiffness_that_differs_by_a_hundred_million():
+    """Steel beside jelly: the jelly takes up all of the motion, and Newton converges."""
+    body = rectangle_body(size=(2, 1), cells=(8, 4))
+    middle = body.mesh.geometry.x[body.mesh.geometry.dofmap].mean(axis=1)[:, 0]
+    cells = np.arange(len(middle), dtype=np.int32)
+    two = body.named(regions={"stiff": cells[middle < 1], "soft": cells[middle > 1]})
+    laws = {"stiff": NeoHookean(E=1e8 * E, nu=NU), "soft": NH}
+    supports = [Support(on="left"), Support(on="right", displacement=[0.3, 0])]
+    state = last(Problem(two, laws, supports=supports))
+    alone = square(NH, Support(on="left"), Support(on="right", displacement=[0.3, 0]))
+    # The stiff half moves by 1e-8 of the whole.
+    assert state.energies["strain"] == pytest.approx(last(alone).energies["strain"], rel=1e-6)
+
+
+def test_nothing_to_do():
+    state = last(square(NH, Support(on="left")))
+    assert state.max_displacement == 0.0
+
+
+def test_loaded_and_unloaded():
+    """Forth and back: nothing is left of an elastic deformation."""
+    there = Traction(on="right", value=[0.3 * E, 0.1 * E], curve=[[0, 0], [0.5, 1], [1, 0]])
+    state = last(square(NH, Support(on="left"), loads=[there]), times=[0.5])
+    assert state.max_displacement < 1e-8  # rtol of the residual over the stiffness
+
+
+# --- what cannot be ---
+
+
+def test_nothing_holds_it():
+    with pytest.raises(InputError, match="as a rigid body it can move and turn freely"):
+        last(square(NH, loads=[Traction(on="right", value=[1, 0])]))
+
+
+def test_a_load_that_is_not_a_number():
+    bad = Traction(on="right", value=["1e5/(0.6 - t)*heaviside(0.5 - t)/heaviside(0.55 - t)", 0])
+    with pytest.raises(InputError, match="load"):
+        last(square(NH, Support(on="left"), loads=[bad]), steps=4)
+
+
+def test_linear_elasticity_pushed_through_itself():
+    states, error = failure(squeezed(LinearElastic(E=E, nu=NU), 1.2))
+    assert "inside out" in str(error)
+    assert states[-1].load_factor < 1 / 1.2
+
+
+def test_incompatible_supports():
+    """One face is pushed past the fixed points of the next: the corner's cells cannot follow."""
+    torn = square(
+        NH, Support(on="left", displacement=[0, 0]), Support(on="bottom", displacement=[0, 0.9])
+    )
+    states, _ = failure(torn)
+    assert states[-1].load_factor < 1.0

@@ -1,0 +1,338 @@
+"""Loads: resultants, closed forms, and each one's tangent against differences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from test_pressure import FREE, annulus, forces, moved, radial, solved, total
+
+from dolfin_elastic import (
+    BodyForce,
+    Centrifugal,
+    LinearElastic,
+    LineForce,
+    PointForce,
+    Pressure,
+    Problem,
+    Statics,
+    StVenantKirchhoff,
+    Support,
+    Traction,
+    box_body,
+    rectangle_body,
+)
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.model.loads import LOADS
+from dolfin_elastic.model.materials import Corotated
+from dolfin_elastic.solvers.assembler import Assembler
+
+E, NU, RHO = 1e6, 0.3, 1000.0
+SIZE = 1e4
+"""Of the loads below, so that their tangents are a few percent of the material's."""
+EXAMPLES: dict[str, dict[str, Any]] = {
+    "traction": {"on": "top", "value": [f"{SIZE}*x", SIZE, SIZE]},
+    "pressure": {"on": ["top", "right"], "value": f"{SIZE}*(1 + x)"},
+    "body-force": {"value": [SIZE, f"{SIZE}*x", 0]},
+    "gravity": {},
+    "centrifugal": {"value": 5, "point": [0.2, 0.1, 0]},
+    "point-force": {"at": [0.3, 0.4, 0.2], "value": [SIZE, 0, SIZE]},
+    "thermal": {"value": "20 + 10*x"},
+    "growth": {"value": [1.02, 0.99, "1 + 0.05*y"]},
+    "line-force": {"start": [0, 0, 0], "end": [1, 1, 0.5], "value": [0, SIZE, 0]},
+}
+"""One of each kind; in a plane vectors lose their last component."""
+
+
+def body(dim: int) -> Any:
+    make = box_body if dim == 3 else rectangle_body
+    return make(size=(1,) * dim, cells=(2,) * dim)
+
+
+def example(kind: str, dim: int) -> Any:
+    keys = {
+        k: v[:dim] if k != "on" and isinstance(v, list) else v for k, v in EXAMPLES[kind].items()
+    }
+    return LOADS[kind](**keys)
+
+
+def test_every_kind_has_an_example():
+    assert set(EXAMPLES) == set(LOADS)
+
+
+@pytest.mark.parametrize("kind", LOADS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_tangent_of_every_load(monkeypatch, kind, dim):
+    """Against differences of fourth order; and symmetric exactly where it says so."""
+    law = StVenantKirchhoff(E=E, nu=NU, density=RHO, expansion="1000 ppm/K")
+    problem = Problem(body(dim), law, loads=[example(kind, dim)])
+    symmetric = problem.symmetric
+    monkeypatch.setattr(Problem, "symmetric", False)
+    problem.set_time(1.0)
+    assembler = Assembler(problem)
+    x, y, out = (assembler.create_vector() for _ in range(3))
+    vectors = []
+    for seed in (1, 2, 3):
+        moved(problem, 0.1, seed)
+        assembler.get(x)
+        vectors.append(x.array_r.copy())
+    u, w, other = vectors
+    h = 1e-3
+
+    def residual(at: np.ndarray) -> np.ndarray:
+        x.array_w[:] = at
+        assembler.residual(x, out)
+        return out.array_r.copy()
+
+    near, far = (residual(u + s * w) - residual(u - s * w) for s in (h, 2 * h))
+    residual(u)
+    assembler.tangent(x)
+    x.array_w[:], y.array_w[:] = w, other
+    assembler.matrix.mult(x, out)
+    off = out.array_r - (8 * near - far) / (12 * h)
+    comm = problem.body.comm
+    worst, size = (
+        comm.allreduce(float(np.abs(a).max(initial=0.0)), op=MPI.MAX) for a in (off, out.array_r)
+    )
+    # Differences of a polynomial of third degree are exact: round-off over h is left.
+    assert worst < 1e-9 * size
+    forth = out.dot(y)
+    assembler.matrix.mult(y, out)
+    skew = abs(forth - out.dot(x)) / abs(forth)
+    assert skew < 1e-12 if symmetric else skew > 1e-5
+    for vector in (x, y, out):
+        vector.destroy()
+    assembler.destroy()
+
+
+# --- resultants ---
+
+
+@pytest.mark.parametrize(
+    ("geometry", "thickness"), [("plane-strain", 1.0), ("plane-strain", 0.2), ("axisymmetric", 1.0)]
+)
+def test_total_force_in_a_plane(geometry, thickness):
+    """The force is the total, whatever the area: thickness and circumference counted."""
+    problem = Problem(
+        rectangle_body(size=(1, 2), cells=(2, 3), origin=(1, 0)),
+        LinearElastic(E=E, nu=NU),
+        loads=[Traction(on=["top", "right"], force=["3 kN", -2])],
+        geometry=geometry,
+        thickness=thickness,
+    )
+    _, nodal = forces(problem)
+    np.testing.assert_allclose(total(problem, nodal), [3000, -2], rtol=1e-13)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_total_force_of_wind(degree):
+    problem = Problem(
+        box_body(size=(1, 2, 3), cells=(2, 2, 2)),
+        LinearElastic(E=E, nu=NU),
+        degree=degree,
+        loads=[Traction(on="right", force=["3*t", 0, "2*z"])],
+    )
+    problem.set_time(2.0)
+    _, nodal = forces(problem)
+    np.testing.assert_allclose(total(problem, nodal), [6, 0, 3], rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("degree", [1, 2])
+def test_point_force_keeps_force_and_moment(dim, degree):
+    """Inside, at a corner, on a face, and a little off the body: shape functions are a partition
+    of unity that holds linear fields, so both are exact.
+    """
+    law = LinearElastic(E=E, nu=NU)
+    f = np.array([3.0, -2.0, 5.0])[:dim]
+    for at, near in (
+        ([0.3, 0.41, 0.77], None),
+        ([1, 1, 1], None),
+        ([1.0005, 0.3, 0.4], [1.0, 0.3, 0.4]),
+        ([0.5, 0.5, 0.5], None),
+    ):
+        load = PointForce(at=at[:dim], value=list(f))
+        problem = Problem(body(dim), law, degree=degree, loads=[load])
+        problem.set_time(1.0)
+        x, nodal = forces(problem)
+        place = np.array(near or at, dtype=float)[:dim]
+        np.testing.assert_allclose(total(problem, nodal), f, rtol=1e-13)
+        moment = total(problem, np.einsum("ni,nj->nij", x, nodal))
+        # A point off the body is put onto it by an iteration that ends at 1e-10 or so.
+        np.testing.assert_allclose(moment, np.outer(place, f), atol=1e-12 if near is None else 1e-8)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_line_force_keeps_force_and_moment(dim):
+    """Through the inside and along an edge; growing along its length and in time."""
+    law = LinearElastic(E=E, nu=NU)
+    for start, end in (([0.1, 0.2, 0.3], [0.9, 0.5, 0.3]), ([0, 1, 1], [1, 1, 1])):
+        a, b = (np.array(p, dtype=float)[:dim] for p in (start, end))
+        load = LineForce(start=list(a), end=list(b), value=[0, "6*t", 0][:dim])
+        problem = Problem(body(dim), law, loads=[load])
+        problem.set_time(0.5)
+        x, nodal = forces(problem)
+        length = np.linalg.norm(b - a)
+        f = np.array([0, 3.0, 0])[:dim] * length
+        np.testing.assert_allclose(total(problem, nodal), f, rtol=1e-13, atol=1e-13)
+        moment = total(problem, np.einsum("ni,nj->nij", x, nodal))
+        np.testing.assert_allclose(moment, np.outer((a + b) / 2, f), atol=1e-12)
+
+
+def test_line_force_is_a_traction_on_a_narrow_strip():
+    """In a plane: a line force on an edge does what a traction there does, in every node.
+
+    Each part of the line lies in one cell here, so two Gauss points are exact.
+    """
+    law = LinearElastic(E=E, nu=NU)
+    found = []
+    for load in (
+        Traction(on="top", value=[2.0, -3.0]),
+        LineForce(start=[0, 1], end=[1, 1], value=[2.0, -3.0]),
+    ):
+        problem = Problem(rectangle_body(size=(1, 1), cells=(4, 4)), law, loads=[load])
+        problem.set_time(1.0)
+        found.append(forces(problem)[1])
+    np.testing.assert_allclose(found[0], found[1], atol=1e-13)
+
+
+def test_supports_carry_a_point_force():
+    """Through a whole solution: the reaction is the force, at every moment of its curve."""
+    problem = Problem(
+        box_body(size=(2, 1, 1), cells=(3, 2, 2)),
+        LinearElastic(E=E, nu=NU),
+        supports=[Support(on="left")],
+        loads=[PointForce(at=[2, 0.5, 1], value=["1 kN", 0, -500], curve="load-unload")],
+    )
+    for state in Statics(problem, steps=4).steps():
+        share = 1 - abs(2 * state.t - 1)
+        np.testing.assert_allclose(
+            state.reactions["left"], [-1000 * share, 0, 500 * share], atol=1e-6
+        )
+
+
+# --- spinning bodies ---
+
+
+def test_spinning_rod():
+    """nu = 0: the pull at the axis is rho A omega^2 L^2/2, whatever the mesh."""
+    problem = Problem(
+        box_body(size=(2, 0.1, 0.1), cells=(8, 1, 1)),
+        LinearElastic(E=E, nu=0.0, density=RHO),
+        supports=[Support(on="left")],
+        loads=[Centrifugal(value="60 rpm")],
+        degree=2,
+    )
+    assert problem.linear
+    omega = 2 * np.pi
+    state = solved(problem, 1)
+    pull = RHO * 0.01 * omega**2 * 2**2 / 2
+    assert state.reactions["left"][0] == pytest.approx(-pull, rel=1e-12)
+
+
+def test_spinning_rod_that_stretches():
+    """Corotated at nu = 0, P = E (x' - 1): x'' = -k^2 x with k^2 = rho omega^2/E, x(0) = 0 and
+    x'(L) = 1, so x(L) = tan(kL)/k; here kL = 0.8, and the rod grows by 29 %.
+    """
+    n, k = 16, 0.8
+    problem = Problem(
+        rectangle_body(size=(1, 1 / n), cells=(n, 1)),
+        Corotated(E=E, nu=0.0, density=RHO),
+        supports=[
+            Support(on="left", displacement=[0, FREE]),
+            Support(on="bottom", displacement=[FREE, 0]),
+        ],
+        loads=[Centrifugal(value=float(k * np.sqrt(E / RHO)))],
+        degree=2,
+    )
+    assert not problem.linear
+    assert problem.symmetric
+    solved(problem)
+    assert radial(problem, 1) == pytest.approx(np.tan(k) / k - 1, rel=1e-5)
+
+
+def test_spinning_disc():
+    """Annular disc in plane stress: the hoop stress inside is rho omega^2/4 ((3 + nu) b^2
+    + (1 - nu) a^2), and u(a) = a/E times that.  Timoshenko & Goodier (1951), section 30.
+    """
+    problem = Problem(
+        annulus(MPI.COMM_WORLD, 8),
+        LinearElastic(E=E, nu=NU, density=RHO),
+        degree=2,
+        supports=[
+            Support(on="x0", displacement=[0, FREE]),
+            Support(on="y0", displacement=[FREE, 0]),
+        ],
+        loads=[Centrifugal(value=3)],
+        geometry="plane-stress",
+    )
+    solved(problem, 1)
+    hoop = RHO * 9 / 4 * ((3 + NU) * 4 + (1 - NU))
+    assert radial(problem, 1) == pytest.approx(hoop / E, rel=2e-4)
+
+
+def test_spin_about_an_axis_in_space():
+    """Force per volume of a body at rest: omega^2 times the distance from the axis."""
+    axis, point = np.array([1.0, 2.0, 2.0]) / 3, np.array([0.3, -0.1, 0.2])
+    problem = Problem(
+        body(3),
+        LinearElastic(E=E, nu=NU, density=RHO),
+        loads=[Centrifugal(value=2, axis=[1, 2, 2], point=list(point))],
+    )
+    _, nodal = forces(problem)
+    r = np.array([0.5, 0.5, 0.5]) - point
+    exact = RHO * 4 * (r - (axis @ r) * axis)
+    np.testing.assert_allclose(total(problem, nodal), exact, rtol=1e-12)
+
+
+# --- what is refused ---
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys", "says"),
+    [
+        ("traction", {"on": "top"}, "value: this key is missing"),
+        ("traction", {"on": "top", "value": [1, 2], "force": [1, 2]}, "given together"),
+        ("traction", {"on": "top", "force": ["1 Pa", 2]}, "force[0]: '1 Pa' has the wrong unit"),
+        ("centrifugal", {"value": "2 mm"}, "value: '2 mm' has the wrong unit"),
+        ("centrifugal", {"value": "x"}, "value: a body spins with one speed"),
+        ("centrifugal", {"value": 1, "axis": [0, 0, 0]}, "axis: an axis of no length"),
+        ("centrifugal", {"value": 1, "point": [0, "x", 0]}, "point: a formula cannot"),
+        ("point-force", {"value": [1, 0, 0]}, "at: this key is missing"),
+        ("point-force", {"value": [1, 0, 0], "at": [0, "t", 0]}, "at: a formula cannot"),
+        ("line-force", {"value": [1, 0], "start": [0, 0], "end": [0, 0]}, "end: the line has no"),
+    ],
+)
+def test_what_is_no_load(kind, keys, says):
+    with pytest.raises(InputError) as caught:
+        LOADS[kind](**keys)
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("load", "says"),
+    [
+        (PointForce(at=[1.5, 0.5, 0.5], value=[1, 0, 0]), "load[1].at: (1.5, 0.5, 0.5) m is 0.5 m"),
+        (PointForce(at=[0.5, 0.5], value=[1, 0, 0]), "load[1].at: 2 components"),
+        (PointForce(at=[0.5, 0.5, 0.5], value=[1, 0]), "load[1].value: 2 components"),
+        (LineForce(start=[0, 0, 0], end=[0, 0, 2], value=[1, 0, 0]), "load[1].start: (0, 0,"),
+        (Centrifugal(value=1, point=[0, 0]), "load[1].point: 2 components"),
+        (Centrifugal(value=1), "materials.body"),
+    ],
+)
+def test_loads_that_do_not_fit_the_body(load, says):
+    law = LinearElastic(E=E, nu=NU, density=RHO if "point" in load.vectors else None)
+    with pytest.raises(InputError) as caught:
+        Problem(body(3), law, loads=[BodyForce(value=[0, 0, 1]), load])
+    assert says in str(caught.value)
+
+
+def test_a_tolerance_lets_points_lie_off_the_body():
+    load = PointForce(at=[1.5, 0.5, 0.5], value=[1, 0, 0], tolerance="0.6 m")
+    problem = Problem(body(3), LinearElastic(E=E, nu=NU), loads=[load, Pressure(on="top", value=0)])
+    problem.set_time(1.0)
+    x, nodal = forces(problem)
+    place = total(problem, x * nodal[:, :1])
+    np.testing.assert_allclose(place, [1, 0.5, 0.5], atol=1e-8)

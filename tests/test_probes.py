@@ -1,0 +1,196 @@
+"""Probes: fields at points of the undeformed body, in parallel."""
+
+from __future__ import annotations
+
+import csv
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dolfin_elastic import (
+    Case,
+    LinearElastic,
+    NeoHookean,
+    Probe,
+    Problem,
+    Statics,
+    Support,
+    box_body,
+    rectangle_body,
+    run,
+)
+from dolfin_elastic.check import check
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.meshes.places import locate
+
+FREE = "free"
+
+
+def affine(dim: int, degree: int) -> tuple[Problem, Any]:
+    """A body whose whole boundary is moved by a linear displacement, solved."""
+    body = (rectangle_body, box_body)[dim - 2](size=[1.0] * dim, cells=[3] * dim)
+    moved = ["0.2*x + 0.1*y", "0.05*x - 0.1*y", "0.1*z"][:dim]
+    problem = Problem(
+        body,
+        NeoHookean(E=1e6, nu=0.3),
+        degree=degree,
+        supports=[Support(on=list(body.surfaces), displacement=moved)],
+    )
+    *_, state = Statics(problem, rtol=1e-12).steps()
+    return problem, state
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_exact_where_the_field_is(dim, degree):
+    """A linear displacement and its constant stress, at a corner, on a facet and inside."""
+    problem, state = affine(dim, degree)
+    points = {"corner": [1.0] * dim, "facet": [1 / 3] * dim, "inside": [0.3, 0.41, 0.77][:dim]}
+    found = Probe(problem, points, ["displacement", "first_piola", "jacobian"])(state)
+    H = np.array([[0.2, 0.1, 0], [0.05, -0.1, 0], [0, 0, 0.1 * (dim == 3)]])
+    F = np.eye(3) + H
+    J = np.linalg.det(F)
+    mu, lmbda = 1e6 / 2.6, 0.3e6 / (1.3 * 0.4)
+    inverse = np.linalg.inv(F).T
+    P = mu * (F - inverse) + lmbda * np.log(J) * inverse
+    for name, X in points.items():
+        # Round-off of a solve to 1e-12 and of a mean.
+        u = H[:dim, :dim] @ X
+        np.testing.assert_allclose(found[f"{name}_displacement"], u, atol=1e-12)
+        np.testing.assert_allclose(found[f"{name}_first_piola"], P.ravel(), atol=1e-4)
+        np.testing.assert_allclose(found[f"{name}_jacobian"], J, atol=1e-10)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_stress_at_the_clamped_end_of_a_bar(degree):
+    """A hanging bar, held without friction: sigma_xx = f (L - x), linear in x.
+
+    Quadratic elements hold it exactly, and so does the fit; linear ones have the mean of each cell,
+    and at an inner corner the mean of those means, within a tenth of a cell's change.
+    """
+    body = rectangle_body(size=(1.0, 0.5), cells=(8, 4))
+    tables: dict[str, Any] = {
+        "mesh": {"rectangle": {"size": [1.0, 0.5], "cells": [8, 4]}, "degree": degree},
+        "materials": {"steel": {"law": "linear-elastic", "E": 1e6, "nu": 0.0}},
+        "support": [
+            {"on": "left", "displacement": [0, FREE]},
+            {"on": "bottom", "displacement": [FREE, 0]},
+        ],
+        "load": [{"kind": "body-force", "value": [100.0, 0]}],
+    }
+    case = Case.from_dict(tables)
+    problem = case.make_problem(body)
+    *_, state = Statics(problem, rtol=1e-12).steps()
+    found = Probe(problem, {"in": [0.5, 0.25], "end": [0.0, 0.5]}, ["cauchy_stress"])(state)
+    near = 1e-8 if degree == 2 else 100 / 8 / 10
+    assert found["in_cauchy_stress"][0] == pytest.approx(50.0, abs=near)
+    if degree == 2:
+        assert found["end_cauchy_stress"][0] == pytest.approx(100.0, abs=near)
+
+
+def test_each_material_has_its_own_stress():
+    """Two materials side by side under one strain: no mean over the joint."""
+    body = box_body(size=(2.0, 1.0, 1.0), cells=(4, 2, 2))
+    middle = body.mesh.geometry.x[body.mesh.geometry.dofmap].mean(axis=1)[:, 0]
+    body = body.named(
+        regions={
+            "soft": np.flatnonzero(middle < 1).astype(np.int32),
+            "hard": np.flatnonzero(middle > 1).astype(np.int32),
+        }
+    )
+    problem = Problem(
+        body,
+        {
+            "soft": LinearElastic(E=1.0, nu=0.0),
+            "hard": LinearElastic(E=5.0, nu=0.0, allowable=1.0),
+        },
+        supports=[Support(on=list(body.surfaces), displacement=[0, 0, "0.1*z"])],
+    )
+    *_, state = Statics(problem).steps()
+    points = {"soft": [0.99, 0.5, 0.4], "hard": [1.01, 0.5, 0.4]}
+    found = Probe(problem, points, ["von_mises", "safety_factor"])(state)
+    assert found["soft_von_mises"] == pytest.approx([0.1], rel=1e-9)
+    assert found["hard_von_mises"] == pytest.approx([0.5], rel=1e-9)
+    assert np.isnan(found["soft_safety_factor"])  # it has no allowable stress
+    assert found["hard_safety_factor"] == pytest.approx([2.0], rel=1e-9)
+
+
+def block(**output: Any) -> dict[str, Any]:
+    return {
+        "mesh": {"box": {"size": [20, 10, 10], "cells": [2, 1, 1]}, "unit": "mm"},
+        "materials": {"rubber": {"law": "linear-elastic", "E": 1e6, "nu": 0.0}},
+        "support": [{"on": "left"}, {"on": "right", "displacement": ["2 mm", 0, 0]}],
+        "output": output,
+    }
+
+
+def test_columns_of_the_history(folder):
+    probes = {
+        "tip": [20, "0.5 cm", 5],
+        "middle": {"at": [10, 0, 0], "fields": ["displacement", "von_mises"]},
+    }
+    case = Case.from_dict(block(probes=probes))
+    assert Case.from_dict(case.to_dict()) == case
+    *_, state = run(case, output=folder / "out")
+    assert state.numbers["tip_x"] == pytest.approx(2e-3, rel=1e-9)
+    *_, row = csv.DictReader((folder / "out" / "history.csv").open())
+    assert float(row["tip_x"]) == pytest.approx(2e-3, rel=1e-9)
+    assert float(row["middle_x"]) == pytest.approx(1e-3, rel=1e-9)
+    assert float(row["middle_von_mises"]) == pytest.approx(1e5, rel=1e-9)
+    assert list(row)[-7:] == [
+        *("tip_x", "tip_y", "tip_z"),
+        *("middle_x", "middle_y", "middle_z", "middle_von_mises"),
+    ]
+
+
+def test_no_probes(folder):
+    *_, state = run(Case.from_dict(block()), output=folder / "out")
+    assert not state.numbers
+
+
+@pytest.mark.parametrize(
+    ("probes", "message"),
+    [
+        ({"tip": [20, 5]}, r"output.probes.tip: .*expected 3 numbers"),
+        ({"tip": [20, 5, 11]}, r"outside of the body: tip \(0.02, 0.005, 0.011\), 0.0051 m from"),
+        ({"tip": {"at": [1, 1, 1], "fields": ["rank"]}}, "a probe cannot read 'rank'"),
+        ({"tip": {"at": [1, 1, 1], "fields": ["von_mise"]}}, "von_mises"),
+        ({"tip": {"at": [1, 1, 1], "fields": ["velocity"]}}, "no 'velocity' in statics"),
+        ({"tip": {"place": [1, 1, 1]}}, "output.probes.tip: unknown key 'place'"),
+        ({"tip": "top"}, "output.probes.tip"),
+    ],
+)
+def test_what_is_refused(probes, message):
+    with pytest.raises(InputError, match=message):
+        case = Case.from_dict(block(probes=probes))
+        check(case, case.read_body())
+
+
+def test_two_numbers_of_one_name(folder):
+    probes = {"a": [0, 0, 0], "a_von": {"at": [0, 0, 0], "fields": ["von_mises"]}}
+    case = Case.from_dict(block(probes=probes))
+    [*_] = run(case, output=folder / "out")  # these differ
+    problem = case.make_problem(case.read_body())
+    probe = Probe(problem, {"a": [0.0, 0.0, 0.0]})
+    state = next(Statics(problem).steps())
+    with pytest.raises(InputError, match="two results called 'a_x'"):
+        probe.onto(probe.onto(state))
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_little_outside(degree):
+    """0.03 of a cell beyond a side, as on a round surface that is flat between nodes."""
+    problem, state = affine(2, degree)
+    found = Probe(problem, {"out": [1.01, 0.5]})(state)["out_displacement"]
+    np.testing.assert_allclose(found, [0.2 * 1.01 + 0.05, 0.05 * 1.01 - 0.05], atol=1e-12)
+    with pytest.raises(InputError, match=r"outside of the body: far \(1.02, 0.5\)"):
+        locate(problem.body, {"out": [1.01, 0.5], "far": [1.02, 0.5]})
+
+
+def test_one_rank_has_a_point():
+    """A node in the middle that several ranks share."""
+    body = box_body(size=(1.0, 1.0, 1.0), cells=(2, 2, 2))
+    place = locate(body, {"middle": [0.5, 0.5, 0.5]})["middle"]
+    assert body.comm.allreduce(int(place.cell >= 0)) == 1
+    assert (place.cell >= 0) == (place.rank == body.comm.rank)
