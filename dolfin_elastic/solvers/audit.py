@@ -151,7 +151,7 @@ class Auditor:
         length = cell.cell.length
         forces, moved = cell.work()
         here = slice(None) if self._comm.rank == 0 else slice(0)
-        return forces[here] / length, moved[here] * length
+        return np.asarray(forces[here] / length), moved[here] * length
 
     def _round_off(self) -> tuple[float, float]:
         """Size of the round-off of all nodal forces [N] and of the stored energy [J].
