@@ -119,7 +119,8 @@ MISTAKES = {
     "kind missing": (
         'kind = "traction"\n',
         "",
-        "load[0].kind: this key is missing; known: traction, body-force, gravity",
+        "load[0].kind: this key is missing; known: traction, pressure, cavity, body-force, "
+        "gravity, centrifugal, point-force, line-force, thermal, growth",
     ),
     "unit of E": (
         '"210 GPa"',
@@ -252,7 +253,8 @@ MISTAKES = {
         'on = "right"',
         'on = "right"\ncurve = "rmap"',
         "load[0].curve: unknown curve 'rmap'; did you mean 'ramp'? expected \"ramp\", "
-        '"constant", a formula in t, or a table [[t, value], ...]',
+        '"constant", "smooth", "load-unload", a formula in t, a table [[t, value], ...], '
+        '{smooth = [[t, value], ...]}, or {file = "a.csv"}',
     ),
     "curve table": (
         'on = "right"',

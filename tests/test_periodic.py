@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import (
     Case,
+    Contact,
     Dynamics,
     Gravity,
     LinearElastic,
@@ -27,7 +28,7 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.check import check
-from dolfin_elastic.errors import InputError, MeshError
+from dolfin_elastic.errors import ConvergenceError, InputError, MeshError
 from dolfin_elastic.meshes import Body
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.border import Bordered
@@ -42,6 +43,7 @@ FREE = "free"
 E, NU = 1e6, 0.3
 SHEARED = [[1.3, 0.2, 0.0], [0.1, 0.9, 0.05], [0.0, -0.1, 1.1]]
 PLANE = [[1.2, 0.1], [0.0, 0.95]]
+STRESS = [[FREE, FREE], [FREE, 2e4]]
 
 
 def last(problem: Problem, **settings: Any) -> Any:
@@ -309,6 +311,32 @@ def test_work(dim):
     assert gained == pytest.approx(work, rel=3e-5)
 
 
+def test_audit():
+    """What V P : dF has done is stored, to second order in the step by the trapezoidal rule."""
+    errors = []
+    for steps in (4, 8, 16):
+        body = rectangle_body(size=(1, 1), cells=(4, 4))
+        periodic = Periodic(pairs=PAIRS, gradient=[[1.3, 0.2], [0, FREE]], stress=STRESS)
+        *_, state = Statics(cored(body, periodic=periodic), steps=steps).steps()
+        assert state.audit.verdict == "pass", state.audit.reasons
+        assert np.isnan([state.audit.force, state.audit.moment]).all()
+        errors.append(abs(state.audit.work / state.audit.energy - 1))
+    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
+    # Asymptotically 2; half steps of a tenth of the size are not quite there.
+    np.testing.assert_allclose(slopes, 2, atol=0.15)
+
+
+def test_given_up():
+    """A cell that comes to no equilibrium is diagnosed like any body."""
+    body = rectangle_body(size=(1, 1), cells=(4, 4))
+    periodic = Periodic(pairs=PAIRS, gradient=[["1 - 1.2*t", 0], [0, FREE]])
+    with pytest.raises(ConvergenceError) as caught:
+        last(cored(body, periodic=periodic))
+    # Its volume is gone at t = 0.83, unless it grows sideways first.
+    assert 0.3 < caught.value.state.t < 0.84
+    assert caught.value.diagnosis.cause not in ("rigid-motion", "round-off")
+
+
 @pytest.mark.parametrize("degree", [1, 2])
 def test_shifted_cell(degree):
     """The cell may be cut anywhere: a soft core in its corner is the same as one in its middle."""
@@ -360,10 +388,13 @@ def test_iterative(degree):
 
 def refused(match: str, **fields: Any) -> None:
     body = rectangle_body(size=(1, 1), cells=(2, 2))
+    solved = fields.pop("solved", False)
     given = {"pairs": PAIRS, "gradient": PLANE, **fields}
-    more = {key: given.pop(key) for key in ("supports", "loads") if key in given}
+    more = {key: given.pop(key) for key in ("supports", "loads", "contacts") if key in given}
     with pytest.raises((InputError, MeshError), match=match):
-        Problem(body, rubber(1, dim=2), periodic=Periodic(**given), **more)
+        problem = Problem(body, rubber(1, dim=2), periodic=Periodic(**given), **more)
+        if solved:
+            last(problem)
 
 
 def test_refused():
@@ -376,10 +407,12 @@ def test_refused():
     refused("the cell can turn", gradient=[[1, FREE], [FREE, 1]])
     refused("so its stress is a result", stress=[[1, 0], [0, 0]])
     refused("neither F11", gradient=[[FREE, 0], [0, 1]], stress=[[FREE, 0], [0, 0]])
+    refused("is infinite at t = 0", gradient=[["1/t", 0], [0, 1]], solved=True)
     refused("has no place", gradient=[["1 + x", 0], [0, 1]])
     refused("rows of", gradient=[[1, 0], [0]])
     refused("no supports", supports=[Support(on="left")])
     refused("no loads", loads=[Gravity()])
+    refused("no contacts", contacts=[Contact(on="left", plane={"axis": "x", "at": -1})])
 
 
 def test_unlike_meshes():

@@ -145,7 +145,7 @@ def test_ring_on_its_inner_circle():
     """No node of the inner circle moves radially, and only turning about the centre is free."""
     body, held = ring(), Normal(on="inner")
     problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[held])
-    assert free_motions(problem) == ["turn about z"]
+    assert free_motions(problem) == ["turn about z through (0, 0) m"]
     problem = Problem(
         body,
         LinearElastic(E=E, nu=NU),
@@ -375,11 +375,12 @@ def test_what_holds_a_body():
     def free(*supports: Any) -> list[str]:
         return free_motions(Problem(body, LinearElastic(E=E, nu=NU), supports=supports))
 
-    assert free(Normal(on="left")) == ["move along y", "move along z", "turn about x"]
+    across = ["move along y", "move along z", "turn about x through (0.5, 0.5, 0.5) m"]
+    assert free(Normal(on="left")) == across
     assert free(Normal(on="left"), Normal(on="front"), Normal(on="bottom")) == []
-    assert free(Spring(on="left", normal=1.0)) == ["move along y", "move along z", "turn about x"]
-    # Turning about the face's own axes y and z.
-    assert free(Spring(on="left", tangential=1.0)) == ["move along x", "turn about some axis"]
+    assert free(Spring(on="left", normal=1.0)) == across
+    turns = [f"turn about {axis} through (0, 0.5, 0.5) m" for axis in "yz"]
+    assert free(Spring(on="left", tangential=1.0)) == ["move along x", *turns]
     assert free(Spring(on="left", normal=1.0, tangential=1.0)) == []
     assert free(Spring(on="left", stiffness=[1.0, 1.0, 0.0])) != []
     assert free(Rotation(on="left", point=[0, 0, 0], axis=[1, 0, 0], angle=1.0)) == []

@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfin_elastic.meshes.body import cell_size
 from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.inversion import JacobianWatch
+from dolfin_elastic.solvers.jump import round_off
 from dolfin_elastic.solvers.macroscopic import Macroscopic
 from dolfin_elastic.state import Audit
 
@@ -63,7 +63,6 @@ class Auditor:
         self._problem, self._assembler, self._watch = problem, assembler, watch
         self._comm, self._dim = problem.body.comm, problem.body.dim
         self._X = problem.V.tabulate_dof_coordinates()[: len(assembler.moves) // self._dim]
-        self._cell_size = cell_size(problem.body)
         self._places = _places(problem)
         self._last: _Last | None = None
         self._work = self._stored = 0.0
@@ -77,7 +76,7 @@ class Auditor:
             energy: Stored energy [J]; nan where a law has none.
         """
         reasons: dict[str, str] = {}
-        noise, energy_noise = self._round_off()
+        noise, energy_noise = round_off(self._assembler)
         if self._assembler.cell is None:
             outside = self._outside()
             force = self._sum(outside, noise, reasons)
@@ -152,17 +151,6 @@ class Auditor:
         forces, moved = cell.work()
         here = slice(None) if self._comm.rank == 0 else slice(0)
         return np.asarray(forces[here] / length), moved[here] * length
-
-    def _round_off(self) -> tuple[float, float]:
-        """Size of the round-off of all nodal forces [N] and of the stored energy [J].
-
-        The stress is known to machine precision of the stiffness, because F = I + grad u is.
-        """
-        diagonal = self._assembler.matrix.getDiagonal()
-        stiff, sum_of_all = float(diagonal.norm()), float(diagonal.norm(0))
-        diagonal.destroy()
-        small, h = 40 * np.finfo(float).eps, self._cell_size
-        return small * stiff * h, small * sum_of_all * h**2
 
     def _sum(self, outside: list[Floats], noise: float, reasons: dict[str, str]) -> float:
         rows = outside

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from dolfin_elastic.meshes.body import cell_size
 from dolfin_elastic.parallel import total
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.motion import Strain
@@ -65,12 +66,10 @@ class PathWatch:
         Args:
             unsure: Norm of the forces that Newton's method leaves undetermined [N].
         """
-        if (
-            self.strain.none
-            or self._assembler.problem.rest
-            or self._before is None
-            or self._now is None
-        ):
+        problem = self._assembler.problem
+        if self.strain.none or problem.rest or problem.unknowns.stabilised:
+            return False  # what is stored does not tell what has been done
+        if self._before is None or self._now is None:
             return False
         (was, f, u), (now, g, v) = self._before, self._now
         du = v - u
@@ -79,4 +78,17 @@ class PathWatch:
         gained = now - was
         slack = SLACK * max(abs(gained), abs(before), abs(after))
         slack += SMALL * max(abs(was), abs(now)) + 2 * unsure * np.sqrt(square)
+        slack += round_off(self._assembler)[1]
         return bool(abs(gained - (before + after) / 2) > abs(after - before) / 2 + slack)
+
+
+def round_off(assembler: Assembler) -> tuple[float, float]:
+    """Size of the round-off of all nodal forces [N] and of the stored energy [J]. Collective.
+
+    The stress is known to machine precision of the stiffness, because F = I + grad u is.
+    """
+    diagonal = assembler.matrix.getDiagonal()
+    stiff, sum_of_all = float(diagonal.norm()), float(diagonal.norm(0))
+    diagonal.destroy()
+    small, h = 40 * np.finfo(float).eps, cell_size(assembler.problem.body)
+    return small * stiff * h, small * sum_of_all * h**2

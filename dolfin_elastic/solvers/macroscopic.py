@@ -61,9 +61,11 @@ class Macroscopic:
     def force(self) -> float:
         """Size of the nodal forces by which its neighbours hold the cell [N]. Collective.
 
-        A face carries the stress times its area, spread over its nodes.
+        A face carries the stress times its area, spread over its nodes.  A state without a finite
+        stress is no equilibrium, whatever the forces.
         """
-        own = np.abs(self.stress()).max()
+        stress = self.stress()
+        own = np.abs(stress).max() if np.isfinite(stress).all() else 0.0
         given = np.nan_to_num(np.abs(self.cell.stress)).max()
         area = self.cell.volume / self.cell.length
         return float(max(own, given) * area / np.sqrt(self.cell.pairing.face_nodes))

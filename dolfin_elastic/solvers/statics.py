@@ -198,6 +198,7 @@ class _Stepping:
         self._auditor = Auditor(self.problem, self.assembler, newton.guard.watch)
         self._count = 0
         self._before: tuple[float, Vector] | None = None
+        self._fallback: tuple[float, Vector] | None = None  # where a step has jumped to
         self._limits: tuple[float, ...] = ()
 
     def run(self) -> Iterator[State]:
@@ -220,11 +221,13 @@ class _Stepping:
             crushed = progress.rejected > 0 or "NAN" in progress.reason
             fault = self._fault() if progress.converged else progress.reason
             if fault:
+                if fault == ANOTHER:
+                    self._fallback = goal, self.newton.present()
                 if sizes.failed(t, goal, crushed=crushed and not progress.converged):
                     log.info("load factor %.6g: %s; a smaller step", goal, fault)
                     self.newton.put_back(start)
                     continue
-                progress = self._elsewhere(t, goal, progress, fault, start)
+                goal, progress = self._elsewhere(t, goal, progress, fault, start)
             self._watch.accept()
             self._before = t, start
             sizes.succeeded(t, goal, progress.newton)
@@ -245,20 +248,26 @@ class _Stepping:
 
     def _elsewhere(
         self, t: float, goal: float, progress: Progress, fault: str, start: Vector
-    ) -> Progress:
-        """Goes on where no step is small enough, or gives up."""
-        progress.reason = fault
+    ) -> tuple[float, Progress]:
+        """Goes on where no step is small enough, or gives up.
+
+        Returns:
+            The load factor that was reached after all, and how.
+        """
         kept = self.newton.present() if progress.converged else self.ladder.failed
-        if not self.settings.snap or self.problem.linear or fault == BEYOND or t == 0.0:
+        stuck = fault == BEYOND or (t == 0.0 and not progress.converged)
+        if not self.settings.snap or self.problem.linear or stuck:
+            progress.reason = fault
             raise self._failure(t, goal, progress, start, kept)
         if not progress.converged or fault == UNSTABLE:
-            if progress.converged:
-                disturb(self.newton)
-            self.newton.refresh()
-            found = relax(self.newton)
-            self._watch.look()
+            found = self._flow(progress)
+            if not found.converged and self._fallback is not None and self._fallback[0] > t:
+                goal, there = self._fallback
+                self.problem.set_time(goal, default=RAMP)
+                found = self.ladder.solve([("", there)])
+                self._watch.look()
             if not found.converged or not self._watch.finite():
-                log.debug("flow to another equilibrium: %s", found.reason)
+                progress.reason = fault
                 raise self._failure(t, goal, progress, start, kept)
             progress = found
         what = "the body buckles" if fault == UNSTABLE else "the body has snapped"
@@ -268,7 +277,17 @@ class _Stepping:
             t,
             what,
         )
-        return progress
+        return goal, progress
+
+    def _flow(self, progress: Progress) -> Progress:
+        """Lets the body go where it flows to."""
+        if progress.converged:
+            disturb(self.newton)
+        self.newton.refresh()
+        found = relax(self.newton)
+        log.debug("flow to another equilibrium: %s", found.reason)
+        self._watch.look()
+        return found
 
     def _is_enough(self) -> bool:
         limit = self.settings.max_displacement
