@@ -182,7 +182,9 @@ def _step(e: Expr) -> Step:
     for kind, make in _MAKERS.items():
         if isinstance(e, kind):
             return make(e)
-    raise NotImplementedError(f"a material's energy cannot have a UFL {name} at a point")
+    raise TypeError(f"{type(self).__name__} prescribes nothing")(
+        f"a material's energy cannot have a UFL {name} at a point"
+    )
 
 
 class Program:
