@@ -175,7 +175,7 @@ class Deferred:
     @property
     def written(self) -> Any:
         """As it stands in a case file."""
-        raise TypeError(f"{type(self).__name__} prescribes nothing")
+        raise NotImplementedError
 
     def __gt__(self, other: object) -> bool:
         return True

@@ -215,7 +215,7 @@ def test_same_as_the_forms(name):
     form = compiler.compile_forms(COMM, [problem.external], problem.jit)[0]
     nodal = fem.assemble_vector(form).array.reshape(-1, 3)
     sums = total(COMM, nodal.sum(axis=0))
-    np.testing.assert_allclose(row.force, sums, rtol=EXACT)
+    np.testing.assert_allclose(row.force, sums, rtol=EXACT, atol=EXACT)
 
 
 def test_curves():

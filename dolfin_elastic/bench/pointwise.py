@@ -182,9 +182,7 @@ def _step(e: Expr) -> Step:
     for kind, make in _MAKERS.items():
         if isinstance(e, kind):
             return make(e)
-    raise TypeError(f"{type(self).__name__} prescribes nothing")(
-        f"a material's energy cannot have a UFL {name} at a point"
-    )
+    raise NotImplementedError(f"a material's energy cannot have a UFL {name} at a point")
 
 
 class Program:

@@ -39,7 +39,7 @@ class Obstacle(Record):
         Raises:
             InputError: A vector has the wrong length, or the obstacle is none in this plane.
         """
-        raise TypeError(f"{type(self).__name__} prescribes nothing")
+        raise NotImplementedError
 
     def gap(
         self, x: Sequence[Any], number: Callable[[float], Any], root: Callable[[Any], Any]
@@ -51,7 +51,7 @@ class Obstacle(Record):
             number: What stands for a number of the obstacle in formulas of `x`.
             root: Square root of such formulas.
         """
-        raise TypeError(f"{type(self).__name__} prescribes nothing")
+        raise NotImplementedError
 
 
 class Plane(Obstacle):

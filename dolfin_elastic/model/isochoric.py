@@ -83,7 +83,7 @@ class Isochoric(Volumetric):
 
     def shear(self) -> float:
         """Shear modulus at small strains [Pa], from the constants of the shape."""
-        raise TypeError(f"{type(self).__name__} prescribes nothing")
+        raise NotImplementedError
 
     def model_post_init(self, context: Any) -> None:
         """Fills in whichever of K and nu was not given."""

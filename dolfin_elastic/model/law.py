@@ -133,7 +133,7 @@ class SplitLaw(Law):
 
     def shape_energy(self, F: Expr) -> Expr:
         """Strain energy per reference volume without the volumetric part [J/m^3]."""
-        raise TypeError(f"{type(self).__name__} prescribes nothing")
+        raise NotImplementedError
 
     def volume_strain(self, F: Expr) -> Expr:
         """Measure of the change of volume: 0 at F = I, with derivative I there."""

@@ -82,7 +82,7 @@ class Own(Law):
 
     def written_energy(self, F: Expr) -> Expr:
         """The part of the energy that the user wrote [J/m^3]."""
-        raise TypeError(f"{type(self).__name__} prescribes nothing")
+        raise NotImplementedError
 
     def energy(self, F: Expr) -> Expr:
         """See the class."""

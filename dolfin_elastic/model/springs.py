@@ -149,7 +149,7 @@ class Resisting(Restraint):
 
     def virtual_work(self, site: Ground) -> ufl.Form:
         """Virtual work of its force on the body, linear in `site.v`. Collective."""
-        raise TypeError(f"{type(self).__name__} prescribes nothing")
+        raise NotImplementedError
 
 
 def _located(key: str, read: Callable[[Any, str], T], written: Any, unit: str) -> T:

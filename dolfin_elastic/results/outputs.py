@@ -43,7 +43,7 @@ class Output(Record):
             InputError: A field that the problem does not have.
             OutputError: The folder cannot be written to.
         """
-        raise TypeError(f"{type(self).__name__} prescribes nothing")
+        raise NotImplementedError
 
     def listing(self, folder: Path) -> list[str]:
         """What of it is in the results' folder, as a user reads it. Not collective."""

@@ -35,7 +35,7 @@ class Swelling(Load):
             expansion: The material's coefficient of expansion [1/K], if it has one.
             share: 1 where the load acts and 0 elsewhere; None: everywhere.
         """
-        raise TypeError(f"{type(self).__name__} prescribes nothing")
+        raise NotImplementedError
 
 
 class Thermal(Swelling):
