@@ -87,8 +87,15 @@ def vector_at(
         Shape of X.
     """
     found = np.empty_like(X)
+    for i, item in enumerate(vector):
+        found[..., i] = number_at(item, X, t)
+    return found
+
+
+def number_at(item: Component, X: npt.NDArray[np.float64], t: float) -> npt.NDArray[np.float64]:
+    """The number that a component is at places of the undeformed body, see `vector_at`."""
     place = dict(zip(COORDINATES, np.moveaxis(X, -1, 0), strict=False))
     place.setdefault("z", np.zeros(X.shape[:-1]))
-    for i, item in enumerate(vector):
-        found[..., i] = item.evaluate(**place, t=t) if isinstance(item, Formula) else item or 0.0
-    return found
+    if isinstance(item, Formula):
+        return np.asarray(item.evaluate(**place, t=t))
+    return np.full(X.shape[:-1], item or 0.0)

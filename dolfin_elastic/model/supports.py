@@ -75,7 +75,7 @@ class Prescribing(Restraint):
 
     def held(self, dim: int) -> tuple[int, ...]:
         """The components that are prescribed, or `NORMAL`, in a body of 2 or 3 dimensions."""
-        raise NotImplementedError
+        raise TypeError(f"{type(self).__name__} prescribes nothing")
 
     def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
         """Prescribed displacement [m].
@@ -86,7 +86,7 @@ class Prescribing(Restraint):
             t: Time [s], or load parameter.
             default: Amplitude if none is named.
         """
-        raise NotImplementedError
+        raise TypeError(f"{type(self).__name__} prescribes nothing")
 
     def _scale(self, values: tuple[Component, ...], t: float, default: Amplitude) -> float:
         """Its curve; 1 where formulas already say how it moves; the default elsewhere."""
@@ -141,6 +141,12 @@ class Support(Prescribing):
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:
         """See `Restraint`."""
         return {"displacement": self.values}
+
+    @property
+    def amplitude(self) -> Amplitude | None:
+        """Its curve; constant where formulas already say how it moves; None: not said."""
+        timed = self.curve is None and depends_on_time(self.values)
+        return CONSTANT if timed else self.curve
 
     @property
     def at_rest(self) -> bool:

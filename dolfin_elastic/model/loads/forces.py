@@ -34,7 +34,7 @@ class Traction(Load):
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
-        given = self.model_fields_set & {"value", "force"}
+        given = [key for key in ("value", "force") if getattr(self, key)]
         if not given:
             raise InputError("this key is missing", where="value", expected="or give force = [..]")
         if len(given) == 2:
@@ -49,7 +49,7 @@ class Traction(Load):
     def values(self) -> tuple[Component, ...]:
         """The components, per area or in total."""
         if self.force is None:
-            return components(self.value, self.unit) if "value" in self.model_fields_set else ()
+            return components(self.value, self.unit) if self.value else ()
         with keyed("force"):
             return components(self.force, "N")
 

@@ -10,7 +10,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.formulas import Formula
-from dolfin_elastic.model.components import Component, component, vector_at
+from dolfin_elastic.model.components import Component, component, number_at
 from dolfin_elastic.model.kinematics import cofactor
 from dolfin_elastic.model.loads.base import PLACE, Floats, Load, Places, Site, keyed
 
@@ -61,7 +61,8 @@ class Pressure(Load):
     def intensity(self, places: Places) -> Floats:
         """See `Load.intensity`."""
         assert places.N is not None
-        return np.asarray(-vector_at(self.values, places.X[..., :1], places.t) * places.N)
+        (p,) = self.values
+        return np.asarray(-number_at(p, places.X, places.t)[..., None] * places.N)
 
     def virtual_work(self, site: Site) -> ufl.Form:
         """See the class."""
