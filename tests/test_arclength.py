@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import (
     Problem,
+    Spring,
     Statics,
     StVenantKirchhoff,
     Support,
@@ -166,3 +167,31 @@ def test_a_path_without_limit_points_ends_at_the_load():
     assert states[0].load_factor == 1.0
     # Newton's tolerance, 1e-8 of the force.
     assert states[0].max_displacement == pytest.approx(states[1].max_displacement, rel=1e-8)
+
+
+def test_snap_back_of_an_arch_behind_a_soft_spring():
+    """Pushed through a spring softer than the arch is unstable, the spring's base goes back.
+
+    The base is at d = w + P/(2 k) of each half, with the closed form's load P and deflection w:
+    d falls wherever -dP/dw > 2 k, so neither load nor base can be prescribed there.
+    """
+    loads, deflections = arch_path(RISE)
+    inside = deflections < 1.4 * RISE
+    upper, lower = (loads[inside & (s * (deflections - 0.8 * RISE) < 0)] for s in (1, -1))
+    k = 0.25 * (upper.max() - lower.min()) / RISE
+    base = deflections + loads / (2 * k)
+    far = 1.2 * base[inside & (deflections < 0.8 * RISE)].max()
+    problem = arch(RISE, 0.0, (24, 1))
+    pushed = Spring(on="right", stiffness=[0, k], total=True, displacement=[0, -far])
+    problem = Problem(
+        problem.body,
+        StVenantKirchhoff(E=E, nu=0.0),
+        degree=2,
+        supports=[*problem.supports, pushed],
+    )
+    states = [*Statics(problem, method="arc-length", first_step=0.05).steps()]
+    first, second = np.array(states[-1].limit_points)[:2] * far
+    assert second < first  # it comes back
+    assert first == pytest.approx(base[inside & (deflections < 0.8 * RISE)].max(), rel=1e-2)
+    back = inside & (deflections > 0.8 * RISE)
+    assert second == pytest.approx(base[back].min(), rel=1e-2)
