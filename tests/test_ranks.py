@@ -25,10 +25,8 @@ REFERENCES = ("reference_bending", "reference_heart", "reference_rubber")
 meshes, supports, loads, pressures and probes, have tests of their own that run here.  The linear
 ones run at 2, so that reference cases as such do."""
 SHARED = (
-    "arclength",
     "audit",
     "contact",
-    "doctor",
     "dynamics",
     "explicit",
     "loads",

@@ -39,6 +39,10 @@ log = logging.getLogger("dolfin_elastic")
 FIRST = 0.25
 """Share of the load in the first step of a nonlinear problem."""
 
+JUMPS = 3
+"""Jumps that no smaller step avoids, after which they are left to the audit: the energy of such a
+body does not follow from its forces."""
+
 
 class StaticsSettings(Record):
     """How a static solution is found.
@@ -200,6 +204,7 @@ class _Stepping:
         self._before: tuple[float, Vector] | None = None
         self._fallback: tuple[float, Vector] | None = None  # where a step has jumped to
         self._limits: tuple[float, ...] = ()
+        self._jumps = 0
 
     def run(self) -> Iterator[State]:
         self.problem.set_time(0.0, default=RAMP)
@@ -231,6 +236,8 @@ class _Stepping:
             self._watch.accept()
             self._before = t, start
             sizes.succeeded(t, goal, progress.newton)
+            if fault:
+                sizes.begin_anew()
             t = goal
             yield self._state(t, progress, negative_eigenvalues(self.newton))
 
@@ -243,6 +250,8 @@ class _Stepping:
             return BEYOND
         if (negative_eigenvalues(self.newton) or 0) > 0:
             return UNSTABLE
+        if self._jumps >= JUMPS:
+            return ""
         jumped = self._watch.jumped(self.newton.progress.target)
         return ANOTHER if jumped else ""
 
@@ -270,6 +279,7 @@ class _Stepping:
                 progress.reason = fault
                 raise self._failure(t, goal, progress, start, kept)
             progress = found
+        self._jumps += fault == ANOTHER
         what = "the body buckles" if fault == UNSTABLE else "the body has snapped"
         log.warning(
             "no stable equilibrium is near beyond load factor %.6g: %s to another one; "

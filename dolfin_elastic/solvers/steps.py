@@ -33,7 +33,7 @@ class StepSizes:
         stops: Sequence[float] = (),
         steady: bool = False,
     ) -> None:
-        self.end, self.size = end, first
+        self.end, self.size, self._first = end, first, first
         self._calm, self._steady = CALM, steady
         self._largest, self._smallest = largest, smallest
         self._stops = sorted({s for s in stops if 0.0 < s < end} | {end})
@@ -56,6 +56,10 @@ class StepSizes:
             self.size = min(self._largest, 2.0 * max(self.size, goal - t))
         elif newton >= SLOW and not self._steady:
             self.size = max(self._smallest, 0.7 * (goal - t))
+
+    def begin_anew(self) -> None:
+        """After a jump: nothing is known of the path that has been reached."""
+        self.size, self._calm = self._first, CALM
 
     def failed(self, t: float, goal: float, *, crushed: bool) -> bool:
         """Takes note of a failure.
