@@ -303,7 +303,7 @@ def test_iterations_give_the_factorisation_answer(degree):
             loads=[Traction(on="right", value=[0, 0, 2e4])],
         )
         linear = LinearSettings(method=method)
-        *_, state = Statics(problem, linear=linear, rtol=1e-10).steps()
+        *_, state = Statics(problem, steps=1, linear=linear, rtol=1e-10).steps()
         found.append((state.max_displacement, state.energies["strain"]))
         assert state.krylov <= 30 * state.newton
     assert found[0] == pytest.approx(found[1], rel=1e-8)
