@@ -20,6 +20,8 @@ POINTS = (
     "units",
 )
 """Files of tests on numbers and texts, and on rates, in which ranks take no part of their own."""
+LAWS = ("geometry", "law_input", "laws", "naming", "own_energy")
+"""Files that try every law, or names, on bodies of a few cells."""
 REFERENCES = ("reference_bending", "reference_heart", "reference_rubber")
 """Published numbers, which ask how right the model is: the parts that ranks share in them, curved
 meshes, supports, loads, pressures and probes, have tests of their own that run here.  The linear
@@ -94,5 +96,5 @@ def _asked(ranks: int) -> list[str]:
     if ranks > 2:
         files = (folder / f"test_{name}.py" for name in SHARED)
         return ["-k", LONG, *(str(file) for file in files if file.exists())]
-    left_out = (folder / f"test_{name}.py" for name in POINTS + REFERENCES)
+    left_out = (folder / f"test_{name}.py" for name in POINTS + LAWS + REFERENCES)
     return [str(folder), *(f"--ignore={file}" for file in left_out)]
