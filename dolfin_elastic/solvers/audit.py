@@ -17,6 +17,7 @@ from mpi4py import MPI
 from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.contact import off_obstacle
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.jump import round_off
 from dolfin_elastic.solvers.macroscopic import Macroscopic
@@ -86,6 +87,8 @@ class Auditor:
         else:
             force = moment = np.nan
             forces, u = self._macroscopic(self._assembler.cell)
+        if self._last is not None:  # what begins in an obstacle has not been pushed out yet
+            self._touch(reasons)
         self._follow(forces, u, energy, energy_noise, reasons)
         low, high = self._watch.extremes()
         if not low[0] > 0.0:
@@ -141,6 +144,16 @@ class Auditor:
         if self._problem.holding:
             forces.append(a.holding_forces()[a.moves])
         return [force.reshape(-1, self._dim) for force in forces]
+
+    def _touch(self, reasons: dict[str, str]) -> None:
+        """Nothing is deeper in an obstacle, or presses farther off it, than was promised."""
+        for touch in self._problem.touching:
+            if (off := off_obstacle(touch)) > touch.tolerance:
+                reasons[f"contact {touch.label}"] = (
+                    f"contact '{touch.label}': a node that presses is {off:.3g} m off the "
+                    f"obstacle, above gap_tolerance = {touch.tolerance:.3g} m; a larger stiffness "
+                    "or more load steps help"
+                )
 
     def _macroscopic(self, cell: Macroscopic) -> tuple[Floats, Floats]:
         """What does work on a periodic cell, V P [N], on what, F [m], by its length. Collective.

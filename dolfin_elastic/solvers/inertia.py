@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
-from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.newton import Newton
+from dolfin_elastic.solvers.stability import uneven
 
 NEGATIVE_PIVOTS = 12
 """Index of their number in MUMPS's INFOG."""
@@ -46,7 +44,7 @@ def disturb(newton: Newton) -> None:
     assembler = newton.assembler
     x, b = assembler.create_vector(), assembler.create_vector()
     moves, w = assembler.moves, assembler.problem.w.x
-    b.array_w[moves] = _uneven(assembler.problem, newton.span)
+    b.array_w[moves] = uneven(assembler)
     for _ in range(ITERATIONS):
         assembler.hold(b)
         newton.ksp.solve(b, x)
@@ -57,13 +55,3 @@ def disturb(newton: Newton) -> None:
     assembler.problem.unknowns.tell()
     x.destroy()
     b.destroy()
-
-
-def _uneven(problem: Problem, span: float) -> npt.NDArray[np.float64]:
-    """A number for each owned displacement that is the same on any ranks: it is of its place."""
-    dim = problem.body.dim
-    space = problem.unknowns.U
-    size = space.dofmap.index_map.size_local
-    x = space.tabulate_dof_coordinates()[:size, :dim] / span
-    waves = np.sin(1.7 * x.sum(axis=1)[:, None] + 2.3 * np.arange(dim))
-    return np.asarray((1.0 + waves).ravel())

@@ -68,9 +68,13 @@ class Ladder:
             log.debug("%s, line search '%s': %s", said or "start", line_search, progress.reason)
         self.failed = newton.present()
         progress.rejected, progress.worst = rejected, worst
-        newton.put_back(first)
-        self._augmentation.restore()
+        self.undo(first)
         return progress
+
+    def undo(self, start: Vector) -> None:
+        """Goes back to where the last solve began, its contacts too. Not collective."""
+        self.newton.put_back(start)
+        self._augmentation.restore()
 
     def _rungs(self, starts: Sequence[tuple[str, Vector]]) -> Iterator[tuple[str, Vector, str]]:
         searches = self.newton.ladder()

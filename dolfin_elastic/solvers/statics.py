@@ -230,7 +230,7 @@ class _Stepping:
                     self._fallback = goal, self.newton.present()
                 if sizes.failed(t, goal, crushed=crushed and not progress.converged):
                     log.info("load factor %.6g: %s; a smaller step", goal, fault)
-                    self.newton.put_back(start)
+                    self.ladder.undo(start)
                     continue
                 goal, progress = self._elsewhere(t, goal, progress, fault, start)
             self._watch.accept()
