@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,7 +51,7 @@ class Hold:
     def goals(self, x: Floats, t: float, default: Amplitude = CONSTANT) -> Floats:
         """What is prescribed along each direction [m]."""
         goals = np.zeros(len(self.nodes))
-        if self.support is not None and len(self.nodes):
+        if self.support is not None:  # on ranks without nodes, too: curves fail on all or none
             goals[:] = self.support.at(self.which, x[self.nodes], t, default)
         return goals
 
@@ -149,12 +149,21 @@ class Tilted:
         Args:
             out: Forces out of balance at the owned nodes [N], of shape (count, dim).
         """
-        along = np.einsum("nik,ni->nk", self._lift[: self.count], out)
         found: dict[str, Floats] = {}
+        for support, _, forces in self.each(out):
+            found[support.label] = found.get(support.label, 0.0) + forces.sum(axis=0)
+        return found
+
+    def each(self, out: Floats) -> Iterator[tuple[Prescribing | RigidMotion, Nodes, Floats]]:
+        """Each support's forces, hold by hold: owned nodes, and forces there, shape (nodes, dim).
+
+        Args:
+            out: Forces out of balance at the owned nodes [N], of shape (count, dim).
+        """
+        along = np.einsum("nik,ni->nk", self._lift[: self.count], out)
         for s in self._slots:
             if s.hold.support is not None:
                 own = s.where < self.count
                 at = s.where[own], s.row[own]
-                label = s.hold.support.label
-                found[label] = found.get(label, 0.0) + along[at] @ self._rows[at]
-        return found
+                forces = along[at][:, None] * self._rows[at]
+                yield s.hold.support, self.nodes[s.where[own]], forces

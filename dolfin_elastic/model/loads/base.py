@@ -119,6 +119,8 @@ class Load(Record):
     """SI unit of `value`."""
     needs_density: ClassVar[bool] = False
     """The load is proportional to mass."""
+    faces: ClassVar[bool] = False
+    """The load acts along the outward normal of its surfaces."""
     follows: ClassVar[bool] = False
     """The load depends on the displacement."""
     linearises: ClassVar[bool] = False
