@@ -85,6 +85,6 @@ def enclosures(loads: Sequence[Load], site: BodySite) -> Iterator[Enclosure]:
         try:
             volume, exact = (load.enclosed(site, linear) for linear in (site.linear, False))
         except InputError as error:
-            raise error.at(f"load[{index}].{error.where}") from None
+            raise error.at(f"load[{index}]" if error.where else f"load[{index}].on") from None
         push = load.work(site, site.constant(1.0), linear=False)
         yield Enclosure(load.label, volume, exact, push, load, site)

@@ -6,17 +6,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dolfinx.mesh import locate_entities
 from mpi4py import MPI
 from test_pressure import FREE, annulus, forces, moved, radial, solved, total
 
 from dolfin_elastic import (
     BodyForce,
+    Cavity,
     Centrifugal,
+    Contact,
     LinearElastic,
     LineForce,
     PointForce,
     Pressure,
     Problem,
+    Spring,
     Statics,
     StVenantKirchhoff,
     Support,
@@ -329,6 +333,24 @@ def test_loads_that_do_not_fit_the_body(load, says):
     with pytest.raises(InputError) as caught:
         Problem(body(3), law, loads=[BodyForce(value=[0, 0, 1]), load])
     assert says in str(caught.value)
+
+
+FACING: list[tuple[dict[str, Any], str]] = [
+    ({"loads": [Pressure(on="cut", value=1)]}, "load[0].on"),
+    ({"loads": [Cavity(on=["left", "cut"], pressure=1)]}, "load[0].on"),
+    ({"supports": [Spring(on="cut", normal=1)]}, "support[0].on"),
+    ({"contacts": [Contact(on="cut", sphere={"center": [5, 0, 0], "radius": 1})]}, "contact[0].on"),
+]
+
+
+@pytest.mark.parametrize(("terms", "where"), FACING)
+def test_a_surface_inside_the_body_has_no_normal(terms, where):
+    """Which of its two sides counts would be up to the numbering of cells, and so to the ranks."""
+    cube = body(3)
+    cut = locate_entities(cube.mesh, 2, lambda x: np.isclose(x[0], 0.5))
+    with pytest.raises(InputError, match="'cut' lies inside the body") as caught:
+        Problem(cube.named(surfaces={"cut": np.sort(cut)}), LinearElastic(E=E, nu=NU), **terms)
+    assert caught.value.where == where
 
 
 def test_a_tolerance_lets_points_lie_off_the_body():
