@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from dolfin_elastic.errors import InputError
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.model.supports import Prescribing
 from dolfin_elastic.motions import RigidMotion
@@ -49,10 +50,16 @@ class Hold:
         )
 
     def goals(self, x: Floats, t: float, default: Amplitude = CONSTANT) -> Floats:
-        """What is prescribed along each direction [m]."""
+        """What is prescribed along each direction [m].
+
+        It is asked on ranks without nodes, too: a curve fails on all of them or on none.
+        """
         goals = np.zeros(len(self.nodes))
-        if self.support is not None:  # on ranks without nodes, too: curves fail on all or none
-            goals[:] = self.support.at(self.which, x[self.nodes], t, default)
+        if self.support is not None:
+            try:
+                goals[:] = self.support.at(self.which, x[self.nodes], t, default)
+            except InputError as error:
+                raise error.at(f"support '{self.support.label}'") from None
         return goals
 
 
