@@ -103,7 +103,8 @@ def _in_own_cells(mesh: Mesh, point: Floats, ranking: _Ranking) -> tuple[Key, in
     low, high = nodes.min(axis=1), nodes.max(axis=1)
     # Curved edges may bulge a little over their nodes.
     margin = 4 * SLACK * (high - low).max(axis=1, initial=0.0)[:, None]
-    near = np.flatnonzero(((point >= low - margin) & (point <= high + margin)).all(axis=1))
+    inside = ((point >= low - margin) & (point <= high + margin)).all(axis=1)
+    near = np.flatnonzero(inside).astype(np.int32)
     if not len(near):
         return (np.inf,), -1, np.zeros(d)
     local = _pulled_back(mesh, nodes[near], point)
