@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from dolfin_elastic.bench.gate import gate
 from dolfin_elastic.case import Case, located
+from dolfin_elastic.check.slips import slips
 from dolfin_elastic.errors import CaseError, MeshError, nearest
 from dolfin_elastic.meshes.body import Body, Indices
 from dolfin_elastic.model.loads import Load
@@ -46,7 +47,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
                 where="mesh.degree",
                 expected="use degree = 1 or generalized-alpha",
             )
-    return tuple(_notes(case))
+    return (*_notes(case), *slips(case, body))
 
 
 def explicit(case: Case) -> bool:

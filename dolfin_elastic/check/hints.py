@@ -11,38 +11,15 @@ from dolfin_elastic.case import Case
 from dolfin_elastic.check.loads import LoadSum
 from dolfin_elastic.check.sums import Integrals
 from dolfin_elastic.formulation import poisson, shear_modulus
-from dolfin_elastic.meshes.body import Body, extent
+from dolfin_elastic.meshes.body import Body
 from dolfin_elastic.meshes.quality import worst_cells
 from dolfin_elastic.meshes.shapes import cell_corners, prepare_facets, qualities
-from dolfin_elastic.model.components import Component
 from dolfin_elastic.model.law import Law
 from dolfin_elastic.parallel import total
 
 THIN = 0.05
 """Quality below which a cell spoils results around it: a needle of one to twenty."""
-_LONG, _SHORT = 1e3, 1e-6
 _SHOWN = 5
-
-
-def size_hints(case: Case, body: Body) -> Iterator[str]:
-    """Bodies that are very large or very small, and moved by more than their size. Collective."""
-    sides = extent(body)
-    longest = max(sides)
-    if longest > _LONG or longest < _SHORT:
-        what = f"{longest:.3g} m" + (" long" if longest > _LONG else " at most")
-        yield f"the body is {what}: is mesh.unit what the mesh is in?"
-    for i, support in enumerate(case.support):
-        vector = support.vectors.get("displacement", ())
-        moved = max((_size(value) for value in vector), default=0.0)
-        if moved > longest:
-            yield (
-                f"support[{i}].displacement: {moved:.3g} m is more than the body is long "
-                f"({longest:.3g} m): is a unit missing?"
-            )
-
-
-def _size(value: Component) -> float:
-    return abs(value) if isinstance(value, int | float) else 0.0
 
 
 def stress_hint(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) -> Iterator[str]:
@@ -112,7 +89,6 @@ def hints(
 ) -> tuple[str, ...]:
     """All of it. Collective."""
     return (
-        *size_hints(case, body),
         *stress_hint(case, integrals, sums),
         *part_notes(body),
         *cell_notes(body),

@@ -125,6 +125,11 @@ class Rigid(Restraint):
         return {key: given[key] for key in ("point", "displacement", "force") if given[key]}
 
     @property
+    def turns(self) -> tuple[Component, ...]:
+        """The rotation vector's components [rad], None where free; nothing where none is given."""
+        return self._parsed["rotation"]
+
+    @property
     def at_rest(self) -> bool:
         """See `Restraint`."""
         return all(value in (None, 0.0) for values in self._parsed.values() for value in values)
