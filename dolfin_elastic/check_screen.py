@@ -9,12 +9,15 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from dolfin_elastic.screen import console, vector_text
+from dolfin_elastic.screen import console, show_table, vector_text
 
 if TYPE_CHECKING:
     from dolfin_elastic.check import PartSize, Report
+    from dolfin_elastic.check.contacts import ContactGap
     from dolfin_elastic.check.loads import LoadSum
     from dolfin_elastic.solvers.rigid import FreeBody
+
+_GOOD = "nothing is wrong"
 
 
 def show_check(report: Report) -> None:
@@ -25,16 +28,21 @@ def show_check(report: Report) -> None:
         screen.print(f"  {name:<10} {text}", soft_wrap=True)
     span = max(report.extent)
     area, volume = ("m^2", "m^3") if report.dim == 3 else ("m", "m^2")
-    screen.print(_parts("surface", area, report.surfaces, span))
-    screen.print(_parts("region", volume, report.regions, span))
-    screen.print(_parts("material", volume, report.materials, span))
+    show_table(screen, _parts("surface", area, report.surfaces, span))
+    show_table(screen, _parts("region", volume, report.regions, span))
+    show_table(screen, _parts("material", volume, report.materials, span))
     if report.loads:
         _show_loads(screen, report)
+    if report.contacts:
+        show_table(screen, _contacts(report.contacts))
     for field in report.fields:
         screen.print(f"field {field}", soft_wrap=True)
     for note in report.notes:
         screen.print(f"note: {note}", soft_wrap=True)
-    screen.print("nothing is wrong")
+    count = len(report.notes)
+    screen.print(
+        f"no errors; {count} note{'s' if count > 1 else ''}" if count else "nothing is wrong"
+    )
 
 
 def _head(report: Report) -> list[tuple[str, str]]:
@@ -43,6 +51,7 @@ def _head(report: Report) -> list[tuple[str, str]]:
     rows = [
         ("mesh", f"{report.mesh}, {report.dim}D{kind}, {report.cells} cells"),
         ("extent", f"{' x '.join(f'{side:.4g}' for side in report.extent)} m"),
+        *([] if report.thickness is None else [("thickness", f"{report.thickness:.4g} m")]),
         ("analysis", f"{report.analysis}, {report.unknowns} unknowns"),
         ("equations", report.linear_solver),
         ("memory", f"about {report.memory.total / 1e9:.2g} GB of all ranks together"),
@@ -53,12 +62,12 @@ def _head(report: Report) -> list[tuple[str, str]]:
     return [*rows, *(("body", _body(body, len(report.bodies))) for body in report.bodies[:5])]
 
 
-def _body(body: FreeBody, count: int) -> str:
-    name = f"`{body.name}` " if count > 1 else ""
+def _body(body: FreeBody, bodies: int) -> str:
+    name = f"`{body.name}` " if bodies > 1 else ""
     free = "is held against every rigid motion"
     if body.motions:
         free = f"can {', '.join(body.motions)}"
-    return f"{name}{free}" + (f" (one of {count} that share no nodes)" if count > 1 else "")
+    return f"{name}{free}" + (f" (one of {bodies} that share no nodes)" if bodies > 1 else "")
 
 
 def _place(point: Sequence[float], span: float) -> str:
@@ -67,10 +76,10 @@ def _place(point: Sequence[float], span: float) -> str:
 
 
 def _parts(kind: str, unit: str, parts: Sequence[PartSize], span: float) -> Table:
-    count = "facets" if kind == "surface" else "cells"
+    things = "facets" if kind == "surface" else "cells"
     heavy = any(part.mass is not None for part in parts)
     table = Table(kind, box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column(count, justify="right")
+    table.add_column(things, justify="right")
     table.add_column(f"[{unit}]", justify="right")
     table.add_column("centroid [m]")
     if heavy:
@@ -93,9 +102,18 @@ def _show_loads(screen: Console, report: Report) -> None:
     for load in report.loads:
         time = [f"{load.time:.4g}"] if moving else []
         table.add_row(load.load, load.on, _sum(load.force), _sum(load.moment), *time)
-    screen.print(table)
+    show_table(screen, table)
     when = "when it is largest in the motion" if moving else "at load parameter 1"
     screen.print(_said(report.loads, when), soft_wrap=True)
+
+
+def _contacts(contacts: Sequence[ContactGap]) -> Table:
+    table = Table("contact", box=SIMPLE_HEAD, pad_edge=False)
+    for head in ("on", "obstacle", "smallest gap at the start [m]", "at [m]"):
+        table.add_column(head)
+    for row in contacts:
+        table.add_row(row.contact, row.on, row.obstacle, f"{row.gap:.4g}", vector_text(row.place))
+    return table
 
 
 def _said(loads: Iterable[LoadSum], when: str) -> str:

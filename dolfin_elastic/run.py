@@ -15,6 +15,8 @@ from mpi4py import MPI
 from dolfin_elastic import timing
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.check import check
+from dolfin_elastic.check.contacts import contact_notes
+from dolfin_elastic.solvers.contact import tell_untouched
 from dolfin_elastic.state import State
 
 log = logging.getLogger("dolfin_elastic")
@@ -49,9 +51,11 @@ def run(
     for note in check(case, body):
         log.warning("%s", note)
     problem = case.make_problem(body)
+    for note in contact_notes(case, problem):
+        log.warning("%s", note)
     solver = case.make_solver(problem, petsc=petsc)
     folder = Path(output) if output is not None else case.results_folder()
-    steps = cast(States, solver.steps())
+    steps = tell_untouched(problem, cast(States, solver.steps()))
     with located(case.file), closing(steps):
         first = next(steps)  # a fault that only shows at the start leaves no folder behind
         probe = case.output.probe(problem, case.mesh.scale)

@@ -176,19 +176,32 @@ def _folded(text: str) -> str:
 # --- tables ---
 
 
+def show_table(screen: Console, table: Table) -> None:
+    """A table, in files without blanks at the ends of its lines."""
+    if screen.is_terminal:
+        screen.print(table)
+        return
+    with screen.capture() as captured:
+        screen.print(table)
+    for line in captured.get().splitlines():
+        screen.print(line.rstrip(), soft_wrap=True)
+
+
 def show_end(state: State, *, motion: bool, seconds: Mapping[str, float], newton: int) -> None:
     """The run in a few lines."""
     screen = console()
     table = Table(box=None, show_header=False, pad_edge=True)
     for name, value in _end_rows(state, motion):
         table.add_row(name, value)
-    table.add_row("time", _times(seconds))
-    iterations = f", {_count(newton, 'Newton iteration')}" if newton else ""
-    screen.print(f"done: {_count(state.step, 'step')}{iterations}")
-    screen.print(table)
+    iterations = f", {count(newton, 'Newton iteration')}" if newton else ""
+    screen.print(f"done: {count(state.step, 'step')}{iterations}")
+    show_table(screen, table)
+    # Longer than a column is wide.
+    screen.print(f" time: {_times(seconds)}", soft_wrap=True)
 
 
-def _count(number: int, thing: str) -> str:
+def count(number: int, thing: str) -> str:
+    """A number of things."""
     return f"{number} {thing}" + ("" if number == 1 else "s")
 
 
@@ -232,7 +245,7 @@ def show_profile(rows: Sequence[tuple[str, float, float]], memory: Mapping[str, 
     for name, least, most in rows:
         table.add_row(name, f"{least:.3f}", f"{most:.3f}", f"{100 * most / total:.0f} %")
     screen = console()
-    screen.print(table)
+    show_table(screen, table)
     screen.print(
         f"peak memory {memory['sum'] / 1e6:.0f} MB together, "
         f"{memory['largest_rank'] / 1e6:.0f} MB on the largest rank"

@@ -8,18 +8,22 @@ from mpi4py import MPI
 
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.check.case import check, explicit
+from dolfin_elastic.check.contacts import ContactGap, contact_gaps, contact_notes
 from dolfin_elastic.check.hints import hints
 from dolfin_elastic.check.loads import LoadSum, load_sums
 from dolfin_elastic.check.memory import Memory, memory
 from dolfin_elastic.check.sizes import PartSize, material_sizes, region_sizes, surface_sizes
 from dolfin_elastic.check.sums import Integrals
+from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes.body import Body, extent
 from dolfin_elastic.parts import locking_notes
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.solvers.contact import check_start, out_of_reach
+from dolfin_elastic.solvers.contact import check_start
 from dolfin_elastic.solvers.explicit import check_explicit
 from dolfin_elastic.solvers.linear import choose
 from dolfin_elastic.solvers.rigid import FreeBody, check_held, free_bodies
+
+PLANE = ("plane-strain", "plane-stress")
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,8 @@ class Report:
         fields: Name, place and range of each field that the mesh carries.
         materials: What each material fills.
         loads: What each load sums up to, and all of them.
+        contacts: Where each contact begins.
+        thickness: Of a plane body [m]; None: it has none.
         bodies: Connected bodies and the rigid motions that nothing prevents.
         memory: What the solution will need.
     """
@@ -63,6 +69,8 @@ class Report:
     fields: tuple[str, ...]
     materials: tuple[PartSize, ...]
     loads: tuple[LoadSum, ...]
+    contacts: tuple[ContactGap, ...]
+    thickness: float | None
     bodies: tuple[FreeBody, ...]
     memory: Memory
 
@@ -78,15 +86,25 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     body = case.read_body(comm)
     notes = check(case, body)
     problem = case.make_problem(body)
-    with located(case.file):
-        if case.dynamics is None:
-            check_held(problem)
-        elif explicit(case):
-            check_explicit(problem)
-        if case.dynamics is not None:
-            check_start(problem)
-        notes = (*notes, *out_of_reach(problem))
-        return _found(case, body, problem, notes)
+    notes = (*notes, *contact_notes(case, problem))
+    try:
+        with located(case.file):
+            _check_start(case, problem)
+            return _found(case, body, problem, notes)
+    except InputError as error:
+        for note in notes:
+            error.add_note(f"note: {note}")
+        raise
+
+
+def _check_start(case: Case, problem: Problem) -> None:
+    """What the solver would refuse at its start."""
+    if case.dynamics is None:
+        check_held(problem)
+        return
+    if explicit(case):
+        check_explicit(problem)
+    check_start(problem)
 
 
 def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> Report:
@@ -118,6 +136,8 @@ def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> 
         ),
         materials=material_sizes(integrals),
         loads=sums,
+        contacts=contact_gaps(problem),
+        thickness=case.mesh.metres_thick if problem.geometry in PLANE else None,
         bodies=tuple(free_bodies(problem)),
         memory=memory(problem, choice),
     )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import logging
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +17,12 @@ from dolfin_elastic.parallel import largest, smallest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import compiled, integral
 from dolfin_elastic.solvers.progress import Progress
+from dolfin_elastic.state import State
 from dolfin_elastic.touching import Touching
 
 Floats = npt.NDArray[np.float64]
+States = Generator[State, None, None]
+log = logging.getLogger("dolfin_elastic")
 
 AUGMENTATIONS = 10
 """Times that the multipliers of one load step are renewed."""
@@ -165,13 +169,9 @@ def check_start(problem: Problem) -> None:
     Raises:
         InputError: With place and depth.
     """
-    if problem.touching:
-        problem.set_time(0.0, default=RAMP)
-    for index, touch in enumerate(problem.touching):
-        gaps = touch.gaps()[0]
-        node = int(np.argmin(gaps)) if len(gaps) else -1
-        mine = (float(gaps[node]), touch.places()[node]) if node >= 0 else (np.inf, np.zeros(3))
-        gap, place = min(touch.comm.allgather(mine), key=lambda pair: pair[0])
+    for index, (touch, (gap, place)) in enumerate(
+        zip(problem.touching, first_gaps(problem), strict=True)
+    ):
         if gap < -touch.size:
             text = ", ".join(f"{x:.4g}" for x in place)
             raise InputError(
@@ -183,15 +183,36 @@ def check_start(problem: Problem) -> None:
             )
 
 
-def out_of_reach(problem: Problem) -> list[str]:
-    """Contacts at rest that begin farther away than the body is large, in words. Collective."""
-    far = span(problem.body) if problem.touching else 0.0
-    gaps = {t.label: nearest_gap(t) for t in problem.touching if not t.contact.values}
-    return [
-        f"contact '{label}': the obstacle is {gap:.3g} m away, farther than the body is large"
-        for label, gap in gaps.items()
-        if gap > far
-    ]
+def first_gaps(problem: Problem) -> list[tuple[float, tuple[float, ...]]]:
+    """Smallest gap of each contact at the start [m], and where [m]. Collective."""
+    if problem.touching:
+        problem.set_time(0.0, default=RAMP)
+    found = []
+    for touch in problem.touching:
+        gaps = touch.gaps()[0]
+        mine = [
+            (float(gap), tuple(place.round(12).tolist()))
+            for gap, place in zip(gaps, touch.places(), strict=True)
+            if gap <= np.min(gaps, initial=np.inf) + 1e-9 * touch.size
+        ]
+        rows = [row for part in touch.comm.allgather(mine) for row in part]
+        # Nodes that are equally near: the same one on any number of ranks.
+        least = min((gap for gap, _ in rows), default=np.inf) + 1e-9 * touch.size
+        near = (row for row in rows if row[0] <= least)
+        found.append(min(near, key=lambda row: row[1], default=(np.inf, ())))
+    return found
+
+
+def tell_untouched(problem: Problem, states: States) -> States:
+    """The same states; at their end, warns of contacts that none of them touches."""
+    never = {touch.label for touch in problem.touching}
+    with closing(states):
+        for state in states:
+            area = {label: state.numbers.get(f"contact_area_{label}", 1.0) for label in never}
+            never -= {label for label in never if area[label] > 0}
+            yield state
+    for label in sorted(never):
+        log.warning("contact '%s' was never touched", label)
 
 
 def rows_of(touch: Touching, within: float) -> tuple[Indices, Floats]:
