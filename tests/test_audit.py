@@ -49,13 +49,13 @@ def block(law: Any = None, **more: Any) -> Problem:
     return Problem(body, law or NeoHookean(E=E, nu=NU), **{**defaults, **more})
 
 
-def bar() -> Problem:
-    """A bar of Hooke's material, 2 m long and 1 m^2 thick, pulled by 10 kN and free to contract."""
+def bar(force: float = 1e4) -> Problem:
+    """A bar of Hooke's material, 2 m long and 1 m^2 thick, pulled and free to contract."""
     sliding = [
         Support(on=name, displacement=["free" if i != k else 0 for i in range(3)])
         for k, name in enumerate(("left", "front", "bottom"))
     ]
-    pull = Traction(on="right", value=[1e4, 0, 0])
+    pull = Traction(on="right", value=[force, 0, 0])
     return block(LinearElastic(E=E, nu=NU), supports=sliding, loads=[pull])
 
 
@@ -79,6 +79,23 @@ def said() -> Iterator[list[str]]:
 
 
 # --- what is right is let pass ---
+
+
+@pytest.mark.parametrize(("load", "far"), [(0.9e5, False), (1.2e5, True)])
+def test_small_strain_law_at_large_strains(load, far, said):
+    """The bar's |grad u| is e (1 + 2 nu^2)^(1/2): it is told once, from 0.1 on."""
+    problem = bar(load)
+    last = audits(problem, steps=3)[-1]
+    told = [line for line in said if "is for small strains" in line]
+    assert bool(last.notes) is far
+    assert COMM.allreduce(len(told)) in ((1, COMM.size) if far else (0,))
+    if far:
+        size = load / E * np.sqrt(1 + 2 * NU**2)
+        assert (
+            f"linear-elastic is for small strains and rotations, but |grad u| is {size:.2g}"
+            in (last.notes[0])
+        )
+        assert last.verdict == "pass"
 
 
 @pytest.mark.parametrize("law", [LinearElastic, NeoHookean, Textbook])
@@ -264,7 +281,9 @@ def test_cell_inside_out():
     problem = block(LinearElastic(E=E, nu=NU), loads=[])
     assembler = Assembler(problem)
     worst = (-0.1, np.array([0.5, 0.25, 0.125])), (2.0, np.zeros(3))
-    watch: Any = type("Watch", (), {"extremes": lambda self: worst})()
+    watch: Any = type(
+        "Watch", (), {"extremes": lambda _: worst, "steepest": lambda _: (0.0, worst[1][1])}
+    )()
     assembler.assemble_balance()
     audit = Auditor(problem, assembler, watch).of(0.0, 0.0)
     assert audit.reasons == ("a cell is inside out: det F = -0.1 at (0.5, 0.25, 0.125) m",)

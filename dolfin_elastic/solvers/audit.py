@@ -33,6 +33,10 @@ its default tolerance."""
 STORED = 1e-6
 """Share of work and energy that is let pass beyond the bound of the trapezoidal rule."""
 
+SMALL_STRAINS = 0.1
+"""|grad u| up to which laws for small strains may be trusted: they leave out terms of its square,
+one percent."""
+
 
 @dataclass
 class _Last:
@@ -68,6 +72,7 @@ class Auditor:
         self._last: _Last | None = None
         self._work = self._stored = self._blur = 0.0
         self._warned: dict[str, str] = {}
+        self._far = ""
 
     def of(self, t: float, energy: float) -> Audit:
         """The audit of the step that the problem and the assembler are in. Collective.
@@ -101,6 +106,7 @@ class Auditor:
         if not low[0] > 0.0:
             reasons["jacobian"] = f"a cell is inside out: det F = {low[0]:.3g} at {_text(low[1])} m"
         self._warn(t, reasons)
+        self._watch_strains(t)
         return Audit(
             force=force,
             moment=moment,
@@ -116,8 +122,21 @@ class Auditor:
             notes=self._notes(energy),
         )
 
+    def _watch_strains(self, t: float) -> None:
+        """Says once that a law for small strains is used outside of them. Collective."""
+        steepest, place = self._watch.steepest()
+        if steepest <= SMALL_STRAINS or self._far:
+            return
+        names = ", ".join(sorted({p.law.name() for p in self._problem.parts if p.law.linear}))
+        self._far = (
+            f"the law {names} is for small strains and rotations, but |grad u| is {steepest:.2g} "
+            f"at {_text(place[: self._dim])} m (load factor {t:.6g}): st-venant-kirchhoff or "
+            "neo-hookean follow large ones"
+        )
+        log.warning("%s", self._far)
+
     def _notes(self, energy: float) -> tuple[str, ...]:
-        notes = []
+        notes = [self._far] if self._far else []
         if self._problem.cell is not None:
             notes.append("no balance of forces and moments: its neighbours hold a periodic cell")
         elif self._problem.geometry == "axisymmetric":

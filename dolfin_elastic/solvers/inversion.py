@@ -20,6 +20,9 @@ Extreme = tuple[float, Floats]
 class JacobianWatch:
     """Smallest and largest det F of a body, at the points where the energy is integrated.
 
+    Where there are laws for small strains it sees the largest displacement gradient in their cells
+    as well, for what they leave out are its squares.
+
     Args:
         problem: Whose displacement is watched.
     """
@@ -28,13 +31,20 @@ class JacobianWatch:
         mesh = problem.body.mesh
         kind = getattr(basix.CellType, mesh.topology.cell_name())
         points, _ = basix.make_quadrature(kind, max(problem.rule(part) for part in problem.parts))
-        J = ufl.det(problem.F(problem.w))
-        self._J = compile_expression(mesh.comm, J, points, problem.jit)
+        F = problem.F(problem.w)
+        small = [part.cells for part in problem.parts if part.law.linear]
+        self._small = np.concatenate(small) if small else None
+        seen = [ufl.det(F)]
+        if self._small is not None:
+            H = F - ufl.Identity(3)
+            seen.append(ufl.inner(H, H))
+        self._seen_in = compile_expression(mesh.comm, ufl.as_vector(seen), points, problem.jit)
         self._problem, self._points = problem, points
         self._cells = problem.body.owned_cells()
 
         self._seen: Floats | None = None
         self._found: tuple[Extreme, Extreme] | None = None
+        self._steepest: Extreme = (0.0, np.zeros(3))
 
     def smallest(self) -> Extreme:
         """Smallest det F and the reference place of its cell [m]. Collective."""
@@ -52,6 +62,14 @@ class JacobianWatch:
             self._seen, self._found = now.copy(), self._evaluated()
         return self._found
 
+    def steepest(self) -> Extreme:
+        """Largest |grad u| in cells of linear laws, 0 without any, and its place [m]. Collective.
+
+        The Frobenius norm: strains and rotations count alike.
+        """
+        self.extremes()
+        return self._steepest
+
     def _state(self) -> Floats:
         """All that F depends on."""
         fields, cell = self._problem.w.x.array, self._problem.cell
@@ -60,18 +78,32 @@ class JacobianWatch:
     def _evaluated(self) -> tuple[Extreme, Extreme]:
         mesh = self._problem.body.mesh
         with stage("assemble"):
-            values = self._J.eval(mesh, self._cells)
-        values = values.reshape(len(self._cells), len(self._points))
+            found = self._seen_in.eval(mesh, self._cells)
+        found = found.reshape(len(self._cells), len(self._points), -1)
+        self._steepest = self._largest(found)
+        values = found[:, :, 0]
         values[np.isnan(values)] = -np.inf  # as bad as can be, on whichever rank
         low, high = values.min(axis=1), values.max(axis=1)
         mine: tuple[Extreme, Extreme] = (np.inf, np.zeros(3)), (-np.inf, np.zeros(3))
         if len(values):
             mine = (self._at(low, int(np.argmin(low))), self._at(high, int(np.argmax(high))))
-        found = mesh.comm.allgather(mine)
+        everywhere = mesh.comm.allgather(mine)
         return (
-            min((low for low, _ in found), key=lambda pair: pair[0]),
-            max((high for _, high in found), key=lambda pair: pair[0]),
+            min((low for low, _ in everywhere), key=lambda pair: pair[0]),
+            max((high for _, high in everywhere), key=lambda pair: pair[0]),
         )
+
+    def _largest(self, found: Floats) -> Extreme:
+        """See `steepest`. Collective."""
+        if self._small is None:
+            return 0.0, np.zeros(3)
+        steep = np.zeros(len(found))
+        steep[self._small] = np.sqrt(found[self._small, :, 1].max(axis=1))
+        steep = np.nan_to_num(steep)
+        mine: Extreme = (0.0, np.zeros(3))
+        if len(steep):
+            mine = self._at(steep, int(np.argmax(steep)))
+        return max(self._problem.body.comm.allgather(mine), key=lambda pair: pair[0])
 
     def _at(self, values: Floats, row: int) -> Extreme:
         mesh = self._problem.body.mesh
