@@ -131,10 +131,25 @@ def _check_gradient(periodic: Periodic, dim: int) -> None:
             expected=f"the body is {dim}-dimensional: {dim} rows of {dim}",
         )
     F = periodic.gradient_at(1.0, RAMP)
-    if not periodic.free and not np.linalg.det(F) > 0:
+    kept = _told(F)
+    if len(kept) and not np.linalg.det(F[np.ix_(kept, kept)]) > 0:
         raise InputError(
-            f"det F = {np.linalg.det(F):.4g} at full load",
+            f"det F = {np.linalg.det(F):.4g} at full load"
+            if len(kept) == dim
+            else "det F is not above 0 at full load, whatever the free stretches are",
             where="periodic.gradient",
             expected="above 0: a gradient that keeps volume positive; no deformation is the "
             "unit matrix",
         )
+
+
+def _told(F: Floats) -> npt.NDArray[np.intp]:
+    """Rows and columns whose determinant has the sign of det F; none where it is not known yet.
+
+    Free stretches are positive, and with nothing beside them they are factors of det F.
+    """
+    free, diagonal = np.isnan(F), np.eye(len(F), dtype=bool)
+    stretches = np.diag(free)
+    beside = np.where(diagonal, 0.0, F)[stretches]
+    known = not np.any(free & ~diagonal) and not np.any(beside)
+    return np.flatnonzero(~stretches) if known else np.empty(0, dtype=np.intp)

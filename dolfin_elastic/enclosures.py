@@ -24,6 +24,7 @@ class Enclosure:
         push: Virtual work of a unit pressure, on the deformed surface, too [m^3].
         cavity: What is prescribed.
         site: Where its unknown pressure is.
+        where: Key of its surfaces in the case.
         initial: Volume of the undeformed cavity [m^3], once a solver has found it.
         t: Time [s], or load parameter.
         default: Amplitude where none is named.
@@ -35,6 +36,7 @@ class Enclosure:
     push: ufl.Form
     cavity: Cavity
     site: BodySite
+    where: str = "load"
     initial: float = 0.0
     t: float = 0.0
     default: Amplitude = CONSTANT
@@ -87,4 +89,4 @@ def enclosures(loads: Sequence[Load], site: BodySite) -> Iterator[Enclosure]:
         except InputError as error:
             raise error.at(f"load[{index}]" if error.where else f"load[{index}].on") from None
         push = load.work(site, site.constant(1.0), linear=False)
-        yield Enclosure(load.label, volume, exact, push, load, site)
+        yield Enclosure(load.label, volume, exact, push, load, site, f"load[{index}].on")

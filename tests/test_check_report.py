@@ -316,6 +316,40 @@ def test_intensity_of_pressure_like_loads():
     assert row.force == pytest.approx((-3000, 0, -2000), rel=EXACT)
 
 
+def test_force_on_a_rigid_surface():
+    """With the moment about the origin: (1, 0.5, 3) x (5, 0, 0) + (0, 0, 7) N m."""
+    plate = {"on": "top", "kind": "rigid", "force": ["5 N", 0, 0], "moment": [0, 0, "7 N*m"]}
+    weight = {"kind": "gravity"}
+    row, push, both = report(case(support=[{"on": "bottom"}, plate], load=[weight])).loads
+    assert (push.load, push.on) == ("support[1] (rigid)", "top")
+    assert push.force == (5, 0, 0)
+    assert push.moment == pytest.approx((0, 15, 4.5), rel=EXACT)
+    assert both.force == pytest.approx((5, 0, row.force[2]), rel=EXACT)
+
+
+# --- cavities ---
+
+
+@pytest.mark.parametrize(
+    ("support", "keys", "said"),
+    [
+        ([{"on": ["bottom", "top"], "kind": "symmetry"}], {"origin": [2, 0]}, True),
+        ([{"on": "bottom", "kind": "symmetry"}], {"origin": [2, 0]}, True),
+        ([{"on": ["bottom", "top"]}], {"origin": [2, 0]}, False),
+    ],
+)
+def test_open_cavities(support, keys, said):
+    """Between planes at y = 0 and 1, of which one does not go through the origin."""
+    mesh = {"rectangle": {"size": [1, 1], "cells": [2, 2]}}
+    load = {"kind": "cavity", "on": "right", "name": "air", **keys}
+    held = [*support, {"on": "left", "displacement": [0, FREE]}, {"on": "bottom"}]
+    (note,) = report(case(mesh=mesh, support=held, load=[{**load, "pressure": 1}])).notes or ("",)
+    assert note.startswith("load[0].on: the cavity 'air' is open") is said
+    if said:
+        with pytest.raises(InputError, match=r"load\[0\]\.on: the cavity 'air' is open"):
+            report(case(mesh=mesh, support=held, load=[{**load, "added": 1}]))
+
+
 # --- bodies ---
 
 TWO = """
@@ -397,6 +431,69 @@ def test_forgotten_units():
         assert any(note.startswith(start) for note in notes)
     (note,) = report(case(support=[{"on": "bottom", "displacement": [0, 0, 5]}])).notes
     assert note.startswith("support[0].displacement: 5 m is more than the body is long (3 m)")
+
+
+THICK = {"law": "linear-elastic", "E": E, "nu": 0.3}
+
+
+@pytest.mark.parametrize(
+    ("tables", "start"),
+    [
+        ({"mesh": {"box": {"size": [90, 10, 10], "cells": [9, 1, 1]}}}, "the body is 90 m long, "),
+        (
+            {"support": [{"on": "left"}, {"on": "right", "kind": "normal", "displacement": 5}]},
+            "support[1].displacement: 5 m is more than",
+        ),
+        (
+            {"support": [{"on": "bottom", "kind": "rigid", "rotation": [0, 0, 30]}]},
+            "support[0].rotation[2]: 1719 degrees are more than a full turn",
+        ),
+        (
+            {
+                "materials": {"rubber": THICK},
+                "support": [
+                    {
+                        "on": "bottom",
+                        "kind": "rotation",
+                        "point": [0, 0, 0],
+                        "axis": [0, 0, 1],
+                        "angle": 5,
+                    }
+                ],
+            },
+            "support[0].angle: a bare 5 is in rad, 286.5 degrees",
+        ),
+        ({"materials": {"rubber": {**RUBBER, "density": 1e-6}}}, "materials.rubber.density: 1e-06"),
+        (
+            {
+                "materials": {"rubber": {**RUBBER, "expansion": 12}},
+                "load": [{"kind": "thermal", "value": 80}],
+            },
+            "load[0].value: it makes 'rubber' 960 times as long",
+        ),
+        (
+            {
+                "regions": {"whole": {"all": True}},
+                "materials": {"rubber": RUBBER, "wood": {**RUBBER, "on": "whole"}},
+            },
+            "materials.rubber fills no cell",
+        ),
+        (
+            {"load": [{"kind": "traction", "on": "bottom", "value": [0, 0, 1]}]},
+            "load[0] (traction) acts on 'bottom', where supports",
+        ),
+        (
+            {"support": [{"on": "bottom"}, {"on": "right", "displacement": ["1 mm", FREE, FREE]}]},
+            "support[0] and support[1] prescribe different displacements at 2 corners",
+        ),
+    ],
+)
+def test_slips_of_the_pen(tables, start):
+    """Each is told by a note, and a case without them has none."""
+    with_load = {"load": [{"kind": "body-force", "value": [0, 0, 1]}], **tables}
+    notes = report(case(**with_load)).notes
+    assert [note for note in notes if note.startswith(start)], notes
+    assert report(case(load=[{"kind": "body-force", "value": [0, 0, 1]}])).notes == ()
 
 
 def test_parts_that_no_cell_carries():

@@ -27,6 +27,7 @@ from dolfin_elastic.case import Case
 from dolfin_elastic.check import report
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.model.curves import RAMP
+from dolfin_elastic.run import run
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.contact import Augmentation
 from dolfin_elastic.solvers.ladder import Ladder
@@ -549,6 +550,17 @@ TABLES: dict[str, Any] = {
 }
 
 
+def test_never_touched(folder, caplog):
+    """A run ends with a word on each contact that nothing came near."""
+    other = {"on": "left", "plane": {"axis": "x", "at": -0.5}}
+    case = Case.from_dict(TABLES | {"contact": [*TABLES["contact"], other]})
+    for _ in run(case, output=folder):
+        pass
+    told = [line for line in caplog.messages if "was never touched" in line]
+    mine = MPI.COMM_WORLD.rank == 0
+    assert told == (["contact 'left' was never touched"] if mine else [])
+
+
 def test_in_a_case(comm):
     case = Case.from_dict(TABLES)
     assert Case.from_dict(case.to_dict()) == case
@@ -558,6 +570,12 @@ def test_in_a_case(comm):
     far = {"on": "bottom", "plane": {"axis": "y", "at": -5}}
     notes = report(Case.from_dict(TABLES | {"contact": [far]}), comm=comm).notes
     assert any("contact 'bottom': the obstacle is 5 m away" in note for note in notes)
+    (start,) = found.contacts
+    assert (start.contact, start.gap, start.place) == ("contact[0] 'floor'", 0.0, (0.0, 0.0))
+    small = {**TABLES["mesh"], "unit": "mm"}
+    above = {"on": "right", "plane": {"axis": "-x", "at": 1.5}}
+    notes = report(Case.from_dict(TABLES | {"mesh": small, "contact": [above]}), comm=comm).notes
+    assert any("were they in mm, it would be 0.0005 m away" in note for note in notes)
     misspelt = TABLES | {"contact": [TABLES["contact"][0] | {"on": "botom"}]}
     with pytest.raises(InputError, match=r"contact\[0\].on: .*did you mean 'bottom'"):
         report(Case.from_dict(misspelt), comm=comm)

@@ -415,6 +415,7 @@ def test_refused():
     refused("has no image on 'top'", pairs=[["left", "top"], PAIRS[1]])
     refused("2-dimensional", gradient=SHEARED)
     refused("det F", gradient=[[0, 1], [1, 0]])
+    refused("det F is not above 0", gradient=[[-0.2, 0.1], [0, FREE]])
     refused("the cell can turn", gradient=[[1, FREE], [FREE, 1]])
     refused("so its stress is a result", stress=[[1, 0], [0, 0]])
     refused("neither F11", gradient=[[FREE, 0], [0, 1]], stress=[[FREE, 0], [0, 0]])

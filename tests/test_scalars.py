@@ -537,7 +537,7 @@ def test_a_cavity_of_revolution_is_cut_across_its_axis(folder):
         ({"value": 1}, "no value"),
         ({"added": 1, "origin": [0, 0, 0]}, r"load\[0\].origin.*3 components"),
         ({"added": 1, "on": "left"}, "enclose"),
-        ({"added": 1, "on": "right", "origin": [2, 0]}, "is open"),
+        ({"added": 1, "on": "right", "origin": [2, 0]}, r"load\[0\].on: .*is open"),
     ],
 )
 def test_wrong_cavities(keys, said):

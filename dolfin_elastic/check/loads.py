@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,10 @@ from dolfin_elastic.meshes.points import Points
 from dolfin_elastic.model.components import depends_on_time, vector_at
 from dolfin_elastic.model.curves import CONSTANT, RAMP
 from dolfin_elastic.model.loads import Concentrated, Load, Places
+from dolfin_elastic.model.rigid import Rigid
+from dolfin_elastic.motions import RigidMotion
 from dolfin_elastic.parallel import total
+from dolfin_elastic.problem import Problem
 
 _TIMES = 41
 """Times of a motion at which its loads are looked at, beside the corners of their curves."""
@@ -51,6 +54,7 @@ def load_sums(case: Case, integrals: Integrals) -> tuple[LoadSum, ...]:
     rows = [
         _load_sum(case, i, load, integrals) for i, load in enumerate(case.load) if not load.swells
     ]
+    rows += _rigid_sums(case, integrals.problem)
     forces = [row.force for row in rows if row.force is not None]
     moments = [row.moment for row in rows if row.moment is not None]
     if len(rows) > 1 and len(forces) == len(rows) and len({row.time for row in rows}) == 1:
@@ -76,6 +80,31 @@ def _load_sum(case: Case, index: int, load: Load, integrals: Integrals) -> LoadS
     _check_finite(index, sums[time], time)
     moment = () if integrals.problem.geometry == "axisymmetric" else _plain(sums[time][dim:])
     return LoadSum(name, on, _plain(sums[time][:dim]), moment, time)
+
+
+def _rigid_sums(case: Case, problem: Problem) -> Iterator[LoadSum]:
+    """Forces and moments given on rigid surfaces."""
+    motions, dim = {m.label: m for m in problem.prescribed.motions}, problem.body.dim
+    for index, support in enumerate(case.support):
+        if not isinstance(support, Rigid) or not any(x != 0.0 for x in support.action(dim)):
+            continue
+        found = {t: _pushed(motions[support.label], t, case, dim) for t in _rigid_times(case)}
+        time = max(found, key=lambda t: (round(_strength(found[t], dim), 12), -t))
+        force, moment = _plain(found[time][:dim]), _plain(found[time][dim:])
+        yield LoadSum(f"support[{index}] (rigid)", ", ".join(support.surfaces), force, moment, time)
+
+
+def _pushed(motion: RigidMotion, t: float, case: Case, dim: int) -> Floats:
+    """Force and moment about the origin; what was given is about the surface's point."""
+    default = RAMP if case.dynamics is None else CONSTANT
+    values = np.array(motion.support.at_time(motion.support.action(dim), t, default))
+    both = _both(motion.centre[None, None, :dim], values[None, None, :dim])
+    both[dim:] += values[dim:]
+    return both
+
+
+def _rigid_times(case: Case) -> list[float]:
+    return [1.0] if case.dynamics is None else np.linspace(0, case.dynamics.end, _TIMES).tolist()
 
 
 def _points(load: Load, integrals: Integrals) -> Points | None:

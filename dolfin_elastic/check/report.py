@@ -8,6 +8,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.check.case import check, explicit
+from dolfin_elastic.check.cavities import cavity_notes
 from dolfin_elastic.check.contacts import ContactGap, contact_gaps, contact_notes
 from dolfin_elastic.check.hints import hints
 from dolfin_elastic.check.loads import LoadSum, load_sums
@@ -90,6 +91,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     try:
         with located(case.file):
             _check_start(case, problem)
+            notes = (*notes, *cavity_notes(case, problem))
             return _found(case, body, problem, notes)
     except InputError as error:
         for note in notes:

@@ -13,6 +13,7 @@ import numpy as np
 
 from dolfin_elastic.case import Case
 from dolfin_elastic.meshes.body import Body, Indices, extent
+from dolfin_elastic.meshes.shapes import Floats
 from dolfin_elastic.model.components import Component
 from dolfin_elastic.model.curves import CONSTANT, RAMP
 from dolfin_elastic.model.loads import Load
@@ -193,10 +194,10 @@ def _contradictions(case: Case, body: Body) -> Iterator[str]:
             )
 
 
-def _moved(case: Case, support: Prescribing, which: int, x: np.ndarray) -> np.ndarray:
+def _moved(case: Case, support: Prescribing, which: int, x: Floats) -> Floats:
     """What a support prescribes at the end [m]."""
     t, default = (1.0, RAMP) if case.dynamics is None else (case.dynamics.end, CONSTANT)
-    return np.broadcast_to(support.at(which, x, t, default), len(x))
+    return np.asarray(np.broadcast_to(support.at(which, x, t, default), len(x)))
 
 
 def _corners(body: Body, support: Restraint) -> Indices:

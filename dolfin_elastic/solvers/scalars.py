@@ -112,7 +112,7 @@ class Chamber(Border):
         if not cavity.initial > 0.0 and (cavity.controlled or self.closed):
             raise InputError(
                 f"the surfaces of the cavity '{cavity.label}' enclose {cavity.initial:.3g} m^3",
-                where="load",
+                where=cavity.where,
                 expected="all surfaces around it, and an origin in all planes of symmetry",
             )
         if not self.closed:
@@ -138,7 +138,7 @@ class Chamber(Border):
         if self.cavity.controlled:
             raise InputError(
                 said,
-                where="load",
+                where=self.cavity.where,
                 expected="all surfaces around it, supports in planes of symmetry, and an origin "
                 "in all of them",
             )
