@@ -113,13 +113,21 @@ class Case(Record):
             )
         return listed(rows, {"support": _support, "load": _load, "contact": _contact}[key])
 
-    @model_validator(mode="after")
-    def _one_analysis(self) -> Self:
-        if self.statics is not None and self.dynamics is not None:
+    @model_validator(mode="before")
+    @classmethod
+    def _not_both(cls, tables: Any) -> Any:
+        """Before what is wrong inside of one that may be left out."""
+        if isinstance(tables, Mapping) and all(
+            tables.get(key) is not None for key in ("statics", "dynamics")
+        ):
             raise InputError(
                 "[statics] and [dynamics] given together",
                 expected="a case has one analysis; leave one of them out",
             )
+        return tables
+
+    @model_validator(mode="after")
+    def _one_analysis(self) -> Self:
         if self.periodic is not None and self.dynamics is not None:
             raise InputError(
                 "a periodic cell has no motion",
@@ -369,6 +377,9 @@ def _vector(key: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
+        if error.where == key and error.expected == "expected a list":
+            wanted = "expected a list of one number a component, for example [0, 0, 1]"
+            raise type(error)(error.what, where=key, expected=wanted) from None
         raise (within(key, error) if error.where.startswith("[") else error) from None
 
 

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from dolfin_elastic.errors import CaseError, InputError, nearest
 from dolfin_elastic.model.curves import Amplitude, CurveFile
 from dolfin_elastic.schema import Record
+from dolfin_elastic.units import is_quantity
 
 R = TypeVar("R", bound=Record)
 
@@ -71,7 +72,30 @@ def _columns(source: CurveFile, path: Path) -> list[list[str]]:
         raise InputError(f"the line {mark.join(short[0])!r} ends too early")
     if not table:
         raise InputError("there are headings but no numbers")
+    _check_numbers(table, at, mark)
+    if mark == "," and all(len(row) > 2 for row in table) and not source.time + source.value:
+        _refuse_commas(lines, head)
     return [[row[i] for i in at] for row in table]
+
+
+def _check_numbers(table: list[list[str]], at: list[int], mark: str) -> None:
+    for row in table:
+        for cell in (row[i] for i in at):
+            if not is_quantity(cell):
+                comma = "," in cell and is_quantity(cell.replace(",", "."))
+                raise InputError(
+                    f"'{cell}' is not a number, in the line {mark.join(row)!r}",
+                    expected="decimal points, not commas" if comma else "for example 0.1, 2.5",
+                )
+
+
+def _refuse_commas(lines: list[str], head: list[str] | None) -> None:
+    """Columns that no heading names: three of them look like decimal commas."""
+    if head is None and all(line.count(",") == 3 for line in lines):
+        raise InputError(
+            f"the line {lines[0]!r} has 4 columns: are its commas decimal ones?",
+            expected="decimal points; or name the columns by headings, and by time and value",
+        )
 
 
 def _number(text: str) -> bool:

@@ -144,8 +144,11 @@ class NodalLoads:
         error = None
         if nearest[worst] > limit:
             place = ", ".join(f"{a:.6g}" for a in points[worst, : self._dim])
+            what = f"({place}) m is {nearest[worst]:.3g} m off the body"
+            if len(load.points) > 1:  # a point that nobody wrote
+                key, what = _nearer_end(load, points[worst, : self._dim]), f"on the line {what}"
             error = InputError(
-                f"({place}) m is {nearest[worst]:.3g} m off the body",
+                what,
                 where=key,
                 expected=f"a point of the body, or tolerance above that ({limit:.3g} m now)",
             )
@@ -201,3 +204,8 @@ class NodalLoads:
             nodes[i] = V.dofmap.cell_dofs(cell)
             shapes[i] = element.tabulate(0, reference)[0, 0, :, 0]
         return nodes, shapes
+
+
+def _nearer_end(load: Concentrated, point: Floats) -> str:
+    """Key of the end of a line that is nearest to a point."""
+    return min(load.points, key=lambda key: float(np.linalg.norm(point - load.points[key])))

@@ -92,11 +92,13 @@ class Pairing:
         ends = [self._ends(plain(vertices), k) for k in range(len(self.pairs))]
         self._check_not_empty(ends)
         self.vectors = np.array([_middle(b.x) - _middle(a.x) for a, b in ends])[:, : body.dim]
-        self._check_span()
+        self._check_count()
         self.volume = float(abs(np.linalg.det(self.vectors)))
         self.corner = _first_corner(np.concatenate([a.x for a, _ in ends]))
         self.face_nodes = float(np.mean([len(a.x) for a, _ in ends]))
+        # Faces of which one is no image of the other are named before what they make of the cell.
         self._edges(vertices, [plain(vertices)])
+        self._check_span()
 
     def _check_not_empty(self, ends: Sequence[tuple[_Points, _Points]]) -> None:
         for k, pair in enumerate(ends):
@@ -106,14 +108,17 @@ class Pairing:
                         f"the surface '{self.pairs[k][i]}' is empty", where=f"periodic.pairs[{k}]"
                     )
 
-    def _check_span(self) -> None:
-        dim, scale = self.body.dim, np.linalg.norm(self.vectors, axis=1)
+    def _check_count(self) -> None:
+        dim = self.body.dim
         if len(self.pairs) != dim:
             raise InputError(
                 f"{len(self.pairs)} pairs of surfaces",
                 where="periodic.pairs",
                 expected=f"{dim} pairs: a cell is repeated along each of its {dim} directions",
             )
+
+    def _check_span(self) -> None:
+        scale = np.linalg.norm(self.vectors, axis=1)
         if abs(np.linalg.det(self.vectors)) <= 1e-6 * np.prod(scale):
             shown = "; ".join(_shown(vector) for vector in self.vectors)
             raise InputError(

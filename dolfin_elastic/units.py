@@ -190,6 +190,10 @@ _EXAMPLES = {
 }
 
 
+PLACED = {"Pa": "2 kPa"}
+"""Examples of what acts on places, where those of materials are of another size."""
+
+
 def _expected(unit: str) -> str:
     example = _EXAMPLES.get(unit)
     if not unit:

@@ -221,13 +221,14 @@ MISTAKES = {
     "vec no list": (
         '[0, 0, "1 MPa"]',
         '"1 MPa"',
-        'load[0].value: "1 MPa" is wrong; expected a list',
+        'load[0].value: "1 MPa" is wrong; expected a list of one number a component, for '
+        "example [0, 0, 1]",
     ),
     "load unit": (
         '"1 MPa"',
         '"1 mm"',
         "load[0].value[2]: '1 mm' has the wrong unit; expected a number in Pa, for "
-        'example "210 GPa"',
+        'example "2 kPa"',
     ),
     "free in load": (
         '"1 MPa"',
@@ -354,7 +355,7 @@ MISTAKES = {
     ),
     "both": (
         "[solver]",
-        "[dynamics]\ndt = 0.1\nend = 1.0\n[solver]",
+        "[dynamics]\n[solver]",
         "[statics] and [dynamics] given together; a case has one analysis; leave one of them out",
     ),
     "density dyn": (

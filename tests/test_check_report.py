@@ -536,6 +536,20 @@ def test_memory(n, dim, degree, direct, measured):
     assert per_unknown(n, dim, degree, direct=direct) == pytest.approx(measured, rel=0.25)
 
 
+def test_places_in_another_unit():
+    """Beside the error that a point is off the body, and by itself where any point will do."""
+    box = {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}, "unit": "mm"}
+    push = {"kind": "line-force", "start": [0, 0, 3], "end": [2, 0, 3], "value": [0, 0, 1]}
+    with pytest.raises(InputError, match=r"load\[0\]\.end: on the line \(.*off the body") as caught:
+        report(case(mesh=box, load=[push]))
+    start, end = caught.value.__notes__
+    assert start.startswith("note: load[0].start: (0, 0, 3) m is far from the body, in mm it would")
+    assert "load[0].end: (2, 0, 3)" in end
+    turn = {"on": "top", "kind": "rotation", "point": [1, 0, 3], "axis": [0, 0, 1], "angle": 0.1}
+    (note,) = report(case(mesh=box, support=[{"on": "bottom"}, turn])).notes
+    assert note.startswith("support[1].point: (1, 0, 3) m is far")
+
+
 # --- how it is shown ---
 
 

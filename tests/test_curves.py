@@ -184,7 +184,9 @@ def test_curve_in_a_file(tmp_path, text, curve, value):
         ("t,a\n0,1\n0\n", {"file": "history.csv"}, "ends too early"),
         ("0\n1\n", {"file": "history.csv"}, "two columns"),
         ("0,1\n0,2\n", {"file": "history.csv"}, "increase"),
-        ("0,1\n1,x\n", {"file": "history.csv"}, "'x' is not a number"),
+        ("0,1\n1,x\n", {"file": "history.csv"}, "'x' is not a number, in the line '1,x'"),
+        ("0;1\n0,5;2\n", {"file": "history.csv"}, "in the line '0,5;2'; decimal points, not"),
+        ("0,1,2,5\n0,3,2,7\n", {"file": "history.csv"}, "are its commas decimal ones"),
     ],
 )
 @pytest.mark.usefixtures("serial_only")

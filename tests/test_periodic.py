@@ -410,6 +410,7 @@ def refused(match: str, **fields: Any) -> None:
 
 def test_refused():
     refused("2 pairs: a cell", pairs=PAIRS[:1])
+    refused("has no image on 'bottom'", pairs=[["left", "bottom"], ["right", "top"]])
     refused("do not span", pairs=[PAIRS[0], PAIRS[0]])
     refused("no surface 'up'", pairs=[PAIRS[0], ["bottom", "up"]])
     refused("has no image on 'top'", pairs=[["left", "top"], PAIRS[1]])

@@ -86,9 +86,9 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     """
     body = case.read_body(comm)
     notes = check(case, body)
-    problem = case.make_problem(body)
-    notes = (*notes, *contact_notes(case, problem))
     try:
+        problem = case.make_problem(body)
+        notes = (*notes, *contact_notes(case, problem))
         with located(case.file):
             _check_start(case, problem)
             notes = (*notes, *cavity_notes(case, problem))

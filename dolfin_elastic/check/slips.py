@@ -13,10 +13,11 @@ import numpy as np
 
 from dolfin_elastic.case import Case
 from dolfin_elastic.meshes.body import Body, Indices, extent
+from dolfin_elastic.meshes.naming import bounding_box
 from dolfin_elastic.meshes.shapes import Floats
 from dolfin_elastic.model.components import Component
 from dolfin_elastic.model.curves import CONSTANT, RAMP
-from dolfin_elastic.model.loads import Load
+from dolfin_elastic.model.loads import Concentrated, Load
 from dolfin_elastic.model.rigid import Rigid
 from dolfin_elastic.model.supports import NORMAL, Normal, Prescribing, Restraint, Rotation
 from dolfin_elastic.parallel import total
@@ -27,6 +28,8 @@ _UNITLESS = 20.0
 """Length [m] from which a mesh without a unit looks like one in millimetres."""
 _DENSITIES = 1.0, 30e3
 """Foams are above, osmium is below [kg/m^3]."""
+_BESIDE = 0.01
+"""Distance over the body's diagonal that still counts as in the body."""
 _BARE_ANGLE = 1.0
 _STRAIN = 1.0
 """Thermal strain that no solid survives."""
@@ -35,6 +38,7 @@ _STRAIN = 1.0
 def slips(case: Case, body: Body) -> Iterator[str]:
     """All of it. Collective."""
     yield from size_notes(case, body)
+    yield from _place_notes(case, body)
     yield from _angle_notes(case)
     yield from _material_notes(case, body)
     yield from _held_loads(case, body)
@@ -74,6 +78,35 @@ def _moves(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
 
 def _size(value: Component) -> float:
     return abs(value) if isinstance(value, int | float) else 0.0
+
+
+def _place_notes(case: Case, body: Body) -> Iterator[str]:
+    """Places in metres that would be in the body in the mesh's unit. Collective."""
+    low, high = bounding_box(body.mesh)
+    size, scale = float(np.linalg.norm(high - low)), case.mesh.scale
+
+    def off(point: Floats) -> float:
+        return float(np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0)))
+
+    for key, values in _places(case):
+        if len(values) != body.dim or scale == 1.0:
+            continue
+        point = np.array([float(value or 0.0) for value in values])  # type: ignore[arg-type]
+        if off(point) > size and off(scale * point) <= _BESIDE * size:
+            said = ", ".join(f"{x:.4g}" for x in point)
+            yield (
+                f"{key}: ({said}) m is far from the body, in {case.mesh.unit} it would be in it: "
+                "is a unit missing?"
+            )
+
+
+def _places(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
+    for i, load in enumerate(case.load):
+        if isinstance(load, Concentrated):
+            yield from ((f"load[{i}].{key}", point) for key, point in load.points.items())
+    for i, support in enumerate(case.support):
+        if isinstance(support, Rotation | Rigid):
+            yield f"support[{i}].point", support.centre
 
 
 # --- angles ---

@@ -48,7 +48,7 @@ def meshed(path: Path, *, size: float | None, dim: int | None) -> MshFile:
         if not len(gmsh.model.mesh.getElements(dim)[0]):  # a .geo file may mesh by itself
             gmsh.model.mesh.generate(dim)
         found = _saved(gmsh)
-    said = "size as in the file" if size is None else f"size {size:g}"
+    said = "size as in the file" if size is None else f"size {size:g} (mesh.unit)"
     return MshFile(found.points, found.blocks, [*found.notes, f"meshed by Gmsh, {said}"])
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
-from dolfin_elastic.units import is_quantity, to_si
+from dolfin_elastic.units import PLACED, is_quantity, to_si
 
 COORDINATES = ("x", "y", "z", "t")
 FREE = "free"
@@ -35,7 +35,13 @@ def component(written: Any, unit: str, *, may_be_free: bool = False) -> Componen
         return None
     if isinstance(written, str) and not is_quantity(written) and not misspelt_unit(written):
         return Formula.parse(written, allowed=COORDINATES)
-    return to_si(written, unit)
+    try:
+        return to_si(written, unit)
+    except InputError as error:
+        if unit not in PLACED or '"' not in error.expected:
+            raise
+        example = f'expected a number in {unit}, for example "{PLACED[unit]}"'
+        raise type(error)(error.what, where=error.where, expected=example) from None
 
 
 def misspelt_unit(text: str, names: Collection[str] = COORDINATES) -> bool:
