@@ -15,6 +15,7 @@ from mpi4py import MPI
 from dolfin_elastic import (
     Body,
     BodyForce,
+    Contact,
     Dynamics,
     Energy,
     LinearElastic,
@@ -220,6 +221,25 @@ def test_a_piece_that_nothing_holds(law):
     assert "can move and turn freely" in found.text
     np.testing.assert_allclose(found.place, (1.75, 0.5), atol=0.2)
     assert "a support on that piece" in found.advice
+
+
+def test_a_body_that_is_lifted_off():
+    """It rests on a floor only, and its load turns up on the way: nothing holds it any more."""
+    problem = Problem(
+        rectangle_body(size=(1, 1), cells=(2, 2)),
+        NeoHookean(E=E, nu=NU),
+        supports=[Support(on="left", displacement=[0, "free"])],
+        loads=[Traction(on="top", value=[0, 1e3], curve=[[0, 0], [0.5, -1], [1, 1]])],
+        contacts=[Contact(on="bottom", plane={"axis": "y", "at": 0}, name="floor")],
+    )
+    with pytest.raises(ConvergenceError) as caught:
+        _ = [*Statics(problem).steps()]
+    found = caught.value.diagnosis
+    assert found.cause == "rigid-motion"
+    assert found.text.startswith(
+        "the load pulls it off its obstacles, and then nothing holds the body: as a rigid body it "
+        "can move along y"
+    )
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -15,7 +15,7 @@ from dolfin_elastic.meshes.body import Indices, span
 from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.parallel import largest, smallest, total
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.solvers.assembler import compiled, integral
+from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.progress import Progress
 from dolfin_elastic.state import State
 from dolfin_elastic.touching import Touching
@@ -139,6 +139,35 @@ def all_touching(problem: Problem) -> Iterator[None]:
     finally:
         for touch, value in zip(problem.touching, kept, strict=True):
             touch.reach.value = value
+
+
+@contextmanager
+def none_touching(problem: Problem) -> Iterator[None]:
+    """Counts no surface as touching, for the tangent of a body that has been lifted off."""
+    kept = [float(touch.reach.value) for touch in problem.touching]
+    try:
+        for touch in problem.touching:
+            touch.reach.value = -1e30
+        yield
+    finally:
+        for touch, value in zip(problem.touching, kept, strict=True):
+            touch.reach.value = value
+
+
+def pulled_off(assembler: Assembler) -> bool:
+    """The loads as a whole point away from the obstacles that are near. Collective."""
+    problem, dim = assembler.problem, assembler.problem.body.dim
+    if not problem.touching:
+        return False
+    normals = np.zeros(dim)
+    for touch in problem.touching:
+        gaps, n = touch.gaps()
+        normals += n[gaps <= touch.size].sum(axis=0)
+    forces = assembler.external_forces()[assembler.moves].reshape(-1, dim)
+    sums = [normals, forces.sum(axis=0), [np.abs(forces).sum()]]
+    found = total(problem.body.comm, np.concatenate(sums))
+    away = float(found[:dim] @ found[dim : 2 * dim])
+    return away > 1e-6 * float(np.linalg.norm(found[:dim])) * float(found[-1])
 
 
 def farthest(touch: Touching) -> float:

@@ -3,7 +3,8 @@
 Each cause is decided by evidence, the cheap and certain ones first:
 
 "rigid-motion": the tangent of the last equilibrium maps a rigid motion of a piece to nothing; what
-    such a system gives is no evidence of anything else, so this comes before all others.
+    such a system gives is no evidence of anything else, so this comes before all others; or that
+    without contacts does, and the load pulls the body off its obstacles.
 "nan": a term of the residual has no finite value although no cell has turned inside out.
 "inverted": solutions were refused because cells had turned inside out.
 "round-off": the residual stopped at a level that round-off explains.
@@ -24,6 +25,7 @@ from dolfin_elastic.meshes.body import cell_size, span
 from dolfin_elastic.parallel import largest
 from dolfin_elastic.solvers import modes, words
 from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.contact import none_touching, pulled_off
 from dolfin_elastic.solvers.evidence import Cells, Fault, not_finite, text_of
 from dolfin_elastic.solvers.guard import PATIENCE
 from dolfin_elastic.solvers.pieces import loose
@@ -161,13 +163,17 @@ class _Doctor:
     def _loose(self) -> Diagnosis | None:
         if self.moving or not self._tangent(self.good):
             return None
-        found = loose(self.assembler)
+        found, start, advice = loose(self.assembler), "", words.HOLD
+        if found is None and pulled_off(self.assembler):
+            with none_touching(self.problem):
+                found = loose(self.assembler) if self._tangent(self.good) else None
+            start, advice = "the load pulls it off its obstacles, and then ", words.LIFTED
         if found is None:
             return None
         what = "the body" if found.whole else f"a piece of it about {text_of(found.place)} m"
         what += f" ({found.name})" if found.name and not found.whole else ""
-        text = f"nothing holds {what}: as a rigid body it can {', '.join(found.motions)}"
-        return self._make("rigid-motion", text, words.HOLD, found.place)
+        text = f"{start}nothing holds {what}: as a rigid body it can {', '.join(found.motions)}"
+        return self._make("rigid-motion", text, advice, found.place)
 
     def _not_finite(self) -> Diagnosis | None:
         self._residual(self.failed)

@@ -30,6 +30,9 @@ LOST = 0.1
 SIDEWAYS = 0.02
 """Cosine between mode and load up to which the load does no work on the mode: a bifurcation."""
 
+HUGE = 1.0
+"""Green-Lagrange strain from which the load itself is doubted: a stretch of 1.7."""
+
 
 @dataclass(frozen=True)
 class Look:
@@ -202,7 +205,11 @@ def _told(
         text += f"; the material itself is unstable there (not elliptic) near {text_of(place)} m"
         return Finding(f"material instability: {text}", words.MATERIAL, place)
     place, direction, names = _largest_motion(assembler.problem, mode.motion)
-    kind, advice = _kind(assembler, mode.motion)
+    strain = _largest_strain(assembler)
+    if strain > HUGE:
+        kind, advice = f"the material is strained by {100 * strain:.2g} %", words.HUGE
+    else:
+        kind, advice = _kind(assembler, mode.motion)
     text += (
         f"; {kind}; the motion is largest at {text_of(place)} m{names}, along {text_of(direction)}"
     )
@@ -213,6 +220,13 @@ def _eigenvalues(negative: int | None) -> str:
     if negative is None:
         return "at least one negative eigenvalue"
     return words.count(negative, "negative eigenvalue")
+
+
+def _largest_strain(assembler: Assembler) -> float:
+    """Largest entry of the Green-Lagrange strain of the present state. Collective."""
+    F = Cells(assembler).gradients()
+    strains = (np.einsum("cpki,cpkj->cpij", F, F) - np.eye(3)) / 2
+    return largest(assembler.comm, float(np.max(np.abs(strains), initial=0.0)))
 
 
 def _kind(assembler: Assembler, motion: Array) -> tuple[str, str]:

@@ -128,8 +128,10 @@ def _null(assembler: Assembler, columns: Array) -> Array:
         images[assembler.fixed, k] = x.array_r[assembler.fixed]
     for thing in (x, y, diagonal):
         thing.destroy()
-    values, vectors = np.linalg.eigh(_gram(comm, images))
-    return np.asarray(vectors[:, np.sqrt(np.maximum(values, 0.0)) <= FREE])
+    _, vectors = np.linalg.eigh(_gram(comm, images))
+    # Eigenvalues of the squares are exact to 1e-8 only, once roots are taken; vectors are better.
+    sizes = np.sqrt(total(comm, ((images @ vectors) ** 2).sum(axis=0)))
+    return np.asarray(vectors[:, sizes <= FREE])
 
 
 def _gram(comm: PETSc.Comm, images: Array) -> Array:

@@ -10,6 +10,14 @@ HOLD = (
     "a support on that piece; or, if it was meant to be joined to the rest, a mesh whose nodes "
     "the pieces share"
 )
+LIFTED = (
+    "a support or a weak spring that holds it where it leaves its obstacles, a smaller load, or a "
+    "prescribed displacement in place of the load"
+)
+HUGE = (
+    "a smaller load, or stiffer materials: was a unit of a load or of a modulus forgotten? "
+    "dolfin-elastic check compares them"
+)
 DOMAIN = (
     "a smaller load or more load steps; the material cannot be strained further than its formula "
     "has values"
