@@ -116,7 +116,12 @@ def step_text(state: State, *, motion: bool) -> str:
     """Step, time or load factor, iterations, largest displacement."""
     place = f"t {state.t:.5g} s" if motion else f"load {100 * state.load_factor:.4g} %"
     counts = {"Newton": state.newton, "linear": state.krylov}
-    work = ", ".join(f"{number} {name}" for name, number in counts.items() if number)
+    still = not motion and state.step > 0  # a step that needed none has its count, too
+    work = ", ".join(
+        f"{number} {name}"
+        for name, number in counts.items()
+        if number or (still and name[0] == "N")
+    )
     return f"step {state.step:>4}   {place:<15} {work:<20} max |u| {state.max_displacement:.4g} m"
 
 
