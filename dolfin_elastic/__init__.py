@@ -72,13 +72,14 @@ if TYPE_CHECKING:
     from dolfin_elastic.results.outputs import Summary as Summary
     from dolfin_elastic.results.outputs import Xdmf as Xdmf
     from dolfin_elastic.results.probes import Probe as Probe
+    from dolfin_elastic.run import restart as restart
     from dolfin_elastic.run import run as run
     from dolfin_elastic.solvers.dynamics import Dynamics as Dynamics
     from dolfin_elastic.solvers.statics import Statics as Statics
 
 _PLACES = {
     "case": ("Case", "read_case"),
-    "run": ("run",),
+    "run": ("restart", "run"),
     "meshes": ("Body", "Selector", "box_body", "name_parts", "read_body", "rectangle_body"),
     "model.materials": (
         "ArrudaBoyce",

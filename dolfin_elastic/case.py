@@ -25,7 +25,7 @@ from mpi4py import MPI
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from dolfin_elastic.curve_files import with_curves
-from dolfin_elastic.errors import CaseError, InputError, nearest
+from dolfin_elastic.errors import CaseError, InputError, RestartError, nearest
 from dolfin_elastic.meshes import Body, Selector, name_parts
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.law import Law
@@ -33,6 +33,7 @@ from dolfin_elastic.model.loads import LOADS, Load
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.springs import SUPPORTS
 from dolfin_elastic.model.supports import Restraint
+from dolfin_elastic.output_table import Output
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record, within
@@ -42,7 +43,6 @@ from dolfin_elastic.solvers.statics import Statics, StaticsSettings
 from dolfin_elastic.tables import (
     Material,
     MeshTable,
-    Output,
     as_table,
     listed,
     named,
@@ -329,6 +329,8 @@ def located(file: str, key: str = "", *, exact: bool = True) -> Iterator[None]:
     """
     try:
         yield
+    except RestartError:
+        raise  # it is not about the case file
     except InputError as error:
         if exact or error.where in ("size", "cells", "origin"):
             where = [file, within(key, error).where]

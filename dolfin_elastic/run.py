@@ -1,11 +1,12 @@
-"""The pipe: case, body, problem, solver, results."""
+"""The pipe: case, body, problem, solver, results; from the start or from a checkpoint."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
-from itertools import chain
+from dataclasses import dataclass
+from itertools import chain, islice
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
@@ -15,6 +16,13 @@ from mpi4py import MPI
 from dolfin_elastic import timing
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.check import check
+from dolfin_elastic.errors import OutputError
+from dolfin_elastic.kept import Kept
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.restarts import Unfinished, about, unfinished
+from dolfin_elastic.results.checkpoints import Checkpoints
+from dolfin_elastic.results.sums import fingerprint
+from dolfin_elastic.results.writer import Writer
 from dolfin_elastic.state import State
 
 log = logging.getLogger("dolfin_elastic")
@@ -27,36 +35,147 @@ def run(
     output: str | PathLike[str] | None = None,
     petsc: Mapping[str, Any] | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
+    asked: Callable[[], bool] | None = None,
 ) -> States:
     """Solves a case and yields its states, each of them written already.  Collective.
+
+    Whoever closes it between two states leaves a checkpoint behind.
 
     Args:
         case: From `read_case`, or made in Python.
         output: Folder of the results; by default what the case says.
         petsc: PETSc options that win over the case's own.
         comm: The ranks that work together.
+        asked: Called after each state; true on a rank: a checkpoint is written there and then.
 
     Raises:
         InputError: The case is wrong; nothing has been written.
         SolveError: No solution was found; the results so far are complete.
         OutputError: Results cannot be written.
     """
-    timing.begin()
-    with timing.stage("mesh"):
-        body = case.read_body(comm)
-    for note in body.notes:
-        log.info("mesh: %s", note)
-    for note in check(case, body):
-        log.warning("%s", note)
-    problem = case.make_problem(body)
-    solver = case.make_solver(problem, petsc=petsc)
     folder = Path(output) if output is not None else case.results_folder()
-    steps = cast(States, solver.steps())
-    with located(case.file), closing(steps):
-        first = next(steps)  # a fault that only shows at the start leaves no folder behind
-        probe = case.output.probe(problem, case.mesh.scale)
-        with case.output.opened(problem, folder, case.frames, case.title) as writers:
-            for state in map(probe.onto, chain([first], steps)):
+    yield from _Run(case, folder, dict(petsc or {}), comm, asked).states()
+
+
+def restart(
+    folder: str | PathLike[str] | Unfinished,
+    *,
+    case: Case | None = None,
+    petsc: Mapping[str, Any] | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    asked: Callable[[], bool] | None = None,
+) -> States:
+    """Goes on with a run from its last checkpoint, on any number of ranks.  Collective.
+
+    The results after that checkpoint are cut off, and grow again.  What is yielded begins with
+    the step after it.
+
+    Args:
+        folder: Of the results; or what `unfinished` has found there.
+        case: See `unfinished`.
+        petsc: PETSc options that win over those of the first run.
+        comm: The ranks that work together.
+        asked: See `run`.
+
+    Raises:
+        RestartError: There is nothing to go on from, or case or mesh have changed.
+        InputError: The mesh is gone, or the case is wrong.
+        SolveError: No solution was found; the results so far are complete.
+        OutputError: Results cannot be written.
+    """
+    if not isinstance(folder, Unfinished):
+        folder = unfinished(folder, case=case, comm=comm)
+        log.info("%s", folder.told())
+    options = {**folder.found.content["petsc"], **(petsc or {})}
+    yield from _Run(folder.case, folder.folder, options, comm, asked).states(folder)
+
+
+@dataclass
+class _Run:
+    """One run, from the start or from a checkpoint; see `run`."""
+
+    case: Case
+    folder: Path
+    petsc: dict[str, Any]
+    comm: MPI.Comm
+    asked: Callable[[], bool] | None
+
+    def states(self, before: Unfinished | None = None) -> States:
+        timing.begin()
+        with timing.stage("mesh"):
+            body = self.case.read_body(self.comm)
+            told = about(self.case, fingerprint(body), self.petsc)
+        if before is not None:
+            before.check(told)
+        for note in body.notes:
+            log.info("mesh: %s", note)
+        for note in check(self.case, body):
+            log.warning("%s", note)
+        problem = self.case.make_problem(body)
+        solver = self.case.make_solver(problem, petsc=self.petsc)
+        restore = {} if before is None else {"restore": before.found.restore}
+        steps = cast(States, solver.steps(**restore))
+        step, settings = 0 if before is None else before.step, self.case.output.checkpoint
+        checkpoints = Checkpoints(self.comm, self.folder, settings, told, step=step)
+        with located(self.case.file), closing(steps):
+            yield from self._written(problem, steps, _Keeper(checkpoints, solver), before)
+        checkpoints.clear()
+
+    def _written(
+        self, problem: Problem, steps: States, keeper: _Keeper, before: Unfinished | None
+    ) -> States:
+        """The states, each with all outputs, and a checkpoint now and then."""
+        output = self.case.output
+        first = list(islice(steps, 1))  # a fault at the start leaves no folder behind
+        probe = output.probe(problem, self.case.mesh.scale)
+        keeper.begin(new=before is None)
+        kept = None if before is None else before.found.content["outputs"]
+        files = output.files(self.case.frames, self.case.title)
+        with output.opened(problem, self.folder, files, kept) as writers:
+            for state in map(probe.onto, chain(first, steps)):
                 for writer in writers:
                     writer.write(state)
-                yield state
+                keeper.look(state, writers, asked=self.asked is not None and self.asked())
+                try:
+                    yield state
+                except GeneratorExit:
+                    keeper.stop(state, writers)
+                    raise
+
+
+class _Keeper:
+    """Makes checkpoints of a solver that can go on from them.  All of it is collective.
+
+    Args:
+        checkpoints: Where they go.
+        solver: Whoever has `kept`, see kept.py.
+    """
+
+    def __init__(self, checkpoints: Checkpoints, solver: Any) -> None:
+        self._checkpoints = checkpoints
+        self._kept: Callable[[], Kept] | None = getattr(solver, "kept", None)
+
+    def begin(self, *, new: bool) -> None:
+        """Removes the checkpoints that are none of this run."""
+        if not new:
+            self._checkpoints.go_on()
+        elif self._checkpoints.clear():
+            log.warning("the checkpoints of a run that had not ended are removed")
+
+    def look(self, state: State, writers: Sequence[Writer], *, asked: bool) -> None:
+        """Makes one if it is time."""
+        if self._kept is not None and self._checkpoints.due(state, asked=asked):
+            self._save(self._kept, state, writers)
+
+    def stop(self, state: State, writers: Sequence[Writer]) -> None:
+        """Makes one for whoever goes on."""
+        if self._kept is None or self._checkpoints.off or state.done >= 1.0:
+            return
+        try:
+            self._save(self._kept, state, writers)
+        except OutputError as error:
+            log.warning("%s", error)
+
+    def _save(self, kept: Callable[[], Kept], state: State, writers: Sequence[Writer]) -> None:
+        outputs = [writer.kept() if hasattr(writer, "kept") else {} for writer in writers]
+        self._checkpoints.save(state, kept(), outputs)

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from dolfin_elastic.parallel import on_root
-from dolfin_elastic.results.files import make_folder, writing
+from dolfin_elastic.results.files import make_folder, shortened, sync, writing
+from dolfin_elastic.results.writer import Numbers
 from dolfin_elastic.state import Audit, State
 from dolfin_elastic.timing import stage
 
@@ -42,21 +43,41 @@ class HistoryWriter:
     Args:
         problem: The problem that is solved.
         path: The file; an old one is overwritten.
+        kept: Where it goes on after a checkpoint: rows from there on are cut off.
 
     Raises:
         OutputError: The file cannot be written.
+        RestartError: It has lost rows since the checkpoint.
     """
 
-    def __init__(self, problem: Problem, path: Path) -> None:
+    def __init__(self, problem: Problem, path: Path, kept: Numbers | None = None) -> None:
         self.comm, self.path = problem.body.comm, path
         self._file: BinaryIO | None = None
         self._columns: list[str] = []
-        on_root(self.comm, self._open)
+        on_root(self.comm, self._open if kept is None else lambda: self._reopen(kept["bytes"]))
 
     def _open(self) -> None:
         make_folder(self.path.parent)
         with writing(self.path):
             self._file = self.path.open("wb", buffering=0)
+
+    def _reopen(self, size: int) -> None:
+        if not self.path.is_file() or self.path.stat().st_size < size:
+            raise shortened(self.path, "all rows")
+        with writing(self.path):
+            self._file = self.path.open("r+b", buffering=0)
+            head = self._file.readline() if size else b""
+            self._file.truncate(size)
+            self._file.seek(size)
+        self._columns = next(csv.reader([head.decode()]), [])
+
+    def kept(self) -> Numbers:
+        """Where it ends now, on disk."""
+        return {"bytes": on_root(self.comm, self._synced)}
+
+    def _synced(self) -> int:
+        sync(self.path)
+        return self.path.stat().st_size
 
     def write(self, state: State) -> None:
         """Appends one row."""

@@ -16,7 +16,7 @@ from dolfin_elastic.results.fields import known
 from dolfin_elastic.results.history import HistoryWriter
 from dolfin_elastic.results.pictures import PictureWriter, View, drawable, own_files
 from dolfin_elastic.results.summary import SummaryWriter
-from dolfin_elastic.results.writer import Writer
+from dolfin_elastic.results.writer import Numbers, Writer
 from dolfin_elastic.results.xdmf import XdmfWriter
 from dolfin_elastic.schema import Record
 
@@ -44,6 +44,16 @@ class Output(Record):
             OutputError: The folder cannot be written to.
         """
         raise NotImplementedError
+
+    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> Writer:
+        """Opens it to go on after a checkpoint, here as if nothing had been. Collective.
+
+        Args:
+            problem: The problem that is solved.
+            folder: Of the results.
+            kept: What the writer said of itself at the checkpoint.
+        """
+        return self.open(problem, folder)
 
     def listing(self, folder: Path) -> list[str]:
         """What of it is in the results' folder, as a user reads it. Not collective."""
@@ -81,8 +91,20 @@ class Xdmf(Output):
 
     def open(self, problem: Problem, folder: Path) -> XdmfWriter:
         """See `Output.open`."""
+        return self._writer(problem, folder)
+
+    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> XdmfWriter:
+        """See `Output.reopen`."""
+        return self._writer(problem, folder, kept)
+
+    def _writer(self, problem: Problem, folder: Path, kept: Numbers | None = None) -> XdmfWriter:
         return XdmfWriter(
-            problem, folder / self.file, fields=self.fields, every=self.every, frames=self.frames
+            problem,
+            folder / self.file,
+            fields=self.fields,
+            every=self.every,
+            frames=self.frames,
+            kept=kept,
         )
 
 
@@ -99,6 +121,10 @@ class History(Output):
         """See `Output.open`."""
         return HistoryWriter(problem, folder / self.file)
 
+    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> HistoryWriter:
+        """See `Output.reopen`."""
+        return HistoryWriter(problem, folder / self.file, kept)
+
 
 class Summary(Output):
     """The run in numbers.
@@ -112,6 +138,10 @@ class Summary(Output):
     def open(self, problem: Problem, folder: Path) -> SummaryWriter:
         """See `Output.open`."""
         return SummaryWriter(problem, folder / self.file)
+
+    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> SummaryWriter:
+        """See `Output.reopen`."""
+        return SummaryWriter(problem, folder / self.file, kept)
 
 
 class Picture(Output):
@@ -145,10 +175,18 @@ class Picture(Output):
 
     def open(self, problem: Problem, folder: Path) -> PictureWriter:
         """See `Output.open`."""
+        return self._writer(problem, folder)
+
+    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> PictureWriter:
+        """See `Output.reopen`."""
+        return self._writer(problem, folder, kept)
+
+    def _writer(self, problem: Problem, folder: Path, kept: Numbers | None = None) -> PictureWriter:
         return PictureWriter(
             problem,
             folder / self.file,
             field=self.field,
+            kept=kept,
             view=self.view,
             scale=self.scale,
             title=self.title or "",

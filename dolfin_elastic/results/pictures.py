@@ -29,7 +29,7 @@ from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import make_folder, writing
 from dolfin_elastic.results.grid import to_nodes
 from dolfin_elastic.results.surface import Surface, gather
-from dolfin_elastic.results.writer import Every, Kept
+from dolfin_elastic.results.writer import Every, Kept, Numbers
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
@@ -112,6 +112,7 @@ class PictureWriter:
         every: Each n-th step (see `Every`) and the last one, with the step's number in the
             file's name; None: the last only, without it.
         field: See `picture`.
+        kept: Where it goes on after a checkpoint: pictures of later steps are removed.
         options: `scale`, `view` and `title` of `picture`.
     """
 
@@ -122,10 +123,12 @@ class PictureWriter:
         *,
         every: int | None = None,
         field: str = "von_mises",
+        kept: Numbers | None = None,
         **options: Any,
     ) -> None:
         self.path, self.options = path, options
-        self._every = None if every is None else Every(every)
+        self._every = None if every is None else Every(every, -1 if kept is None else kept["taken"])
+        self._drawn = -1 if kept is None else int(kept["drawn"])
         self._kept = Kept()
         with stage("output"):
             on_root(problem.body.comm, self._clear)
@@ -135,7 +138,12 @@ class PictureWriter:
         make_folder(self.path.parent)
         with writing(self.path):
             for file in own_files(self.path):
-                file.unlink()
+                if file == self.path or _number(self.path, file) > self._drawn:
+                    file.unlink()
+
+    def kept(self) -> Numbers:
+        """Which pictures there are now."""
+        return {"drawn": self._drawn, "taken": -1 if self._every is None else self._every.taken}
 
     def write(self, state: State) -> None:
         """Draws the step, or keeps it for the end."""
@@ -150,6 +158,7 @@ class PictureWriter:
         name = f"{self.path.stem}_{state.step:04d}{self.path.suffix}"
         file = self.path if self._every is None else self.path.with_name(name)
         self._painter.paint(state, file, **self.options)
+        self._drawn = state.step
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """Draws the last converged step if it has not been drawn."""
@@ -163,9 +172,15 @@ class PictureWriter:
 
 def own_files(path: Path) -> list[Path]:
     """Pictures that a run has drawn as `path`, in their order. Not collective."""
-    numbered = re.compile(rf"{re.escape(path.stem)}_(\d{{4,}}){re.escape(path.suffix)}")
-    found = [(int(m[1]), p) for p in path.parent.iterdir() if (m := numbered.fullmatch(p.name))]
+    found = [(number, p) for p in path.parent.iterdir() if (number := _number(path, p)) >= 0]
     return [*([path] if path.is_file() else []), *(p for _, p in sorted(found))]
+
+
+def _number(path: Path, file: Path) -> int:
+    """Number of the step that a picture shows, -1 if the file is no such picture."""
+    stem, suffix = re.escape(path.stem), re.escape(path.suffix)
+    found = re.fullmatch(rf"{stem}_(\d{{4,}}){suffix}", file.name)
+    return int(found[1]) if found else -1
 
 
 class _Painter:

@@ -21,7 +21,7 @@ from dolfin_elastic.parallel import on_root
 from dolfin_elastic.results.extremes import Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
 from dolfin_elastic.results.worst import Worst
-from dolfin_elastic.results.writer import Kept
+from dolfin_elastic.results.writer import Kept, Numbers
 from dolfin_elastic.state import State
 from dolfin_elastic.version import __version__
 
@@ -53,18 +53,26 @@ class SummaryWriter:
     Args:
         problem: The problem that is solved.
         path: The file; an old one is overwritten.
+        kept: Where it goes on after a checkpoint; numbers and seconds are then of both together.
 
     Raises:
         OutputError: The file cannot be written.
     """
 
-    def __init__(self, problem: Problem, path: Path) -> None:
+    def __init__(self, problem: Problem, path: Path, kept: Numbers | None = None) -> None:
         self.problem, self.path, self.comm = problem, path, problem.body.comm
         self._begin = self._written = time.monotonic()
-        self._started = _now()
-        self._steps = self._newton = self._krylov = 0
+        before = dict(kept or {})
+        self._started = before.get("started", _now())
+        self._newton, self._krylov = before.get("newton", 0), before.get("krylov", 0)
+        self._last: dict[str, Any] = before.get("last", _NUMBERS)
+        self._spent: dict[str, float] = before.get("timings", {})
+        self._restarts: list[dict[str, Any]] = before.get("restarts", [])
+        if kept is not None:
+            again = {"step": self._last["steps"], "t": self._last["t"], "ranks": self.comm.size}
+            self._restarts = [*self._restarts, {**again, "at": _now()}]
         self._kept = Kept()
-        self._audit = Worst()
+        self._audit = Worst(before.get("audits", ()))
         with timing.stage("output"):
             self._extremes = Extremes(problem)
             on_root(self.comm, lambda: make_folder(path.parent))
@@ -73,14 +81,27 @@ class SummaryWriter:
     def write(self, state: State) -> None:
         """Takes in one step; writes the file if it is older than a second."""
         with timing.stage("output"):
-            self._steps = max(self._steps, state.step)
             self._newton += state.newton
             self._krylov += state.krylov
             self._kept.keep(state)
+            self._last = _numbers(state)
             self._audit.take(state)
             # Clocks differ between ranks: the first one decides for all.
             if self.comm.bcast(time.monotonic() - self._written > _INTERVAL):
                 self._save("running")
+
+    def kept(self) -> Numbers:
+        """The numbers so far. Collective."""
+        found = {
+            "started": self._started,
+            "newton": self._newton,
+            "krylov": self._krylov,
+            "last": _plain(self._last),
+            "timings": self._timings(),
+            "restarts": self._restarts,
+            "audits": self._audit.kept(),
+        }
+        return self.comm.bcast(found)  # clocks differ
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """Writes the file for the last time, with the extremes of the last converged step."""
@@ -110,6 +131,7 @@ class SummaryWriter:
             "versions": versions(),
             "units": UNITS,
             "started": self._started,
+            "restarts": self._restarts,
             **(extra or {}),
         }
         text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -125,26 +147,47 @@ class SummaryWriter:
         }
 
     def _numbers(self) -> dict[str, Any]:
-        state = self._kept.state
-        return {
-            "steps": self._steps,
-            "t": state.t if state else None,
-            "load_factor": state.load_factor if state else None,
-            "newton_iterations": self._newton,
-            "krylov_iterations": self._krylov,
-            "max_displacement": state.max_displacement if state else None,
-            "strain_energy": state.energies.get("strain") if state else None,
-            "energies": dict(state.energies) if state else {},
-            "reactions": dict(state.reactions) if state else {},
-            "numbers": dict(state.numbers) if state else {},
-            "limit_points": list(state.limit_points) if state else [],
-            "audit": self._audit.told(),
-        }
+        counts = {"newton_iterations": self._newton, "krylov_iterations": self._krylov}
+        return {**self._last, **counts, "audit": self._audit.told()}
 
     def _timings(self) -> dict[str, float]:
         measured = {"total": time.monotonic() - self._begin, **timing.totals()}
         names = dict.fromkeys((*_STAGES, *measured))
-        return {name: round(measured.get(name, 0.0), 4) for name in names}
+        return {
+            name: round(measured.get(name, 0.0) + self._spent.get(name, 0.0), 4) for name in names
+        }
+
+
+_NUMBERS: dict[str, Any] = {
+    "steps": 0,
+    "t": None,
+    "load_factor": None,
+    "newton_iterations": 0,
+    "krylov_iterations": 0,
+    "max_displacement": None,
+    "strain_energy": None,
+    "energies": {},
+    "reactions": {},
+    "numbers": {},
+    "limit_points": [],
+}
+"""What is told of the last step, before there is one; in this order."""
+
+
+def _numbers(state: State) -> dict[str, Any]:
+    """What is told of a step."""
+    return {
+        **_NUMBERS,
+        "steps": state.step,
+        "t": state.t,
+        "load_factor": state.load_factor,
+        "max_displacement": state.max_displacement,
+        "strain_energy": state.energies.get("strain"),
+        "energies": dict(state.energies),
+        "reactions": dict(state.reactions),
+        "numbers": dict(state.numbers),
+        "limit_points": list(state.limit_points),
+    }
 
 
 def _now() -> str:

@@ -8,7 +8,9 @@ the work that is stored in it.
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -77,15 +79,11 @@ class Auditor:
         """
         reasons: dict[str, str] = {}
         noise, energy_noise = round_off(self._assembler)
-        if self._assembler.cell is None:
-            outside = self._outside()
+        outside, forces, u = self._present()
+        force = moment = np.nan
+        if outside:
             force = self._sum(outside, noise, reasons)
             moment = self._moment(outside, noise, reasons)
-            forces = np.sum(outside, axis=0)
-            u = self._problem.u.x.array[: forces.size].reshape(forces.shape).copy()
-        else:
-            force = moment = np.nan
-            forces, u = self._macroscopic(self._assembler.cell)
         self._follow(forces, u, energy, energy_noise, reasons)
         low, high = self._watch.extremes()
         if not low[0] > 0.0:
@@ -105,6 +103,33 @@ class Auditor:
             so_far=tuple(self._warned.values()),
             notes=self._notes(energy),
         )
+
+    def kept(self) -> dict[str, Any]:
+        """What the next audit needs of those before, but for what the state itself tells."""
+        last = self._last
+        return {
+            "work": self._work,
+            "stored": self._stored,
+            "warned": dict(self._warned),
+            "energy": last.energy if last else 0.0,
+            "change": last.change if last else 0.0,
+        }
+
+    def go_on(self, kept: Mapping[str, Any]) -> None:
+        """Takes up what `kept` has told, in the state it was told in. Collective."""
+        _, forces, u = self._present()
+        self._last = _Last(u, forces, kept["energy"], kept["change"])
+        self._work, self._stored = kept["work"], kept["stored"]
+        self._warned = dict(kept["warned"])
+
+    def _present(self) -> tuple[list[Floats], Floats, Floats]:
+        """Nodal forces by origin (none of a cell), their sum, and what they move. Collective."""
+        if self._assembler.cell is not None:
+            return [], *self._macroscopic(self._assembler.cell)
+        outside = self._outside()
+        forces = np.asarray(np.sum(outside, axis=0))
+        u = self._problem.u.x.array[: forces.size].reshape(forces.shape).copy()
+        return outside, forces, u
 
     def _notes(self, energy: float) -> tuple[str, ...]:
         notes = []

@@ -38,7 +38,6 @@ log = logging.getLogger("dolfin_elastic")
 FORCING = 1e-3
 """Relative tolerance of a linear solve inside Newton: tighter ones cost more than they save."""
 
-
 LINEAR = 1e-12
 """The same where one linear solve is all: as tight as the residual is judged."""
 
@@ -70,6 +69,7 @@ class Newton:
         guard: Shortens steps that turn cells inside out, after `watch_inversion`.
         ksp: The linear solver of the fields.
         bordered: The system with scalar unknowns, if there are any.
+        floor: Norm of the free residual that is round-off of the last tangent [N].
         shift: Share of its diagonal that was added to the last tangent.
         inertia: Norm of the forces of inertia at the present iterate [N], in motion.
         mass: Norm of the mass's share of the tangent's diagonal [N/m], in motion.
@@ -93,7 +93,7 @@ class Newton:
         self._flow: Callable[[float, float], float] | None = None
         self.inertia, self.mass = 0.0, 0.0
         self._external = 0.0
-        self._floor = self._first = self._norm = 0.0
+        self.floor = self._first = self._norm = 0.0
         self._line_search = ""
         body = assembler.problem.body
         self.span, self.cell_size = span(body), cell_size(body)
@@ -276,7 +276,7 @@ class Newton:
         if self.guard is not None and self.guard.rejected:
             value, place = self.guard.worst
             p.rejected, p.worst = self.guard.rejected, (value, tuple(map(float, place)))
-        p.target, p.floor = self._target(), self._floor
+        p.target, p.floor = self._target(), self.floor
         if self.direct:
             p.krylov = 0
 
@@ -320,7 +320,7 @@ class Newton:
         diagonal = P.getDiagonal()
         # Round-off of the stress is that of F = I + grad u, that of inertia is that of u.
         stiff = max(float(diagonal.norm()) - self.mass, 0.0) * self.cell_size
-        self._floor = 4 * np.finfo(float).eps * (stiff + self.mass * a.max_unknown())
+        self.floor = 4 * np.finfo(float).eps * (stiff + self.mass * a.max_unknown())
         diagonal.destroy()
         if not self.direct and "ksp_rtol" not in self.options.users:
             forcing = LINEAR if a.problem.linear else FORCING
@@ -332,7 +332,7 @@ class Newton:
         reference = max(self._external, a.held, a.pushed, p.reference)
         if self._moving:
             reference = max(reference, self.inertia)
-        return max(self.tolerance.rtol * reference, self.tolerance.atol, self._floor)
+        return max(self.tolerance.rtol * reference, self.tolerance.atol, self.floor)
 
     def _test(
         self,

@@ -1,0 +1,262 @@
+"""The commands that compute: `run` and `restart`, and how they are stopped."""
+# ruff: noqa: D301
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+from collections.abc import Generator
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from click.exceptions import Exit
+
+from dolfin_elastic.errors import SolveError
+from dolfin_elastic.petsc_words import petsc_options, start_petsc
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+    from dolfin_elastic.case import Case
+    from dolfin_elastic.state import State
+
+INTERRUPTED = 130
+Petsc = Annotated[list[str] | None, typer.Argument(metavar="[-- PETSC...]", hidden=True)]
+Profile = Annotated[bool, typer.Option("--profile", help="Show where time and memory went.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only problems.")]
+
+
+def run(
+    case: Annotated[Path, typer.Argument(metavar="CASE", hidden=True)],
+    petsc: Petsc = None,
+    *,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
+    ] = None,
+    profile: Profile = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compute a case file (TOML).
+
+    \b
+      dolfin-elastic run beam.toml
+      dolfin-elastic run beam.toml --output /scratch/beam --profile
+      mpirun -n 4 dolfin-elastic run beam.toml -- -ksp_type gmres -log_view
+
+    Results go to CASE_results (fields for ParaView, history.csv, summary.json) unless the case or
+    --output says otherwise.  Ctrl-C, SIGTERM, SIGUSR2, or a file called `stop` in that folder stop
+    it after the current step, with a checkpoint from which `restart` goes on; SIGUSR1 makes a
+    checkpoint and no stop.
+    What follows two dashes are PETSc options; they win over the case's own.
+    """
+    options, of_petsc = petsc_options(petsc or [])
+    start_petsc(of_petsc)
+    from dolfin_elastic.case import read_case
+
+    comm = _begin(quiet)
+    read = read_case(case, comm=comm)
+    folder = output if output is not None else read.results_folder()
+    from dolfin_elastic.run import run as solved
+
+    watch = Watch(folder)
+    states = solved(read, output=folder, petsc=options, asked=watch.wants_checkpoint)
+    _compute(_Job(read, folder, states, watch, quiet=quiet, profile=profile), comm)
+
+
+def restart(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", hidden=True)],
+    petsc: Petsc = None,
+    *,
+    profile: Profile = False,
+    quiet: Quiet = False,
+) -> None:
+    """Go on with a run that was stopped or killed.
+
+    \b
+      dolfin-elastic restart beam_results
+      mpirun -n 8 dolfin-elastic restart beam_results      whatever it began on
+
+    DIR is the folder of its results; it goes on from the last checkpoint there, and the results
+    go on with it.  PETSc options of the first run hold; those after two dashes win over them.
+    """
+    options, of_petsc = petsc_options(petsc or [])
+    start_petsc(of_petsc)
+    from dolfin_elastic.restarts import unfinished
+
+    comm = _begin(quiet)
+    found = unfinished(folder, comm=comm)
+    logging.getLogger("dolfin_elastic").info("%s", found.told())
+    from dolfin_elastic.run import restart as solved
+
+    watch = Watch(folder)
+    states = solved(found, petsc=options, asked=watch.wants_checkpoint)
+    since = (found.step, found.done)
+    job = _Job(found.case, folder, states, watch, quiet=quiet, profile=profile, since=since)
+    _compute(job, comm)
+
+
+def _begin(quiet: bool) -> MPI.Comm:
+    from mpi4py import MPI
+
+    log_to_screen(MPI.COMM_WORLD.rank, logging.WARNING if quiet else logging.INFO)
+    return MPI.COMM_WORLD
+
+
+class Watch:
+    """Notes signals and a file called "stop"; a second signal to stop ends the program at once.
+
+    Args:
+        folder: Folder of the results, where a file called "stop" may appear.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.asked, self._checkpoint, self._file = False, False, folder / "stop"
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2):
+            signal.signal(number, self._ask)
+        signal.signal(signal.SIGUSR1, self._want)
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        if self.asked:
+            os._exit(INTERRUPTED)
+        self.asked = True
+        if launched_rank() == 0:
+            print("\nstopping after this step; once more: at once", file=sys.stderr, flush=True)
+
+    def _want(self, number: int, frame: FrameType | None) -> None:
+        self._checkpoint = True
+
+    def wants_checkpoint(self) -> bool:
+        """Whether this rank was asked for a checkpoint since the last call. Not collective."""
+        wanted, self._checkpoint = self._checkpoint, False
+        return wanted
+
+    def agreed(self, comm: MPI.Comm) -> bool:
+        """True on all ranks when one was asked to stop. Collective."""
+        from dolfin_elastic.parallel import largest
+
+        if comm.rank == 0 and self._file.exists():
+            self.asked = True
+            self._file.unlink(missing_ok=True)
+        return largest(comm, float(self.asked)) > 0
+
+
+@dataclass
+class _Job:
+    """A run as the command line shows it.
+
+    Attributes:
+        case: What is computed.
+        folder: Of the results.
+        states: What is yielded.
+        watch: Who may stop it.
+        quiet: Only problems are shown.
+        profile: Where the time went is shown.
+        since: Step and share of the run that it goes on from.
+    """
+
+    case: Case
+    folder: Path
+    states: Generator[State, None, None]
+    watch: Watch
+    quiet: bool
+    profile: bool
+    since: tuple[int, float] = (0, 0.0)
+
+
+def _compute(job: _Job, comm: MPI.Comm) -> None:
+    """Runs a case, shows it, and ends with its exit code. Collective."""
+    loud = comm.rank == 0 and not job.quiet
+    code = _followed(job, comm, loud=loud)
+    if job.profile:
+        _show_profile(comm)
+    if loud:
+        from dolfin_elastic.screen import show_files, show_restart
+
+        show_files(job.folder, job.case.output.listing(job.folder))
+        if code == INTERRUPTED:
+            show_restart(job.folder)
+    if code:
+        raise Exit(code)
+
+
+def _followed(job: _Job, comm: MPI.Comm, *, loud: bool) -> int:
+    """Follows a run to its end, or until it is stopped; returns the exit code."""
+    from contextlib import closing
+
+    from dolfin_elastic import screen, timing
+
+    motion, (before, done) = job.case.dynamics is not None, job.since
+    meter = _meter(motion, loud, done)
+    state, newton = None, 0
+    try:
+        with closing(job.states) as states:
+            for state in states:
+                newton += state.newton
+                meter.show(state)
+                if state.done < 1.0 and job.watch.agreed(comm):
+                    return INTERRUPTED
+    except SolveError as error:
+        error.add_note(f"results so far are in {job.folder}")
+        raise
+    finally:
+        meter.close()
+    if loud and state is not None:
+        screen.show_end(state, motion=motion, seconds=timing.totals(), newton=newton, since=before)
+    return 0
+
+
+def _meter(motion: bool, loud: bool, done: float) -> Any:
+    from dolfin_elastic import screen
+
+    if not loud:
+        return screen.Silent()
+    shared = next(
+        (
+            handler.screen
+            for handler in logging.getLogger("dolfin_elastic").handlers
+            if isinstance(handler, screen.Handler)
+        ),
+        None,
+    )
+    if shared is not None and shared.is_terminal and sys.stdout.isatty():
+        return screen.Bar(motion, shared, done)
+    return screen.Lines(motion, done)
+
+
+def _show_profile(comm: MPI.Comm) -> None:
+    """Collective."""
+    from dolfin_elastic import screen, timing
+    from dolfin_elastic.parallel import largest, smallest
+    from dolfin_elastic.results.summary import peak_memory
+
+    seconds = timing.totals()
+    rows = [
+        (name, smallest(comm, seconds[name]), largest(comm, seconds[name]))
+        for name in [n for n in seconds if n != "total"] + ["total"]
+    ]
+    memory = peak_memory(comm)
+    if comm.rank == 0:
+        screen.show_profile(rows, memory)
+
+
+def log_to_screen(rank: int, level: int) -> None:
+    """Shows what is logged, on rank 0."""
+    from dolfin_elastic.screen import Handler, console
+
+    log = logging.getLogger("dolfin_elastic")
+    log.handlers = [Handler(rank, console(stderr=True))]
+    log.setLevel(level)
+    log.propagate = False
+
+
+def launched_rank() -> int:
+    """Rank of this process as its launcher says, without starting MPI; 0 without a launcher."""
+    for name in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID"):
+        if os.environ.get(name, "").isdigit():
+            return int(os.environ[name])
+    return 0

@@ -1,0 +1,22 @@
+"""What solvers of equations remember between two steps, as JSON knows it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from dolfin_elastic.solvers.newton import Newton
+
+
+def remembered(newton: Newton) -> dict[str, Any]:
+    """The round-off of its last tangent, and the linear solver it has come to."""
+    return {"floor": newton.floor, "linear": newton.ksp.getType()}
+
+
+def remind(newton: Newton, memory: Mapping[str, Any]) -> None:
+    """Makes a new solver remember. Collective."""
+    newton.floor = memory["floor"]
+    newton.progress.reason = "before the checkpoint"
+    while newton.ksp.getType() != memory["linear"] and newton.fall_back():
+        with newton.options.in_force():
+            newton.ksp.setFromOptions()
