@@ -123,8 +123,8 @@ def saved(comm: MPI.Comm, folder: Path, kept: Kept, step: int = 3, **keys: Any) 
 def test_fields_on_other_ranks(kind: str, folder: Path) -> None:
     """The values at all nodes, ghosts too: written on n ranks, read on m.
 
-    What is read is what was written, to the bit; but which cell gives a node its place, to round-off,
-    is another one on other ranks, and so is its value here.  Nodes differ by far more.
+    What is read is what was written, to the bit; but which cell gives a node its place, up to
+    round-off, is another one on other ranks, and so is its value here.  Nodes differ by far more.
     """
     on_root(WORLD, lambda: write_mesh(kind, folder))
 
