@@ -107,11 +107,15 @@ class Found:
         t: Load factor.
         progress: How it was found, or not.
         negative: Negative eigenvalues of the tangent, if the solver tells.
+        good: Where it was not found: the last point, as `Newton.present`.
+        failed: ... and the last iterate.
     """
 
     t: float
     progress: Progress
     negative: int | None = None
+    good: Vector | None = None
+    failed: Vector | None = None
 
 
 class ArcLength:
@@ -167,13 +171,12 @@ class ArcLength:
         while self._length.t < self._end * (1 - 1e-12):
             here, t = self._newton.present(), self._length.t
             point = self._next(self._way)
-            if point is None:
+            if not point.progress.converged:
+                failed = self._newton.present()
                 self._back(here, t)
                 self._size /= 2
                 if self._size < smallest * self._longest / LONGEST:
-                    assert self._bordered is not None
-                    self._bordered.progress.converged = False
-                    yield Found(t, self._bordered.progress)
+                    yield Found(t, point.progress, good=here, failed=failed)
                     return
                 continue
             if point.t >= self._end:
@@ -181,14 +184,15 @@ class ArcLength:
                 return
             yield point
 
-    def _next(self, way: Vector) -> Found | None:
-        """The next point of the path, and how to go on from there; None: a shorter step is due."""
+    def _next(self, way: Vector) -> Found:
+        """The next point of the path, and how to go on from there; or a shorter step is due."""
         assert self._bordered is not None
         before, size = self._all.get(), self._size
         progress = self._step(way, size)
         if not progress.converged or self._turned(way):
             log.debug("arc length %g m: %s, a shorter one", size / 2, progress.reason)
-            return None
+            progress.converged = False
+            return Found(self._length.t, progress)
         if self._length.t < self._end:
             self._way, self._lead = self._length.moved(), self._all.get() - before
             self._note(self._length.t, self._points[-1][1] + size)
@@ -236,12 +240,15 @@ class ArcLength:
         while True:
             self._length.start, before = self._length.displacement().copy(), self._all.get()
             before[0] = 0.0
+            here = self._newton.present()
             self._length.put(np.array([t]))
-            progress = self._ladder.solve([("", self._newton.present())])
+            progress = self._ladder.solve([("", here)])
             self._lead = self._all.get() - before
-            if progress.converged or t / 2 < least:
+            if progress.converged:
                 self._points.append((t, self._length.gone()))
                 return Found(t, progress, negative_eigenvalues(self._newton))
+            if t / 2 < least:
+                return Found(0.0, progress, good=here, failed=self._ladder.failed)
             t /= 2
 
     def _step(self, way: Vector, size: float) -> Progress:
@@ -257,13 +264,14 @@ class ArcLength:
         w.x.scatter_forward()
         self._all.put(self._all.get() + lead)
         self._problem.unknowns.tell()
+        self._ladder.begin()
         start = self._bordered.present()
         self._bordered.refresh()
         progress = self._bordered.solve("basic")
         while "LINEAR_SOLVE" in progress.reason and self._bordered.fall_back():
             self._bordered.put_back(start)
             progress = self._bordered.solve("basic")
-        return progress
+        return self._ladder.settled(progress, "basic", self._bordered.solve)
 
     def _turned(self, way: Vector) -> bool:
         """The path has turned so sharply that a part of it may have been left out. Collective."""
@@ -272,7 +280,7 @@ class ArcLength:
         return product(way, now) < SHARPEST * np.sqrt(product(way, way) * product(now, now))
 
     def _back(self, here: Vector, t: float) -> None:
-        self._newton.put_back(here)
+        self._ladder.undo(here)
         self._length.put(np.array([t]))
 
     def _land(self, here: Vector, t: float) -> Found:
@@ -281,6 +289,8 @@ class ArcLength:
         share = (self._end - t) / (self._length.t - t)
         self._length.put(np.array([self._end]))
         progress = self._ladder.solve([("", here + share * (beyond - here)), ("", beyond)])
+        if not progress.converged:
+            return Found(t, progress, good=here, failed=self._ladder.failed)
         return Found(self._end, progress, negative_eigenvalues(self._newton))
 
     def _note(self, t: float, arc: float) -> None:

@@ -9,13 +9,14 @@ from dolfin_elastic.solvers.newton import Newton
 
 
 def remembered(newton: Newton) -> dict[str, Any]:
-    """The round-off of its last tangent, and the linear solver it has come to."""
-    return {"floor": newton.floor, "linear": newton.ksp.getType()}
+    """How stiff the body was at first, and the linear solver it has come to."""
+    return {"stiffest": newton.round_off.first, "linear": newton.ksp.getType()}
 
 
 def remind(newton: Newton, memory: Mapping[str, Any]) -> None:
-    """Makes a new solver remember. Collective."""
-    newton.floor = memory["floor"]
+    """Makes a new solver remember; its assembler has the present tangent. Collective."""
+    newton.round_off.first = memory["stiffest"]
+    newton.note_tangent(newton.assembler.matrix)
     newton.progress.reason = "before the checkpoint"
     while newton.ksp.getType() != memory["linear"] and newton.fall_back():
         with newton.options.in_force():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -135,19 +136,21 @@ class Statics:
         for dashpot in self.problem.dashpots:
             log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
-        assembler = Assembler(self.problem)
-        scalars = Scalars(assembler)
-        newton = Newton(
-            assembler, self.choice, self.tolerance, users=self.petsc, border=scalars.border
-        )
-        newton.watch_inversion()
-        try:
+        with ExitStack() as owned:
+            assembler = Assembler(self.problem)
+            owned.callback(assembler.destroy)
+            scalars = Scalars(assembler)
+            newton = Newton(
+                assembler, self.choice, self.tolerance, users=self.petsc, border=scalars.border
+            )
+            owned.callback(newton.destroy)
+            newton.watch_inversion()
             self._stepping = Stepping(self, scalars, newton)
+            owned.callback(self._forget)
             yield from self._stepping.run(restore)
-        finally:
-            self._stepping = None
-            newton.destroy()
-            assembler.destroy()
+
+    def _forget(self) -> None:
+        self._stepping = None
 
     def kept(self) -> Kept:
         """What the next step needs to know, while `steps` has stopped at a state. Collective."""
@@ -178,7 +181,7 @@ class Statics:
             largest = first
         else:
             share = 1.0 if self.problem.linear else FIRST
-            first = (s.first_step or min(share, s.max_step)) * s.end
+            first = min(s.first_step or share, s.max_step) * s.end
             stops, largest = [], s.max_step * s.end
         return StepSizes(
             s.end,

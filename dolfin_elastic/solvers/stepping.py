@@ -17,13 +17,13 @@ from dolfin_elastic.solvers.arclength import ArcLength
 from dolfin_elastic.solvers.audit import Auditor
 from dolfin_elastic.solvers.contact import Augmentation, Measured
 from dolfin_elastic.solvers.doctor import diagnose
-from dolfin_elastic.solvers.inertia import disturb, negative_eigenvalues
+from dolfin_elastic.solvers.inertia import negative_eigenvalues
 from dolfin_elastic.solvers.jump import PathWatch
 from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.memory import remembered, remind
 from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.progress import ANOTHER, BEYOND, UNSTABLE, Progress
-from dolfin_elastic.solvers.relaxation import relax
+from dolfin_elastic.solvers.relaxation import flow_away
 from dolfin_elastic.solvers.scalars import Scalars
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
@@ -67,7 +67,7 @@ class Stepping:
         """Yields the states; see `Statics.steps`. Collective."""
         try:
             if self.settings.method == "arc-length":
-                self._arc = self._make_arc()
+                self._make_arc()
             if restore is None:
                 self.problem.set_time(0.0, default=RAMP)
                 self._arrive()
@@ -174,7 +174,7 @@ class Stepping:
                     self._fallback = goal, self.newton.present()
                 if sizes.failed(t, goal, crushed=crushed and not progress.converged):
                     log.info("load factor %.6g: %s; a smaller step", goal, fault)
-                    self.newton.put_back(start)
+                    self.ladder.undo(start)
                     continue
                 goal, progress = self._elsewhere(t, goal, progress, fault, start)
             self._watch.accept()
@@ -213,12 +213,14 @@ class Stepping:
             progress.reason = fault
             raise self._failure(t, goal, progress, start, kept)
         if not progress.converged or fault == UNSTABLE:
-            found = self._flow(progress)
+            found = flow_away(self.ladder, settled=progress.converged)
             if not found.converged and self._fallback is not None and self._fallback[0] > t:
                 goal, there = self._fallback
                 self.problem.set_time(goal, default=RAMP)
                 found = self.ladder.solve([("", there)])
-                self._watch.look()
+                if found.converged and (negative_eigenvalues(self.newton) or 0) > 0:
+                    found = flow_away(self.ladder, settled=True)
+            self._watch.look()
             if not found.converged or not self._watch.finite():
                 progress.reason = fault
                 raise self._failure(t, goal, progress, start, kept)
@@ -233,24 +235,15 @@ class Stepping:
         )
         return goal, progress
 
-    def _flow(self, progress: Progress) -> Progress:
-        """Lets the body go where it flows to."""
-        if progress.converged:
-            disturb(self.newton)
-        self.newton.refresh()
-        found = relax(self.newton)
-        log.debug("flow to another equilibrium: %s", found.reason)
-        self._watch.look()
-        return found
-
     def _is_enough(self) -> bool:
         limit = self.settings.max_displacement
-        if limit is None and self._count <= self.settings.max_steps:
-            return False
         if limit is not None and self.assembler.max_displacement() >= limit:
             log.info("a displacement has reached %g m: the run ends", limit)
             return True
-        return self._count > self.settings.max_steps
+        if self._count > self.settings.max_steps:
+            log.warning("statics.max_steps = %d steps are done: the run ends", self._count - 1)
+            return True
+        return False
 
     def _attempt(self, t: float, goal: float) -> Progress:
         """Tries to go to a load factor; the displacement is put back if that fails."""
@@ -271,7 +264,11 @@ class Stepping:
         last = good if failed is None else failed
         self.newton.put_back(last)
         fields = len(self.problem.w.x.array)
-        found = diagnose(self.assembler, progress, good=good[:fields], failed=last[:fields])
+        # Beyond a limit point the path is unstable, and so may be the fields beside scalars.
+        judged = self.settings.method == "load" and self._scalars.border is None
+        found = diagnose(
+            self.assembler, progress, good=good[:fields], failed=last[:fields], stable=judged
+        )
         force, place = self.assembler.largest_unbalance()
         return ConvergenceError(
             f"no equilibrium beyond load factor {t:.6g}: {found.text}\n  at the end: "
@@ -284,19 +281,22 @@ class Stepping:
 
     # --- the path grows ---
 
-    def _make_arc(self) -> ArcLength:
+    def _make_arc(self) -> None:
         statics = self.statics
-        arc = ArcLength(self.ladder, self._scalars.parts, end=self.settings.end)
-        arc.prepare(statics.choice, statics.tolerance, statics.petsc)
-        return arc
+        self._arc = ArcLength(self.ladder, self._scalars.parts, end=self.settings.end)
+        self._arc.prepare(statics.choice, statics.tolerance, statics.petsc)
 
     def _path(self, arc: ArcLength) -> Iterator[State]:
         if self._t > 0.0 and self._is_enough():
             return
         for found in arc.path(self._sizes.goal(0.0), self.settings.min_step):
+            self._watch.look()
+            if found.progress.converged and not self._watch.finite():
+                found.progress.reason = BEYOND
+                found.progress.converged = False
             if not found.progress.converged:
-                good = self.newton.present()
-                raise self._failure(found.t, found.t, found.progress, good, self.ladder.failed)
+                good = self.newton.present() if found.good is None else found.good
+                raise self._failure(found.t, found.t, found.progress, good, found.failed)
             self._t, self._limits = found.t, tuple(arc.limits)
             yield self._state(found.t, found.progress, found.negative)
             if self._is_enough():
