@@ -134,7 +134,7 @@ def _check_folder(folder: Path) -> None:
     where = str(folder)
     if folder.is_file():
         raise RestartError(
-            "this is a file", where=where, expected="the folder of the results of a run"
+            "this is a file", where=where, expected="expected the folder of the results of a run"
         )
     if not folder.is_dir():
         parent = folder.parent
@@ -149,7 +149,9 @@ def _check_folder(folder: Path) -> None:
     if last_step(folder) is None:
         if not status:
             raise RestartError(
-                "this is no folder of results", where=where, expected="one that a run has written"
+                "this is no folder of results",
+                where=where,
+                expected="expected one that a run has written",
             )
         raise RestartError(
             "the run has ended before its first checkpoint",

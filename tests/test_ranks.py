@@ -28,6 +28,7 @@ meshes, supports, loads, pressures and probes, have tests of their own that run 
 ones run at 2, so that reference cases as such do."""
 SHARED = (
     "audit",
+    "checkpoints",
     "contact",
     "dynamics",
     "explicit",
