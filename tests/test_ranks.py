@@ -41,6 +41,7 @@ SHARED = (
     "probes",
     "problem",
     "rank_agreement",
+    "restart",
     "results",
     "scalars",
     "statics",

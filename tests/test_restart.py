@@ -51,6 +51,9 @@ WORLD = MPI.COMM_WORLD
 FREE = "free"
 E = 1e6
 
+ALONE = pytest.mark.skipif(WORLD.size > 1, reason="ranks have no part of their own in it")
+PAIR = pytest.mark.skipif(WORLD.size > 2, reason="two ranks show what three do")
+
 NEAR = 1e-9
 """Difference that rows of two runs may have, over the size of their numbers.
 
@@ -232,6 +235,7 @@ def test_a_solver_goes_on(name: str, folder: Path) -> None:
         assert len(limits[-1]) == 2
 
 
+@ALONE
 def test_a_solver_goes_on_after_failures(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Steps were made smaller, and an equilibrium beyond the snap, found early, is come back to."""
     solver, known = Statics(snapping(), max_step=0.5), []
@@ -381,6 +385,7 @@ def whole(folder: Path) -> Path:
     return folder / "whole"
 
 
+@PAIR
 def test_a_run_goes_on(folder: Path, whole: Path) -> None:
     """Killed after the third step, and again after the fourth: one series in all files."""
     begun(case(), folder / "a", 3)
@@ -400,6 +405,7 @@ def test_a_run_goes_on(folder: Path, whole: Path) -> None:
     assert on_root(WORLD, lambda: [p.name for p in (folder / "a").rglob("mesh*")]) == ["mesh.h5"]
 
 
+@PAIR
 def test_what_came_after_the_checkpoint_is_cut_off(folder: Path, whole: Path) -> None:
     """Rows, frames and pictures of steps that were computed but not kept; half a row, too."""
     output = {"probes": {"tip": [1, 0.1]}, "checkpoint": {"every": 3}}
@@ -415,6 +421,7 @@ def test_what_came_after_the_checkpoint_is_cut_off(folder: Path, whole: Path) ->
     check_same_results(folder / "a", whole)
 
 
+@ALONE
 def test_thinned_fields_go_on(folder: Path) -> None:
     """Every second step is shown, and the last; a run that ended on request had shown another."""
     output = {"every": 2, "checkpoint": {}}
@@ -450,6 +457,7 @@ def test_other_ranks_go_on(folder: Path) -> None:
     assert summary(folder / "a")["restarts"][0]["ranks"] == SIZES[len(SIZES) // 2]
 
 
+@PAIR
 def test_closing_leaves_a_checkpoint(folder: Path, whole: Path) -> None:
     """Whoever stops looking can go on; so can who asks for a checkpoint and is killed later."""
     output = {"probes": {"tip": [1, 0.1]}, "checkpoint": "1 h"}
@@ -464,6 +472,7 @@ def test_closing_leaves_a_checkpoint(folder: Path, whole: Path) -> None:
     check_same_results(folder / "a", whole)
 
 
+@ALONE
 def test_a_new_run_forgets_the_old_one(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     begun(case(), folder / "a", 2)
     output = {"checkpoint": False}
@@ -480,18 +489,22 @@ def refused(folder: Path, match: str, **keys: Any) -> None:
         next(restart(folder, **keys))
 
 
+@PAIR
 def test_nothing_to_go_on_from(folder: Path, whole: Path) -> None:
     refused(whole, "whole: this run is complete; nothing is left to compute")
     refused(folder / "none", "none: there is no such folder")
     on_root(WORLD, (folder / "mine").mkdir)
     refused(folder / "mine", "mine: this is no folder of results")
-    refused(whole / "history.csv", "history.csv: this is a file; expected the folder of the results")
+    refused(
+        whole / "history.csv", "history.csv: this is a file; expected the folder of the results"
+    )
     states = run(case(output={"checkpoint": False}), output=folder / "off")
     next(states), next(states)
     states.close()
     refused(folder / "off", "off: the run has ended before its first checkpoint")
 
 
+@PAIR
 def test_changed_results_are_refused(folder: Path) -> None:
     """What is lost cannot be made up."""
     begun(case(), folder / "a", 3)
@@ -502,6 +515,7 @@ def test_changed_results_are_refused(folder: Path) -> None:
     refused(folder / "b", r"results.xdmf: all steps at the checkpoint")
 
 
+@PAIR
 def test_a_changed_case_is_refused(folder: Path) -> None:
     begun(case(), folder / "a", 2)
     harder = [{"kind": "traction", "on": "right", "value": [0, "-9 kPa"]}]
@@ -515,6 +529,7 @@ def test_a_changed_case_is_refused(folder: Path) -> None:
     refused(folder / "a", r"case.toml: this is not the case of the checkpoint any more")
 
 
+@PAIR
 def test_a_changed_mesh_is_refused(folder: Path) -> None:
     """The file that the case names is another one now."""
 
@@ -537,6 +552,7 @@ def test_a_changed_mesh_is_refused(folder: Path) -> None:
     kill(states)
 
 
+@ALONE
 def test_a_case_of_functions(folder: Path) -> None:
     """What cannot be written down must be given again."""
     law = Energy(lambda I1, J, mu: mu / 2 * (I1 - 3) - mu * (J - 1) + mu * (J - 1) ** 2, mu=1e6)
@@ -547,6 +563,7 @@ def test_a_case_of_functions(folder: Path) -> None:
     kill(states)
 
 
+@ALONE
 def test_the_copy_of_a_case_stands_alone(folder: Path) -> None:
     """Tables of curves are in it, and the mesh is found from everywhere."""
 
