@@ -496,7 +496,7 @@ def test_nothing_to_go_on_from(folder: Path, whole: Path) -> None:
     on_root(WORLD, (folder / "mine").mkdir)
     refused(folder / "mine", "mine: this is no folder of results")
     refused(
-        whole / "history.csv", "history.csv: this is a file; expected the folder of the results"
+        whole / "history.csv", "history.csv: this is a file; expected the folder of"
     )
     states = run(case(output={"checkpoint": False}), output=folder / "off")
     next(states), next(states)
