@@ -82,7 +82,7 @@ class Amplitude:
         return self._in_table(t)
 
     def _in_table(self, t: float) -> float:
-        rows = self.rows if self.source else self.written
+        rows = self.table
         if not rows:
             raise InputError("the curve's file has not been read", expected=_READ)
         times, values = (np.array(column) for column in zip(*rows, strict=True))
@@ -91,6 +91,11 @@ class Amplitude:
         i = int(np.searchsorted(times, t, side="right"))
         step = smoothstep((t - times[i - 1]) / (times[i] - times[i - 1]))
         return float(values[i - 1] + step * (values[i] - values[i - 1]))
+
+    @property
+    def table(self) -> Rows:
+        """The rows of its table, wherever they stand; none if it is a word or a formula."""
+        return self.rows if self.source else () if isinstance(self.written, str) else self.written
 
     def with_rows(self, rows: Any) -> Amplitude:
         """The same with what its file says.
