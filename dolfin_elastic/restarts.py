@@ -13,6 +13,7 @@ from typing import Any
 from mpi4py import MPI
 
 from dolfin_elastic.case import Case, read_case
+from dolfin_elastic.curve_files import CURVED
 from dolfin_elastic.errors import InputError, RestartError, nearest
 from dolfin_elastic.model.curves import Amplitude
 from dolfin_elastic.parallel import on_root
@@ -181,15 +182,19 @@ def about(case: Case, mesh: Mapping[str, Any], petsc: Mapping[str, Any]) -> Abou
 
 def portable(case: Case) -> dict[str, Any]:
     """The tables of a case that needs no file but its mesh, whose path holds from everywhere."""
-    rows = {key: [_with_table(row) for row in getattr(case, key)] for key in ("support", "load")}
-    tables = case.model_copy(update=rows).to_dict()
+    given = {key: found for key in CURVED if (found := getattr(case, key))}
+    whole = {
+        key: [_with_table(row) for row in found] if isinstance(found, list) else _with_table(found)
+        for key, found in given.items()
+    }
+    tables = case.model_copy(update=whole).to_dict()
     if case.mesh.file is not None:
         tables["mesh"]["file"] = str((case.folder / case.mesh.file).resolve())
     return tables
 
 
 def _with_table(row: Record) -> Record:
-    """A support or load with its curve's table in place of the file that it stood in."""
+    """A record with its curve's table in place of the file that it stood in."""
     curve = getattr(row, "curve", None)
     if isinstance(curve, Amplitude) and curve.rows:
         return row.model_copy(update={"curve": Amplitude(curve.rows)})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import namedtuple
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from reference_meshes import ring
 from test_meshes import ball
 
 from dolfin_elastic import NeoHookeanSplit, Periodic, Problem, box_body, read_body, rectangle_body
-from dolfin_elastic.errors import RestartError
+from dolfin_elastic.errors import OutputError, RestartError
 from dolfin_elastic.kept import Kept
 from dolfin_elastic.meshes import Body
 from dolfin_elastic.parallel import on_root, total
@@ -332,6 +333,16 @@ def test_killed_between_any_two_changes(
     # Two files get their names; then the two files of step 1 go.
     assert died == (changes < 4)
     assert step_found(folder, u) == (2 if changes < 2 else 3)
+
+
+def test_a_full_disk_leaves_the_one_before(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The run ends with an error, and can go on when there is room again."""
+    to, u = several(folder, 1)
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr("shutil.disk_usage", lambda path: usage(1, 1, 10))
+    with pytest.raises(OutputError, match=r"cannot write .*: no space left on device; make room"):
+        to.save(State(2, 0.2, u, done=0.2), Kept({"u": u}, {"step": 2}), [])
+    assert step_found(folder, u) == 1
 
 
 def test_another_solver_is_refused(folder: Path) -> None:

@@ -495,9 +495,7 @@ def test_nothing_to_go_on_from(folder: Path, whole: Path) -> None:
     refused(folder / "none", "none: there is no such folder")
     on_root(WORLD, (folder / "mine").mkdir)
     refused(folder / "mine", "mine: this is no folder of results")
-    refused(
-        whole / "history.csv", "history.csv: this is a file; expected the folder of"
-    )
+    refused(whole / "history.csv", "history.csv: this is a file; expected the folder of")
     states = run(case(output={"checkpoint": False}), output=folder / "off")
     next(states), next(states)
     states.close()
@@ -574,10 +572,12 @@ def test_the_copy_of_a_case_stands_alone(folder: Path) -> None:
     on_root(WORLD, write)
     tables = case().to_dict()
     tables["load"][0]["curve"] = {"file": "rise.csv"}
+    floor = {"axis": "y", "at": -1}
+    tables["contact"] = [{"on": "bottom", "plane": floor, "curve": {"file": "rise.csv"}}]
     del tables["mesh"]["rectangle"]
     tables["mesh"]["file"] = "sub/../body.msh"
     first = Case.from_dict(tables, folder)
     copy = Case.from_dict(portable(first), "/elsewhere")
     assert copy.mesh.file == str(folder.resolve() / "body.msh")
-    assert copy.load[0].curve.at(0.25) == 1.0
+    assert copy.load[0].curve.at(0.25) == copy.contact[0].curve.at(0.25) == 1.0
     assert portable(copy) == portable(first)

@@ -208,7 +208,7 @@ class Checkpoints:
         with writing(fields):
             sync(draft)
             draft.replace(fields)
-        text = json.dumps(content, ensure_ascii=False)
+        text = json.dumps(content, ensure_ascii=False, default=_plain)
         _replace(manifest, json.dumps({"format": FORMAT, "digest": digest(text), "text": text}))
         steps = _steps(self._path)
         _remove(self._path, steps[self._settings.keep :])
@@ -370,6 +370,11 @@ def _replace(path: Path, text: str) -> None:
     """As `replace_text`, and it is on the disk itself."""
     replace_text(path, text, lasting=True)
     sync(path.parent)
+
+
+def _plain(value: Any) -> Any:
+    """What JSON does not know: numbers of numpy, and options that are anything."""
+    return value.item() if isinstance(value, np.generic) else str(value)
 
 
 def digest(text: str) -> str:

@@ -12,6 +12,7 @@ from dolfin_elastic.parallel import total
 from dolfin_elastic.results.heavy import Rows
 
 _ALL = (1 << 64) - 1
+_ROWS = 1 << 16
 _GOLDEN, _FIRST, _SECOND = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
 
@@ -25,6 +26,11 @@ def checksum(values: npt.NDArray[Any], places: npt.NDArray[Any]) -> int:
         values: Numbers of 8 bytes, shape (n, columns).
         places: Number of each row in the whole.
     """
+    cuts = range(0, len(values), _ROWS)
+    return sum(_mixed(values[i : i + _ROWS], places[i : i + _ROWS]) for i in cuts) & _ALL
+
+
+def _mixed(values: npt.NDArray[Any], places: npt.NDArray[Any]) -> int:
     bits = np.ascontiguousarray(values).view(np.uint64)
     columns = np.arange(bits.shape[1], dtype=np.uint64)
     place = places.astype(np.uint64)[:, None] * np.uint64(bits.shape[1]) + columns
