@@ -31,6 +31,11 @@ Gap = tuple[Any, list[Any]]
 class Obstacle(Record):
     """A rigid body with a smooth surface."""
 
+    @property
+    def thickness(self) -> float:
+        """Depth up to which it can be told on which side of it a point is [m]."""
+        return math.inf
+
     @abstractmethod
     def check(self, dim: int, *, turned: bool) -> None:
         """Raises where the obstacle does not fit the body.
@@ -127,6 +132,11 @@ class Ball(Obstacle):
     radius: Length = Field(gt=0)
     inside: bool = False
 
+    @property
+    def thickness(self) -> float:
+        """See `Obstacle.thickness`."""
+        return math.inf if self.inside else self.radius
+
     def check(self, dim: int, *, turned: bool) -> None:
         """See `Obstacle.check`."""
         _check_length(self.center, dim, "center")
@@ -165,6 +175,11 @@ class Tube(Obstacle):
         if not isinstance(self.axis, str) and not any(self.axis):
             raise InputError("a direction cannot be zero", where="axis", expected="[0, 0, 1]")
         return self
+
+    @property
+    def thickness(self) -> float:
+        """See `Obstacle.thickness`."""
+        return math.inf if self.inside else self.radius
 
     def check(self, dim: int, *, turned: bool) -> None:
         """See `Obstacle.check`."""

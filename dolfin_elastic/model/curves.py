@@ -97,6 +97,19 @@ class Amplitude:
         """The rows of its table, wherever they stand; none if it is a word or a formula."""
         return self.rows if self.source else () if isinstance(self.written, str) else self.written
 
+    @property
+    def corners(self) -> tuple[float, ...]:
+        """Times between which it is smooth, as far as that is known [s]."""
+        if self.written == "load-unload":
+            return (0.0, 0.5, 1.0)
+        rows = self.rows if self.source else self.written
+        return () if isinstance(rows, str) else tuple(t for t, _ in rows)
+
+    @property
+    def winding(self) -> bool:
+        """It may have turned around between any two times: a formula."""
+        return self.formula is not None and self.formula.names == frozenset({"t"})
+
     def with_rows(self, rows: Any) -> Amplitude:
         """The same with what its file says.
 

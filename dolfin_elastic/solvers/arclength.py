@@ -25,6 +25,7 @@ from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.linear import Choice
 from dolfin_elastic.solvers.memory import remembered, remind
 from dolfin_elastic.solvers.newton import Newton
+from dolfin_elastic.solvers.pace import Pace
 from dolfin_elastic.solvers.progress import Progress, Tolerance
 
 Vector = npt.NDArray[np.float64]
@@ -244,11 +245,13 @@ class ArcLength:
             self._length.put(np.array([t]))
             progress = self._ladder.solve([("", here)])
             self._lead = self._all.get() - before
-            if progress.converged:
+            hasty = Pace(self._assembler).hasty(0.0, t, here, progress)
+            if progress.converged and not (hasty and t > least):
                 self._points.append((t, self._length.gone()))
                 return Found(t, progress, negative_eigenvalues(self._newton))
             if t / 2 < least:
                 return Found(0.0, progress, good=here, failed=self._ladder.failed)
+            self._ladder.undo(here)
             t /= 2
 
     def _step(self, way: Vector, size: float) -> Progress:

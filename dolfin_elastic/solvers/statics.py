@@ -21,6 +21,7 @@ from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.progress import Tolerance
 from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.solvers.scalars import Scalars
+from dolfin_elastic.solvers.schedule import corners, winds
 from dolfin_elastic.solvers.stepping import Stepping
 from dolfin_elastic.solvers.steps import StepSizes
 from dolfin_elastic.state import State
@@ -180,14 +181,16 @@ class Statics:
             stops = [first * i for i in range(1, s.steps)]
             largest = first
         else:
-            share = 1.0 if self.problem.linear else FIRST
+            winding = winds(self.problem)
+            share = 1.0 if self.problem.linear and not winding else FIRST
             first = min(s.first_step or share, s.max_step) * s.end
-            stops, largest = [], s.max_step * s.end
+            wide = FIRST if winding and "max_step" not in s.model_fields_set else s.max_step
+            stops, largest = [], max(first, wide * s.end)
         return StepSizes(
             s.end,
             first=first,
             largest=largest,
             smallest=first * s.min_step,
-            stops=[*stops, *s.times],
+            stops=[*stops, *s.times, *corners(self.problem)],
             steady=s.steps is not None,
         )

@@ -22,9 +22,11 @@ from dolfin_elastic.solvers.jump import PathWatch
 from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.memory import remembered, remind
 from dolfin_elastic.solvers.newton import Newton
+from dolfin_elastic.solvers.pace import Pace
 from dolfin_elastic.solvers.progress import ANOTHER, BEYOND, UNSTABLE, Progress
 from dolfin_elastic.solvers.relaxation import flow_away
 from dolfin_elastic.solvers.scalars import Scalars
+from dolfin_elastic.solvers.schedule import corners, gentle
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
@@ -62,6 +64,7 @@ class Stepping:
         self._fallback: tuple[float, Vector] | None = None  # where a step has jumped to
         self._limits: tuple[float, ...] = ()
         self._jumps = 0
+        self._pace = Pace(self.assembler, corners(self.problem))
 
     def run(self, restore: Restore | None = None) -> Iterator[State]:
         """Yields the states; see `Statics.steps`. Collective."""
@@ -97,6 +100,7 @@ class Stepping:
             "count": self._count,
             "sizes": self._sizes.kept(),
             "jumps": self._jumps,
+            "speed": self._pace.speed,
             "limits": self._limits,
             "audit": self._auditor.kept(),
             "newton": remembered(self.newton),
@@ -125,6 +129,7 @@ class Stepping:
         self.problem.unknowns.tell()
         self._sizes.go_on(numbers["sizes"])
         self._jumps, self._limits = numbers["jumps"], tuple(numbers["limits"])
+        self._pace.speed = numbers["speed"]
         self._before, self._fallback = (
             (numbers[name]["t"], self._together(others[name], numbers[name]["scalars"]))
             if name in others
@@ -164,7 +169,7 @@ class Stepping:
         sizes = self._sizes
         while not sizes.done(self._t) and not self._is_enough():
             t = self._t
-            goal = sizes.goal(t)
+            goal = gentle(self.problem, t, sizes.goal(t))
             start = self.newton.present()
             progress = self._attempt(t, goal)
             crushed = progress.rejected > 0 or "NAN" in progress.reason
@@ -177,7 +182,12 @@ class Stepping:
                     self.ladder.undo(start)
                     continue
                 goal, progress = self._elsewhere(t, goal, progress, fault, start)
+            if not fault and self._pace.hasty(t, goal, start, progress) and sizes.closer(t, goal):
+                log.debug("load factor %.6g: so far in one step; a closer look", goal)
+                self.ladder.undo(start)
+                continue
             self._watch.accept()
+            self._pace.accept(known=not fault)
             self._before = t, start
             sizes.succeeded(t, goal, progress.newton)
             if fault:
