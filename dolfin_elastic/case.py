@@ -33,7 +33,6 @@ from dolfin_elastic.model.loads import LOADS, Load
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.springs import SUPPORTS
 from dolfin_elastic.model.supports import Restraint
-from dolfin_elastic.output_table import Output
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record, within
@@ -43,6 +42,7 @@ from dolfin_elastic.solvers.statics import Statics, StaticsSettings
 from dolfin_elastic.tables import (
     Material,
     MeshTable,
+    Output,
     as_table,
     listed,
     named,

@@ -18,8 +18,9 @@ import typer
 from click.exceptions import ClickException
 
 from dolfin_elastic.cli_materials import material, materials
-from dolfin_elastic.cli_run import INTERRUPTED, launched_rank, log_to_screen, restart, run
+from dolfin_elastic.cli_run import log_to_screen, restart, run
 from dolfin_elastic.errors import CaseError, ElasticError
+from dolfin_elastic.stopping import INTERRUPTED, launched_rank
 from dolfin_elastic.version import __version__
 
 if TYPE_CHECKING:

@@ -4,13 +4,10 @@
 from __future__ import annotations
 
 import logging
-import os
-import signal
 import sys
 from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -18,6 +15,7 @@ from click.exceptions import Exit
 
 from dolfin_elastic.errors import SolveError
 from dolfin_elastic.petsc_words import petsc_options, start_petsc
+from dolfin_elastic.stopping import INTERRUPTED, Stop
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
     from dolfin_elastic.case import Case
     from dolfin_elastic.state import State
 
-INTERRUPTED = 130
 Petsc = Annotated[list[str] | None, typer.Argument(metavar="[-- PETSC...]", hidden=True)]
 Profile = Annotated[bool, typer.Option("--profile", help="Show where time and memory went.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only problems.")]
@@ -63,9 +60,9 @@ def run(
     folder = output if output is not None else read.results_folder()
     from dolfin_elastic.run import run as solved
 
-    watch = Watch(folder)
-    states = solved(read, output=folder, petsc=options, asked=watch.wants_checkpoint)
-    _compute(_Job(read, folder, states, watch, quiet=quiet, profile=profile), comm)
+    stop = Stop(folder)
+    states = solved(read, output=folder, petsc=options, asked=stop.wants_checkpoint)
+    _compute(_Job(read, folder, states, stop, quiet=quiet, profile=profile), comm)
 
 
 def restart(
@@ -93,10 +90,10 @@ def restart(
     logging.getLogger("dolfin_elastic").info("%s", found.told())
     from dolfin_elastic.run import restart as solved
 
-    watch = Watch(folder)
-    states = solved(found, petsc=options, asked=watch.wants_checkpoint)
+    stop = Stop(folder)
+    states = solved(found, petsc=options, asked=stop.wants_checkpoint)
     since = (found.step, found.done)
-    job = _Job(found.case, folder, states, watch, quiet=quiet, profile=profile, since=since)
+    job = _Job(found.case, folder, states, stop, quiet=quiet, profile=profile, since=since)
     _compute(job, comm)
 
 
@@ -107,44 +104,6 @@ def _begin(quiet: bool) -> MPI.Comm:
     return MPI.COMM_WORLD
 
 
-class Watch:
-    """Notes signals and a file called "stop"; a second signal to stop ends the program at once.
-
-    Args:
-        folder: Folder of the results, where a file called "stop" may appear.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.asked, self._checkpoint, self._file = False, False, folder / "stop"
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2):
-            signal.signal(number, self._ask)
-        signal.signal(signal.SIGUSR1, self._want)
-
-    def _ask(self, number: int, frame: FrameType | None) -> None:
-        if self.asked:
-            os._exit(INTERRUPTED)
-        self.asked = True
-        if launched_rank() == 0:
-            print("\nstopping after this step; once more: at once", file=sys.stderr, flush=True)
-
-    def _want(self, number: int, frame: FrameType | None) -> None:
-        self._checkpoint = True
-
-    def wants_checkpoint(self) -> bool:
-        """Whether this rank was asked for a checkpoint since the last call. Not collective."""
-        wanted, self._checkpoint = self._checkpoint, False
-        return wanted
-
-    def agreed(self, comm: MPI.Comm) -> bool:
-        """True on all ranks when one was asked to stop. Collective."""
-        from dolfin_elastic.parallel import largest
-
-        if comm.rank == 0 and self._file.exists():
-            self.asked = True
-            self._file.unlink(missing_ok=True)
-        return largest(comm, float(self.asked)) > 0
-
-
 @dataclass
 class _Job:
     """A run as the command line shows it.
@@ -153,7 +112,7 @@ class _Job:
         case: What is computed.
         folder: Of the results.
         states: What is yielded.
-        watch: Who may stop it.
+        stop: Who may stop it.
         quiet: Only problems are shown.
         profile: Where the time went is shown.
         since: Step and share of the run that it goes on from.
@@ -162,7 +121,7 @@ class _Job:
     case: Case
     folder: Path
     states: Generator[State, None, None]
-    watch: Watch
+    stop: Stop
     quiet: bool
     profile: bool
     since: tuple[int, float] = (0, 0.0)
@@ -198,7 +157,7 @@ def _followed(job: _Job, comm: MPI.Comm, *, loud: bool) -> int:
             for state in states:
                 newton += state.newton
                 meter.show(state)
-                if state.done < 1.0 and job.watch.agreed(comm):
+                if state.done < 1.0 and job.stop.agreed(comm):
                     return INTERRUPTED
     except SolveError as error:
         error.add_note(f"results so far are in {job.folder}")
@@ -252,11 +211,3 @@ def log_to_screen(rank: int, level: int) -> None:
     log.handlers = [Handler(rank, console(stderr=True))]
     log.setLevel(level)
     log.propagate = False
-
-
-def launched_rank() -> int:
-    """Rank of this process as its launcher says, without starting MPI; 0 without a launcher."""
-    for name in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID"):
-        if os.environ.get(name, "").isdigit():
-            return int(os.environ[name])
-    return 0

@@ -18,6 +18,7 @@ from dolfin_elastic.case import Case, located
 from dolfin_elastic.check import check
 from dolfin_elastic.errors import OutputError
 from dolfin_elastic.kept import Kept
+from dolfin_elastic.opening import opened
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.restarts import Unfinished, about, unfinished
 from dolfin_elastic.results.checkpoints import Checkpoints
@@ -131,7 +132,7 @@ class _Run:
         keeper.begin(new=before is None)
         kept = None if before is None else before.found.content["outputs"]
         files = output.files(self.case.frames, self.case.title)
-        with output.opened(problem, self.folder, files, kept) as writers:
+        with opened(files, problem, self.folder, kept) as writers:
             for state in map(probe.onto, chain(first, steps)):
                 for writer in writers:
                     writer.write(state)

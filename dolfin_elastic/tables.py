@@ -6,7 +6,6 @@ whoever reads the table puts its own key in front.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -14,26 +13,27 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from mpi4py import MPI
 from pydantic import Field, field_validator, model_validator
 
-from dolfin_elastic.errors import (
-    InputError,
-    UnitError,
-    nearest,
-)
+from dolfin_elastic.errors import InputError, MeshError, UnitError, nearest
 from dolfin_elastic.formulation import Formulation
 from dolfin_elastic.meshes import Body, Selector, box_body, read_body, rectangle_body
+from dolfin_elastic.meshes.places import locate
 from dolfin_elastic.meshes.selectors import MeshLength
 from dolfin_elastic.model.geometry import Geometry
 from dolfin_elastic.model.law import Law
 from dolfin_elastic.model.materials import MATERIALS
 from dolfin_elastic.model.own import Own, read_energy
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.results.checkpoints import Checkpoint
+from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.outputs import History, Picture, Summary, Xdmf
+from dolfin_elastic.results.outputs import Output as File
+from dolfin_elastic.results.probes import Probe, ProbePoint
 from dolfin_elastic.schema import Record, known_keys, shown, within
 from dolfin_elastic.toml_text import key_text
 from dolfin_elastic.units import to_si
 
 T = TypeVar("T")
-log = logging.getLogger("dolfin_elastic")
 Count = Annotated[int, Field(gt=0)]
-_FAILED = "failed_state.xdmf"
 
 
 class Box(Record):
@@ -195,6 +195,77 @@ class Material(Record):
         named = {} if isinstance(self.law, Own) else {"law": self.law.name()}
         law = {**named, **written(self.law)}
         return law if self.on is None else {**law, "on": self.on}
+
+
+class Output(Record):
+    """The table [output]: what is written, where, and how often.
+
+    Attributes:
+        folder: Folder of the results, relative to the case file's; by default the case file's
+            name with "_results", in the folder where the run is started.
+        fields: Fields for ParaView; by default displacement and stresses.
+        every: Fields are written every so many steps, and at the end; by default every step, with
+            an explicit scheme about 200 states.
+        pictures: Pictures of the deformed body.
+        probes: Name to a point of the undeformed body, where fields are read off at every step.
+        checkpoint: When all is written that a run needs to go on; false: never.
+    """
+
+    folder: str | None = None
+    fields: tuple[str, ...] | None = None
+    every: Count | None = None
+    pictures: list[Picture] = Field(default=[])
+    probes: dict[str, ProbePoint] = Field(default={})
+    checkpoint: Checkpoint = Checkpoint()
+
+    @field_validator("fields")
+    @classmethod
+    def _known(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        for index, name in enumerate(names or ()):
+            if name not in FIELDS:
+                raise InputError(
+                    f"unknown field '{name}'", where=f"[{index}]", expected=nearest(name, FIELDS)
+                )
+        return names
+
+    def check_probes(self, body: Body, scale: float) -> None:
+        """Finds the probes' points in the body. Collective.
+
+        Raises:
+            MeshError: A point lies outside, or has too few coordinates.
+        """
+        try:
+            locate(body, {name: probe.place(scale) for name, probe in self.probes.items()})
+        except MeshError as error:
+            raise within("output.probes", error) from None
+
+    def probe(self, problem: Problem, scale: float) -> Probe:
+        """What reads the fields off. Collective.
+
+        Args:
+            problem: The problem that is solved.
+            scale: Metres per unit of the mesh.
+        """
+        points = {name: probe.place(scale) for name, probe in self.probes.items()}
+        return Probe(problem, points, {n: probe.fields for n, probe in self.probes.items()})
+
+    def files(self, frames: int | None = None, title: str = "") -> list[File]:
+        """Everything that is written.
+
+        Args:
+            frames: Thins the fields unless `every` says how.
+            title: Of pictures that have none of their own.
+        """
+        every = {"frames": frames} if self.every is None else {"every": self.every}
+        pictures = [
+            p if p.title is not None else p.model_copy(update={"title": title})
+            for p in self.pictures
+        ]
+        return [Xdmf(fields=self.fields, **every), History(), *pictures, Summary()]
+
+    def listing(self, folder: Path) -> list[str]:
+        """What a run has written to its folder, as a user reads it. Not collective."""
+        return sorted({name for file in self.files() for name in file.listing(folder)})
 
 
 # --- reading ---
