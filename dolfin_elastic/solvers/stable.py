@@ -1,0 +1,290 @@
+"""The step of explicit schemes: how long it may be, and when to look again."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from petsc4py import PETSc
+from slepc4py import SLEPc
+
+from dolfin_elastic.errors import InputError, StabilityError
+from dolfin_elastic.parallel import largest
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.assembler import Assembler, compiled
+from dolfin_elastic.solvers.cellrates import CellRates, extremes
+from dolfin_elastic.solvers.contact import all_touching
+from dolfin_elastic.timing import stage
+
+log = logging.getLogger("dolfin_elastic")
+Floats = npt.NDArray[np.float64]
+
+LOOKS = (10, 200)
+"""Fewest and most steps between two looks at the stable step: the less it changes, the more."""
+
+AT_CONTACT = 50
+"""The most where an obstacle may be hit meanwhile."""
+
+SPACING = 100
+"""Fewest steps between two eigenvalues of the whole body, each of which costs about 30."""
+
+WORTH = 0.1
+"""Change of the cells' rates, since that of the body was found, from which it is found anew."""
+
+
+class StepSize:
+    """Stable step and step of an explicit scheme. Collective to make.
+
+    The limit 2/omega_max follows from the largest eigenvalue of M^-1 K, found by Lanczos' method
+    (`sharp`), and never falls below that of the worst cell (`CellRates`).  Between two of these
+    the cells alone are looked at, for a tenth of the cost: while some have become stiffer the
+    body's rate is taken to grow as the most that any cell which could set it has grown.
+
+    Args:
+        problem: What moves.
+        assembler: Of this problem.
+        mass: Lumped mass at every owned entry [kg].
+        chosen: The user's step [s], or None.
+        safety: Share of the stable step that is taken.
+
+    Attributes:
+        stable: The stable step as known now [s].
+        due: Number of the step before which to look again.
+        dt: The step to take [s].
+        cells: The cells' bounds, where there are any.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        assembler: Assembler,
+        mass: Floats,
+        *,
+        chosen: float | None,
+        safety: float,
+    ) -> None:
+        self._problem, self._assembler, self._mass = problem, assembler, mass
+        self._chosen, self._safety = chosen, safety
+        self.cells = CellRates(problem, assembler, mass) if CellRates.fits(problem) else None
+        self._drag = self._drag_rate()
+        self._known = fem.Function(fem.functionspace(problem.body.mesh, ("DG", 0)))
+        self._places = self._known.function_space.dofmap.list[problem.body.owned_cells(), 0]
+        self._square = self._known_square = 0.0
+        self._interval, self._found_at, self._doubtful = LOOKS[0], 0, False
+        self.stable, self.dt, self.due = np.inf, np.inf, LOOKS[0]
+
+    # --- rates ---
+
+    def sharp(self) -> float:
+        """Largest omega^2 of the present tangent and the lumped mass [1/s^2]. Collective.
+
+        It is that of M^-1/2 K M^-1/2, with all surfaces that may touch an obstacle touching it,
+        for what is free now may hit within the next steps.
+        """
+        with stage("stable step"):
+            a = self._assembler
+            x, scale = a.create_vector(), a.create_vector()
+            a.get(x)
+            with all_touching(self._problem):
+                a.tangent(x, unit=0.0)
+            scale.array_w[:] = 1 / np.sqrt(self._mass)
+            scale.array_w[self._problem.prescribed.owned] = 0.0
+            a.matrix.diagonalScale(scale, scale)
+            a.forget_tangent()
+            square = _largest_eigenvalue(a.matrix, self._problem.symmetric)
+            x.destroy()
+            scale.destroy()
+        return max(square, 0.0)
+
+    def by_cells(self) -> float:
+        """Largest bound of a cell [1/s^2]; infinite where cells have none. Collective."""
+        if self.cells is None:
+            return np.inf
+        with stage("stable step"):
+            rates = self.cells.now()
+        return extremes(self._problem.body.comm, [_top(rates)])[0]
+
+    def step_for(self, square: float) -> float:
+        """Stable step for the largest omega^2 and the dashpots' largest rate c/m [s].
+
+        With dashpots at the old velocity, z^2 - (2 - h c/m - h^2 omega^2) z + 1 - h c/m has no root
+        beyond -1 up to h = 4/(c/m + sqrt((c/m)^2 + 4 omega^2)), which is 2/omega without them.
+        """
+        below = self._drag + np.sqrt(self._drag**2 + 4 * square)
+        return float(4 / below) if below > 0 else np.inf
+
+    def _drag_rate(self) -> float:
+        """Largest row of the dashpots' matrix over its mass [1/s]. Collective."""
+        problem = self._problem
+        if not problem.dashpots:
+            return 0.0
+        form = sum(dashpot.bound(problem.site) for dashpot in problem.dashpots)
+        rows = self._assembler.nodal(compiled(problem, [form])[0]) / self._mass
+        return largest(problem.body.comm, float(np.max(rows, initial=0.0)))
+
+    # --- when to look, and what follows ---
+
+    def begin(self, end: float) -> None:
+        """The first step. Collective.
+
+        Raises:
+            InputError: The user's step is above the stable one.
+        """
+        self._find(0)
+        if self._chosen is None:
+            self._take()
+            said = (self.stable, min(self.dt, end), self._safety)
+            log.info("stable step %.4g s, taken %.4g s (safety %g)%s", *said, self._where())
+        elif self._chosen > self.stable:
+            raise InputError(
+                f"{self._chosen:.4g} s is above the stable step, {self.stable:.4g} s",
+                where="dynamics.dt",
+                expected="leave dt out to have it chosen, or "
+                f"give at most {self._safety * self.stable:.3g} s",
+            )
+        else:
+            self.dt = self._chosen
+
+    def _where(self) -> str:
+        """The cell with the largest rate, in words. Collective."""
+        if self.cells is None or not self._square:
+            return ""
+        place = ", ".join(f"{x:.3g}" for x in self.cells.place(self.cells.now()))
+        return f"; the cell that asks for it is at ({place}) m"
+
+    def doubt(self, step: int) -> None:
+        """Something is wrong: look before the next step, with Lanczos' method."""
+        self.due, self._doubtful = step, True
+
+    def look(self, step: int, t: float) -> None:
+        """Finds the step from here on. Collective.
+
+        Args:
+            step: Number of steps done.
+            t: Time [s].
+
+        Raises:
+            StabilityError: The user's step is above the stable one now.
+        """
+        if self._problem.linear:
+            self.due = step + LOOKS[1]  # it cannot have changed
+            return
+        before = self.stable
+        self._follow(step)
+        if self._chosen is None:
+            self._take()
+        elif self._chosen > self.stable:
+            self._confirm(step, t)
+        change = abs(self.stable / before - 1) if np.isfinite(before) else 0.0
+        factor = 2.0 if change < 0.01 else 0.5 if change > 0.03 else 1.0
+        most = AT_CONTACT if self._problem.touching else LOOKS[1]
+        self._interval = int(np.clip(factor * self._interval, LOOKS[0], most))
+        self.due = step + self._interval
+
+    def _take(self) -> None:
+        self.dt = self._safety * self.stable
+
+    def _confirm(self, step: int, t: float) -> None:
+        """Raises if the user's step is too long also by Lanczos' method. Collective."""
+        if self._found_at != step:
+            self._find(step)
+        assert self._chosen is not None
+        if self._chosen > self.stable:
+            raise StabilityError(
+                f"at t = {t:.6g} s the stable step has fallen to {self.stable:.4g} s, below "
+                f"dt = {self._chosen:.4g} s, because the body has deformed",
+                advice="leave dt out to have it follow the stable step",
+            )
+
+    def _find(self, step: int) -> None:
+        """The rate of the body as it is now. Collective."""
+        self._known_square = self._square = min(self.sharp(), self.by_cells())
+        if self.cells is not None:
+            self._known.x.array[self._places] = self.cells.now()
+        self.stable, self._found_at = self.step_for(self._square), step
+        self._doubtful = False
+
+    def _follow(self, step: int) -> None:
+        """The rate of the body by those of its cells. Collective."""
+        if self.cells is None or self._doubtful:
+            self._find(step)
+            return
+        with stage("stable step"):
+            rates = self.cells.now()
+            could = rates > self._known_square
+            known = self._known.x.array[self._places]
+            worst, growth = extremes(
+                self._problem.body.comm, [_top(rates), _top(rates[could] / known[could])]
+            )
+        if step - self._found_at >= SPACING and abs(growth - 1) > WORTH:
+            self._find(step)
+            return
+        # The stiffest motion of a cell may grow more than the norm of its matrix.
+        self._square = min(worst, self._known_square * max(growth, 1.0) ** 1.5)
+        self.stable = self.step_for(self._square)
+
+    # --- from one run to the next ---
+
+    @property
+    def field(self) -> fem.Function:
+        """Rates of the cells when that of the body was last found."""
+        return self._known
+
+    def kept(self) -> dict[str, Any]:
+        """All numbers that the next look needs."""
+        return {
+            "square": self._square,
+            "known_square": self._known_square,
+            "found_at": self._found_at,
+            "interval": self._interval,
+            "due": self.due,
+            "doubtful": self._doubtful,
+        }
+
+    def restore(self, numbers: Mapping[str, Any]) -> None:
+        """Goes on with numbers from `kept`. Not collective."""
+        self._square, self._known_square = numbers["square"], numbers["known_square"]
+        self._found_at, self._interval = numbers["found_at"], numbers["interval"]
+        self.due, self._doubtful = numbers["due"], numbers["doubtful"]
+        self.stable = self.step_for(self._square)
+        if self._chosen is None:
+            self._take()
+        else:
+            self.dt = self._chosen
+
+
+def _top(values: Floats) -> float:
+    """The largest, 0 of none; what is not finite is infinite."""
+    return float(np.max(np.nan_to_num(values, nan=np.inf, posinf=np.inf), initial=0.0))
+
+
+def _largest_eigenvalue(matrix: PETSc.Mat, symmetric: bool) -> float:
+    """Largest eigenvalue, plus the norm of what is left of its equation. Collective.
+
+    Of a symmetric matrix an eigenvalue is no farther than that from the one found.
+    """
+    eps = SLEPc.EPS().create(matrix.comm)
+    eps.setOperators(matrix)
+    eps.setProblemType(SLEPc.EPS.ProblemType.HEP if symmetric else SLEPc.EPS.ProblemType.NHEP)
+    eps.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
+    eps.setTolerances(tol=1e-3, max_it=200)
+    try:
+        eps.solve()
+        found = eps.getConverged() > 0
+        value = float(eps.getEigenvalue(0).real) if found else 0.0
+        if found:
+            value += float(eps.computeError(0, SLEPc.EPS.ErrorType.ABSOLUTE))
+    except PETSc.Error:  # "invalid inner product: nan"
+        found, value = False, 0.0
+    finally:
+        eps.destroy()
+    if not found:
+        raise StabilityError(
+            "the stable step cannot be estimated: no largest eigenvalue was found",
+            advice="is the displacement finite, and every density positive?",
+        )
+    return value
