@@ -1,6 +1,6 @@
 """The stable step by cells and by Lanczos: never above the true one, and followed as bodies deform.
 
-Source of the bound: see `solvers.cellrates`.
+Source of the bound: see `solvers.rates`.
 """
 
 from __future__ import annotations
@@ -105,9 +105,9 @@ def test_no_frequency_is_above_the_worst_cells(mesh, dim, law):
     for name in deformed(problem):
         true, bound = true_square(march), march.size.by_cells()
         assert bound > 0.999999 * true, name
-        # The norm of a cell counts all its modes, and shares of its neighbours' mass are not seen:
-        # 1.2 to 4.1 found.  A bound of nothing would be infinite.
-        assert bound < 5 * true, name
+        # The norm counts all modes of a cell, and neighbours do not all swing in its stiffest one.
+        # 1.2 to 3.3 found; a bound of nothing would be infinite.
+        assert bound < 3.5 * true, name
     march.assembler.destroy()
 
 
@@ -132,7 +132,7 @@ def test_springs_and_obstacles_count():
         march.assembler.destroy()
     # What is added is the largest row over its mass: k A/(rho V) = 2e9/(1000/3) 3/2, at corners.
     assert found["springs"] - found["free"] == pytest.approx(2e9 / RHO * 9, rel=0.5)
-    assert found["both"] > max(found["springs"], found["obstacle"])
+    assert found["both"] >= max(found["springs"], found["obstacle"])
 
 
 def test_lanczos_is_never_above():
@@ -154,7 +154,7 @@ def test_the_step_follows_a_body_that_is_crushed_and_let_go():
     size, x = march.size, problem.V.tabulate_dof_coordinates()
     y = x[:, 1] - 0.5
     first, step, by_cells = size.stable, 0, 0
-    for crush in [*np.linspace(0, 0.7, 40), *np.linspace(0.7, 0, 40)]:
+    for crush in [*np.linspace(0, 0.5, 40), *np.linspace(0.5, 0, 40)]:
         problem.u.x.array[1::2] = -crush * (y + 0.2 * np.sin(3 * y))
         known = size._found_at
         size.look(step, 0.0)
@@ -175,7 +175,7 @@ def test_bodies_without_a_bound_by_cells():
     law = NeoHookean(E=E, nu=0.3, density=RHO)
     round_body = Problem(body, law, geometry="axisymmetric")
     march = march_of(round_body)
-    assert march.size.cells is None
+    assert march.size.rates is None
     assert march.size.by_cells() == np.inf
     before = march.size.stable
     march.size.look(10, 0.0)

@@ -272,7 +272,7 @@ class Explicit:
         fields = {
             "displacement": self.problem.u,
             "velocity": self.v,
-            "cell_rates": self.size.field,
+            "rates": self.size.field,
         }
         if self.problem.dashpots:  # they have seen that of half a step before
             fields["dashpots"] = self.problem.site.velocity

@@ -16,8 +16,8 @@ from dolfin_elastic.errors import InputError, StabilityError
 from dolfin_elastic.parallel import largest
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler, compiled
-from dolfin_elastic.solvers.cellrates import CellRates, extremes
 from dolfin_elastic.solvers.contact import all_touching
+from dolfin_elastic.solvers.rates import Rates, extremes
 from dolfin_elastic.timing import stage
 
 log = logging.getLogger("dolfin_elastic")
@@ -33,16 +33,16 @@ SPACING = 100
 """Fewest steps between two eigenvalues of the whole body, each of which costs about 30."""
 
 WORTH = 0.1
-"""Change of the cells' rates, since that of the body was found, from which it is found anew."""
+"""Change of the nodes' rates, since that of the body was found, from which it is found anew."""
 
 
 class StepSize:
     """Stable step and step of an explicit scheme. Collective to make.
 
     The limit 2/omega_max follows from the largest eigenvalue of M^-1 K, found by Lanczos' method
-    (`sharp`), and never falls below that of the worst cell (`CellRates`).  Between two of these
-    the cells alone are looked at, for a tenth of the cost: while some have become stiffer the
-    body's rate is taken to grow as the most that any cell which could set it has grown.
+    (`sharp`), or from the bound by cells (`Rates`) if that is lower.  Between two of these the
+    bound alone is looked at, for a tenth of the cost: where cells have become stiffer the body's
+    rate is taken to grow with the most that any node's which could set it has grown.
 
     Args:
         problem: What moves.
@@ -55,7 +55,7 @@ class StepSize:
         stable: The stable step as known now [s].
         due: Number of the step before which to look again.
         dt: The step to take [s].
-        cells: The cells' bounds, where there are any.
+        rates: The bound by cells, where there is one.
     """
 
     def __init__(
@@ -69,10 +69,10 @@ class StepSize:
     ) -> None:
         self._problem, self._assembler, self._mass = problem, assembler, mass
         self._chosen, self._safety = chosen, safety
-        self.cells = CellRates(problem, assembler, mass) if CellRates.fits(problem) else None
+        self.rates = Rates(problem, assembler, mass) if Rates.fits(problem) else None
         self._drag = self._drag_rate()
-        self._known = fem.Function(fem.functionspace(problem.body.mesh, ("DG", 0)))
-        self._places = self._known.function_space.dofmap.list[problem.body.owned_cells(), 0]
+        self._known = fem.Function(problem.V)
+        self._places = slice(0, assembler.size, problem.body.dim)
         self._square = self._known_square = 0.0
         self._interval, self._found_at, self._doubtful = LOOKS[0], 0, False
         self.stable, self.dt, self.due = np.inf, np.inf, LOOKS[0]
@@ -101,12 +101,11 @@ class StepSize:
         return max(square, 0.0)
 
     def by_cells(self) -> float:
-        """Largest bound of a cell [1/s^2]; infinite where cells have none. Collective."""
-        if self.cells is None:
+        """The bound by cells [1/s^2]; infinite where there is none. Collective."""
+        if self.rates is None:
             return np.inf
         with stage("stable step"):
-            rates = self.cells.now()
-        return extremes(self._problem.body.comm, [_top(rates)])[0]
+            return extremes(self._problem.body.comm, [_top(self.rates.now())])[0]
 
     def step_for(self, square: float) -> float:
         """Stable step for the largest omega^2 and the dashpots' largest rate c/m [s].
@@ -150,11 +149,11 @@ class StepSize:
             self.dt = self._chosen
 
     def _where(self) -> str:
-        """The cell with the largest rate, in words. Collective."""
-        if self.cells is None or not self._square:
+        """The node with the largest rate, in words. Collective."""
+        if self.rates is None or not self._square:
             return ""
-        place = ", ".join(f"{x:.3g}" for x in self.cells.place(self.cells.now()))
-        return f"; the cell that asks for it is at ({place}) m"
+        place = ", ".join(f"{x:.3g}" for x in self.rates.place(self.rates.now()))
+        return f"; cells at ({place}) m ask for it"
 
     def doubt(self, step: int) -> None:
         """Something is wrong: look before the next step, with Lanczos' method."""
@@ -203,18 +202,18 @@ class StepSize:
     def _find(self, step: int) -> None:
         """The rate of the body as it is now. Collective."""
         self._known_square = self._square = min(self.sharp(), self.by_cells())
-        if self.cells is not None:
-            self._known.x.array[self._places] = self.cells.now()
+        if self.rates is not None:
+            self._known.x.array[self._places] = self.rates.now()
         self.stable, self._found_at = self.step_for(self._square), step
         self._doubtful = False
 
     def _follow(self, step: int) -> None:
-        """The rate of the body by those of its cells. Collective."""
-        if self.cells is None or self._doubtful:
+        """The rate of the body by those of its nodes. Collective."""
+        if self.rates is None or self._doubtful:
             self._find(step)
             return
         with stage("stable step"):
-            rates = self.cells.now()
+            rates = self.rates.now()
             could = rates > self._known_square
             known = self._known.x.array[self._places]
             worst, growth = extremes(
@@ -223,7 +222,7 @@ class StepSize:
         if step - self._found_at >= SPACING and abs(growth - 1) > WORTH:
             self._find(step)
             return
-        # The stiffest motion of a cell may grow more than the norm of its matrix.
+        # The stiffest motion of a cell may grow more than the norm of its matrix does.
         self._square = min(worst, self._known_square * max(growth, 1.0) ** 1.5)
         self.stable = self.step_for(self._square)
 
@@ -231,7 +230,7 @@ class StepSize:
 
     @property
     def field(self) -> fem.Function:
-        """Rates of the cells when that of the body was last found."""
+        """Rates of the nodes, as first components, when that of the body was last found."""
         return self._known
 
     def kept(self) -> dict[str, Any]:
@@ -267,6 +266,8 @@ def _largest_eigenvalue(matrix: PETSc.Mat, symmetric: bool) -> float:
 
     Of a symmetric matrix an eigenvalue is no farther than that from the one found.
     """
+    if not np.isfinite(matrix.norm()):
+        raise _lost()
     eps = SLEPc.EPS().create(matrix.comm)
     eps.setOperators(matrix)
     eps.setProblemType(SLEPc.EPS.ProblemType.HEP if symmetric else SLEPc.EPS.ProblemType.NHEP)
@@ -278,13 +279,15 @@ def _largest_eigenvalue(matrix: PETSc.Mat, symmetric: bool) -> float:
         value = float(eps.getEigenvalue(0).real) if found else 0.0
         if found:
             value += float(eps.computeError(0, SLEPc.EPS.ErrorType.ABSOLUTE))
-    except PETSc.Error:  # "invalid inner product: nan"
-        found, value = False, 0.0
     finally:
         eps.destroy()
     if not found:
-        raise StabilityError(
-            "the stable step cannot be estimated: no largest eigenvalue was found",
-            advice="is the displacement finite, and every density positive?",
-        )
+        raise _lost()
     return value
+
+
+def _lost() -> StabilityError:
+    return StabilityError(
+        "the stable step cannot be estimated: no largest eigenvalue was found",
+        advice="is the displacement finite, and every density positive?",
+    )
