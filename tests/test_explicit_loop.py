@@ -81,40 +81,41 @@ def test_one_tetrahedron_as_in_a_textbook():
 # --- what the loop costs ---
 
 
-def loaded(**more: Any) -> Problem:
+def loaded(cells: tuple[int, ...] = (6, 2, 2), **more: Any) -> Problem:
     """A block with a dead load, its weight, a held end and a floor."""
     settings: dict[str, Any] = {
         "supports": [Support(on="left")],
         "loads": [Gravity(), Traction(on="right", value=[0, 0, -50.0])],
         "contacts": [Contact(on="bottom", plane={"axis": "z", "at": -0.01}, name="floor")],
     } | more
-    body = box_body(size=(0.6, 0.2, 0.2), cells=(6, 2, 2))
+    body = box_body(size=(0.6, 0.2, 0.2), cells=cells)
     return Problem(body, NeoHookean(E=E, nu=NU, density=RHO), **settings)
 
 
 @BOTH
 def test_steps_allocate_nothing(scheme):
     """Between two states, beside a few numbers: nothing that grows with the mesh or the steps."""
-    problem = loaded()
+    problem = loaded(cells=(16, 4, 4))
     march = SCHEMES[scheme](
         problem, fem.Function(problem.V), end=1.0, dt=None, safety=0.5, every=100
     )
     march._balance()
     march.work.begin()
-    march._advance(march.dt)
     tracemalloc.start()
     try:
+        for _ in range(100):  # Python keeps some views and numbers for later
+            march._advance(march.dt)
         before, _ = tracemalloc.get_traced_memory()
         tracemalloc.reset_peak()
-        for _ in range(50):
+        for _ in range(200):
             march._advance(march.dt)
         after, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    # One vector of this mesh has 500 bytes and more on any rank with cells; numpy's own views and
-    # Python's numbers are small.
-    assert after - before < 500
-    assert peak - before < 2000
+    # A vector of this mesh has 3400 bytes and more on each of three ranks; what remains are numpy's
+    # views and Python's numbers.
+    assert after - before < 1000
+    assert peak - before < 3000
     assert not march.work.shares
     march.assembler.destroy()
 
@@ -148,11 +149,11 @@ def test_memory_and_energy_stay_over_ten_thousand_steps(scheme):
     drift = np.abs(table - table[0]).max(axis=0)
     assert drift[:3].max() < 1e-12 * np.linalg.norm(table[0, :3])
     assert drift[3:6].max() < 1e-11 * np.linalg.norm(table[0, 3:6])
-    # Turning at 6 /s with dt 2 ms, and swinging: to first and to second order, without a trend.
+    # 1.7e-3 and 1.8e-5 found: to first and to second order in the step, without a trend.
     energy = table[:, 6] / table[0, 6]
-    assert np.ptp(energy) < (0.1 if scheme == "symplectic-euler" else 0.02)
+    assert np.ptp(energy) < (5e-3 if scheme == "symplectic-euler" else 6e-5)
     halves = energy[1:21].mean() - energy[21:].mean()
-    assert abs(halves) < 0.2 * np.ptp(energy)
+    assert abs(halves) < 0.5 * np.ptp(energy)  # 20 samples each, at chance
 
 
 # --- continued runs ---

@@ -84,7 +84,7 @@ class _Read:
     ) -> None:
         dofmap = field.function_space.dofmap
         self._rows = field.x.array.reshape(-1, dofmap.bs)
-        self._dofs = np.ascontiguousarray(dofmap.list[cells])
+        self._dofs = dofmap.list[cells].astype(np.intp)  # others would be converted each time
         width = self._dofs.shape[1] * dofmap.bs
         shape = (*self._dofs.shape, dofmap.bs)
         self._whole = packed.shape[1] == width
