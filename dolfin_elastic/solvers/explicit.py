@@ -86,6 +86,7 @@ class Explicit:
 
     def _prepare(self, dt: float | None, safety: float) -> None:
         problem, v, a = self.problem, self.v, self.assembler
+        problem.set_time(0.0)  # what is packed below are the loads of motion
         self.strain, self._measured = Strain(problem), Measured(problem, moving=True)
         self.mass = lumped(problem, a)
         self.measure = LumpedMass(problem, v, self.mass)

@@ -56,7 +56,9 @@ class Rates:
             for part in problem.parts
         )
         self._form = compiled(problem, [stiff])[0]
-        self._held = self._holding()
+        bounds = [spring.bound(problem.site) for spring in problem.springs]
+        bounds += [touch.bound for touch in problem.touching]
+        self._held = rows_over_mass(assembler, bounds, mass)[::d]
 
     @staticmethod
     def fits(problem: Problem) -> bool:
@@ -89,16 +91,6 @@ class Rates:
         right = ufl.as_tensor(A[i, j, k, o] * H[o, m], (i, j, k, m))
         return ufl.sqrt(left[i, j, k, m] * right[i, j, k, m])
 
-    def _holding(self) -> Floats:
-        """What springs and obstacles add at each owned node [1/s^2]. Collective."""
-        problem = self._problem
-        forms = [spring.bound(problem.site) for spring in problem.springs]
-        forms += [touch.bound for touch in problem.touching]
-        found = np.zeros(len(self._mass))
-        for form in compiled(problem, forms) if forms else []:
-            found += self._assembler.nodal(form)[:: self._dim] / self._mass
-        return found
-
     def now(self) -> Floats:
         """The bound at each owned node at the present displacement [1/s^2]. Collective."""
         return self._held + self._assembler.nodal(self._form)[:: self._dim] / self._mass
@@ -112,6 +104,14 @@ class Rates:
             x = V.tabulate_dof_coordinates()[row, : self._dim]
             mine = float(rates[row]), tuple(map(float, x))
         return max(V.mesh.comm.allgather(mine), key=lambda pair: pair[0])[1]
+
+
+def rows_over_mass(assembler: Assembler, bounds: Sequence[ufl.Form], mass: Floats) -> Floats:
+    """Bounds of the rows of a matrix at owned entries, over the mass there. Collective."""
+    found = np.zeros(len(mass))
+    for form in compiled(assembler.problem, bounds) if bounds else []:
+        found += assembler.nodal(form) / mass
+    return found
 
 
 def extremes(comm: MPI.Comm, values: Sequence[float]) -> list[float]:
