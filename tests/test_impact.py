@@ -71,8 +71,8 @@ def test_a_bar_bounces_off_a_wall(scheme):
     assert t[force > 0.1][-1] == pytest.approx(2.0, rel=0.04)
     assert momentum[-1] == pytest.approx(1.0, abs=0.01)
     assert force[(t > 0.2) & (t < 1.8)].mean() == pytest.approx(1.0, abs=2e-3)
-    # The impulse of the wall is the change of momentum, step by step and to round-off: Euler has the
-    # force at the start of each step, central differences the trapezoidal rule.
+    # The impulse of the wall is the change of momentum, step by step and to round-off: Euler has
+    # the force at the start of each step, central differences the trapezoidal rule.
     mean = force[:-1] if scheme == "symplectic-euler" else (force[1:] + force[:-1]) / 2
     impulse = np.concatenate([[0], np.cumsum(np.diff(t) * mean)])
     assert np.abs(momentum + 1 - impulse).max() < 1e-11
@@ -116,8 +116,9 @@ def test_a_block_bounces_off_any_obstacle(shape, scheme):
         contacts=[Contact(on=["bottom", "left", "right"], name="obstacle", **shape)],
     )
     rows, impulse, before, last = [], np.zeros(3), np.zeros(3), 0.0
+    short = 0.05 if scheme == "symplectic-euler" else 0.5
     for state in Dynamics(
-        problem, scheme=scheme, end=0.5, every=1, safety=0.5, initial_velocity=[0, 0, -1.0]
+        problem, scheme=scheme, end=0.5, every=1, safety=short, initial_velocity=[0, 0, -1.0]
     ).steps():
         force = state.reactions["obstacle"] - [0, 0, RHO * 9.81]
         mean = before if scheme == "symplectic-euler" else (before + force) / 2
@@ -131,8 +132,9 @@ def test_a_block_bounces_off_any_obstacle(shape, scheme):
     up, off, stored = np.array(rows).T
     assert up.max() > 0.3 * RHO  # the rest rings, turns or slides off sideways
     assert stored.max() > 1.0
-    # Nodes hit and leave within steps, and there are 27 of them: 2.9 % found.
-    assert np.ptp(off) < 0.04 * off[0]
+    # Nodes hit and leave within steps, and there are 27 of them: 2.9 % found.  Euler's place and
+    # velocity are half a step apart, which counts as energy: 4 % with a tenth of the step.
+    assert np.ptp(off) < (0.06 if scheme == "symplectic-euler" else 0.04) * off[0]
 
 
 @BOTH
