@@ -1,4 +1,4 @@
-"""Draws docs/bounce.png: the ball of demos/bounce, cut open, from its fall to its rise.
+"""Draws docs/bounce.png: the ball of demos/bounce, cut open, with its von Mises stress.
 
 docker/run xvfb-run -a python3 docs/bounce_picture.py
 """
@@ -47,7 +47,7 @@ def instants():
 
 def main():
     """Side by side, on the floor."""
-    plot = pv.Plotter(off_screen=True, window_size=[1800, 560])
+    plot = pv.Plotter(off_screen=True, window_size=[1800, 480])
     plot.set_background("white")
     plot.enable_anti_aliasing("ssaa")
     look = {"ambient": 0.35, "diffuse": 0.65, "specular": 0.2, "specular_power": 20}
@@ -66,14 +66,14 @@ def main():
             show_scalar_bar=k == 0,
             scalar_bar_args={
                 "vertical": True,
-                "position_x": 0.93,
+                "position_x": 0.945,
                 "position_y": 0.2,
                 "height": 0.6,
                 "width": 0.02,
                 "fmt": "%.0f",
                 "color": "black",
                 "n_labels": 4,
-                "title": NAME + "\n",
+                "title": "kPa\n",
                 "title_font_size": 20,
                 "label_font_size": 20,
             },
@@ -95,9 +95,9 @@ def main():
     plot.add_mesh(floor, color="#c8ccd2", **look)
     plot.view_vector((0.0, -1.0, 0.12), viewup=(0, 0, 1))
     plot.enable_parallel_projection()
-    plot.camera.focal_point = (middle + 0.012, 0, 0.034)
-    plot.camera.position = (middle + 0.012, -1.0, 0.154)
-    plot.camera.parallel_scale = 0.064
+    plot.camera.focal_point = (middle + 0.016, 0, 0.034)
+    plot.camera.position = (middle + 0.016, -1.0, 0.154)
+    plot.camera.parallel_scale = 0.062
     plot.screenshot(ROOT / "docs/bounce.png")
 
 

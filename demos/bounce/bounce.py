@@ -2,8 +2,8 @@
 
 Problem
     A ball of 60 mm with a wall of 6 mm (`ball.geo`), of soft rubber, comes down on the floor with
-    1.4 m/s, as after a fall from 10 cm.  It flattens by a fifth of its height, leaves the floor
-    after some 30 ms, rises, ringing, and falls again.
+    1.4 m/s, as after a fall from 10 cm.  It flattens by a quarter of its height, leaves the
+    floor after some 30 ms, rises, ringing, and falls again.
 
 Equations
     Neo-Hookean with E = 150 kPa, nu = 0.4 and its weight; density * a = div P + density * g.  The

@@ -124,7 +124,8 @@ class WorkLog:
         loaded = bool(problem.loads)
         if loaded and problem.loads_change:
             self.shares.append(_Pushing(self._of(self._external(), points=1.0)))
-        self._constant = np.zeros(size if loaded and not problem.loads_change else 0)
+        self._steady = loaded and not problem.loads_change
+        self._constant = np.zeros(size if self._steady else 0)
         self._from = np.zeros(len(self._constant))
         resting = all(spring.at_rest for spring in problem.springs)
         for support in problem.supports:
@@ -159,7 +160,7 @@ class WorkLog:
             work: Done so far [J].
         """
         self.sum, self._local = work, 0.0
-        if len(self._constant):
+        if self._steady:
             self._constant[:] = self._assembler.external_forces()
             self._from[:] = self._u
         self._stored, self._carried = self._in_springs(), self._on_supports()
@@ -183,7 +184,7 @@ class WorkLog:
     def close(self) -> float:
         """The work up to the present state [J]. Collective."""
         local, self._local = self._local, 0.0
-        if len(self._constant):
+        if self._steady:
             local += float(np.dot(self._constant, self._u) - np.dot(self._constant, self._from))
             self._from[:] = self._u
         stored, carried = self._in_springs(), self._on_supports()
