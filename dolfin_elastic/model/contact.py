@@ -7,6 +7,7 @@ outward normal there.  One formula serves UFL expressions and arrays alike.
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Annotated, Any, Literal
@@ -15,8 +16,9 @@ from pydantic import Field, model_validator
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
-from dolfin_elastic.model.components import components
-from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.components import amplitude_of, components
+from dolfin_elastic.model.curves import Amplitude, Curve
+from dolfin_elastic.model.placed import Placed
 from dolfin_elastic.schema import Record
 from dolfin_elastic.units import ForceDensity, Length
 
@@ -29,6 +31,12 @@ Gap = tuple[Any, list[Any]]
 class Obstacle(Record):
     """A rigid body with a smooth surface."""
 
+    @property
+    def thickness(self) -> float:
+        """Depth up to which it can be told on which side of it a point is [m]."""
+        return math.inf
+
+    @abstractmethod
     def check(self, dim: int, *, turned: bool) -> None:
         """Raises where the obstacle does not fit the body.
 
@@ -39,8 +47,8 @@ class Obstacle(Record):
         Raises:
             InputError: A vector has the wrong length, or the obstacle is none in this plane.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def gap(
         self, x: Sequence[Any], number: Callable[[float], Any], root: Callable[[Any], Any]
     ) -> Gap:
@@ -51,7 +59,6 @@ class Obstacle(Record):
             number: What stands for a number of the obstacle in formulas of `x`.
             root: Square root of such formulas.
         """
-        raise NotImplementedError
 
 
 class Plane(Obstacle):
@@ -125,6 +132,11 @@ class Ball(Obstacle):
     radius: Length = Field(gt=0)
     inside: bool = False
 
+    @property
+    def thickness(self) -> float:
+        """See `Obstacle.thickness`."""
+        return math.inf if self.inside else self.radius
+
     def check(self, dim: int, *, turned: bool) -> None:
         """See `Obstacle.check`."""
         _check_length(self.center, dim, "center")
@@ -164,6 +176,11 @@ class Tube(Obstacle):
             raise InputError("a direction cannot be zero", where="axis", expected="[0, 0, 1]")
         return self
 
+    @property
+    def thickness(self) -> float:
+        """See `Obstacle.thickness`."""
+        return math.inf if self.inside else self.radius
+
     def check(self, dim: int, *, turned: bool) -> None:
         """See `Obstacle.check`."""
         _check_length(self.point, dim, "point")
@@ -198,7 +215,9 @@ class Tube(Obstacle):
 
 
 def _round(arm: list[Any], radius: Any, root: Callable[[Any], Any], inside: bool) -> Gap:
-    length = root(sum(item * item for item in arm))
+    # On the axis or in the centre no direction leads outward; there the normal vanishes, and with
+    # it all derivatives are finite.  Elsewhere this is below round-off.
+    length = root(sum(item * item for item in arm) + 1e-16 * radius * radius)
     sign = -1.0 if inside else 1.0
     return sign * (length - radius), [sign * item / length for item in arm]
 
@@ -217,7 +236,7 @@ def _check_length(vector: Sequence[float] | None, dim: int, where: str) -> None:
         )
 
 
-class Contact(Record):
+class Contact(Placed):
     """Surfaces of the body that a rigid obstacle keeps out, without friction.
 
     Attributes:
@@ -229,10 +248,8 @@ class Contact(Record):
         curve: Amplitude of the motion over time, as that of a support.
         gap_tolerance: Penetration that statics leaves [m]; 1e-3 of the cells' size there.
         stiffness: Pressure per depth [Pa/m]; about 10 (K + 4 mu/3)/h of the cells there.
-        name: What results call it; the surfaces' names by default.
     """
 
-    on: str | list[str]
     plane: Plane | None = None
     sphere: Ball | None = None
     cylinder: Tube | None = None
@@ -240,7 +257,6 @@ class Contact(Record):
     curve: Curve | None = None
     gap_tolerance: Length | None = Field(default=None, gt=0)
     stiffness: ForceDensity | None = Field(default=None, gt=0)
-    name: str = ""
 
     @model_validator(mode="after")
     def _one_shape(self) -> Contact:
@@ -276,22 +292,6 @@ class Contact(Record):
         found: Obstacle = getattr(self, self.shape)
         return found
 
-    @property
-    def surfaces(self) -> tuple[str, ...]:
-        """Names of its surfaces."""
-        return (self.on,) if isinstance(self.on, str) else tuple(self.on)
-
-    @property
-    def label(self) -> str:
-        """What results call it."""
-        return self.name or "+".join(self.surfaces)
-
-    @property
-    def amplitude(self) -> Amplitude | None:
-        """Its curve; constant where formulas already say how it moves; None: not said."""
-        timed = any(isinstance(v, Formula) and "t" in v.names for v in self.values)
-        return CONSTANT if self.curve is None and timed else self.curve
-
     def moved(self, t: float, default: Amplitude, dim: int) -> list[float]:
         """Displacement of the obstacle at time t [m].
 
@@ -302,9 +302,10 @@ class Contact(Record):
         """
         if not self.values:
             return [0.0] * dim
-        scale = (self.amplitude or default).at(t)
         return [
-            scale * float(v.evaluate(t=t) if isinstance(v, Formula) else v) for v in self.values
+            (amplitude_of(v, self.curve) or default).at(t)
+            * float(v.evaluate(t=t) if isinstance(v, Formula) else v)
+            for v in self.values
         ]
 
     def check(self, dim: int, *, turned: bool) -> None:

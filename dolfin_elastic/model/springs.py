@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, ClassVar, Literal, Protocol, Self, TypeVar
@@ -12,8 +13,8 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
-from dolfin_elastic.model.components import Component, component, components, depends_on_time
-from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.components import Component, component, components
+from dolfin_elastic.model.curves import Amplitude, Curve
 from dolfin_elastic.model.rigid import Rigid
 from dolfin_elastic.model.supports import Normal, Restraint, Rotation, Support, Symmetry
 
@@ -41,8 +42,8 @@ class Ground(Protocol):
     def constant(self, value: float | Sequence[float]) -> Expr:
         """A number that can change without compiling anything."""
 
-    def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
-        """The vector at a point of the body, times the amplitude (None: as the solver decides)."""
+    def vector(self, values: tuple[Component, ...], curve: Amplitude | None) -> Expr:
+        """The vector at a point of the body, each component times its amplitude."""
 
     def value(self, value: Component) -> Expr:
         """A number or formula at a point of the body."""
@@ -147,9 +148,9 @@ class Resisting(Restraint):
         along = ufl.inner(w, site.N) * site.N
         return values[0] * along + values[1] * (w - along)
 
+    @abstractmethod
     def virtual_work(self, site: Ground) -> ufl.Form:
         """Virtual work of its force on the body, linear in `site.v`. Collective."""
-        raise NotImplementedError
 
     def bound(self, site: Ground) -> ufl.Form:
         """Largest coefficient times each component of `site.v`: a bound of its matrix's rows."""
@@ -212,9 +213,8 @@ class Spring(Resisting):
     def _stretch(self, site: Ground) -> Expr:
         if not self.base:
             return site.u
-        timed = self.curve is None and depends_on_time(self.base)
         try:
-            return site.u - site.vector(self.base, CONSTANT if timed else self.curve)
+            return site.u - site.vector(self.base, self.curve)
         except InputError as error:
             where = f"support '{self.label}'.displacement"
             raise InputError(error.what, where=where, expected=error.expected) from None

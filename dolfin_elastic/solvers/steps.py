@@ -11,6 +11,10 @@ CALM = 3
 """Steps after a failure from which they grow again."""
 
 
+CLOSEST = 64
+"""Times that a step is smaller than the first one where the way is looked at closely."""
+
+
 class StepSizes:
     """The sizes of load steps from 0 to the end.
 
@@ -42,7 +46,8 @@ class StepSizes:
         """The load factor to go to from t."""
         stop = next(s for s in self._stops if s > t + 1e-12 * self.end)
         # A last crumb of a step is not worth one of its own.
-        return stop if t + 1.2 * self.size >= stop else t + self.size
+        near = min(1.2 * self.size, max(self.size, self._largest))
+        return stop if t + near >= stop * (1 - 1e-12) else t + self.size
 
     def done(self, t: float) -> bool:
         """Whether the end is reached."""
@@ -60,6 +65,18 @@ class StepSizes:
     def begin_anew(self) -> None:
         """After a jump: nothing is known of the path that has been reached."""
         self.size, self._calm = self._first, CALM
+
+    def closer(self, t: float, goal: float) -> bool:
+        """Takes note of a step that may have missed something on its way.
+
+        Returns:
+            False if it was small enough to see everything.
+        """
+        size = (goal - t) / 2
+        if size < max(self._smallest, self._first / CLOSEST):
+            return False
+        self.size, self._calm = size, 0
+        return True
 
     def failed(self, t: float, goal: float, *, crushed: bool) -> bool:
         """Takes note of a failure.
