@@ -45,7 +45,7 @@ class Forces:
             for read in _reads(form, field, self._packed)
         ]
         self._constants = pack_constants(form._cpp_object)
-        self._at_points = np.empty(0)
+        self._at_points: Vector = np.empty(0)
         self.renew()
 
     def renew(self) -> None:

@@ -130,7 +130,7 @@ class WorkLog:
         resting = all(spring.at_rest for spring in problem.springs)
         for support in problem.supports:
             if support in problem.dashpots or (support in problem.springs and not resting):
-                work = support.virtual_work(problem.site)  # type: ignore[attr-defined]
+                work = support.virtual_work(problem.site)
                 self.shares.append(_Pushing(self._of(work)))
         self.leading = supports_move(problem)
         if self.leading:
