@@ -205,8 +205,15 @@ def own(field: fem.Function) -> int:
     return int(field.function_space.dofmap.index_map.size_local)
 
 
-@BOTH
-@pytest.mark.parametrize("kind", PROBLEMS)
+@pytest.mark.parametrize(
+    ("kind", "scheme"),
+    [
+        ("held", "symplectic-euler"),
+        ("all moves", "symplectic-euler"),
+        ("all moves", "central-differences"),
+        ("springs at rest", "central-differences"),
+    ],
+)
 def test_a_continued_run_is_the_same(kind, scheme):
     """Stopped at a state and gone on with by another solver: to round-off as without a break."""
     settings = {"scheme": scheme, "end": 0.08, "every": 7, "safety": 0.8}
@@ -238,12 +245,11 @@ def test_a_continued_run_is_the_same(kind, scheme):
         )
 
 
-@BOTH
-def test_states_do_not_change_the_motion(scheme):
+def test_states_do_not_change_the_motion():
     """How often it is looked at only rounds differently."""
     ends = []
     for every in (1, 10):
-        settings = {"scheme": scheme, "end": 0.05, "dt": 5e-4, "every": every}
+        settings = {"scheme": "central-differences", "end": 0.05, "dt": 5e-4, "every": every}
         *_, state = Dynamics(loaded(**PROBLEMS["all moves"]), **settings).steps()
         ends.append((state.energies["external"], state.max_displacement, state.energies["total"]))
     np.testing.assert_allclose(ends[0], ends[1], rtol=1e-10)
