@@ -522,7 +522,8 @@ MOTION = GOOD.replace("nu = 0.3", "nu = 0.3\ndensity = 7850").replace(
         (
             "end = 1",
             'end = 1\nscheme = "newmark"',
-            'dynamics.scheme: "newmark" is wrong; known: generalized-alpha, symplectic-euler',
+            'dynamics.scheme: "newmark" is wrong; known: central-differences, '
+            "generalized-alpha, symplectic-euler",
         ),
         (
             "end = 1",

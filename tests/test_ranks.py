@@ -31,6 +31,8 @@ SHARED = (
     "contact",
     "dynamics",
     "explicit",
+    "explicit_loop",
+    "impact",
     "loads",
     "meshes",
     "mixed",
@@ -42,13 +44,17 @@ SHARED = (
     "rank_agreement",
     "results",
     "scalars",
+    "stable_step",
     "statics",
     "supports",
     "tetrahedron",
 )
 """Files of tests of what ranks share and agree upon: what 3 ranks can show beyond 2, ranks without
 a cell or a facet of a part, it shows here."""
-LONG = "not picture and not drawer and not colour and not adaptive and not second_order"
+LONG = (
+    "not picture and not drawer and not colour and not adaptive and not second_order "
+    "and not ten_thousand"
+)
 """Tests of one rank's drawings and of many small steps, which take long where ranks share cores."""
 
 

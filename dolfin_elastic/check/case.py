@@ -41,8 +41,9 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_fields(case)
         case.output.check_probes(body, case.mesh.scale)
         if explicit(case) and case.mesh.degree > 1:
+            assert case.dynamics is not None
             raise CaseError(
-                "symplectic-euler has a lumped mass, for linear elements only",
+                f"{case.dynamics.scheme} has a lumped mass, for linear elements only",
                 where="mesh.degree",
                 expected="use degree = 1 or generalized-alpha",
             )
@@ -51,7 +52,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
 
 def explicit(case: Case) -> bool:
     """The scheme solves no equations."""
-    return case.dynamics is not None and case.dynamics.scheme == "symplectic-euler"
+    return case.dynamics is not None and case.dynamics.explicit
 
 
 # --- names ---

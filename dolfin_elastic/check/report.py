@@ -82,7 +82,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         if case.dynamics is None:
             check_held(problem)
         elif explicit(case):
-            check_explicit(problem)
+            check_explicit(problem, case.dynamics.scheme)
         if case.dynamics is not None:
             check_start(problem)
         notes = (*notes, *out_of_reach(problem))

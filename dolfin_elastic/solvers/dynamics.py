@@ -10,12 +10,14 @@ from dolfinx import fem
 from pydantic import Field, model_validator
 
 from dolfin_elastic.errors import InputError
+from dolfin_elastic.kept import Kept, Restore
 from dolfin_elastic.model.components import Component, components, depends_on_time
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.alpha import Alpha
 from dolfin_elastic.solvers.contact import begin_motion
-from dolfin_elastic.solvers.explicit import SymplecticEuler
+from dolfin_elastic.solvers.explicit import SCHEMES as EXPLICIT
+from dolfin_elastic.solvers.explicit import Explicit
 from dolfin_elastic.solvers.initial import set_initial
 from dolfin_elastic.solvers.linear import LinearSettings
 from dolfin_elastic.solvers.scalars import refuse_scalars
@@ -27,8 +29,9 @@ class DynamicsSettings(Record):
     """How motion is followed through time.
 
     Attributes:
-        scheme: "generalized-alpha" (implicit, PETSc's TSALPHA2) or "symplectic-euler" (explicit,
-            v += dt f/m, then x += dt v, lumped mass, linear elements).
+        scheme: "generalized-alpha" (implicit, PETSc's TSALPHA2), or explicit, with lumped mass and
+            linear elements: "symplectic-euler" (v += dt f/m, then x += dt v) or
+            "central-differences" (the velocity halfway between places, of second order).
         end: When it ends [s]; it starts at 0.
         dt: Time step [s].  Implicit: needed; the first step if adaptive.  Explicit: the stable
             step times `safety` if not given; a larger one than the stable one is refused.
@@ -42,10 +45,13 @@ class DynamicsSettings(Record):
         atol: Free residual that always is small enough [N].
         max_iterations: Newton iterations after which a step is made smaller.
         safety: Share of the stable step that the explicit scheme takes.
-        every: Steps from one yielded state to the next.
+        every: Steps from one yielded state to the next; if not given each step is one, of
+            explicit schemes about 200 in all.
     """
 
-    scheme: Literal["generalized-alpha", "symplectic-euler"] = "generalized-alpha"
+    scheme: Literal["generalized-alpha", "symplectic-euler", "central-differences"] = (
+        "generalized-alpha"
+    )
     end: Time = Field(gt=0)
     dt: Time | None = Field(default=None, gt=0)
     adaptive: bool = False
@@ -57,16 +63,23 @@ class DynamicsSettings(Record):
     atol: Force = Field(default=0.0, ge=0)
     max_iterations: int = Field(default=20, ge=1)
     safety: float = Field(default=0.9, gt=0, le=1)
-    every: int = Field(default=1, ge=1)
+    every: int = Field(default=0, ge=1)
 
     @model_validator(mode="after")
     def _read(self) -> DynamicsSettings:
         _ = self.displacement, self.velocity
-        if self.dt is None and self.scheme != "symplectic-euler":
+        if self.dt is None and not self.explicit:
             raise ValueError(f"'{self.scheme}' needs a time step dt")
-        if self.adaptive and self.scheme == "symplectic-euler":
+        if self.adaptive and self.explicit:
             raise ValueError("an adaptive step needs the scheme 'generalized-alpha'")
+        if not self.explicit:  # an explicit scheme knows only later how many steps it takes
+            self.__dict__["every"] = self.every or 1
         return self
+
+    @property
+    def explicit(self) -> bool:
+        """The scheme solves no equations."""
+        return self.scheme in EXPLICIT
 
     @cached_property
     def displacement(self) -> tuple[Component, ...]:
@@ -118,9 +131,13 @@ class Dynamics:
         self.linear = linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
         self.velocity = fem.Function(problem.V, name="velocity")
+        self._march: Explicit | None = None
 
-    def steps(self) -> Iterator[State]:
+    def steps(self, restore: Restore | None = None) -> Iterator[State]:
         """Yields the initial state and then every state asked for. Collective.
+
+        Args:
+            restore: Brings back what `kept` gave: begins with the step after.
 
         Raises:
             ConvergenceError: A step found no equilibrium however small it was made.
@@ -135,12 +152,18 @@ class Dynamics:
         s = self.settings
         set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
         begin_motion(self.problem)
-        if s.scheme == "symplectic-euler":
-            yield from SymplecticEuler(
+        if s.explicit:
+            self._march = EXPLICIT[s.scheme](
                 self.problem, self.velocity, end=s.end, dt=s.dt, safety=s.safety, every=s.every
-            ).steps()
+            )
+            yield from self._march.steps(restore)
         else:
             yield from self._implicit()
+
+    def kept(self) -> Kept:
+        """All that the step after a yielded state needs to know."""
+        assert self._march is not None
+        return self._march.kept()
 
     def _implicit(self) -> Iterator[State]:
         march = Alpha(self.problem, self.velocity, self.settings, self.linear, self.petsc)
