@@ -240,6 +240,7 @@ class Energy(Own):
         "density",
         "rho",
         "expansion",
+        "viscosity",
         "fibre",
         "fibre2",
     )

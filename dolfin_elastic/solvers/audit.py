@@ -89,7 +89,9 @@ class Auditor:
         self._follow(forces, u, energy, energy_noise, reasons)
         low, high = self._watch.extremes()
         if not low[0] > 0.0:
-            reasons["jacobian"] = f"a cell is inside out: det F = {low[0]:.3g} at {_text(low[1])} m"
+            reasons["jacobian"] = (
+                f"a cell is inside out: det F = {low[0]:.3g} at {in_words(low[1])} m"
+            )
         self._warn(t, reasons)
         return Audit(
             force=force,
@@ -128,8 +130,11 @@ class Auditor:
     def _warn(self, t: float, reasons: dict[str, str]) -> None:
         for kind, reason in reasons.items():
             if kind not in self._warned:
-                self._warned[kind] = f"{reason} (load factor {t:.6g})"
+                self._warned[kind] = f"{reason} ({self._when(t)})"
                 log.warning("audit: %s", self._warned[kind])
+
+    def _when(self, t: float) -> str:
+        return f"load factor {t:.6g}"
 
     # --- forces and moments ---
 
@@ -241,5 +246,6 @@ def _cross(x: Floats, force: Floats) -> Floats:
     return np.asarray(np.cross(x, force))
 
 
-def _text(place: Floats) -> str:
+def in_words(place: Floats) -> str:
+    """A place [m]."""
     return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"
