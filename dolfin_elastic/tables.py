@@ -34,6 +34,7 @@ from dolfin_elastic.model.materials import MATERIALS
 from dolfin_elastic.model.own import Own, read_energy
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.problem import Problem
+from dolfin_elastic.results.averages import check_surface
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, Picture, Summary, Xdmf
 from dolfin_elastic.results.outputs import Output as File
@@ -222,7 +223,8 @@ class Output(Record):
         every: Fields are written every so many steps, and at the end; by default every step, with
             an explicit scheme about 200 states.
         pictures: Pictures of the deformed body.
-        probes: Name to a point of the undeformed body, where fields are read off at every step.
+        probes: Name to a point or surface of the undeformed body, where fields are read off at
+            every step.
     """
 
     folder: str | None = None
@@ -248,7 +250,9 @@ class Output(Record):
             MeshError: A point lies outside, or has too few coordinates.
         """
         try:
-            locate(body, {name: probe.place(scale) for name, probe in self.probes.items()})
+            locate(body, self._points(scale))
+            for name, (surface, _) in self._surfaces.items():
+                check_surface(body, surface, f"{name}.surface")
         except MeshError as error:
             raise within("output.probes", error) from None
 
@@ -259,8 +263,17 @@ class Output(Record):
             problem: The problem that is solved.
             scale: Metres per unit of the mesh.
         """
-        points = {name: probe.place(scale) for name, probe in self.probes.items()}
-        return Probe(problem, points, {n: probe.fields for n, probe in self.probes.items()})
+        points = self._points(scale)
+        fields = {name: self.probes[name].fields for name in points}
+        return Probe(problem, points, fields, self._surfaces)
+
+    def _points(self, scale: float) -> dict[str, list[float]]:
+        return {name: p.place(scale) for name, p in self.probes.items() if p.at is not None}
+
+    @property
+    def _surfaces(self) -> dict[str, tuple[str, tuple[str, ...]]]:
+        found = self.probes.items()
+        return {name: (p.surface, p.fields) for name, p in found if p.surface is not None}
 
     def files(self, frames: int | None = None, title: str = "") -> list[File]:
         """Everything that is written.

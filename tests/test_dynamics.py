@@ -39,7 +39,7 @@ STIFF = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
 """lmbda + 2 mu."""
 
 
-def oscillator(**more: Any) -> Problem:
+def oscillator(viscosity: float | None = None, **more: Any) -> Problem:
     """A triangle whose only free component is u_x at (1, 0).
 
     k = (lmbda + 2 mu)/2, consistent mass rho A/6 = rho/12.
@@ -54,7 +54,7 @@ def oscillator(**more: Any) -> Problem:
     )
     return Problem(
         body,
-        LinearElastic(E=E, nu=NU, density=RHO),
+        LinearElastic(E=E, nu=NU, density=RHO, viscosity=viscosity),
         supports=[
             Support(on="bottom", displacement=[FREE, 0]),
             Support(on="left", displacement=[0, 0]),
@@ -298,9 +298,9 @@ BRICK = {"size": (1.0, 0.6, 0.3), "cells": (3, 2, 1)}
 CENTRE, SPIN, DRIFT = np.array([0.5, 0.3, 0.15]), np.array([3.0, -2, 5]), np.array([1.0, 2, -0.5])
 
 
-def brick() -> tuple[Problem, dict[str, Any]]:
+def brick(**law: Any) -> tuple[Problem, dict[str, Any]]:
     """A neo-Hookean brick thrown with a spin."""
-    problem = Problem(box_body(**BRICK), NeoHookean(E=1e5, nu=NU, density=RHO))
+    problem = Problem(box_body(**BRICK), NeoHookean(E=1e5, nu=NU, density=RHO, **law))
     x = ["x - 0.5", "y - 0.3", "z - 0.15"]
     velocity = [
         f"{DRIFT[i]} + ({SPIN[j]})*({x[k]}) - ({SPIN[k]})*({x[j]})"

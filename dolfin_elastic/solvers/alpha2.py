@@ -115,7 +115,7 @@ class Alpha2:
         P: PETSc.Mat,
     ) -> None:
         self.moving.shift.value, self.moving.drag.value = shift_a, shift_v
-        self.newton.mass = shift_a * self.moving.norm_of_mass
+        self.newton.mass_factor = shift_a
         self.assembler.tangent(U, shift_a)
         self.newton.note_tangent(P)
 

@@ -89,6 +89,7 @@ class Implicit:
             snes=self.ts.getSNES(),
             moving=True,
         )
+        self.newton.mass = self.moving.mass
         self.stepper.taken = self._taken
         self.options = self.newton.options
         self.options.change(self._defaults())

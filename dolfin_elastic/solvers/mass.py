@@ -63,6 +63,19 @@ def initial_acceleration(assembler: Assembler, held: Vector, a: fem.Function) ->
     a.x.scatter_forward()
 
 
+def mass_diagonal(assembler: Assembler) -> PETSc.Vec:
+    """Diagonal of the mass matrix at all unknowns that are free [kg]. Collective.
+
+    The caller destroys it.
+    """
+    matrix, out = _matrix(assembler.problem), assembler.create_vector()
+    diagonal = matrix.petsc.getDiagonal()
+    out.array_w[assembler.moves] = free(assembler.problem, diagonal.array_r)
+    diagonal.destroy()
+    matrix.destroy()
+    return out
+
+
 def held_acceleration(problem: Problem, h: float) -> Vector:
     """Second derivative of what is prescribed, at time 0 [m/s^2], like `Prescribed.targets`.
 

@@ -13,6 +13,7 @@ from dolfin_elastic.damping import Damping
 from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler, compiled
+from dolfin_elastic.solvers.mass import mass_diagonal
 from dolfin_elastic.solvers.motion import lumped
 
 Vector = npt.NDArray[np.float64]
@@ -55,6 +56,7 @@ class Moving:
         extras: The other owned entries: scalar fields, which have no inertia.
         shift: Derivative of the acceleration by the displacement [1/s^2] in the tangent.
         drag: The same of the velocity [1/s].
+        mass: Diagonal of the mass matrix [kg]; owned here.
     """
 
     def __init__(self, problem: Problem, *, mass: float = 0.0, stiffness: float = 0.0) -> None:
@@ -81,7 +83,7 @@ class Moving:
         named = {name: form for name, form in forms.items() if form is not None}
         self._forms = dict(zip(named, compiled(problem, list(named.values())), strict=True))
         self._mass = np.abs(lumped(problem, self.assembler))
-        self.norm_of_mass = float(np.sqrt(total(self.comm, np.sum(self._mass**2))))
+        self.mass = mass_diagonal(self.assembler)
 
     def _tangent(self) -> ufl.Form:
         problem = self.problem
@@ -130,4 +132,5 @@ class Moving:
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""
+        self.mass.destroy()
         self.assembler.destroy()

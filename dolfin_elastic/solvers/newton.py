@@ -72,7 +72,8 @@ class Newton:
         bordered: The system with scalar unknowns, if there are any.
         shift: Share of its diagonal that was added to the last tangent.
         inertia: Norm of the forces of inertia at the present iterate [N], in motion.
-        mass: Norm of the mass's share of the tangent's diagonal [N/m], in motion.
+        mass: Diagonal of the mass [kg], in motion, and
+        mass_factor: what it is multiplied by in the tangent [1/s^2].
     """
 
     def __init__(
@@ -91,7 +92,8 @@ class Newton:
         self.progress, self._moving = Progress(), moving
         self.shift, self._prepared, self.direct = 0.0, False, choice.direct
         self._flow: Callable[[float, float], float] | None = None
-        self.inertia, self.mass = 0.0, 0.0
+        self.inertia, self.mass_factor = 0.0, 0.0
+        self.mass: PETSc.Vec | None = None
         self._external = 0.0
         self._floor = self._first = self._norm = 0.0
         self._line_search = ""
@@ -319,8 +321,12 @@ class Newton:
         a = self.assembler
         diagonal = P.getDiagonal()
         # Round-off of the stress is that of F = I + grad u, that of inertia is that of u.
-        stiff = max(float(diagonal.norm()) - self.mass, 0.0) * self.cell_size
-        self._floor = 4 * np.finfo(float).eps * (stiff + self.mass * a.max_unknown())
+        heavy = 0.0
+        if self.mass is not None:
+            diagonal.axpy(-self.mass_factor, self.mass)
+            heavy = self.mass_factor * float(self.mass.norm()) * a.max_unknown()
+        stiff = float(diagonal.norm()) * self.cell_size
+        self._floor = 4 * np.finfo(float).eps * (stiff + heavy)
         diagonal.destroy()
         if not self.direct and "ksp_rtol" not in self.options.users:
             forcing = LINEAR if a.problem.linear else FORCING

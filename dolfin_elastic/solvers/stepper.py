@@ -102,7 +102,7 @@ class Stepper:
         """Derivative of the residual by the stage's displacement."""
         rate, shift = self.scheme.shifts(self._h)
         self.moving.shift.value, self.moving.drag.value = shift, rate
-        self.newton.mass = shift * self.moving.norm_of_mass
+        self.newton.mass_factor = shift
         self.assembler.tangent(x, shift)
         self.newton.note_tangent(P)
 
