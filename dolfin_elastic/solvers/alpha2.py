@@ -6,17 +6,15 @@ cannot be gone on with exactly.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.errors import InputError
-from dolfin_elastic.solvers.moving import Forces, Moving
+from dolfin_elastic.solvers.moving import Moving
 from dolfin_elastic.solvers.newton import Newton
-from dolfin_elastic.solvers.stepper import FAILURES
+from dolfin_elastic.solvers.stepper import FAILURES, Taken
 
 Vector = npt.NDArray[np.float64]
 
@@ -42,7 +40,7 @@ class Alpha2:
         self.moving, self.problem, self.assembler = moving, moving.problem, moving.assembler
         self.v = v
         self.newton: Newton
-        self.taken: Callable[[Forces, Vector], None] = lambda forces, du: None
+        self.taken: Taken = lambda stage, middle, du: None
         self.error: InputError | None = None
         self.at_end = fem.Function(self.problem.V, name="acceleration")
         self._F = self.assembler.create_vector()
@@ -87,7 +85,7 @@ class Alpha2:
         self.at_end.x.scatter_forward()
         self.v.x.array[:size] = v
         self.v.x.scatter_forward()
-        self.taken(forces, self.problem.w.x.array[moves] - self._w[moves])
+        self.taken(forces, forces, self.problem.w.x.array[moves] - self._w[moves])
 
     def _function(
         self, ts: PETSc.TS, t: float, U: PETSc.Vec, V: PETSc.Vec, A: PETSc.Vec, F: PETSc.Vec

@@ -173,8 +173,7 @@ class Auditor:
             return float("nan")
         x = self._X[:, : self._dim]
         if self._places == "current":
-            u = self._problem.u.x.array[: x.size]
-            x = x + u.reshape(x.shape)
+            x = x + self._moved().reshape(x.shape)
         rows = [_cross(x, force) for force in outside]
         arm = float(self._comm.allreduce(float(np.max(np.abs(x), initial=0.0)), op=MPI.MAX))
         share, size = self._share(rows, noise * arm)
@@ -184,6 +183,10 @@ class Auditor:
                 f"of their {size:.3g} N m is left"
             )
         return share
+
+    def _moved(self) -> Floats:
+        """Displacement of the owned nodes, with which forces and moments balance [m]."""
+        return np.asarray(self._problem.u.x.array[: self._dim * len(self._X)])
 
     def _share(self, rows: list[Floats], noise: float) -> tuple[float, float]:
         """What is left of a sum beyond round-off, over the sum of lengths; and this sum."""

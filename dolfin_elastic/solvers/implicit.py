@@ -171,9 +171,9 @@ class Implicit:
             self.stepper.accept(ts)
         ts.setMaxTime(self.settings.end)
 
-    def _taken(self, forces: Forces, du: Vector) -> None:
-        self.ledger.add(forces, du)
-        self.auditor.look(forces)
+    def _taken(self, at_stage: Forces, in_the_middle: Forces, du: Vector) -> None:
+        self.ledger.add(in_the_middle, du)
+        self.auditor.look(at_stage)
 
     def _set_tolerance(self) -> None:
         """Lets errors be judged against the largest displacement so far."""
@@ -225,6 +225,7 @@ class Implicit:
                 held = held_acceleration(self.problem, self._nominal / 8)
                 initial_acceleration(self.assembler, held, self.a)
             self.stepper.at_end.x.array[:] = self.a.x.array
+            self.stepper.begin(0.0)
         self._tell_ts()
 
     def _tell_ts(self) -> None:
@@ -309,11 +310,7 @@ class Implicit:
         PETSc's scheme does not tell its acceleration: its reactions are those of the stage.
         """
         if isinstance(self.stepper, Stepper):
-            size = len(self.moving.moves)
-            with stage("assemble"):
-                self.problem.set_time(t)
-                self.moving.set_rates(self.v.x.array[:size], self.stepper.at_end.x.array[:size])
-                self.assembler.assemble_balance()
+            self.stepper.look(t)
         return self.assembler.reactions()
 
     def _state(self, *, failed: bool = False) -> State:
@@ -382,6 +379,8 @@ class Implicit:
         self._scale, self._usual = numbers["scale"], numbers["usual"]
         self.ledger.restore(numbers["ledger"])
         self.auditor.restore(numbers["audit"])
+        if isinstance(self.stepper, Stepper):
+            self.stepper.begin(numbers["t"])
         self._tell_ts()
 
     def destroy(self) -> None:

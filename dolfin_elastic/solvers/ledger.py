@@ -19,8 +19,8 @@ _NAMES = ("external", "damping", "dashpots")
 class Ledger:
     """Sums up work over the steps of a motion.
 
-    The work of a step is that of the forces of its stage over its whole displacement: these are the
-    forces that balance, so that what is stored differs from it by what the scheme adds or damps.
+    The work of a step is that of the forces in the middle of it over its displacement, of second
+    order: those of the stage where that is the middle, and else the mean of those at both ends.
 
     Args:
         moving: The body.
@@ -36,7 +36,12 @@ class Ledger:
         self._dead: Vector | None = None
 
     def add(self, forces: Forces, du: Vector) -> None:
-        """Adds the work of one step. Collective."""
+        """Adds the work of one step. Collective.
+
+        Args:
+            forces: In the middle of it.
+            du: Change of the displacement, owned entries [m].
+        """
         moves = self._moving.moves
         outside = forces.loads + forces.reactions + forces.holding
         rows = (outside, forces.damping, -forces.dashpots)

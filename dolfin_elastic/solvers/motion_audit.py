@@ -61,6 +61,10 @@ class MotionAuditor(Auditor):
         rows = [f.loads, f.reactions, f.holding, -f.inertia, -f.drag]
         return [row[moves].reshape(-1, self._dim) for row in rows]
 
+    def _moved(self) -> Floats:
+        assert self._forces is not None
+        return self._forces.u
+
     def judge(self, t: float, off: float, energies: Mapping[str, float]) -> Audit:
         """The audit of all steps since the last one. Collective.
 

@@ -24,6 +24,7 @@ class Forces:
     """Nodal forces on a body at one moment, owned entries of all unknowns [N].
 
     Attributes:
+        u: The displacement then, owned entries [m].
         loads: Of loads.
         reactions: By which supports hold what is prescribed.
         holding: Of springs, dashpots and obstacles.
@@ -33,6 +34,7 @@ class Forces:
         drag: The part of them that a rigid motion feels, too.
     """
 
+    u: Vector
     loads: Vector
     reactions: Vector
     holding: Vector
@@ -40,6 +42,11 @@ class Forces:
     inertia: Vector
     damping: Vector
     drag: Vector
+
+    def mean(self, other: Forces) -> Forces:
+        """Half of both."""
+        ours, theirs = vars(self), vars(other)
+        return Forces(**{name: (ours[name] + theirs[name]) / 2 for name in ours})
 
 
 class Moving:
@@ -121,6 +128,7 @@ class Moving:
         nothing = np.zeros(a.size)
         found = {name: a.nodal(form).copy() for name, form in self._forms.items()}
         return Forces(
+            u=self.problem.w.x.array[self.moves],
             loads=a.external_forces(),
             reactions=a.constraint_forces(a.balance.array[: a.size]),
             holding=a.holding_forces() if self.problem.holding else nothing,

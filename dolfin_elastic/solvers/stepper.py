@@ -20,8 +20,10 @@ from dolfin_elastic.errors import InputError
 from dolfin_elastic.solvers.adapt import choose
 from dolfin_elastic.solvers.alpha import Scheme
 from dolfin_elastic.solvers.inversion import JacobianWatch
+from dolfin_elastic.solvers.mass import free
 from dolfin_elastic.solvers.moving import Forces, Moving
 from dolfin_elastic.solvers.newton import Newton
+from dolfin_elastic.timing import stage
 
 Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
@@ -31,6 +33,9 @@ FAILURES = 8
 
 ORDER = 3
 """Power of the step that the estimated error of the displacement grows with."""
+
+
+Taken = Callable[[Forces, Forces, Vector], None]
 
 
 @dataclass(frozen=True)
@@ -64,8 +69,8 @@ class Stepper:
 
     Attributes:
         newton: Set by whoever has the TS and its SNES.
-        taken: Called at the stage of a step that is about to be accepted, with the forces there
-            and the change of the displacement; work is done there and then.
+        taken: Called with the forces of the stage, and of the middle, of a step that is accepted,
+            and with the change of the displacement.
         reached: From a time to the one that was meant, without the round-off of a sum.
         error: A fault of the input that a step has met; PETSc would lose it.
         newton_iterations, krylov_iterations: Of all solves so far.
@@ -77,7 +82,7 @@ class Stepper:
         self.moving, self.problem, self.assembler = moving, moving.problem, moving.assembler
         self.scheme, self.v, self.a, self._order = scheme, v, a, order
         self.newton: Newton
-        self.taken: Callable[[Forces, Vector], None] = lambda forces, du: None
+        self.taken: Taken = lambda stage, middle, du: None
         self.reached: Callable[[float], float] = lambda t: t
         self.error: InputError | None = None
         self.newton_iterations = self.krylov_iterations = 0
@@ -85,9 +90,24 @@ class Stepper:
         linear = self.problem.linear
         self.watch: JacobianWatch | None = None if linear else JacobianWatch(self.problem)
         self._before: Kept | None = None
+        self._ends: Forces | None = None
         self._goal = np.empty(0)
         self._h = 0.0
         self._hat: Vector | None = None
+
+    def begin(self, t: float) -> None:
+        """Looks at the state that the next step begins with."""
+        if self.scheme.alpha_f != 0.5:
+            self._ends = self.look(t)
+
+    def look(self, t: float) -> Forces:
+        """The forces at the present state, at a time; `assembler.balance` holds them then."""
+        size = len(self.moving.moves)
+        with stage("assemble"):
+            self.problem.set_time(t)
+            self.moving.set_rates(self.v.x.array[:size], self.at_end.x.array[:size])
+            self.assembler.assemble_balance()
+            return self.moving.forces()
 
     # --- what SNES asks for: the unknown is the displacement of the stage ---
 
@@ -100,17 +120,14 @@ class Stepper:
 
     def tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         """Derivative of the residual by the stage's displacement."""
-        rate, shift = self.scheme.shifts(self._h)
-        self.moving.shift.value, self.moving.drag.value = shift, rate
-        self.newton.mass_factor = shift
-        self.assembler.tangent(x, shift)
+        self.assembler.tangent(x, self.newton.mass_factor)
         self.newton.note_tangent(P)
 
-    def _rates(self, stage: Vector) -> tuple[Vector, Vector]:
+    def _rates(self, place: Vector) -> tuple[Vector, Vector]:
         """Velocity and acceleration of the stage from its displacement."""
         assert self._before is not None
         s, old = self.scheme, self._before
-        a1 = s.acceleration((stage - old.u) / (1 - s.alpha_f), old.v, old.a, self._h)
+        a1 = s.acceleration((place - old.u) / (1 - s.alpha_f), old.v, old.a, self._h)
         v1 = s.velocity(old.v, old.a, a1, self._h)
         return (
             (1 - s.alpha_f) * v1 + s.alpha_f * old.v,
@@ -181,6 +198,9 @@ class Stepper:
         old, s = self._before, self.scheme
         assert old is not None
         self._h = h
+        rate, shift = self.scheme.shifts(h)  # residuals, too, look at them: for prescribed values
+        self.moving.shift.value, self.moving.drag.value = shift, rate
+        self.newton.mass_factor = shift
         if (goal := self._prescribed_at(old.t + h)) is None:
             return False
         held = self.problem.prescribed.present(self.problem.u.x.array)
@@ -264,7 +284,8 @@ class Stepper:
             field.x.array[:size] = values
             field.x.scatter_forward()
         self._tell(U, V)
-        self._hat = u - s.error((old.v, v), (old.a, a), h)
+        # What is prescribed has no error, whatever its acceleration does.
+        self._hat = u - free(self.problem, s.error((old.v, v), (old.a, a), h))
         self.problem.set_time(old.t + h)
         return self._whole()
 
@@ -282,8 +303,14 @@ class Stepper:
 
     def _accept(self, ts: PETSc.TS, h: float) -> None:
         assert self._before is not None
+        middle = self._forces
+        if self.scheme.alpha_f != 0.5:
+            old = self._ends
+            self._ends = self.look(self._before.t + self._h)
+            assert old is not None
+            middle = old.mean(self._ends)
         here = self.problem.w.x.array[self.moving.moves]
-        self.taken(self._forces, here - self._before.u)
+        self.taken(self._forces, middle, here - self._before.u)
         ts.setTime(self.reached(self._before.t + self._h))
         ts.setTimeStep(h)
 
