@@ -26,7 +26,6 @@ from dolfin_elastic.errors import (
 )
 from dolfin_elastic.formulation import Formulation
 from dolfin_elastic.meshes import Body, Selector, box_body, read_body, rectangle_body
-from dolfin_elastic.meshes.places import locate
 from dolfin_elastic.meshes.selectors import MeshLength
 from dolfin_elastic.model.geometry import Geometry
 from dolfin_elastic.model.law import Law
@@ -34,11 +33,10 @@ from dolfin_elastic.model.materials import MATERIALS
 from dolfin_elastic.model.own import Own, read_energy
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.results.averages import check_surface
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, Picture, Summary, Xdmf
 from dolfin_elastic.results.outputs import Output as File
-from dolfin_elastic.results.probes import Probe, ProbePoint
+from dolfin_elastic.results.probes import Probe, ProbePoint, check_places
 from dolfin_elastic.results.writer import Writer
 from dolfin_elastic.results.xdmf import remove
 from dolfin_elastic.schema import Record, known_keys, shown, within
@@ -250,9 +248,7 @@ class Output(Record):
             MeshError: A point lies outside, or has too few coordinates.
         """
         try:
-            locate(body, self._points(scale))
-            for name, (surface, _) in self._surfaces.items():
-                check_surface(body, surface, f"{name}.surface")
+            check_places(self.probes, body, scale)
         except MeshError as error:
             raise within("output.probes", error) from None
 
@@ -263,17 +259,7 @@ class Output(Record):
             problem: The problem that is solved.
             scale: Metres per unit of the mesh.
         """
-        points = self._points(scale)
-        fields = {name: self.probes[name].fields for name in points}
-        return Probe(problem, points, fields, self._surfaces)
-
-    def _points(self, scale: float) -> dict[str, list[float]]:
-        return {name: p.place(scale) for name, p in self.probes.items() if p.at is not None}
-
-    @property
-    def _surfaces(self) -> dict[str, tuple[str, tuple[str, ...]]]:
-        found = self.probes.items()
-        return {name: (p.surface, p.fields) for name, p in found if p.surface is not None}
+        return Probe.of(self.probes, problem, scale)
 
     def files(self, frames: int | None = None, title: str = "") -> list[File]:
         """Everything that is written.

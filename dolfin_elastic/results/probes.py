@@ -21,13 +21,14 @@ from dolfin_elastic.meshes.curved import cell_volumes
 from dolfin_elastic.meshes.places import Place, locate
 from dolfin_elastic.meshes.selectors import MeshLength, metres
 from dolfin_elastic.parallel import total
-from dolfin_elastic.results.averages import NODAL, SurfaceMean
+from dolfin_elastic.results.averages import NODAL, SurfaceMean, check_surface
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.schema import Record
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
 if TYPE_CHECKING:
+    from dolfin_elastic.meshes.body import Body
     from dolfin_elastic.model.law import Law
     from dolfin_elastic.parts import Part
     from dolfin_elastic.problem import Problem
@@ -75,6 +76,22 @@ class ProbePoint(Record):
         """
         assert self.at is not None
         return [metres(x, scale) for x in self.at]
+
+
+def _points(probes: Mapping[str, ProbePoint], scale: float) -> dict[str, list[float]]:
+    return {name: p.place(scale) for name, p in probes.items() if p.at is not None}
+
+
+def check_places(probes: Mapping[str, ProbePoint], body: Body, scale: float) -> None:
+    """Finds points and surfaces of probes in a body. Collective.
+
+    Raises:
+        MeshError: A point lies outside, or has too few coordinates; or there is no such surface.
+    """
+    locate(body, _points(probes, scale))
+    for name, probe in probes.items():
+        if probe.surface is not None:
+            check_surface(body, probe.surface, f"{name}.surface")
 
 
 def readable(names: Iterable[str]) -> tuple[str, ...]:
@@ -126,6 +143,19 @@ class Probe:
             name: SurfaceMean(problem, surface, readable(asked))
             for name, (surface, asked) in (surfaces or {}).items()
         }
+
+    @classmethod
+    def of(cls, probes: Mapping[str, ProbePoint], problem: Problem, scale: float) -> Probe:
+        """From what a user wrote. Collective.
+
+        Args:
+            probes: Name to point or surface.
+            problem: The problem that is solved.
+            scale: Metres per unit of the mesh.
+        """
+        points = _points(probes, scale)
+        surfaces = {n: (p.surface, p.fields) for n, p in probes.items() if p.surface is not None}
+        return cls(problem, points, {name: probes[name].fields for name in points}, surfaces)
 
     def __call__(self, state: State) -> dict[str, Array]:
         """`POINT_FIELD` to the field's components there, the same on every rank.
