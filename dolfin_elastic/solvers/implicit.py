@@ -151,9 +151,13 @@ class Implicit:
         self.newton.judge()
 
     def _meant(self, t: float) -> float:
-        """A time that is asked for, without the round-off of the sum that led there."""
+        """A time that is asked for, or of equal steps, without the round-off of a sum."""
+        slack = 1e-9 * float(self.ts.getTimeStep())
         goal = self.times.next(float(self.ts.getTime()))
-        return goal if abs(t - goal) < 1e-9 * self.ts.getTimeStep() else t
+        if abs(t - goal) < slack:
+            return goal
+        even = round(t / self._nominal) * self._nominal
+        return even if abs(t - even) < slack and not self.settings.adaptive else t
 
     def _before_step(self, ts: PETSc.TS) -> None:
         t = float(ts.getTime())
