@@ -24,8 +24,8 @@ class Audit:
         moment: The same of their moments about the origin; nan where there is no such balance.
         work: Work of loads, springs and supports on the body since the start [J], by the
             trapezoidal rule.
-        energy: Growth of the stored energy since the start [J], in motion strain and kinetic energy;
-            nan where a law has none.
+        energy: Growth of the stored energy since the start [J], in motion strain and kinetic
+            energy; nan where a law has none.
         min_jacobian: Smallest det F at the points where the energy is integrated.
         max_jacobian: The largest.
         min_place: Reference place of the cell with the smallest det F [m].
@@ -62,8 +62,8 @@ class State:
         u: Displacement [m], reference configuration.
         w: All unknowns, where there are others beside u.
         v: Velocity [m/s], in motion only.
-        a: Acceleration [m/s^2], in motion only; of explicit schemes and "alpha2" the mean one of the
-            step, 0 in the initial state.
+        a: Acceleration [m/s^2], in motion only; of explicit schemes and "alpha2" the mean one of
+            the step, 0 in the initial state.
         load_factor: Share of the load that is on, in statics; 1 in motion.
         newton: Newton iterations since the state before.
         krylov: Linear iterations since then (0 with a direct solver).

@@ -517,7 +517,7 @@ def test_a_motion_goes_on_as_if_it_had_never_stopped():
     """From copied arrays and numbers as JSON, in a new problem: the same states to round-off."""
     cases: list[tuple[Callable[[], Problem], dict[str, Any]]] = [
         (column, {"rayleigh": [1.0, 1e-4], "spectral_radius": 0.8}),
-        (column, {"scheme": "newmark", "adaptive": True, "tolerance": 1e-4, "times": [0.01]}),
+        (column, {"scheme": "newmark", "adaptive": True, "tolerance": 1e-3, "times": [0.01]}),
         (mixed, {"scheme": "generalized-alpha"}),
         (mixed, {"scheme": "implicit-euler", "every": 2}),
     ]

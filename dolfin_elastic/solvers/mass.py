@@ -94,6 +94,32 @@ def held_acceleration(problem: Problem, h: float) -> Vector:
     return np.asarray(np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0))
 
 
+def held_rates(problem: Problem, t: float, h: float) -> tuple[Vector, Vector]:
+    """Velocity [m/s] and acceleration [m/s^2] of what is prescribed, like `Prescribed.targets`.
+
+    By central differences: the velocity over h/4, the acceleration as the difference of velocities
+    half a step before and after, so that over all steps it sums up to the change of velocity,
+    kinks of curves included.  Where there is no value any more after t it is taken as unchanged.
+    Changes the problem's time.  Not collective.
+
+    Args:
+        problem: Whose supports.
+        t: Time [s].
+        h: The step [s].
+    """
+
+    def velocity(at: float) -> Vector:
+        values = []
+        for time in (at - h / 8, at + h / 8):
+            problem.set_time(max(time, 0.0))
+            values.append(problem.prescribed.targets)
+        return np.asarray((values[1] - values[0]) * 4 / h)
+
+    before, now, after = (velocity(at) for at in (t - h / 2, t, t + h / 2))
+    now, after = (np.where(np.isfinite(v), v, before) for v in (now, after))
+    return now, np.asarray((after - before) / h)
+
+
 def free(problem: Problem, rows: Vector) -> Vector:
     """What supports leave of a vector at the owned displacements. Not collective."""
     held, out = problem.prescribed, rows.copy()

@@ -20,7 +20,7 @@ from dolfin_elastic.errors import InputError
 from dolfin_elastic.solvers.adapt import choose
 from dolfin_elastic.solvers.alpha import Scheme
 from dolfin_elastic.solvers.inversion import JacobianWatch
-from dolfin_elastic.solvers.mass import free
+from dolfin_elastic.solvers.mass import free, held_rates
 from dolfin_elastic.solvers.moving import Forces, Moving
 from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.timing import stage
@@ -91,7 +91,9 @@ class Stepper:
         self.watch: JacobianWatch | None = None if linear else JacobianWatch(self.problem)
         self._before: Kept | None = None
         self._ends: Forces | None = None
-        self._goal = np.empty(0)
+        self._goal = self._end_values = np.empty(0)
+        self._held_rates = self._goal, self._goal
+        self._held_stage = self._goal
         self._h = 0.0
         self._hat: Vector | None = None
 
@@ -127,12 +129,25 @@ class Stepper:
         """Velocity and acceleration of the stage from its displacement."""
         assert self._before is not None
         s, old = self.scheme, self._before
-        a1 = s.acceleration((place - old.u) / (1 - s.alpha_f), old.v, old.a, self._h)
-        v1 = s.velocity(old.v, old.a, a1, self._h)
-        return (
-            (1 - s.alpha_f) * v1 + s.alpha_f * old.v,
-            (1 - s.alpha_m) * a1 + s.alpha_m * old.a,
-        )
+        v1, a1 = self._rates_at_end((place - old.u) / (1 - s.alpha_f))
+        v = (1 - s.alpha_f) * v1 + s.alpha_f * old.v
+        a = (1 - s.alpha_m) * a1 + s.alpha_m * old.a
+        self.problem.prescribed.impose(a, self._held_stage)
+        return v, a
+
+    def _rates_at_end(self, du: Vector) -> tuple[Vector, Vector]:
+        """Velocity and acceleration at the end of the step from the change of the displacement.
+
+        Those of prescribed motion are its own: by the formulas of the scheme an error of them, at
+        a kink of a curve, would hardly ever die out, and grow as steps become smaller.
+        """
+        assert self._before is not None
+        s, old, held = self.scheme, self._before, self.problem.prescribed
+        a = s.acceleration(du, old.v, old.a, self._h)
+        v = s.velocity(old.v, old.a, a, self._h)
+        held.impose(v, self._held_rates[0])
+        held.impose(a, self._held_rates[1])
+        return v, a
 
     # --- what TS asks for ---
 
@@ -204,6 +219,9 @@ class Stepper:
         if (goal := self._prescribed_at(old.t + h)) is None:
             return False
         held = self.problem.prescribed.present(self.problem.u.x.array)
+        self._held_rates = held_rates(self.problem, old.t + h, h)
+        was = self.problem.prescribed.present(self.a.x.array)
+        self._held_stage = (1 - s.alpha_f) * self._held_rates[1] + s.alpha_f * was
         self._end_values = goal
         self._goal = s.alpha_f * held + (1 - s.alpha_f) * goal
         self.problem.set_time(old.t + (1 - s.alpha_f) * h)
@@ -235,11 +253,13 @@ class Stepper:
         """Where Newton's method may begin, the better one first: on the way, or at rest."""
         old = self._before
         assert old is not None
-        if self.problem.linear:
-            return [old.w]
         further = old.w.copy()
         du = self.scheme.predicted(old.v, old.a, self._h)
-        further[self.moving.moves] += (1 - self.scheme.alpha_f) * du
+        moved = old.u + (1 - self.scheme.alpha_f) * du
+        self.problem.prescribed.impose(moved, self._goal)
+        further[self.moving.moves] = moved
+        if self.problem.linear:
+            return [further]
         sizes = [self._size(start) for start in (further, old.w)]
         if not np.isfinite(sizes[0]):
             return [old.w]
@@ -276,11 +296,12 @@ class Stepper:
         w = self.problem.w.x.array[: self.assembler.size].copy()
         u = old.u + (w[moves] - old.u) / (1 - s.alpha_f)
         self.problem.prescribed.impose(u, self._end_values)
-        a = s.acceleration(u - old.u, old.v, old.a, h)
-        v = s.velocity(old.v, old.a, a, h)
+        v, a = self._rates_at_end(u - old.u)
         w[moves] = u
         self._put_unknowns(w)
-        for field, values in ((self.v, v), (self.a, a), (self.at_end, s.at_end(old.a, a))):
+        at_end = s.at_end(old.a, a)
+        self.problem.prescribed.impose(at_end, self._held_rates[1])
+        for field, values in ((self.v, v), (self.a, a), (self.at_end, at_end)):
             field.x.array[:size] = values
             field.x.scatter_forward()
         self._tell(U, V)
