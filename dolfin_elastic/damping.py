@@ -164,6 +164,7 @@ class Damping:
 
     def _viscous(self, part: Part, rate: Expr) -> Expr:
         eta, dF, F = part.law.viscosity, self._gradient(rate), self._F
+        assert eta is not None
         if part.law.linear:
             return 2 * eta * ufl.sym(dF)
         return F * (2 * eta * ufl.sym(F.T * dF))

@@ -91,9 +91,9 @@ class Stepper:
         self.watch: JacobianWatch | None = None if linear else JacobianWatch(self.problem)
         self._before: Kept | None = None
         self._ends: Forces | None = None
-        self._goal = self._end_values = np.empty(0)
-        self._held_rates = self._goal, self._goal
-        self._held_stage = self._goal
+        nothing: Vector = np.empty(0)
+        self._goal = self._end_values = self._held_stage = nothing
+        self._held_rates = nothing, nothing
         self._h = 0.0
         self._hat: Vector | None = None
 
@@ -129,7 +129,7 @@ class Stepper:
         """Velocity and acceleration of the stage from its displacement."""
         assert self._before is not None
         s, old = self.scheme, self._before
-        v1, a1 = self._rates_at_end((place - old.u) / (1 - s.alpha_f))
+        v1, a1 = self._rates_at_end(np.asarray((place - old.u) / (1 - s.alpha_f)))
         v = (1 - s.alpha_f) * v1 + s.alpha_f * old.v
         a = (1 - s.alpha_m) * a1 + s.alpha_m * old.a
         self.problem.prescribed.impose(a, self._held_stage)
