@@ -89,7 +89,7 @@ def test_the_flag_swings():
 def test_a_column_bends(law, known):
     """Plane strain, clamped, thrown sideways (after Aguirre et al. 2014): places of the top [m].
 
-    2 x 12 squares of quadratic triangles and steps of 5 ms leave 1 % of the height.
+    2 x 12 squares of quadratic triangles and steps of 5 ms leave 1 cm of 3 m.
     """
     problem = Problem(
         rectangle_body(size=(1.0, 6.0), cells=(2, 12), origin=(-0.5, 0.0)),
@@ -110,5 +110,5 @@ def test_a_column_bends(law, known):
     assert first.energies["kinetic"] == pytest.approx(110000.0, rel=1e-12)
     for state in states:
         top = value_at(problem, state.u.x.array, (0.0, 6.0))
-        np.testing.assert_allclose(top, known[state.t], rtol=0, atol=0.06)
-        assert abs(state.energies["balance"]) < 5e-3 * 110000.0
+        np.testing.assert_allclose(top, known[state.t], rtol=0, atol=0.012)
+        assert abs(state.energies["balance"]) < 1e-4 * 110000.0
