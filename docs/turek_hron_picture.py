@@ -1,4 +1,4 @@
-"""Draws docs/turek_hron.png: the flag of demos/turek_hron at five moments, and its tip over 10 s.
+"""Draws docs/turek_hron.png: the flag of demos/turek_hron at four moments, and its tip over 10 s.
 
 docker/run python3 docs/turek_hron_picture.py
 """

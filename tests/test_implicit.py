@@ -432,6 +432,43 @@ def test_a_cell_that_turns_inside_out_makes_the_step_smaller():
     assert states[-1].t == pytest.approx(0.1)
 
 
+def test_events_of_ts_find_their_time():
+    """PETSc takes a step back and looks for the zero of u within it: a quarter of the period.
+
+    Work and steps that were taken back do not count.
+    """
+    problem = oscillator()
+    motion = Dynamics(
+        problem,
+        end=0.4 * PERIOD,
+        dt=PERIOD / 40,
+        spectral_radius=0.8,
+        rtol=1e-12,
+        initial_displacement=["1e-3*x", 0],
+    )
+    states, met = motion.steps(), []
+    next(states)
+    comm = problem.body.comm
+
+    def place(ts: Any, t: float, U: Any, values: Any) -> None:
+        values[0] = comm.allreduce(float(U.array_r.sum()))  # one unknown is not held
+
+    def note(ts: Any, events: Any, t: float, U: Any, forward: bool) -> None:
+        met.append(t)
+
+    motion.ts.setEventHandler([0], [False], place, note)
+    motion.ts.setEventTolerances(1e-12)
+    seen = []
+    motion.ts.setMonitor(lambda ts, step, t, U: seen.append(step))
+    for state in states:
+        assert abs(state.energies["balance"]) < 1e-3 * 0.25 * STIFF * 1e-6
+    assert len(met) == 1
+    # Of second order: (omega dt)^2/12 = 2e-3 of the phase.
+    assert met[0] == pytest.approx(PERIOD / 4, rel=3e-3)
+    assert state.t == pytest.approx(0.4 * PERIOD)
+    assert max(seen) == state.step
+
+
 # --- audit ---
 
 

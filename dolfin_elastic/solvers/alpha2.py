@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.solvers.moving import Moving
 from dolfin_elastic.solvers.newton import Newton
-from dolfin_elastic.solvers.stepper import FAILURES, Taken
+from dolfin_elastic.solvers.stepper import FAILURES, Done
 
 Vector = npt.NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class Alpha2:
 
     Attributes:
         newton: Set by whoever has the TS and its SNES.
-        taken: See `stepper.Stepper`.
+        done: See `stepper.Stepper`.
         error: See `stepper.Stepper`.
         at_end: Mean acceleration of the last step [m/s^2].
     """
@@ -40,7 +40,7 @@ class Alpha2:
         self.moving, self.problem, self.assembler = moving, moving.problem, moving.assembler
         self.v = v
         self.newton: Newton
-        self.taken: Taken = lambda stage, middle, du: None
+        self.done: Done | None = None
         self.error: InputError | None = None
         self.at_end = fem.Function(self.problem.V, name="acceleration")
         self._F = self.assembler.create_vector()
@@ -85,7 +85,7 @@ class Alpha2:
         self.at_end.x.scatter_forward()
         self.v.x.array[:size] = v
         self.v.x.scatter_forward()
-        self.taken(forces, forces, self.problem.w.x.array[moves] - self._w[moves])
+        self.done = forces, forces, self.problem.w.x.array[moves] - self._w[moves]
 
     def _function(
         self, ts: PETSc.TS, t: float, U: PETSc.Vec, V: PETSc.Vec, A: PETSc.Vec, F: PETSc.Vec

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from dolfinx import fem
+from petsc4py import PETSc
 from pydantic import Field, model_validator
 
 from dolfin_elastic.errors import InputError
@@ -232,8 +233,22 @@ class Dynamics:
         s = self.settings
         if restore is None:
             set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
+        elif not s.implicit:
+            raise RuntimeError(f"a motion by '{s.scheme}' cannot be gone on with")
         begin_motion(self.problem)
         yield from self._implicit(restore) if s.implicit else self._explicit()
+
+    @property
+    def ts(self) -> PETSc.TS:
+        """PETSc's TS of an implicit motion that is on, for monitors and events of one's own.
+
+        Its solution is that of all unknowns, and its second one the velocity.
+        """
+        if not isinstance(self._march, Implicit):
+            raise RuntimeError(
+                "there is no TS: no implicit motion is on"
+            )
+        return self._march.ts
 
     def kept(self) -> Kept:
         """What the next step needs to know, between two steps. Collective."""

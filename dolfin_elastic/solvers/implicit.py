@@ -26,7 +26,7 @@ from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.mass import held_acceleration, initial_acceleration
 from dolfin_elastic.solvers.motion import ConsistentMass, Strain
 from dolfin_elastic.solvers.motion_audit import MotionAuditor
-from dolfin_elastic.solvers.moving import Forces, Moving
+from dolfin_elastic.solvers.moving import Moving
 from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.options import PREFIX, ts_reason
 from dolfin_elastic.solvers.progress import Tolerance
@@ -90,7 +90,6 @@ class Implicit:
             moving=True,
         )
         self.newton.mass = self.moving.mass
-        self.stepper.taken = self._taken
         self.options = self.newton.options
         self.options.change(self._defaults())
         self._U, self._V = self.assembler.create_vector(), self.assembler.create_vector()
@@ -174,8 +173,8 @@ class Implicit:
         if isinstance(self.stepper, Alpha2):
             self.stepper.accept(ts)
         ts.setMaxTime(self.settings.end)
-
-    def _taken(self, at_stage: Forces, in_the_middle: Forces, du: Vector) -> None:
+        assert self.stepper.done is not None
+        at_stage, in_the_middle, du = self.stepper.done
         self.ledger.add(in_the_middle, du)
         self.auditor.look(at_stage)
 

@@ -35,7 +35,7 @@ ORDER = 3
 """Power of the step that the estimated error of the displacement grows with."""
 
 
-Taken = Callable[[Forces, Forces, Vector], None]
+Done = tuple[Forces, Forces, Vector]
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ class Stepper:
 
     Attributes:
         newton: Set by whoever has the TS and its SNES.
-        taken: Called with the forces of the stage, and of the middle, of a step that is accepted,
-            and with the change of the displacement.
+        done: Of the last step the forces of its stage, those of its middle, and the change of the
+            displacement; nothing counts before TS has accepted it for good.
         reached: From a time to the one that was meant, without the round-off of a sum.
         error: A fault of the input that a step has met; PETSc would lose it.
         newton_iterations, krylov_iterations: Of all solves so far.
@@ -82,7 +82,7 @@ class Stepper:
         self.moving, self.problem, self.assembler = moving, moving.problem, moving.assembler
         self.scheme, self.v, self.a, self._order = scheme, v, a, order
         self.newton: Newton
-        self.taken: Taken = lambda stage, middle, du: None
+        self.done: Done | None = None
         self.reached: Callable[[float], float] = lambda t: t
         self.error: InputError | None = None
         self.newton_iterations = self.krylov_iterations = 0
@@ -91,6 +91,7 @@ class Stepper:
         self.watch: JacobianWatch | None = None if linear else JacobianWatch(self.problem)
         self._before: Kept | None = None
         self._ends: Forces | None = None
+        self._old_ends: Forces | None = None
         nothing: Vector = np.empty(0)
         self._goal = self._end_values = self._held_stage = nothing
         self._held_rates = nothing, nothing
@@ -182,6 +183,7 @@ class Stepper:
 
     def rollback(self, ts: PETSc.TS) -> None:
         """Takes the last step back, for an event within it."""
+        self._ends = self._old_ends
         self._put_back(*ts.getSolution2())
 
     def interpolate(self, ts: PETSc.TS, t: float, x: PETSc.Vec) -> None:
@@ -326,12 +328,12 @@ class Stepper:
         assert self._before is not None
         middle = self._forces
         if self.scheme.alpha_f != 0.5:
-            old = self._ends
+            self._old_ends = self._ends
             self._ends = self.look(self._before.t + self._h)
-            assert old is not None
-            middle = old.mean(self._ends)
+            assert self._old_ends is not None
+            middle = self._old_ends.mean(self._ends)
         here = self.problem.w.x.array[self.moving.moves]
-        self.taken(self._forces, middle, here - self._before.u)
+        self.done = self._forces, middle, here - self._before.u
         ts.setTime(self.reached(self._before.t + self._h))
         ts.setTimeStep(h)
 
