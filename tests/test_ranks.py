@@ -17,6 +17,7 @@ POINTS = (
     "manufactured",
     "moduli",
     "reference_energies",
+    "schemes",
     "units",
 )
 """Files of tests on numbers and texts, and on rates, in which ranks take no part of their own."""

@@ -245,9 +245,7 @@ class Dynamics:
         Its solution is that of all unknowns, and its second one the velocity.
         """
         if not isinstance(self._march, Implicit):
-            raise RuntimeError(
-                "there is no TS: no implicit motion is on"
-            )
+            raise RuntimeError("there is no TS: no implicit motion is on")
         return self._march.ts
 
     def kept(self) -> Kept:
