@@ -26,7 +26,6 @@ from dolfin_elastic.errors import (
 )
 from dolfin_elastic.formulation import Formulation
 from dolfin_elastic.meshes import Body, Selector, box_body, read_body, rectangle_body
-from dolfin_elastic.meshes.places import locate
 from dolfin_elastic.meshes.selectors import MeshLength
 from dolfin_elastic.model.geometry import Geometry
 from dolfin_elastic.model.law import Law
@@ -37,7 +36,7 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, Picture, Summary, Xdmf
 from dolfin_elastic.results.outputs import Output as File
-from dolfin_elastic.results.probes import Probe, ProbePoint
+from dolfin_elastic.results.probes import Probe, ProbePoint, check_places
 from dolfin_elastic.results.writer import Writer
 from dolfin_elastic.results.xdmf import remove
 from dolfin_elastic.schema import Record, known_keys, shown, within
@@ -222,7 +221,8 @@ class Output(Record):
         every: Fields are written every so many steps, and at the end; by default every step, with
             an explicit scheme about 200 states.
         pictures: Pictures of the deformed body.
-        probes: Name to a point of the undeformed body, where fields are read off at every step.
+        probes: Name to a point or surface of the undeformed body, where fields are read off at
+            every step.
     """
 
     folder: str | None = None
@@ -248,7 +248,7 @@ class Output(Record):
             MeshError: A point lies outside, or has too few coordinates.
         """
         try:
-            locate(body, {name: probe.place(scale) for name, probe in self.probes.items()})
+            check_places(self.probes, body, scale)
         except MeshError as error:
             raise within("output.probes", error) from None
 
@@ -259,8 +259,7 @@ class Output(Record):
             problem: The problem that is solved.
             scale: Metres per unit of the mesh.
         """
-        points = {name: probe.place(scale) for name, probe in self.probes.items()}
-        return Probe(problem, points, {n: probe.fields for n, probe in self.probes.items()})
+        return Probe.of(self.probes, problem, scale)
 
     def files(self, frames: int | None = None, title: str = "") -> list[File]:
         """Everything that is written.

@@ -258,6 +258,8 @@ if TYPE_CHECKING:
     Force: TypeAlias = float
     ForceDensity: TypeAlias = float
     Expansion: TypeAlias = float
+    Viscosity: TypeAlias = float
+    Rate: TypeAlias = float
 else:
     Number = quantity("")
     Length = quantity("m")
@@ -269,3 +271,5 @@ else:
     Force = quantity("N")
     ForceDensity = quantity("N/m^3")
     Expansion = quantity("1/K")
+    Viscosity = quantity("Pa*s")
+    Rate = quantity("1/s")
