@@ -234,7 +234,7 @@ class Case(Record):
     @property
     def frames(self) -> int | None:
         """States whose fields are written unless the case says: explicit schemes take too many."""
-        return 200 if self.dynamics is not None and self.dynamics.explicit else None
+        return 200 if self.dynamics is not None and not self.dynamics.implicit else None
 
     def results_folder(self) -> Path:
         """Where results go if nothing else is said."""

@@ -52,7 +52,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
 
 def explicit(case: Case) -> bool:
     """The scheme solves no equations."""
-    return case.dynamics is not None and case.dynamics.explicit
+    return case.dynamics is not None and not case.dynamics.implicit
 
 
 # --- names ---
