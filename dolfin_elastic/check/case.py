@@ -217,7 +217,9 @@ def _marked(body: Body, regions: Sequence[str], own: int) -> npt.NDArray[np.bool
 def _check_densities(case: Case) -> None:
     heavy = [(i, load) for i, load in enumerate(case.load) if load.needs_density]
     everywhere = [f"load[{i}] ({load.kind})" for i, load in heavy if not load.parts]
-    reason = "[dynamics]" if case.dynamics is not None else next(iter(everywhere), "")
+    reason = next(iter(everywhere), "")
+    if case.analysis in ("dynamics", "modal"):
+        reason = f"[{case.analysis}]"
     for name, material in case.materials.items():
         if reason and material.law.density is None:
             raise CaseError(
@@ -250,7 +252,12 @@ def _notes(case: Case) -> Iterator[str]:
     moving = moving or any(value != 0.0 for c in case.contact for value in c.values)
     for i, support in enumerate(case.support):
         if support.kind == "dashpot" and case.dynamics is None:
-            yield f"support[{i}]: a dashpot does nothing in statics"
+            where = f"[{case.analysis}]" if case.modal or case.buckling else "statics"
+            yield f"support[{i}]: a dashpot does nothing in {where}"
+    if case.modal is not None and not case.preloaded:
+        if case.load or moving:
+            yield "modal.preload is not set: the modes are those at rest, without the loads"
+        return
     still = case.dynamics is None and not case.load and not moving
     if still and case.periodic is None:
         yield "there is no load and every support is at rest: nothing will move"
