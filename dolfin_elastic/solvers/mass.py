@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import ufl
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.parallel import largest, total
@@ -191,8 +192,7 @@ def _free(assembler: Assembler, frame: Frame) -> list[RigidMode]:
     diagonal.destroy()
     images /= scale
     images[assembler.fixed] = columns[assembler.fixed]  # rows that were replaced by ones
-    values, vectors = np.linalg.eigh(total(comm, images.T @ images))
-    null = vectors[:, np.sqrt(np.maximum(values, 0.0)) <= FREE]
+    null = _null(comm, images)
     gram = total(comm, columns.T @ (frame.images / lengths))
     modes = []
     for mix in _orthogonal(null, gram):
@@ -202,6 +202,17 @@ def _free(assembler: Assembler, frame: Frame) -> list[RigidMode]:
             (name,) = motions_in_words(frame.scaled(mix / lengths), frame.centre, frame.size)
         modes.append(RigidMode(columns @ mix, name))
     return modes
+
+
+def _null(comm: MPI.Comm, images: Vector) -> Vector:
+    """Orthonormal combinations of columns that are nothing, shape (columns, found). Collective.
+
+    By the triangles of each rank's rows: products of columns would be right to half the digits.
+    """
+    rows = np.vstack([images, np.zeros((images.shape[1],) * 2)])
+    triangles = np.vstack(comm.allgather(np.linalg.qr(rows, mode="r")))
+    _, sizes, mixes = np.linalg.svd(triangles, full_matrices=False)
+    return np.asarray(mixes[sizes <= FREE].T)
 
 
 def _orthogonal(null: Vector, gram: Vector) -> list[Vector]:
