@@ -16,10 +16,11 @@ from dolfin_elastic.check.sums import Integrals
 from dolfin_elastic.meshes.body import Body, extent
 from dolfin_elastic.parts import locking_notes
 from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.buckling import Buckling
 from dolfin_elastic.solvers.contact import check_start, out_of_reach
-from dolfin_elastic.solvers.eigen import choose_eigen
 from dolfin_elastic.solvers.explicit import check_explicit
 from dolfin_elastic.solvers.linear import Choice, choose
+from dolfin_elastic.solvers.modal import Modal
 from dolfin_elastic.solvers.rigid import FreeBody, check_held, free_bodies
 
 
@@ -80,7 +81,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     notes = check(case, body)
     problem = case.make_problem(body)
     with located(case.file):
-        case.make_solver(problem)  # says what has no modes
+        case.make_solver(problem)  # says what it cannot solve
         if case.analysis in ("statics", "buckling") or case.preloaded:
             check_held(problem)
         elif explicit(case):
@@ -95,8 +96,9 @@ def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> 
     integrals = Integrals(problem, case.mesh.metres_thick)
     sums = load_sums(case, integrals)
     moving = case.dynamics is not None
-    if case.analysis in ("modal", "buckling"):
-        choice: Choice | None = choose_eigen(problem, case.solver)
+    solver = case.make_solver(problem)
+    if isinstance(solver, Modal | Buckling):
+        choice: Choice | None = solver.choice
     else:
         choice = None if explicit(case) else choose(problem, case.solver, moving=moving)
     return Report(

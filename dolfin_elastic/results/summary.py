@@ -164,6 +164,8 @@ class SummaryWriter:
         if not self._modes:
             return {}
         whole, rows = self._modes[0].whole, [row(mode) for mode in self._modes]
+        if not whole:
+            return {"modes": rows}
         sums = {name: sum(mode.effective[name] for mode in self._modes) for name in whole}
         shares = {name: sums[name] / whole[name] for name in whole if whole[name] > 0.0}
         return {"modes": rows, "whole": dict(whole), "effective_shares": shares}

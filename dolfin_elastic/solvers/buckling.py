@@ -38,8 +38,8 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.critical import Critical
-from dolfin_elastic.solvers.eigen import Pair, choose_eigen
-from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.solvers.eigen import DIRECT_LIMIT, Pair, prefixed
+from dolfin_elastic.solvers.linear import Choice, LinearSettings, factorising
 from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.solvers.shapes import at_rest, refuse, shape
 from dolfin_elastic.solvers.stability import Stability
@@ -112,7 +112,11 @@ class Buckling:
                 where="solver.method",
                 expected='"auto" or "direct"',
             )
-        self.choice = choose_eigen(problem, LinearSettings(method="direct"))
+        size = f"{problem.num_dofs} unknowns"
+        if problem.num_dofs > DIRECT_LIMIT[problem.body.dim]:
+            size += ", which will take much memory"
+        why = f"buckling by Krylov-Schur iterations (SLEPc; MUMPS, LDL^T): {size}"
+        self.choice = Choice(True, prefixed(factorising(True)), why)
 
     def steps(self) -> Iterator[State | Mode]:
         """Yields the states of the preload, if there is one, and then the modes. Collective.

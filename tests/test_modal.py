@@ -1,0 +1,326 @@
+"""Natural frequencies against exact and converged ones, rigid modes, and masses that add up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from dolfin_elastic import (
+    Body,
+    Centrifugal,
+    Contact,
+    Gravity,
+    LinearElastic,
+    Modal,
+    NeoHookean,
+    NeoHookeanSplit,
+    Periodic,
+    Pressure,
+    Problem,
+    Spring,
+    StVenantKirchhoff,
+    Support,
+    Symmetry,
+    Textbook,
+    Thermal,
+    Traction,
+    box_body,
+    rectangle_body,
+)
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.state import Mode, State
+
+SOFT = {"E": 1e7, "nu": 0.3, "density": 1000}
+STEEL = {"E": 200e9, "nu": 0.3, "density": 8000}
+LEFT = [Support(on="left")]
+
+
+def modes(problem: Problem, **settings: Any) -> list[Mode]:
+    return list(Modal(problem, **settings).modes())
+
+
+def elastic(found: list[Mode]) -> np.ndarray:
+    return np.array([mode.frequency for mode in found if mode.kind == "elastic"])
+
+
+def errors(found: list[Mode], exact: list[float]) -> np.ndarray:
+    return elastic(found)[: len(exact)] / np.array(exact) - 1
+
+
+def bent(body: Body, place: Any) -> Body:
+    """A body whose points are moved."""
+    x = body.mesh.geometry.x
+    x[:, : body.dim] = place(*x[:, : body.dim].T)
+    return body
+
+
+def strip(comm: MPI.Comm, cells: tuple[int, int] = (20, 2)) -> Body:
+    return rectangle_body(size=[10, 1], cells=cells, comm=comm)
+
+
+# --- against exact and converged frequencies ---
+
+
+def test_cantilever(comm: MPI.Comm) -> None:
+    """C-1: converged frequencies to 1e-5 are known; this mesh is 0.08 to 0.12 % too stiff."""
+    problem = Problem(strip(comm, (40, 4)), LinearElastic(**SOFT), supports=LEFT, degree=2)
+    found = modes(problem, count=6)
+    off = errors(found, [0.1682806, 1.006599, 2.626554, 2.642169, 4.783753, 7.27138])
+    # Rayleigh and Ritz: from above.
+    assert np.all((off > 0) & (off < 1.5e-3)), off
+    assert [mode.number for mode in found] == [1, 2, 3, 4, 5, 6]
+    # First bending mode of a beam: 61.31 % (Clough and Penzien); shear takes some of it.
+    assert found[0].effective["y"] / found[0].whole["y"] == pytest.approx(0.6131, rel=2e-3)
+    assert found[0].whole["x"] == pytest.approx(1e4, rel=1e-12)
+    assert found[0].whole["rz"] == pytest.approx(1e4 * 101 / 12, rel=1e-12)
+    # Its generalised mass is a quarter of the beam's, wherever that comes from.
+    assert found[0].mass == pytest.approx(2500, rel=1e-2)
+
+
+def test_cantilever_in_space(comm: MPI.Comm) -> None:
+    """C-1 in space: bending in pairs, torsion, axial; the clamp is singular, torsion worst."""
+    body = box_body(size=[10, 1, 1], cells=[16, 3, 3], comm=comm)
+    found = modes(Problem(body, LinearElastic(**SOFT), supports=LEFT, degree=2), count=6)
+    off = errors(found, [0.161, 0.161, 0.96551, 0.96551, 1.42624, 2.50704])
+    assert np.all((off > 0) & (off < 7e-3)), off
+    assert np.max(off[[0, 1, 2, 3, 5]]) < 4e-3, off
+    kinds = [max(m.effective, key=lambda k: m.effective[k] / m.whole[k]) for m in found]
+    assert kinds[4:] == ["rx", "x"]
+
+
+def test_thick_plate(comm: MPI.Comm) -> None:
+    """C-2, exact by Rayleigh and Lamb: everything below 225 Hz, double frequencies twice."""
+    body = box_body(size=[10, 10, 1], cells=[12, 12, 2], comm=comm)
+    supports = [
+        Support(on=["left", "right"], displacement=["free", 0, 0]),
+        Support(on=["front", "back"], displacement=[0, "free", 0]),
+    ]
+    problem = Problem(body, LinearElastic(**STEEL), supports=supports, degree=2)
+    exact = [45.971212, 109.856862, 109.856862, 155.043418, 155.043418, 168.819294]
+    exact += [205.864612, 205.864612, 219.264505]
+    found = modes(problem, below=225)
+    off = errors(found, exact)
+    assert len(found) == len(exact)
+    assert np.all((off > 0) & (off < 0.01)), off
+    assert np.all(off[[3, 4, 8]] < 1e-4), off  # waves in the plane are longer
+
+
+def test_membrane(comm: MPI.Comm) -> None:
+    """C-3, NAFEMS FV32 in plane stress: a field beside the displacement that has no mass."""
+    body = bent(
+        rectangle_body(size=[10, 1], cells=[16, 8], comm=comm),
+        lambda x, y: np.stack([x, (2 * y - 1) * (2.5 - 0.2 * x)], axis=1),
+    )
+    problem = Problem(
+        body, LinearElastic(**STEEL), supports=LEFT, degree=2, geometry="plane-stress"
+    )
+    exact = [44.61702, 130.00947, 162.68874, 245.98586, 379.71718, 391.40419]
+    off = errors(modes(problem), exact)
+    assert np.all((off > 0) & (off < 1e-3)), off
+
+
+def test_free_cube(comm: MPI.Comm) -> None:
+    """C-4, by Ritz polynomials of degree 21: six rigid modes, then pairs and triples."""
+    body = box_body(size=[1, 1, 1], cells=[4, 4, 4], comm=comm)
+    found = modes(Problem(body, LinearElastic(E=1, nu=0.3, density=1), degree=2), count=12)
+    assert [mode.kind for mode in found] == 6 * ["rigid"] + 12 * ["elastic"]
+    assert [mode.name for mode in found[:6]] == [
+        *(f"move along {axis}" for axis in "xyz"),
+        *(f"turn about {axis} through (0.5, 0.5, 0.5) m" for axis in "xyz"),
+    ]
+    exact = 2 * [0.2819022] + 3 * [0.3796116] + 3 * [0.3860549] + 3 * [0.4385290] + [0.4513503]
+    off = errors(found, exact)
+    # Half a per cent on a mesh of 6 cells a side; here the error is 1.5^4 as large.
+    assert np.all(np.abs(off) < 0.025), off
+    assert np.all(off[:11] > 0), off
+    # All of the mass is in the rigid modes, to round-off.
+    for name, whole in found[0].whole.items():
+        assert sum(mode.effective[name] for mode in found[:6]) == pytest.approx(whole, rel=1e-10)
+        assert sum(mode.effective[name] for mode in found[6:]) < 1e-12
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.5])
+def test_square_without_pressure(nu: float, comm: MPI.Comm) -> None:
+    """Lame's mode of a free square has frequency c_s/sqrt(2) whatever nu; pressure has no mass.
+
+    R. Mindlin, J. Appl. Mech. 23 (1956): divergence-free and without traction on its sides.
+    """
+    body = rectangle_body(size=[1, 1], cells=[8, 8], comm=comm)
+    law = NeoHookeanSplit(mu=1, nu=nu, density=1)
+    found = modes(Problem(body, law, degree=2, formulation="mixed"), count=6)
+    assert [mode.kind for mode in found[:4]] == ["rigid", "rigid", "rigid", "elastic"]
+    near = elastic(found) * np.sqrt(2) - 1
+    # Fourth order in h; one of them, and nothing else so near.
+    assert np.min(np.abs(near)) < 3e-4, near
+    assert np.sum(np.abs(near) < 1e-2) == 1
+
+
+def test_prestressed(comm: MPI.Comm) -> None:
+    """Turek and Hron's flag, CSM1: at rest, and about the state to which its weight bends it."""
+
+    def flag(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        high = 0.19 + 0.02 * y
+        left = 0.2 + np.sqrt(0.05**2 - (high - 0.2) ** 2)
+        return np.stack([left + x * (0.6 - left), high], axis=1)
+
+    body = bent(rectangle_body(size=[1, 1], cells=[60, 3], comm=comm), flag)
+    law = StVenantKirchhoff(mu=0.5e6, nu=0.4, density=1000)
+    loads = [Gravity(value=[0, -2])]
+    problem = Problem(body, law, supports=LEFT, loads=loads, degree=2)
+    # Converged: 1.07179, 1.09424, 6.5724, 17.730 Hz; this mesh is 0.15 % too stiff.
+    assert elastic(modes(problem, count=1))[0] == pytest.approx(1.07179, rel=2e-3)
+    loaded = list(Modal(problem, count=3, preload=True).steps())
+    assert isinstance(loaded[0], State)
+    found = [step for step in loaded if isinstance(step, Mode)]
+    assert elastic(found) == pytest.approx([1.09424, 6.5724, 17.730], rel=3e-3)
+    assert np.min(found[0].base.x.array, initial=0.0) >= -0.0663
+    # Loads do nothing without preload, and leave nothing behind.
+    assert elastic(modes(problem, count=1))[0] == pytest.approx(1.07179, rel=2e-3)
+
+
+def test_spinning(comm: MPI.Comm) -> None:
+    """A blade that spins: omega^2 grows by 1.193 W^2 across, and by 0.193 W^2 in the plane.
+
+    J. Wright, C. Smith, R. Thresher and J. Wang, J. Appl. Mech. 49 (1982) 197, for a beam without
+    shear and a hub of no radius: 3.5160^2 becomes 3.6817^2 at W = 1.  Shear adds 0.6 %.
+    """
+    body = box_body(size=[10, 1, 0.5], cells=[10, 1, 1], comm=comm)
+    spin = Centrifugal(value=0.1, axis=[0, 0, 1])
+    problem = Problem(body, StVenantKirchhoff(**SOFT), supports=LEFT, loads=[spin], degree=2)
+    rest, fast = (modes(problem, count=2, preload=preload) for preload in (False, True))
+    grown = [(f.eigenvalue - r.eigenvalue) / 0.1**2 for r, f in zip(rest, fast, strict=True)]
+    assert fast[0].effective["z"] > fast[0].effective["y"]
+    assert grown == pytest.approx([1.193, 0.193], abs=1e-2)
+
+
+# --- supports ---
+
+
+def test_springs(comm: MPI.Comm) -> None:
+    """A hard block on soft springs: closed form, and all masses add up."""
+    body = rectangle_body(size=[2, 1], cells=[2, 1], comm=comm)
+    springs = [Spring(on=["left", "right"], stiffness=[3e3, 1e3], kind="spring")]
+    problem = Problem(body, LinearElastic(E=1e10, nu=0.3, density=500), supports=springs, degree=1)
+    found = modes(problem, count=12)  # every mode there is
+    m, inertia = 1000.0, 1000.0 * 5 / 12
+    turning = 2 * 3e3 / 12 + 2 * 1e3 * 1.0  # springs along x at y, and across at x = +-1
+    exact = np.sqrt([2e3 / m, turning / inertia, 6e3 / m]) / (2 * np.pi)
+    # Soft by 1e-7 of the block: so much it gives.
+    assert elastic(found)[:3] == pytest.approx(exact, rel=1e-6)
+    assert {mode.kind for mode in found} == {"elastic"}  # rigid motions, but not free ones
+    assert len(found) == problem.num_dofs
+    for name, whole in found[0].whole.items():
+        assert sum(mode.effective[name] for mode in found) == pytest.approx(whole, rel=1e-9)
+
+
+def test_rollers(comm: MPI.Comm) -> None:
+    """One free motion along a roller, straight and tilted: the same frequencies."""
+    c, s = np.cos(0.4), np.sin(0.4)
+    straight, tilted = (
+        modes(Problem(body, NeoHookean(**SOFT), supports=[Symmetry(on="left")], degree=2), count=3)
+        for body in (
+            strip(comm),
+            bent(strip(comm), lambda x, y: np.stack([c * x - s * y, s * x + c * y], axis=1)),
+        )
+    )
+    assert [mode.kind for mode in tilted] == ["rigid"] + 3 * ["elastic"]
+    assert straight[0].name == "move along y"
+    assert tilted[0].name == "move along (0.3894, -0.9211)"
+    assert elastic(tilted) == pytest.approx(elastic(straight), rel=1e-8)
+
+
+def test_body_of_revolution(comm: MPI.Comm) -> None:
+    """It is free along its axis only; torsion is no motion of its section."""
+    body = rectangle_body(size=[1, 1], cells=[4, 4], comm=comm)
+    problem = Problem(body, NeoHookean(**SOFT), degree=2, geometry="axisymmetric")
+    found = modes(problem, count=1)
+    assert [mode.name for mode in found] == ["move along y", ""]
+    assert found[0].whole == {"y": pytest.approx(1000 * np.pi, rel=1e-9)}
+
+
+def test_iterations(comm: MPI.Comm) -> None:
+    """CG with multigrid finds what factors find, of held and of free bodies, also twice."""
+    body = box_body(size=[2, 2, 1], cells=[2, 2, 1], comm=comm)
+    for degree in (1, 2):
+        for supports in (LEFT, []):
+            problem = Problem(body, LinearElastic(**SOFT), supports=supports, degree=degree)
+            direct = modes(problem, count=4)
+            slow = modes(problem, count=4, linear=LinearSettings(method="iterative"))
+            assert elastic(slow) == pytest.approx(elastic(direct), rel=1e-7)
+            assert len(slow) == len(direct)
+
+
+# --- what is wrong ---
+
+
+REFUSED: Mapping[str, tuple[dict[str, Any], dict[str, Any], str]] = {
+    "no density": ({"law": LinearElastic(E=1, nu=0)}, {}, "weight and motion need a density"),
+    "no energy": ({"law": Textbook(**SOFT)}, {}, "materials.body.law: 'textbook' has no energy"),
+    "follower": (
+        {"law": NeoHookean(**SOFT), "loads": [Pressure(on="right", value=1)]},
+        {"preload": True},
+        r"load\[0\]: the pressure follows a surface whose rim is free",
+    ),
+    "warm": (
+        {
+            "law": NeoHookean(**SOFT, expansion=1e-5),
+            "loads": [Thermal(value=10, curve="constant")],
+        },
+        {},
+        r"load\[0\]: thermal acts at rest, too: .* modal.preload = true",
+    ),
+    "free": (
+        {"law": NeoHookean(**SOFT), "supports": [], "loads": [Traction(on="right", value=[1, 0])]},
+        {"preload": True},
+        "there is no support: as a rigid body it can move and turn freely",
+    ),
+    "contact": (
+        {
+            "law": NeoHookean(**SOFT),
+            "contacts": [Contact(on="top", plane={"axis": "-y", "at": 2})],
+        },
+        {},
+        "contact: what opens and closes has no modes",
+    ),
+    "cell": (
+        {
+            "law": NeoHookean(**SOFT),
+            "supports": [],
+            "periodic": Periodic(
+                pairs=[["left", "right"], ["bottom", "top"]], gradient=[[1, 0], [0, 1]]
+            ),
+        },
+        {},
+        "periodic: a periodic cell has no modes of its own",
+    ),
+    "below": (
+        {"law": NeoHookean(**SOFT)},
+        {"below": 1, "linear": LinearSettings(method="iterative")},
+        "modal.below: modes are counted by factors",
+    ),
+}
+
+
+@pytest.mark.parametrize("key", REFUSED)
+def test_refused(key: str, comm: MPI.Comm) -> None:
+    """One message that says where, what and what else."""
+    made, settings, text = REFUSED[key]
+    keys = {"supports": LEFT, **{k: v for k, v in made.items() if k != "law"}}
+    with pytest.raises(InputError, match=text):
+        modes(Problem(strip(comm, (4, 1)), made["law"], **keys), **settings)
+
+
+def test_options_of_the_user(comm: MPI.Comm, caplog: pytest.LogCaptureFixture) -> None:
+    """SLEPc takes them; what nothing takes is said."""
+    problem = Problem(strip(comm, (4, 1)), LinearElastic(**SOFT), supports=LEFT)
+    first = elastic(modes(problem, count=2))
+    found = modes(problem, count=2, petsc={"eps_type": "arnoldi", "nonsense": 1})
+    assert elastic(found) == pytest.approx(first, rel=1e-8)
+    if comm.rank == 0:
+        assert "'-nonsense' was not used" in caplog.text
+        assert "eps_type" not in caplog.text
