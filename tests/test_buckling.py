@@ -20,14 +20,13 @@ from dolfin_elastic import (
     Problem,
     StVenantKirchhoff,
     Support,
-    Symmetry,
     Traction,
     rectangle_body,
 )
 from dolfin_elastic.errors import ConvergenceError, InputError
 from dolfin_elastic.model.law import Law
 from dolfin_elastic.solvers.linear import LinearSettings
-from dolfin_elastic.solvers.statics import StaticsSettings
+from dolfin_elastic.solvers.shapes import at_rest
 from dolfin_elastic.state import Mode, State
 
 EULER = np.pi**2 * 1e7 / 12 / (1 - 0.3**2) / 400
@@ -56,40 +55,19 @@ def column(body: Body, law: Law | None = None, load: float = -EULER, **keys: Any
     )
 
 
-def test_euler(comm: MPI.Comm) -> None:
-    """B-11: linear buckling; 0.08 % above Engesser is the mesh's bending stiffness."""
-    problem = column(strip(comm))
-    found = list(Buckling(problem, count=3).modes())
-    assert [mode.kind for mode in found] == 3 * ["buckling"]
-    first = found[0].load_factor * EULER
-    assert first == pytest.approx(ENGESSER, rel=2e-3)
-    # Four times as fine: 0.1 % (Engesser's shear and the clamp are in both).
-    fine = factors(column(strip(comm, (80, 8))), count=1)[0] * EULER
-    assert fine < first < 1.001 * fine
-    # A higher mode of a clamped column: 9 times the load, less by shear; there the column would
-    # be 1.7 % shorter, which linear buckling cannot get right to better than that.
-    ratio = found[1].load_factor / found[0].load_factor
-    shear = EULER / (5 / 6 * 1e7 / 2.6)
-    assert ratio == pytest.approx(9 * (1 + shear) / (1 + 9 * shear), rel=1.7e-2)
-    u = found[0].u.x.array.reshape(-1, 2)
-    size = comm.allreduce(float(np.max(np.linalg.norm(u, axis=1), initial=0.0)), op=MPI.MAX)
-    assert size == pytest.approx(1.0, rel=1e-12)
-
-
-@pytest.mark.parametrize("law", [StVenantKirchhoff(**SOFT), NeoHookean(**SOFT)])
-def test_along_the_path(law: Law, comm: MPI.Comm) -> None:
+def test_along_the_path(comm: MPI.Comm) -> None:
     """About a loaded state the factor is that of the path, quadratically in what is left.
 
     Linear buckling leaves out terms of second order in the strain before, 0.2 %; they are the
     law's own.  At 0.95 of the load hardly anything is left out.
     """
-    problem = column(strip(comm, (20, 2)), law)
+    problem = column(strip(comm, (20, 2)))
     linear, half, near = (factors(problem, count=1, preload=s)[0] for s in (0.0, 0.5, 0.9))
     assert linear == pytest.approx(near, rel=2e-3)
     # Left out: (near - s)^2 of a quadratic change of the tangent.
     assert (half - near) / (linear - near) == pytest.approx(0.25, abs=0.05)
     # Frequencies vanish at the same load, by another eigenvalue problem.
-    loaded = column(strip(comm, (20, 2)), law, load=-0.97 * EULER * near)
+    loaded = column(strip(comm, (20, 2)), load=-0.97 * EULER * near)
     rest, mode = (
         next(iter(Modal(loaded, count=1, preload=preload).modes())) for preload in (False, True)
     )
@@ -109,10 +87,10 @@ def test_preload_is_yielded(comm: MPI.Comm) -> None:
 
 def test_reversed(comm: MPI.Comm) -> None:
     """A load the other way: the column is pulled, and buckles under its opposite."""
-    pushed = factors(column(strip(comm, (10, 1))), count=2)
-    pulled = factors(column(strip(comm, (10, 1)), load=EULER), count=2, negative=True)
+    pushed = factors(column(strip(comm, (10, 1))), count=1)
+    pulled = factors(column(strip(comm, (10, 1)), load=EULER), count=1, negative=True)
     assert [f for f in pulled if f < 0] == pytest.approx([-f for f in pushed], rel=1e-7)
-    assert len(pulled) == 4
+    assert len(pulled) == 2
     assert pulled[0] > 100  # where the material itself gives way, if at all
 
 
@@ -128,25 +106,6 @@ def test_pressed_by_displacement(comm: MPI.Comm) -> None:
     force = 1e7 / (1 - 0.3**2) * 0.001 * first
     shear = 4 * EULER / (5 / 6 * 1e7 / 2.6)
     assert force == pytest.approx(4 * EULER / (1 + shear), rel=1.5e-2)
-
-
-def test_ring(comm: MPI.Comm) -> None:
-    """A ring under pressure that follows it: 3 E'I/R^3, M. Levy (1884); dead pressure takes 4."""
-    body = rectangle_body(size=[1, 1], cells=[48, 1], comm=comm)
-    x = body.mesh.geometry.x
-    angle, radius = np.pi / 2 * x[:, 0].copy(), 1.0 + 0.02 * (x[:, 1] - 0.5)
-    x[:, 0], x[:, 1] = radius * np.sin(angle), radius * np.cos(angle)
-    bending = 1e7 / (1 - 0.3**2) * 0.02**3 / 12
-    problem = Problem(
-        body,
-        StVenantKirchhoff(**SOFT),
-        supports=[Symmetry(on="left"), Symmetry(on="right")],
-        loads=[Pressure(on="top", value=3 * bending)],
-        degree=2,
-    )
-    # A quarter of the ring, straight-sided cells: 1 % of their stiffness; the pressure acts
-    # outside the middle of the wall, by 1 % of the radius.
-    assert factors(problem, count=1)[0] == pytest.approx(1.0, rel=2.5e-2)
 
 
 def test_mixed(comm: MPI.Comm) -> None:
@@ -207,7 +166,10 @@ def test_refused(comm: MPI.Comm) -> None:
 
 
 def test_unstable_before(comm: MPI.Comm) -> None:
-    """Beyond the critical load there is no straight column to linearise about."""
+    """A straight column beyond its load is nothing to linearise about."""
     problem = column(strip(comm, (10, 1)))
-    with pytest.raises(ConvergenceError, match="no equilibrium beyond load factor"):
-        factors(problem, count=1, preload=1.5, statics=StaticsSettings(snap=False, first_step=1))
+    buckling = Buckling(problem, count=1)
+    at_rest(problem)
+    problem.u.interpolate(lambda x: np.stack([-0.006 * x[0], 0 * x[0]]))  # thrice Euler's strain
+    with pytest.raises(ConvergenceError, match="the body is not stable under 0 times the loads"):
+        next(buckling.about_this_state())

@@ -11,9 +11,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import (
     Body,
-    Centrifugal,
     Contact,
-    Gravity,
     LinearElastic,
     Modal,
     NeoHookean,
@@ -22,7 +20,6 @@ from dolfin_elastic import (
     Pressure,
     Problem,
     Spring,
-    StVenantKirchhoff,
     Support,
     Symmetry,
     Textbook,
@@ -33,7 +30,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.solvers.linear import LinearSettings
-from dolfin_elastic.state import Mode, State
+from dolfin_elastic.state import Mode
 
 SOFT = {"E": 1e7, "nu": 0.3, "density": 1000}
 STEEL = {"E": 200e9, "nu": 0.3, "density": 8000}
@@ -82,68 +79,6 @@ def test_cantilever(comm: MPI.Comm) -> None:
     assert found[0].mass == pytest.approx(2500, rel=1e-2)
 
 
-def test_cantilever_in_space(comm: MPI.Comm) -> None:
-    """C-1 in space: bending in pairs, torsion, axial; the clamp is singular, torsion worst."""
-    body = box_body(size=[10, 1, 1], cells=[16, 3, 3], comm=comm)
-    found = modes(Problem(body, LinearElastic(**SOFT), supports=LEFT, degree=2), count=6)
-    off = errors(found, [0.161, 0.161, 0.96551, 0.96551, 1.42624, 2.50704])
-    assert np.all((off > 0) & (off < 7e-3)), off
-    assert np.max(off[[0, 1, 2, 3, 5]]) < 4e-3, off
-    kinds = [max(m.effective, key=lambda k: m.effective[k] / m.whole[k]) for m in found]
-    assert kinds[4:] == ["rx", "x"]
-
-
-def test_thick_plate(comm: MPI.Comm) -> None:
-    """C-2, exact by Rayleigh and Lamb: everything below 225 Hz, double frequencies twice."""
-    body = box_body(size=[10, 10, 1], cells=[12, 12, 2], comm=comm)
-    supports = [
-        Support(on=["left", "right"], displacement=["free", 0, 0]),
-        Support(on=["front", "back"], displacement=[0, "free", 0]),
-    ]
-    problem = Problem(body, LinearElastic(**STEEL), supports=supports, degree=2)
-    exact = [45.971212, 109.856862, 109.856862, 155.043418, 155.043418, 168.819294]
-    exact += [205.864612, 205.864612, 219.264505]
-    found = modes(problem, below=225)
-    off = errors(found, exact)
-    assert len(found) == len(exact)
-    assert np.all((off > 0) & (off < 0.01)), off
-    assert np.all(off[[3, 4, 8]] < 1e-4), off  # waves in the plane are longer
-
-
-def test_membrane(comm: MPI.Comm) -> None:
-    """C-3, NAFEMS FV32 in plane stress: a field beside the displacement that has no mass."""
-    body = bent(
-        rectangle_body(size=[10, 1], cells=[16, 8], comm=comm),
-        lambda x, y: np.stack([x, (2 * y - 1) * (2.5 - 0.2 * x)], axis=1),
-    )
-    problem = Problem(
-        body, LinearElastic(**STEEL), supports=LEFT, degree=2, geometry="plane-stress"
-    )
-    exact = [44.61702, 130.00947, 162.68874, 245.98586, 379.71718, 391.40419]
-    off = errors(modes(problem), exact)
-    assert np.all((off > 0) & (off < 1e-3)), off
-
-
-def test_free_cube(comm: MPI.Comm) -> None:
-    """C-4, by Ritz polynomials of degree 21: six rigid modes, then pairs and triples."""
-    body = box_body(size=[1, 1, 1], cells=[4, 4, 4], comm=comm)
-    found = modes(Problem(body, LinearElastic(E=1, nu=0.3, density=1), degree=2), count=12)
-    assert [mode.kind for mode in found] == 6 * ["rigid"] + 12 * ["elastic"]
-    assert [mode.name for mode in found[:6]] == [
-        *(f"move along {axis}" for axis in "xyz"),
-        *(f"turn about {axis} through (0.5, 0.5, 0.5) m" for axis in "xyz"),
-    ]
-    exact = 2 * [0.2819022] + 3 * [0.3796116] + 3 * [0.3860549] + 3 * [0.4385290] + [0.4513503]
-    off = errors(found, exact)
-    # Half a per cent on a mesh of 6 cells a side; here the error is 1.5^4 as large.
-    assert np.all(np.abs(off) < 0.025), off
-    assert np.all(off[:11] > 0), off
-    # All of the mass is in the rigid modes, to round-off.
-    for name, whole in found[0].whole.items():
-        assert sum(mode.effective[name] for mode in found[:6]) == pytest.approx(whole, rel=1e-10)
-        assert sum(mode.effective[name] for mode in found[6:]) < 1e-12
-
-
 @pytest.mark.parametrize("nu", [0.3, 0.5])
 def test_square_without_pressure(nu: float, comm: MPI.Comm) -> None:
     """Lame's mode of a free square has frequency c_s/sqrt(2) whatever nu; pressure has no mass.
@@ -158,44 +93,6 @@ def test_square_without_pressure(nu: float, comm: MPI.Comm) -> None:
     # Fourth order in h; one of them, and nothing else so near.
     assert np.min(np.abs(near)) < 3e-4, near
     assert np.sum(np.abs(near) < 1e-2) == 1
-
-
-def test_prestressed(comm: MPI.Comm) -> None:
-    """Turek and Hron's flag, CSM1: at rest, and about the state to which its weight bends it."""
-
-    def flag(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        high = 0.19 + 0.02 * y
-        left = 0.2 + np.sqrt(0.05**2 - (high - 0.2) ** 2)
-        return np.stack([left + x * (0.6 - left), high], axis=1)
-
-    body = bent(rectangle_body(size=[1, 1], cells=[60, 3], comm=comm), flag)
-    law = StVenantKirchhoff(mu=0.5e6, nu=0.4, density=1000)
-    loads = [Gravity(value=[0, -2])]
-    problem = Problem(body, law, supports=LEFT, loads=loads, degree=2)
-    # Converged: 1.07179, 1.09424, 6.5724, 17.730 Hz; this mesh is 0.15 % too stiff.
-    assert elastic(modes(problem, count=1))[0] == pytest.approx(1.07179, rel=2e-3)
-    loaded = list(Modal(problem, count=3, preload=True).steps())
-    assert isinstance(loaded[0], State)
-    found = [step for step in loaded if isinstance(step, Mode)]
-    assert elastic(found) == pytest.approx([1.09424, 6.5724, 17.730], rel=3e-3)
-    assert np.min(found[0].base.x.array, initial=0.0) >= -0.0663
-    # Loads do nothing without preload, and leave nothing behind.
-    assert elastic(modes(problem, count=1))[0] == pytest.approx(1.07179, rel=2e-3)
-
-
-def test_spinning(comm: MPI.Comm) -> None:
-    """A blade that spins: omega^2 grows by 1.193 W^2 across, and by 0.193 W^2 in the plane.
-
-    J. Wright, C. Smith, R. Thresher and J. Wang, J. Appl. Mech. 49 (1982) 197, for a beam without
-    shear and a hub of no radius: 3.5160^2 becomes 3.6817^2 at W = 1.  Shear adds 0.6 %.
-    """
-    body = box_body(size=[10, 1, 0.5], cells=[10, 1, 1], comm=comm)
-    spin = Centrifugal(value=0.1, axis=[0, 0, 1])
-    problem = Problem(body, StVenantKirchhoff(**SOFT), supports=LEFT, loads=[spin], degree=2)
-    rest, fast = (modes(problem, count=2, preload=preload) for preload in (False, True))
-    grown = [(f.eigenvalue - r.eigenvalue) / 0.1**2 for r, f in zip(rest, fast, strict=True)]
-    assert fast[0].effective["z"] > fast[0].effective["y"]
-    assert grown == pytest.approx([1.193, 0.193], abs=1e-2)
 
 
 # --- supports ---
@@ -244,15 +141,14 @@ def test_body_of_revolution(comm: MPI.Comm) -> None:
 
 
 def test_iterations(comm: MPI.Comm) -> None:
-    """CG with multigrid finds what factors find, of held and of free bodies, also twice."""
+    """CG with multigrid finds what factors find, of a held body and of a free one."""
     body = box_body(size=[2, 2, 1], cells=[2, 2, 1], comm=comm)
-    for degree in (1, 2):
-        for supports in (LEFT, []):
-            problem = Problem(body, LinearElastic(**SOFT), supports=supports, degree=degree)
-            direct = modes(problem, count=4)
-            slow = modes(problem, count=4, linear=LinearSettings(method="iterative"))
-            assert elastic(slow) == pytest.approx(elastic(direct), rel=1e-7)
-            assert len(slow) == len(direct)
+    for degree, supports in ((1, LEFT), (2, [])):
+        problem = Problem(body, LinearElastic(**SOFT), supports=supports, degree=degree)
+        direct = modes(problem, count=3)
+        slow = modes(problem, count=3, linear=LinearSettings(method="iterative"))
+        assert elastic(slow) == pytest.approx(elastic(direct), rel=1e-7)
+        assert [mode.kind for mode in slow] == [mode.kind for mode in direct]
 
 
 # --- what is wrong ---

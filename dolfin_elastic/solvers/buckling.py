@@ -132,13 +132,14 @@ class Buckling:
             yield from Statics(self.problem, settings, linear=self.linear, petsc=self.petsc).steps()
         else:
             at_rest(self.problem)
-        yield from self._modes()
+        yield from self.about_this_state()
 
     def modes(self) -> Iterator[Mode]:
         """Yields the modes only. Collective."""
         yield from (found for found in self.steps() if isinstance(found, Mode))
 
-    def _modes(self) -> Iterator[Mode]:
+    def about_this_state(self) -> Iterator[Mode]:
+        """Yields the modes about the present state of the problem. Collective."""
         log.info("%s", self.choice.why)
         path = _Path(self.problem, self.settings.preload)
         try:

@@ -111,13 +111,14 @@ class Modal:
             ).steps()
         else:
             at_rest(self.problem)
-        yield from self._modes()
+        yield from self.about_this_state()
 
     def modes(self) -> Iterator[Mode]:
         """Yields the modes only. Collective."""
         yield from (found for found in self.steps() if isinstance(found, Mode))
 
-    def _modes(self) -> Iterator[Mode]:
+    def about_this_state(self) -> Iterator[Mode]:
+        """Yields the modes about the present state of the problem. Collective."""
         log.info("%s", self.choice.why)
         for dashpot in self.problem.dashpots:
             log.warning("the dashpot '%s' does nothing to undamped modes", dashpot.label)
