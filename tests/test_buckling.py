@@ -26,7 +26,9 @@ from dolfin_elastic import (
 from dolfin_elastic.errors import ConvergenceError, InputError
 from dolfin_elastic.model.law import Law
 from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.solvers.modal import ModalSettings
 from dolfin_elastic.solvers.shapes import at_rest
+from dolfin_elastic.solvers.statics import StaticsSettings
 from dolfin_elastic.state import Mode, State
 
 EULER = np.pi**2 * 1e7 / 12 / (1 - 0.3**2) / 400
@@ -62,14 +64,18 @@ def test_along_the_path(comm: MPI.Comm) -> None:
     law's own.  At 0.95 of the load hardly anything is left out.
     """
     problem = column(strip(comm, (20, 2)))
-    linear, half, near = (factors(problem, count=1, preload=s)[0] for s in (0.0, 0.5, 0.9))
+    linear, half, near = (
+        factors(problem, count=1, preload=s, statics=StaticsSettings(steps=1))[0]
+        for s in (0.0, 0.5, 0.9)
+    )
     assert linear == pytest.approx(near, rel=2e-3)
     # Left out: (near - s)^2 of a quadratic change of the tangent.
     assert (half - near) / (linear - near) == pytest.approx(0.25, abs=0.05)
     # Frequencies vanish at the same load, by another eigenvalue problem.
     loaded = column(strip(comm, (20, 2)), load=-0.97 * EULER * near)
     rest, mode = (
-        next(iter(Modal(loaded, count=1, preload=preload).modes())) for preload in (False, True)
+        next(iter(Modal(loaded, at, statics=StaticsSettings(steps=1)).modes()))
+        for at in (ModalSettings(count=1), ModalSettings(count=1, preload=True))
     )
     # omega^2 falls in proportion, but for some 0.3 % of it.
     assert mode.eigenvalue / rest.eigenvalue == pytest.approx(0.03, abs=3e-3)
@@ -79,7 +85,8 @@ def test_along_the_path(comm: MPI.Comm) -> None:
 def test_preload_is_yielded(comm: MPI.Comm) -> None:
     """States on the way first; modes about the last of them; a state beyond is refused."""
     problem = column(strip(comm, (10, 1)))
-    found = list(Buckling(problem, count=1, preload=0.5).steps())
+    steps = StaticsSettings(steps=1)
+    found = list(Buckling(problem, count=1, preload=0.5, statics=steps).steps())
     assert isinstance(found[0], State)
     assert isinstance(found[-1], Mode)
     assert [step.load_factor for step in found if isinstance(step, State)][-1] == 0.5

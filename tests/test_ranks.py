@@ -28,7 +28,6 @@ meshes, supports, loads, pressures and probes, have tests of their own that run 
 ones run at 2, so that reference cases as such do."""
 SHARED = (
     "audit",
-    "buckling",
     "contact",
     "dynamics",
     "explicit",
