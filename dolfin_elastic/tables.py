@@ -30,7 +30,7 @@ from dolfin_elastic.model.materials import MATERIALS
 from dolfin_elastic.model.own import Own, read_energy
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.results.fields import FIELDS
-from dolfin_elastic.results.outputs import History, Modes, Picture, Summary, Xdmf
+from dolfin_elastic.results.outputs import History, ModePicture, Modes, Picture, Summary, Xdmf
 from dolfin_elastic.results.outputs import Output as File
 from dolfin_elastic.results.probes import Probe, ProbePoint
 from dolfin_elastic.schema import Record, known_keys, shown, within
@@ -278,9 +278,11 @@ class Output(Record):
             p if p.title is not None else p.model_copy(update={"title": title})
             for p in self.pictures
         ]
-        of_states = [Xdmf(fields=self.fields, **every), History(), *pictures] if states else []
-        of_modes = [Modes(frames=self.frames, amplitude=self.amplitude)] if modes else []
-        return [*of_states, *of_modes, Summary()]
+        found: list[File] = [Xdmf(fields=self.fields, **every), History()] if states else []
+        if not modes:
+            return [*found, *pictures, Summary()]
+        drawn = [ModePicture(**{**written(p), "amplitude": self.amplitude}) for p in pictures]
+        return [*found, Modes(frames=self.frames, amplitude=self.amplitude), *drawn, Summary()]
 
 
 # --- reading ---

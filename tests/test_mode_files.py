@@ -109,6 +109,17 @@ def test_rigid_and_buckling_modes(folder: Path, comm: MPI.Comm) -> None:
         assert json.loads((folder / "summary.json").read_text())["modes"][0]["kind"] == "buckling"
 
 
+@pytest.mark.usefixtures("serial_only")
+def test_picture(folder: Path, comm: MPI.Comm) -> None:
+    """Each mode is drawn; what has no size is refused."""
+    output = {"pictures": [{"file": "m.png"}], "frames": 1}
+    list(run(case(modal={"count": 2}, output=output), output=folder, comm=comm))
+    assert {"m_0001.png", "m_0002.png"} < names(folder, comm)
+    output = {"pictures": [{"field": "von_mises"}]}
+    with pytest.raises(InputError, match=r"output.pictures\[0\].field: a mode has no 'von_mises'"):
+        report(case(modal={}, output=output), comm=comm)
+
+
 def test_tables() -> None:
     """One analysis; [statics] beside a preload; units; back to TOML."""
     read = case(modal={"below": "2 kHz", "preload": True}, statics={"steps": 2})

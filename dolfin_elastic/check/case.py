@@ -143,6 +143,8 @@ def _check_fields(case: Case) -> None:
         for key, probe in case.output.probes.items()
         for name in probe.fields
     ]
+    if case.analysis in ("modal", "buckling"):
+        _check_mode_pictures(case)
     powerless = [n for n, m in case.materials.items() if not m.law.has_energy]
     for where, name in fields:
         if FIELDS[name].motion and case.dynamics is None:
@@ -170,6 +172,16 @@ def _check_fields(case: Case) -> None:
                 "no material has an allowable stress",
                 where=where,
                 expected='write for example allowable = "40 MPa" under [materials.NAME]',
+            )
+
+
+def _check_mode_pictures(case: Case) -> None:
+    for i, picture in enumerate(case.output.pictures):
+        if "field" in picture.model_fields_set and picture.field != "displacement":
+            raise CaseError(
+                f"a mode has no '{picture.field}': it has no size of its own",
+                where=f"output.pictures[{i}].field",
+                expected="leave it out; modes are coloured by their displacement",
             )
 
 

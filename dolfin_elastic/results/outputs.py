@@ -14,6 +14,7 @@ from pydantic import Field, field_validator
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.results.fields import known
 from dolfin_elastic.results.history import HistoryWriter
+from dolfin_elastic.results.mode_pictures import ModePictureWriter
 from dolfin_elastic.results.modes import ModesWriter
 from dolfin_elastic.results.modes import listing as animations
 from dolfin_elastic.results.pictures import PictureWriter, View, drawable, own_files
@@ -145,7 +146,7 @@ class Picture(Output):
             raise InputError(f"{every} is wrong", expected='"last", 1, 2, 3, ...')
         return every
 
-    def open(self, problem: Problem, folder: Path) -> PictureWriter:
+    def open(self, problem: Problem, folder: Path) -> Writer:
         """See `Output.open`."""
         return PictureWriter(
             problem,
@@ -164,6 +165,27 @@ class Picture(Output):
         if len(found) <= _MANY:
             return found
         return [f"{found[0]} ... {found[-1]} ({len(found)} pictures)"]
+
+
+class ModePicture(Picture):
+    """A picture of each mode, coloured by its displacement.
+
+    Attributes:
+        amplitude: Largest displacement, over the body's longest side.
+    """
+
+    amplitude: float = Field(default=0.1, gt=0)
+
+    def open(self, problem: Problem, folder: Path) -> Writer:
+        """See `Output.open`."""
+        return ModePictureWriter(
+            problem,
+            folder / self.file,
+            amplitude=self.amplitude,
+            title=self.title or "",
+            scale=self.scale,
+            view=self.view,
+        )
 
 
 class Modes(Output):

@@ -283,7 +283,7 @@ class Vibration:
             frequency=float(np.sqrt(max(value, 0.0)) / (2 * np.pi)),
             mass=mass / size**2,
             participation=self._named(shared / mass * size),
-            effective=self._named(shared**2 / mass),
+            effective=self._named(np.square(shared) / mass),
             whole=self._named(self.whole.whole),
             name=found.name if isinstance(found, RigidMode) else "",
             done=done,
