@@ -19,7 +19,7 @@ from dolfin_elastic.results.evaluate import Evaluator
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = 4.0
-FROM, UP, APART = np.array([1.0, -0.42, 0.36]), np.array([0.0, 0.0, 1.0]), 0.125
+FROM, UP, APART = np.array([0.55, -1.0, 0.3]), np.array([0.0, 0.0, 1.0]), 0.15
 YELLOW, ORANGE, BLACK = "#ffcc1a", "#ff7a1a", "#202020"
 HEAT = LinearSegmentedColormap.from_list(
     "heat", ["#ffe36b", "#ffb020", "#f0591e", "#b3122b", "#4a0530"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -171,13 +172,13 @@ def _expected(unit: str) -> str:
     return f"expected a number in {unit}" + (f', for example "{example}"' if example else "")
 
 
-class Deferred:
+class Deferred(ABC):
     """Stands in for a number that is known only on a body, where its bounds are checked too."""
 
     @property
+    @abstractmethod
     def written(self) -> Any:
         """As it stands in a case file."""
-        raise NotImplementedError
 
     def __gt__(self, other: object) -> bool:
         return True

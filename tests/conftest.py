@@ -1,7 +1,7 @@
 """What all tests share.
 
-`pytest` alone runs everything: the tests here on one rank, then the same tests again under
-`mpirun -n 2` and `-n 3`, started by test_ranks.py.
+`pytest` alone runs everything on as many cores as there are: the tests here on one rank, and the
+same tests again under `mpirun -n 2` and `-n 3`, started by test_ranks.py.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import os
 import tempfile
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,41 @@ from mpi4py import MPI
 from dolfin_elastic import Problem
 
 ROOT = Path(__file__).resolve().parent.parent
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--variants",
+        type=int,
+        metavar="N",
+        help="run only N of the parameters of each test, evenly chosen",
+    )
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """Spreads the whole suite over the cores, unless the command line says how, or MPI does."""
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    if whole and MPI.COMM_WORLD.size == 1 and config.getoption("numprocesses", 0) is None:
+        config.option.numprocesses = os.cpu_count()
+        config.option.dist = "worksteal"
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Runs what takes longest, other ranks, first; and a part of many parameters if asked."""
+    items.sort(key=lambda item: "test_ranks" not in item.nodeid)
+    if not (most := config.getoption("variants")):
+        return
+    alike = defaultdict(list)
+    for item in items:
+        alike[item.nodeid.partition("[")[0]].append(item)
+    kept = {
+        id(group[i * (len(group) - 1) // max(most - 1, 1)])
+        for group in alike.values()
+        for i in range(min(most, len(group)))
+    }
+    config.hook.pytest_deselected(items=[item for item in items if id(item) not in kept])
+    items[:] = [item for item in items if id(item) in kept]
 
 
 @pytest.fixture

@@ -218,6 +218,23 @@ def test_same_as_the_forms(name):
     np.testing.assert_allclose(row.force, sums, rtol=EXACT, atol=EXACT)
 
 
+def test_points_and_lines():
+    """Force at a point; and along a line of 2 m, -x N/m down: integral of x and of x times x."""
+    at = {"kind": "point-force", "at": [2, 1, 3], "value": [5, 0, 0]}
+    along = {
+        "kind": "line-force",
+        "start": [0, 0, 3],
+        "end": [2, 0, 3],
+        "value": [0, 0, "-x"],
+    }
+    point, line, both = report(case(load=[at, along])).loads
+    assert point.force == pytest.approx((5, 0, 0), rel=EXACT)
+    assert point.moment == pytest.approx((0, 15, -5), rel=EXACT)
+    np.testing.assert_allclose(line.force, (0, 0, -2), rtol=EXACT, atol=EXACT)
+    np.testing.assert_allclose(line.moment, (0, 8 / 3, 0), rtol=EXACT, atol=EXACT)
+    np.testing.assert_allclose(both.moment, (0, 15 + 8 / 3, -5), rtol=EXACT)
+
+
 def test_curves():
     """In statics at the end; in motion when the load is largest, each at its own time."""
     pull = {"kind": "traction", "on": "top", "value": [100, 0, 0], "curve": [[0, 0], [1, 3]]}

@@ -26,8 +26,13 @@ from dolfin_elastic import (
 from dolfin_elastic.case import Case
 from dolfin_elastic.check import report
 from dolfin_elastic.errors import InputError
+from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.contact import AUGMENTATIONS, Augmentation
+from dolfin_elastic.solvers.contact import Augmentation
+from dolfin_elastic.solvers.ladder import Ladder
+from dolfin_elastic.solvers.linear import LinearSettings, choose
+from dolfin_elastic.solvers.newton import Newton
+from dolfin_elastic.solvers.progress import Tolerance
 
 FREE = "free"
 E, NU = 1e6, 0.3
@@ -122,26 +127,39 @@ def test_tolerance_and_stiffness():
     )
 
 
-def test_a_tolerance_out_of_reach_is_said(caplog):
-    problem = between_plates(2, 1, gap_tolerance=1e-30)
-    with caplog.at_level("WARNING", logger="dolfin_elastic"):
-        last(problem, steps=1)
-    if problem.body.comm.rank == 0:
-        said = [r.getMessage() for r in caplog.records if "augmentations" in r.getMessage()]
-        assert len(said) == 2
-        assert f"contact 'floor': after {AUGMENTATIONS} augmentations" in said[0]
-        assert "gap_tolerance = 1e-30 m" in said[0]
+def test_a_tolerance_out_of_reach_is_said():
+    """In the audit, and so in the log, in history.csv and in summary.json."""
+    audit = last(between_plates(2, 1, gap_tolerance=1e-30), steps=1).audit
+    assert audit.verdict == "warn"
+    said = [reason for reason in audit.reasons if "gap_tolerance = 1e-30 m" in reason]
+    assert [reason[:20] for reason in said] == ["contact 'floor': a n", "contact 'plate': a n"]
 
 
-def test_what_a_failed_step_has_learnt_is_forgotten():
+def test_what_an_undone_step_has_learnt_is_forgotten():
+    """A ladder goes back to the displacement and to the multipliers of where it began."""
     problem = between_plates(2, 1)
-    augmentation = Augmentation(problem)
-    last(problem)
-    assert not augmentation.needed()
+    assembler = Assembler(problem)
+    newton = Newton(assembler, choose(problem, LinearSettings()), Tolerance())
+    ladder, start = Ladder(newton, Augmentation(problem)), newton.present()
+    problem.set_time(0.25, default=RAMP)
+    assert ladder.solve([("", start)]).converged
     lam = problem.touching[0].lam.x.array
     assert problem.body.comm.allreduce(float(lam.max(initial=0)), op=MPI.MAX) > 0
-    augmentation.restore()
+    ladder.undo(start)
     assert not lam.any()
+    np.testing.assert_array_equal(newton.present(), start)
+    newton.destroy()
+    assembler.destroy()
+
+
+def test_each_point_of_a_path_is_settled():
+    """Following the path by its length, contacts are closed at every point."""
+    problem = between_plates(2, 1)
+    states = list(Statics(problem, method="arc-length", first_step=0.25).steps())
+    assert len(states) > 3
+    tolerance = problem.touching[0].tolerance
+    assert max(state.numbers["penetration_floor"] for state in states) <= tolerance
+    assert {state.audit.verdict for state in states} == {"pass"}
 
 
 def test_weight_on_the_floor():

@@ -131,6 +131,26 @@ def test_a_straight_column_buckles():
     assert straight.max_displacement > 5.0
 
 
+def test_a_slender_column_buckles_once_and_for_all():
+    """L/h = 100: small pushes come back to the straight, unstable column, which is not accepted.
+
+    Under 1.5 times Euler's load the elastica's tip has gone by more than 0.7 of its length.
+    """
+    length, euler = 100.0, np.pi**2 * E / (1 - NU**2) / 12 / 4 / 100**2
+    problem = Problem(
+        rectangle_body(size=(1, length), cells=(1, 30)),
+        NH,
+        degree=2,
+        supports=[Support(on="bottom")],
+        loads=[Traction(on="top", value=[0, -1.5 * euler])],
+    )
+    states = list(Statics(problem).steps())
+    assert {state.negative for state in states[1:]} == {0}
+    straight = [state for state in states if state.max_displacement < 1e-3 * length]
+    assert straight[-1].load_factor < 1.01 / 1.5
+    assert states[-1].max_displacement > 0.7 * length
+
+
 def test_a_crooked_column_is_not_found_on_its_other_side():
     """Large steps would end on the branch that bends against its imperfection: unstable."""
     hasty, patient = last(column(1.5, 1e-3), steps=1), last(column(1.5, 1e-3), steps=40)
@@ -181,6 +201,21 @@ def test_stretched_beyond_the_limit_of_its_chains():
     assert states[-1].load_factor < 0.6
 
 
+def test_paths_by_their_length_end_where_the_load_does():
+    """Following the path by its length lets nothing pass that growing load does not."""
+    chains = square(
+        Gent(mu=1e5, limit=0.5, nu=0.4),
+        Support(on="left"),
+        Support(on="right", displacement=[1.5, 0]),
+    )
+    states, _ = failure(chains, "nan", method="arc-length")
+    assert all(np.isfinite(state.energies["strain"]) for state in states)
+    linear = squeezed(LinearElastic(E=E, nu=NU), 1.5)
+    states, error = failure(linear, "inverted", method="arc-length")
+    assert all(state.audit.min_jacobian > 0 for state in states)
+    assert "arc-length" not in str(error)
+
+
 def test_far_too_heavy():
     """Jelly of 1 Pa under its weight of 10 kPa/m: no smallest step helps, and it does not hang."""
     soft = NeoHookean(E=1.0, nu=NU, density=1000)
@@ -224,6 +259,25 @@ def test_stiffness_that_differs_by_a_hundred_million():
     alone = square(NH, Support(on="left"), Support(on="right", displacement=[0.3, 0]))
     # The stiff half moves by 1e-8 of the whole.
     assert state.energies["strain"] == pytest.approx(last(alone).energies["strain"], rel=1e-6)
+
+
+def test_a_soft_part_is_not_excused_by_a_stiff_one():
+    """Steel and gel, 2e9 to 1, pulled gently: the gel's forces balance as if it were alone."""
+    body = rectangle_body(size=(2, 1), cells=(8, 4))
+    middle = body.mesh.geometry.x[body.mesh.geometry.dofmap].mean(axis=1)[:, 0]
+    cells = np.arange(len(middle), dtype=np.int32)
+    two = body.named(regions={"stiff": cells[middle < 1], "soft": cells[middle > 1]})
+    laws = {"stiff": NeoHookean(E=2e11, nu=NU), "soft": NeoHookean(E=1e2, nu=NU)}
+    pull = Traction(on="right", value=[0, 5.0])
+    state = last(Problem(two, laws, supports=[Support(on="left")], loads=[pull]), steps=10)
+    gel = Problem(
+        rectangle_body(size=(1, 1), cells=(4, 4)),
+        NeoHookean(E=1e2, nu=NU),
+        supports=[Support(on="left")],
+        loads=[pull],
+    )
+    # Round-off of the steel's rows, eps 2e11 N, is 1e-5 of the load; the steel moves by 1e-9.
+    assert state.max_displacement == pytest.approx(last(gel).max_displacement, rel=2e-8)
 
 
 def test_nothing_to_do():

@@ -29,6 +29,7 @@ from dolfin_elastic.state import State
 
 E, NU = 1e6, 0.3
 FREE = "free"
+NH = NeoHookean(E=E, nu=NU)
 
 
 def block(law: Law, **more: Any) -> Problem:
@@ -242,3 +243,28 @@ def test_options_of_the_user_win_and_leave_no_trace(caplog):
     assert dict(PETSc.Options().getAll()) == before
     assert said(caplog, "'-snes_mistyped' was not used")
     assert not said(caplog, "'-ksp_type'")
+
+
+def test_a_factorisation_in_place_of_a_failed_solver_is_renewed(caplog):
+    """Falling back, Newton's method is as quick as with the direct solver from the start."""
+    direct = [s.newton for s in Statics(block(NH), linear=LinearSettings(method="direct")).steps()]
+    failing = {"ksp_max_it": 1}
+    linear = LinearSettings(method="iterative")
+    with caplog.at_level(logging.INFO, logger="dolfin_elastic"):
+        fallen = [s.newton for s in Statics(block(NH), linear=linear, petsc=failing).steps()]
+    assert fallen == direct
+    if MPI.COMM_WORLD.rank == 0:
+        assert any("factorising" in record.getMessage() for record in caplog.records)
+
+
+def test_the_users_factorisation_is_renewed_too():
+    """And one that is not MUMPS's has no count of negative eigenvalues, on one rank."""
+    chosen = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+    linear = LinearSettings(method="iterative")
+    *_, state = Statics(block(NH), linear=linear, petsc=chosen).steps()
+    *_, direct = Statics(block(NH), linear=LinearSettings(method="direct")).steps()
+    assert state.newton == direct.newton
+    if MPI.COMM_WORLD.size == 1:
+        own = {"ksp_type": "preonly", "pc_type": "cholesky"}
+        *_, state = Statics(block(NH), linear=linear, petsc=own).steps()
+        assert state.negative is None

@@ -326,6 +326,15 @@ def test_audit():
     np.testing.assert_allclose(slopes, 2, atol=0.15)
 
 
+def test_audit_sees_the_whole_deformation():
+    """A homogeneous cell has no displacement but the macroscopic one: det F is that of F."""
+    body = rectangle_body(size=(1, 1), cells=(2, 2))
+    F = [[0.6, 0], [0, 1.1]]
+    problem = Problem(body, rubber(1, dim=2), periodic=Periodic(pairs=PAIRS, gradient=F))
+    audits = [state.audit for state in Statics(problem, steps=2).steps()]
+    assert [audit.min_jacobian for audit in audits] == pytest.approx([1, 0.8 * 1.05, 0.6 * 1.1])
+
+
 def test_given_up():
     """A cell that comes to no equilibrium is diagnosed like any body."""
     body = rectangle_body(size=(1, 1), cells=(4, 4))

@@ -53,6 +53,10 @@ LONG = "not picture and not drawer and not colour and not adaptive and not secon
 """Tests of one rank's drawings and of many small steps, which take long where ranks share cores."""
 
 
+VARIANTS = {2: 4, 3: 2}
+"""How many parameters of each test: all of them run on one rank."""
+
+
 @pytest.mark.parametrize("ranks", [2, 3])
 @pytest.mark.timeout(1500)
 def test_everything_again_on_several_ranks(serial_only, ranks, tmp_path):
@@ -74,6 +78,8 @@ def test_everything_again_on_several_ranks(serial_only, ranks, tmp_path):
         "-x",
         "-p",
         "no:cacheprovider",
+        "--variants",
+        str(VARIANTS[ranks]),
         *_asked(ranks),
     ]
     done = subprocess.run(

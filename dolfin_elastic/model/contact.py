@@ -7,6 +7,7 @@ outward normal there.  One formula serves UFL expressions and arrays alike.
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Annotated, Any, Literal
@@ -17,6 +18,7 @@ from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.model.components import components
 from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.placed import Placed
 from dolfin_elastic.schema import Record
 from dolfin_elastic.units import ForceDensity, Length
 
@@ -29,6 +31,7 @@ Gap = tuple[Any, list[Any]]
 class Obstacle(Record):
     """A rigid body with a smooth surface."""
 
+    @abstractmethod
     def check(self, dim: int, *, turned: bool) -> None:
         """Raises where the obstacle does not fit the body.
 
@@ -39,8 +42,8 @@ class Obstacle(Record):
         Raises:
             InputError: A vector has the wrong length, or the obstacle is none in this plane.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def gap(
         self, x: Sequence[Any], number: Callable[[float], Any], root: Callable[[Any], Any]
     ) -> Gap:
@@ -51,7 +54,6 @@ class Obstacle(Record):
             number: What stands for a number of the obstacle in formulas of `x`.
             root: Square root of such formulas.
         """
-        raise NotImplementedError
 
 
 class Plane(Obstacle):
@@ -217,7 +219,7 @@ def _check_length(vector: Sequence[float] | None, dim: int, where: str) -> None:
         )
 
 
-class Contact(Record):
+class Contact(Placed):
     """Surfaces of the body that a rigid obstacle keeps out, without friction.
 
     Attributes:
@@ -229,10 +231,8 @@ class Contact(Record):
         curve: Amplitude of the motion over time, as that of a support.
         gap_tolerance: Penetration that statics leaves [m]; 1e-3 of the cells' size there.
         stiffness: Pressure per depth [Pa/m]; about 10 (K + 4 mu/3)/h of the cells there.
-        name: What results call it; the surfaces' names by default.
     """
 
-    on: str | list[str]
     plane: Plane | None = None
     sphere: Ball | None = None
     cylinder: Tube | None = None
@@ -240,7 +240,6 @@ class Contact(Record):
     curve: Curve | None = None
     gap_tolerance: Length | None = Field(default=None, gt=0)
     stiffness: ForceDensity | None = Field(default=None, gt=0)
-    name: str = ""
 
     @model_validator(mode="after")
     def _one_shape(self) -> Contact:
@@ -275,16 +274,6 @@ class Contact(Record):
         """What the body may touch."""
         found: Obstacle = getattr(self, self.shape)
         return found
-
-    @property
-    def surfaces(self) -> tuple[str, ...]:
-        """Names of its surfaces."""
-        return (self.on,) if isinstance(self.on, str) else tuple(self.on)
-
-    @property
-    def label(self) -> str:
-        """What results call it."""
-        return self.name or "+".join(self.surfaces)
 
     @property
     def amplitude(self) -> Amplitude | None:

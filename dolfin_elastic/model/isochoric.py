@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
@@ -81,9 +82,9 @@ class Isochoric(Volumetric):
     K: Stress = Field(default_factory=to_come, gt=0)
     nu: Number = Field(default_factory=to_come)
 
+    @abstractmethod
     def shear(self) -> float:
         """Shear modulus at small strains [Pa], from the constants of the shape."""
-        raise NotImplementedError
 
     def model_post_init(self, context: Any) -> None:
         """Fills in whichever of K and nu was not given."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
@@ -131,9 +132,9 @@ class SplitLaw(Law):
     volume_modulus: ClassVar[str] = "K"
     """Name of the field that multiplies the square of the volume strain [Pa]."""
 
+    @abstractmethod
     def shape_energy(self, F: Expr) -> Expr:
         """Strain energy per reference volume without the volumetric part [J/m^3]."""
-        raise NotImplementedError
 
     def volume_strain(self, F: Expr) -> Expr:
         """Measure of the change of volume: 0 at F = I, with derivative I there."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Self
 
@@ -80,9 +81,9 @@ class Own(Law):
         }
         return self.model_copy(update={**plain, "parameters": inner})
 
+    @abstractmethod
     def written_energy(self, F: Expr) -> Expr:
         """The part of the energy that the user wrote [J/m^3]."""
-        raise NotImplementedError
 
     def energy(self, F: Expr) -> Expr:
         """See the class."""

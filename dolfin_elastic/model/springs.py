@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, ClassVar, Literal, Protocol, Self, TypeVar
@@ -147,9 +148,9 @@ class Resisting(Restraint):
         along = ufl.inner(w, site.N) * site.N
         return values[0] * along + values[1] * (w - along)
 
+    @abstractmethod
     def virtual_work(self, site: Ground) -> ufl.Form:
         """Virtual work of its force on the body, linear in `site.v`. Collective."""
-        raise NotImplementedError
 
 
 def _located(key: str, read: Callable[[Any, str], T], written: Any, unit: str) -> T:

@@ -20,7 +20,7 @@ from dolfin_elastic.model.components import (
     misspelt_unit,
 )
 from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
-from dolfin_elastic.schema import Record
+from dolfin_elastic.model.placed import Placed
 from dolfin_elastic.units import is_quantity, to_si
 
 Floats = npt.NDArray[np.float64]
@@ -29,27 +29,10 @@ NORMAL = -1
 """Stands for the direction of the surface's normal, where components have numbers from 0."""
 
 
-class Restraint(Record):
-    """What all supports have.
-
-    Attributes:
-        on: Name of a surface, or several.
-        name: What results call it; the surface's name by default.
-    """
+class Restraint(Placed):
+    """What all supports have."""
 
     kind: str = ""
-    on: str | list[str]
-    name: str = ""
-
-    @property
-    def surfaces(self) -> tuple[str, ...]:
-        """Names of its surfaces."""
-        return (self.on,) if isinstance(self.on, str) else tuple(self.on)
-
-    @property
-    def label(self) -> str:
-        """What results call it."""
-        return self.name or "+".join(self.surfaces)
 
     @property
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:

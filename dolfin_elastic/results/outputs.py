@@ -5,6 +5,7 @@ A new output is one record with `open`, one writer, and one row here.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -39,6 +40,7 @@ class Output(Record):
 
     file: str = Field(default="", min_length=1)
 
+    @abstractmethod
     def open(self, problem: Problem, folder: Path) -> Writer:
         """Opens the output in a folder, which is made if need be. Collective.
 
@@ -46,7 +48,6 @@ class Output(Record):
             InputError: A field that the problem does not have.
             OutputError: The folder cannot be written to.
         """
-        raise NotImplementedError
 
     def listing(self, folder: Path) -> list[str]:
         """What of it is in the results' folder, as a user reads it. Not collective."""

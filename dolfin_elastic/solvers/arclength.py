@@ -105,11 +105,15 @@ class Found:
         t: Load factor.
         progress: How it was found, or not.
         negative: Negative eigenvalues of the tangent, if the solver tells.
+        good: Where it was not found: the last point, as `Newton.present`.
+        failed: ... and the last iterate.
     """
 
     t: float
     progress: Progress
     negative: int | None = None
+    good: Vector | None = None
+    failed: Vector | None = None
 
 
 class ArcLength:
@@ -163,11 +167,12 @@ class ArcLength:
             here, t, before = self._newton.present(), self._length.t, self._all.get()
             progress = self._step(way, size)
             if not progress.converged or self._turned(way):
+                failed = self._newton.present()
                 self._back(here, t)
                 size /= 2
                 if size < shortest:
                     progress.converged = False
-                    yield Found(t, progress)
+                    yield Found(t, progress, good=here, failed=failed)
                     return
                 log.debug("arc length %g m: %s, a shorter one", size, progress.reason)
                 continue
@@ -187,12 +192,15 @@ class ArcLength:
         while True:
             self._length.start, before = self._length.displacement().copy(), self._all.get()
             before[0] = 0.0
+            here = self._newton.present()
             self._length.put(np.array([t]))
-            progress = self._ladder.solve([("", self._newton.present())])
+            progress = self._ladder.solve([("", here)])
             self._lead = self._all.get() - before
-            if progress.converged or t / 2 < least:
+            if progress.converged:
                 self._points.append((t, self._length.gone()))
                 return Found(t, progress, negative_eigenvalues(self._newton))
+            if t / 2 < least:
+                return Found(0.0, progress, good=here, failed=self._ladder.failed)
             t /= 2
 
     def _step(self, way: Vector, size: float) -> Progress:
@@ -208,13 +216,14 @@ class ArcLength:
         w.x.scatter_forward()
         self._all.put(self._all.get() + lead)
         self._problem.unknowns.tell()
+        self._ladder.begin()
         start = self._bordered.present()
         self._bordered.refresh()
         progress = self._bordered.solve("basic")
         while "LINEAR_SOLVE" in progress.reason and self._bordered.fall_back():
             self._bordered.put_back(start)
             progress = self._bordered.solve("basic")
-        return progress
+        return self._ladder.settled(progress, "basic", self._bordered.solve)
 
     def _turned(self, way: Vector) -> bool:
         """The path has turned so sharply that a part of it may have been left out. Collective."""
@@ -223,7 +232,7 @@ class ArcLength:
         return product(way, now) < SHARPEST * np.sqrt(product(way, way) * product(now, now))
 
     def _back(self, here: Vector, t: float) -> None:
-        self._newton.put_back(here)
+        self._ladder.undo(here)
         self._length.put(np.array([t]))
 
     def _land(self, here: Vector, t: float) -> Found:
@@ -232,6 +241,8 @@ class ArcLength:
         share = (self._end - t) / (self._length.t - t)
         self._length.put(np.array([self._end]))
         progress = self._ladder.solve([("", here + share * (beyond - here)), ("", beyond)])
+        if not progress.converged:
+            return Found(t, progress, good=here, failed=self._ladder.failed)
         return Found(self._end, progress, negative_eigenvalues(self._newton))
 
     def _note(self, t: float, arc: float) -> None:

@@ -147,7 +147,7 @@ class Bordered:
         self._corner: Vector = np.zeros((border.size, border.size))
         self._solved: list[Vector] | None = None
         self._schur: Vector = self._corner
-        self.iterations = 0
+        self.iterations = self._reason = 0
         self.last: Vector = np.zeros(border.size)
 
     def create_vector(self) -> PETSc.Vec:
@@ -246,10 +246,10 @@ class Bordered:
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Block elimination. Collective."""
+        self._reason = 0
         plain = self._inverse(b.array_r[: self._size])
-        if self._solved is None:
-            self._solved = [self._inverse(column) for column in self._columns]
-        self._schur = self._corner - np.column_stack([self._products(z) for z in self._solved])
+        self.eliminate()
+        assert self._solved is not None
         right = self.scalars(b) - self._products(plain)
         scalars: Vector
         try:
@@ -259,8 +259,14 @@ class Bordered:
         for s, z in zip(scalars, self._solved, strict=True):
             plain = plain - s * z
         self.fill(x, plain, scalars)
-        reason = self.ksp.getConvergedReason()
-        ksp.setConvergedReason(reason if reason < 0 else PETSc.KSP.ConvergedReason.CONVERGED_ITS)
+        ksp.setConvergedReason(self._reason or PETSc.KSP.ConvergedReason.CONVERGED_ITS)
+
+    def eliminate(self) -> None:
+        """Solves for the columns of the present tangent, unless they are. Collective."""
+        if self._solved is None:
+            self._solved = [self._inverse(column) for column in self._columns]
+            products = [self._products(z) for z in self._solved]
+            self._schur = self._corner - np.column_stack(products)
 
     def negative(self) -> int:
         """Negative eigenvalues that the scalars add to those of the fields' tangent.
@@ -277,6 +283,8 @@ class Bordered:
         self._b.array_w[:] = right
         self.ksp.solve(self._b, self._x)
         self.iterations += self.ksp.getIterationNumber()
+        if not self._reason:  # the first failure is the one to tell
+            self._reason = min(int(self.ksp.getConvergedReason()), 0)
         return np.asarray(self._x.array_r.copy())
 
     def free(self) -> None:

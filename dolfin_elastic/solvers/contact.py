@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -19,7 +18,6 @@ from dolfin_elastic.solvers.assembler import compiled, integral
 from dolfin_elastic.solvers.progress import Progress
 from dolfin_elastic.touching import Touching
 
-log = logging.getLogger("dolfin_elastic")
 Floats = npt.NDArray[np.float64]
 
 AUGMENTATIONS = 10
@@ -61,7 +59,7 @@ class Augmentation:
 
     def needed(self) -> bool:
         """A node that presses is not on its obstacle, within the tolerance. Collective."""
-        return any(_off(touch) > touch.tolerance for touch in self._touching)
+        return any(off_obstacle(touch) > touch.tolerance for touch in self._touching)
 
     def update(self) -> None:
         """Renews the multipliers from the gaps at hand. Collective."""
@@ -69,7 +67,7 @@ class Augmentation:
             touch.augment()
 
     def settle(self, progress: Progress, solve: Callable[[], Progress]) -> Progress:
-        """Solves again with new multipliers until nothing penetrates. Collective.
+        """Solves again with new multipliers until nothing penetrates, if that happens. Collective.
 
         Args:
             progress: Of the equilibrium at hand.
@@ -84,24 +82,10 @@ class Augmentation:
             progress, count = solve(), count + 1
             newton, krylov = newton + progress.newton, krylov + progress.krylov
         progress.newton, progress.krylov = newton, krylov
-        if progress.converged and count == AUGMENTATIONS and self.needed():
-            self._warn()
         return progress
 
-    def _warn(self) -> None:
-        for touch in self._touching:
-            if (off := _off(touch)) > touch.tolerance:
-                log.warning(
-                    "contact '%s': after %d augmentations a node is still %.3g m off the obstacle, "
-                    "above gap_tolerance = %.3g m; a larger stiffness or more load steps help",
-                    touch.label,
-                    AUGMENTATIONS,
-                    off,
-                    touch.tolerance,
-                )
 
-
-def _off(touch: Touching) -> float:
+def off_obstacle(touch: Touching) -> float:
     """Largest distance from the obstacle of nodes that press or penetrate [m]. Collective."""
     gaps, _ = touch.gaps()
     return largest(touch.comm, float(np.max(np.abs(gaps[touch.pressing | (gaps < 0)]), initial=0)))

@@ -27,7 +27,7 @@ from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.evidence import Cells, Fault, not_finite, text_of
 from dolfin_elastic.solvers.guard import PATIENCE
 from dolfin_elastic.solvers.pieces import loose
-from dolfin_elastic.solvers.progress import ANOTHER, UNSTABLE, Progress
+from dolfin_elastic.solvers.progress import ANOTHER, BEYOND, UNSTABLE, Progress
 from dolfin_elastic.solvers.stability import LIMIT
 from dolfin_elastic.timing import stage
 
@@ -66,7 +66,7 @@ def diagnose(
     *,
     good: Array,
     failed: Array,
-    rejected: Rejected | None = None,
+    stable: bool = True,
     moving: bool = False,
 ) -> Diagnosis:
     """Finds out why a solve failed. Collective.
@@ -76,12 +76,13 @@ def diagnose(
         progress: How Newton's method ended.
         good: All unknowns at the last equilibrium, local array with ghosts.
         failed: The same at the last iterate; the problem holds it afterwards.
-        rejected: States that were refused; by default what `progress` knows.
+        stable: Whether an equilibrium of this kind has to be stable, and the tangent of the
+            fields tells: not along a path, nor beside scalar unknowns.
         moving: In motion, where a body may be free or unstable.
     """
     with stage("diagnose"):
         doctor = _Doctor(assembler, progress, good, failed)
-        doctor.rejected, doctor.moving = rejected or Rejected.of(progress), moving
+        doctor.stable, doctor.moving = stable and not moving, moving
         try:
             return doctor.said()
         finally:
@@ -97,7 +98,7 @@ class _Doctor:
     ) -> None:
         self.assembler, self.progress, self.problem = assembler, progress, assembler.problem
         self.good, self.failed = good.copy(), failed.copy()
-        self.rejected, self.moving = Rejected(), False
+        self.rejected, self.stable, self.moving = Rejected.of(progress), True, False
         self.cells, self.unseen = Cells(assembler), ""
         self.next: Fault | None = None
         self.finite = self._residual(self.failed)
@@ -225,7 +226,11 @@ class _Doctor:
         norms = self.progress.residuals[-3:]
         if self.moving or not (self.held and norms and np.isfinite(norms).all()):
             return None  # in motion inertia has a round-off of its own, which is not estimated
-        best, floor = min(norms), self._floor()
+        refused = self.progress.reason in (UNSTABLE, ANOTHER, BEYOND)
+        best = min(norms)
+        if refused or best <= self.progress.target:
+            return None
+        floor = self._floor()
         if best > FLOOR * floor:
             return None
         assembler = self.assembler
@@ -256,7 +261,7 @@ class _Doctor:
         return float(np.finfo(float).eps) * norm * size
 
     def _unstable(self) -> Diagnosis | None:
-        if self.moving:
+        if not self.stable:
             return None
         settled = self.progress.reason == UNSTABLE
         look = modes.unstable(self.assembler, self.put, self.good, self.failed, settled=settled)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
-from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.newton import Newton
+from dolfin_elastic.solvers.stability import uneven
 
 NEGATIVE_PIVOTS = 12
 """Index of their number in MUMPS's INFOG."""
@@ -15,8 +13,8 @@ NEGATIVE_PIVOTS = 12
 ITERATIONS = 5
 """Of the inverse iteration: enough for a mode that stands out."""
 
-PUSH = 0.01
-"""Size of a push over that of a cell."""
+HALVINGS = 20
+"""Of a push that turns a cell inside out."""
 
 
 def negative_eigenvalues(newton: Newton) -> int | None:
@@ -28,42 +26,46 @@ def negative_eigenvalues(newton: Newton) -> int | None:
     Returns:
         Their number; None where no symmetric factorisation is at hand.
     """
-    if not (newton.direct and newton.assembler.problem.symmetric and newton.progress.newton):
+    if not (newton.direct and newton.assembler.problem.symmetric):
         return None
     pc = newton.ksp.getPC()
-    if pc.getType() != "cholesky" or "pc_factor_mat_solver_type" in newton.options.users:
+    if pc.getType() != "cholesky":
+        return None
+    if not newton.progress.newton or newton.shift > 0.0:
+        newton.factorise()
+    if pc.getFactorSolverType() != "mumps":
         return None
     below = pc.getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS)
     scalars = 0 if newton.bordered is None else newton.bordered.negative()
     return int(below) - newton.assembler.pressures + scalars
 
 
-def disturb(newton: Newton) -> None:
-    """Pushes the body a little along the mode that resists least. Collective.
+def disturb(newton: Newton, size: float) -> None:
+    """Pushes the body along the mode that resists least. Collective.
 
     The mode is found by inverse iteration with the last tangent.
+
+    Args:
+        newton: The solver; its problem is where the push begins.
+        size: Largest displacement of the push [m]; less where a cell would turn inside out.
     """
     assembler = newton.assembler
     x, b = assembler.create_vector(), assembler.create_vector()
-    moves, w = assembler.moves, assembler.problem.w.x
-    b.array_w[moves] = _uneven(assembler.problem, newton.span)
+    moves = assembler.moves
+    b.array_w[moves] = uneven(assembler)
     for _ in range(ITERATIONS):
         assembler.hold(b)
         newton.ksp.solve(b, x)
         x.scale(1.0 / max(float(x.norm(PETSc.NormType.INFINITY)), 1e-300))
         x.copy(b)
-    w.array[moves] += PUSH * newton.cell_size * x.array_r[moves]
-    w.scatter_forward()
-    assembler.problem.unknowns.tell()
+    mode = x.array_r[moves].copy()
     x.destroy()
     b.destroy()
-
-
-def _uneven(problem: Problem, span: float) -> npt.NDArray[np.float64]:
-    """A number for each owned displacement that is the same on any ranks: it is of its place."""
-    dim = problem.body.dim
-    space = problem.unknowns.U
-    size = space.dofmap.index_map.size_local
-    x = space.tabulate_dof_coordinates()[:size, :dim] / span
-    waves = np.sin(1.7 * x.sum(axis=1)[:, None] + 2.3 * np.arange(dim))
-    return np.asarray((1.0 + waves).ravel())
+    w, guard = assembler.problem.w.x, newton.guard
+    start = w.array[moves].copy()
+    for halving in range(HALVINGS):
+        w.array[moves] = start + size / 2**halving * mode
+        w.scatter_forward()
+        assembler.problem.unknowns.tell()
+        if guard is None or guard.watch.smallest()[0] > 0.0:
+            break

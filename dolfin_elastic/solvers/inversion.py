@@ -45,18 +45,24 @@ class JacobianWatch:
 
         Asked again before anything has moved, nothing is evaluated again.
         """
-        now = self._problem.w.x.array
+        now = self._state()
         same = self._seen is not None and np.array_equal(self._seen, now)
         comm = self._problem.body.comm
         if self._found is None or not comm.allreduce(same, op=MPI.LAND):
             self._seen, self._found = now.copy(), self._evaluated()
         return self._found
 
+    def _state(self) -> Floats:
+        """All that F depends on."""
+        fields, cell = self._problem.w.x.array, self._problem.cell
+        return fields if cell is None else np.append(fields, cell.H.value)
+
     def _evaluated(self) -> tuple[Extreme, Extreme]:
         mesh = self._problem.body.mesh
         with stage("assemble"):
             values = self._J.eval(mesh, self._cells)
         values = values.reshape(len(self._cells), len(self._points))
+        values[np.isnan(values)] = -np.inf  # as bad as can be, on whichever rank
         low, high = values.min(axis=1), values.max(axis=1)
         mine: tuple[Extreme, Extreme] = (np.inf, np.zeros(3)), (-np.inf, np.zeros(3))
         if len(values):

@@ -11,7 +11,7 @@ one that stands more.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -68,9 +68,13 @@ class Ladder:
             log.debug("%s, line search '%s': %s", said or "start", line_search, progress.reason)
         self.failed = newton.present()
         progress.rejected, progress.worst = rejected, worst
-        newton.put_back(first)
-        self._augmentation.restore()
+        self.undo(first)
         return progress
+
+    def undo(self, start: Vector) -> None:
+        """Goes back to where the last solve began, its contacts too. Not collective."""
+        self.newton.put_back(start)
+        self._augmentation.restore()
 
     def _rungs(self, starts: Sequence[tuple[str, Vector]]) -> Iterator[tuple[str, Vector, str]]:
         searches = self.newton.ladder()
@@ -95,9 +99,26 @@ class Ladder:
         while "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
             self.newton.put_back(start)
             progress = self.newton.solve(line_search)
-        progress = self._augmentation.settle(progress, partial(self.newton.solve, line_search))
+        return self.settled(progress, line_search)
+
+    def settled(
+        self, progress: Progress, line_search: str, solve: Callable[[str], Progress] | None = None
+    ) -> Progress:
+        """What a solve has found, its contacts closed, if it may be accepted. Collective.
+
+        Args:
+            progress: Of the solve.
+            line_search: PETSc's name of the line search for more of them.
+            solve: Finds equilibrium from where the problem is, if it is not the ladder's solver.
+        """
+        again = partial(solve or self.newton.solve, line_search)
+        progress = self._augmentation.settle(progress, again)
         self._refuse_inverted(progress)
         return progress
+
+    def begin(self) -> None:
+        """Keeps what contacts know, for `undo`. Not collective."""
+        self._augmentation.save()
 
     def _refuse_inverted(self, progress: Progress) -> None:
         """No accepted state holds a cell that is inside out, also where none was on the way."""

@@ -19,17 +19,11 @@ from dolfin_elastic.meshes.body import cell_size, span
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.border import Border, Bordered, python_solver
 from dolfin_elastic.solvers.guard import PATIENCE, InversionGuard
-from dolfin_elastic.solvers.linear import (
-    GMRES,
-    LAST_DIRECT,
-    Choice,
-    QuadraticMultigrid,
-    factorising,
-    rigid_body_modes,
-)
+from dolfin_elastic.solvers.inner import LinearSolver
+from dolfin_elastic.solvers.linear import Choice
 from dolfin_elastic.solvers.options import PREFIX, Options, ksp_reason, snes_reason
 from dolfin_elastic.solvers.progress import Progress, Tolerance
-from dolfin_elastic.solvers.schur import SchurSplit
+from dolfin_elastic.solvers.round_off import SAFETY, RoundOff
 from dolfin_elastic.timing import stage
 
 Vector = npt.NDArray[np.float64]
@@ -68,7 +62,7 @@ class Newton:
 
     Attributes:
         guard: Shortens steps that turn cells inside out, after `watch_inversion`.
-        ksp: The linear solver of the fields.
+        ksp: The linear solver of the fields, looked after by `linear`.
         bordered: The system with scalar unknowns, if there are any.
         shift: Share of its diagonal that was added to the last tangent.
         inertia: Norm of the forces of inertia at the present iterate [N], in motion.
@@ -89,15 +83,15 @@ class Newton:
     ) -> None:
         self.assembler, self.choice, self.tolerance = assembler, choice, tolerance
         self.progress, self._moving = Progress(), moving
-        self.shift, self._prepared, self.direct = 0.0, False, choice.direct
+        self.shift = 0.0
         self._flow: Callable[[float, float], float] | None = None
         self.inertia, self.mass = 0.0, 0.0
         self._external = 0.0
+        self._round_off = RoundOff(assembler)
         self._floor = self._first = self._norm = 0.0
         self._line_search = ""
         body = assembler.problem.body
         self.span, self.cell_size = span(body), cell_size(body)
-        self._multigrid: QuadraticMultigrid | SchurSplit | None = None
         self._owns = snes is None
         self.options = Options({**_SNES, **choice.options, **(defaults or {})}, users or {})
         self.snes = PETSc.SNES().create(assembler.comm) if snes is None else snes
@@ -107,6 +101,7 @@ class Newton:
         if border is not None:
             self.ksp = PETSc.KSP().create(assembler.comm)
             self.bordered = Bordered(assembler, border, self.ksp)
+        self.linear = LinearSolver(assembler, self.options, self.ksp, self.snes)
         self._source: Assembler | Bordered = self.bordered or assembler
         self._x, self._f = self._source.create_vector(), self._source.create_vector()
         if self._owns:
@@ -122,30 +117,14 @@ class Newton:
             self.ksp.setOperators(self.assembler.matrix)
         with self.options.in_force(), self.options.told():
             self.snes.setFromOptions()
-            self._set_up_linear()
+            self.linear.set_up()
+        if not self.choice.direct:
+            self.linear.keep_factors_fresh()
         chosen = {name: str(self.choice.options.get(name)) for name in ("ksp_type", "pc_type")}
         taken = {"ksp_type": self.ksp.getType(), "pc_type": self.ksp.getPC().getType()}
         if taken != chosen:
             log.info("PETSc options make it: %s with %s", taken["ksp_type"], taken["pc_type"])
         self.judge()
-
-    def _set_up_linear(self) -> None:
-        """Gives the linear solver its options, and multigrid to those that want it."""
-        self.ksp.setFromOptions()
-        pc = self.ksp.getPC()
-        if pc.getType() == "python" and self._multigrid is None:
-            problem = self.assembler.problem
-            self._multigrid = (
-                SchurSplit(problem, self.assembler)
-                if problem.mixed
-                else QuadraticMultigrid(problem)
-            )
-            pc.setPythonContext(self._multigrid)
-            self.ksp.setFromOptions()
-            pc.setFromOptions()
-        self.direct = self.ksp.getType() == "preonly"  # the user may have chosen otherwise
-        if not self.direct:
-            self._attach_modes()
 
     def allow(self, iterations: int, flow: Callable[[float, float], float] | None) -> None:
         """Changes how many iterations a solve may take, and what is added to the tangent.
@@ -156,7 +135,7 @@ class Newton:
                 added to it; None: Newton's method.
         """
         self.tolerance = replace(self.tolerance, max_iterations=iterations)
-        self._flow, self.shift = flow, 0.0
+        self._flow = flow
         self.judge()
 
     def watch_inversion(self) -> None:
@@ -173,47 +152,18 @@ class Newton:
         self.snes.setTolerances(rtol=0.0, atol=0.0, stol=0.0, max_it=self.tolerance.max_iterations)
         self.snes.setConvergenceTest(self._test)
 
-    def _attach_modes(self) -> None:
-        """Rigid-body modes of the current places, which multigrid must keep."""
-        problem = self.assembler.problem
-        if problem.degree == 1 and not problem.mixed:
-            modes = rigid_body_modes(problem.unknowns.U, problem.unknowns.moved)
-            self.assembler.matrix.setNearNullSpace(modes)
-            modes.destroy()
+    @property
+    def direct(self) -> bool:
+        """The linear solver factorises."""
+        return self.linear.direct
 
     def refresh(self) -> None:
-        """Throws the preconditioner away and takes the rigid-body modes anew. Collective."""
-        if not self.direct:
-            self._attach_modes()
-            self._prepared = False
-            self.ksp.getPC().reset()
-            if self._multigrid is not None:
-                self._multigrid.refresh()
+        """Lets the preconditioner begin anew, see `LinearSolver`. Collective."""
+        self.linear.refresh()
 
     def fall_back(self) -> bool:
-        """Goes to a linear solver that stands more. Collective.
-
-        From conjugate gradients, which an indefinite tangent breaks, to GMRES, and from there to
-        a factorisation where the problem is not too large for one.
-
-        Returns:
-            False if there is nothing left to fall back to.
-        """
-        if self.direct or "ksp_type" in self.options.users or "pc_type" in self.options.users:
-            return False
-        if self.ksp.getType() == "cg":
-            log.info("conjugate gradients failed (%s): GMRES from here on", self.progress.reason)
-            self.options.change(GMRES)
-            self.refresh()
-            return True
-        problem = self.assembler.problem
-        if problem.num_dofs > LAST_DIRECT[problem.body.dim]:
-            return False
-        log.info("the iterative solver failed (%s): factorising", self.progress.reason)
-        self.options.change(factorising(problem.symmetric))
-        with self.options.in_force(), self.options.told():
-            self._set_up_linear()
-        return True
+        """Goes to a linear solver that stands more, if there is one. Collective."""
+        return self.linear.fall_back(self.progress.reason)
 
     # --- one solve ---
 
@@ -305,34 +255,54 @@ class Newton:
         else:
             self.bordered.renew(x)
             self._external = self.assembler.external_norm()  # scalars may load the body
-            # SNES would lag the preconditioner of its own linear solver only.
-            self.ksp.getPC().setReusePreconditioner(self._prepared and not self.direct)
-            self.ksp.setOperators(self.assembler.matrix)
-            self._prepared = True
+            self.linear.take(self.assembler.matrix)
         self.note_tangent(self.assembler.matrix)
         self.shift = 0.0 if self._flow is None else self._flow(self.assembler.free, self._target())
         if self.shift > 0.0:
             self.assembler.shift_diagonal(self.shift)
 
+    def factorise(self) -> None:
+        """Assembles and factorises the tangent where the problem is. Collective."""
+        self._flow = None
+        self._source.get(self._x)
+        with stage("solve"), self.options.in_force():
+            self._tangent(self.snes, self._x, self._source.matrix, self._source.matrix)
+            self.ksp.setOperators(self.assembler.matrix)
+            self.ksp.setUp()
+            if self.bordered is not None:
+                self.bordered.eliminate()
+
     def note_tangent(self, P: PETSc.Mat) -> None:
         """Sets the linear tolerance and the round-off floor from a fresh tangent. Collective."""
         a = self.assembler
-        diagonal = P.getDiagonal()
-        # Round-off of the stress is that of F = I + grad u, that of inertia is that of u.
-        stiff = max(float(diagonal.norm()) - self.mass, 0.0) * self.cell_size
-        self._floor = 4 * np.finfo(float).eps * (stiff + self.mass * a.max_unknown())
-        diagonal.destroy()
+        self._round_off.renew(P)
+        self._floor = self._round_off.norm
+        if self._moving:  # round-off of the stress is that of F = I + grad u, of inertia that of u
+            diagonal = P.getDiagonal()
+            stiff = max(float(diagonal.norm()) - self.mass, 0.0) * self.cell_size
+            self._floor = SAFETY * np.finfo(float).eps * (stiff + self.mass * a.max_unknown())
+            diagonal.destroy()
         if not self.direct and "ksp_rtol" not in self.options.users:
             forcing = LINEAR if a.problem.linear else FORCING
             needed = 0.5 * self._target() / self._norm if self._norm > 0 else forcing
             self.ksp.setTolerances(rtol=min(0.1, max(forcing, needed)))
 
-    def _target(self) -> float:
+    def _wanted(self) -> float:
         a, p = self.assembler, self.progress
         reference = max(self._external, a.held, a.pushed, p.reference)
         if self._moving:
             reference = max(reference, self.inertia)
-        return max(self.tolerance.rtol * reference, self.tolerance.atol, self._floor)
+        return max(self.tolerance.rtol * reference, self.tolerance.atol)
+
+    def _target(self) -> float:
+        return max(self._wanted(), self._floor)
+
+    def _balanced(self) -> bool:
+        """The free residual is as small as wanted, but for the round-off of each row."""
+        free, wanted = self.assembler.free, self._wanted()
+        if free <= wanted or self._moving:
+            return free <= self._target()
+        return free <= HOPELESS * self._floor and self._round_off.beyond() <= wanted
 
     def _test(
         self,
@@ -349,7 +319,7 @@ class Newton:
         if not norms[2] <= HOPELESS * max(self._first, self._target()):  # NaN, too
             return int(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
         held = a.gap <= 1e-12 * self.span
-        if held and a.free <= self._target() and self._settled():
+        if held and self._balanced() and self._settled():
             return int(PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE)
         if self._crushed():
             return int(PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN)
@@ -382,8 +352,7 @@ class Newton:
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""
-        if self._multigrid is not None:
-            self._multigrid.destroy()
+        self.linear.destroy()
         if self._owns:
             self.snes.destroy()
         if self.bordered is not None:

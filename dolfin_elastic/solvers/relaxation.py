@@ -7,13 +7,54 @@ and D. E. Keyes, SIAM J. Numer. Anal. 35 (1998) 508, "switched evolution relaxat
 
 from __future__ import annotations
 
+import logging
+
+from dolfin_elastic.solvers.inertia import disturb, negative_eigenvalues
+from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.newton import Newton
-from dolfin_elastic.solvers.progress import Progress
+from dolfin_elastic.solvers.progress import UNSTABLE, Progress
+
+log = logging.getLogger("dolfin_elastic")
 
 FIRST = 1.0
 """Shift of the first step, as a share of the tangent's diagonal."""
 
 ITERATIONS = 400
+
+
+PUSHES = (1e-2, 1e-1)
+"""Of the body's size: pushes off an unstable equilibrium, after a gentle one.  A slender body comes
+back from pushes that are small against what it bends."""
+
+
+def flow_away(ladder: Ladder, *, settled: bool) -> Progress:
+    """Lets a body flow to a stable equilibrium. Collective.
+
+    Args:
+        ladder: Of the solver; its problem is at the load and in the state to start from.
+        settled: That state is an equilibrium, an unstable one.
+
+    Returns:
+        How it ended; never with an equilibrium that is known to be unstable.
+    """
+    newton = ladder.newton
+    pushes = [1e-2 * newton.cell_size, *(share * newton.span for share in PUSHES)]
+    progress = Progress(converged=True) if settled else _flowed(ladder)
+    while progress.converged and (settled or (negative_eigenvalues(newton) or 0) > 0):
+        if not pushes:
+            progress.converged, progress.reason = False, UNSTABLE
+            break
+        settled = False
+        disturb(newton, pushes.pop(0))
+        progress = _flowed(ladder)
+    return progress
+
+
+def _flowed(ladder: Ladder) -> Progress:
+    ladder.newton.refresh()
+    progress = ladder.settled(relax(ladder.newton), "basic")
+    log.debug("flow to another equilibrium: %s", progress.reason)
+    return progress
 
 
 def relax(newton: Newton) -> Progress:

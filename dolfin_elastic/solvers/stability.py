@@ -18,6 +18,7 @@ import numpy.typing as npt
 from petsc4py import PETSc
 from slepc4py import SLEPc
 
+from dolfin_elastic.meshes.body import span
 from dolfin_elastic.parallel import largest, total
 from dolfin_elastic.solvers.assembler import Assembler
 
@@ -118,7 +119,7 @@ class Stability:
         eps.setWhichEigenpairs(which)
         eps.setDimensions(nev=1)
         start = self.assembler.create_vector()
-        start.array_w[:] = _uneven(self.assembler)
+        start.array_w[self.assembler.moves] = uneven(self.assembler)
         self.assembler.hold(start)
         eps.setInitialSpace(start)
         eps.solve()
@@ -161,15 +162,13 @@ class _Compliance:
         self._f.destroy()
 
 
-def _uneven(assembler: Assembler) -> Array:
-    """A start that is the same on any number of ranks and has a part in every mode."""
+def uneven(assembler: Assembler) -> Array:
+    """Owned displacements that have a part in every mode, the same on any number of ranks."""
     problem = assembler.problem
     dim = problem.body.dim
     x = problem.unknowns.U.tabulate_dof_coordinates()[: len(assembler.moves) // dim, :dim]
-    waves = np.sin(7.3 * x @ np.arange(1.0, dim + 1))[:, None] + np.arange(1.0, dim + 1)
-    start = np.zeros(assembler.size)
-    start[assembler.moves] = waves.ravel()
-    return start
+    waves = np.sin(1.7 * x.sum(axis=1)[:, None] / span(problem.body) + 2.3 * np.arange(dim))
+    return np.asarray((1.0 + waves).ravel())
 
 
 def curvature(assembler: Assembler, direction: Array) -> float:

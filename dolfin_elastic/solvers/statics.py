@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -19,13 +20,13 @@ from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.audit import Auditor
 from dolfin_elastic.solvers.contact import Augmentation, Measured
 from dolfin_elastic.solvers.doctor import diagnose
-from dolfin_elastic.solvers.inertia import disturb, negative_eigenvalues
+from dolfin_elastic.solvers.inertia import negative_eigenvalues
 from dolfin_elastic.solvers.jump import PathWatch
 from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.progress import ANOTHER, BEYOND, UNSTABLE, Progress, Tolerance
-from dolfin_elastic.solvers.relaxation import relax
+from dolfin_elastic.solvers.relaxation import flow_away
 from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.solvers.scalars import Scalars
 from dolfin_elastic.solvers.steps import StepSizes
@@ -143,17 +144,16 @@ class Statics:
         for dashpot in self.problem.dashpots:
             log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
-        assembler = Assembler(self.problem)
-        scalars = Scalars(assembler)
-        newton = Newton(
-            assembler, self.choice, self.tolerance, users=self.petsc, border=scalars.border
-        )
-        newton.watch_inversion()
-        try:
+        with ExitStack() as owned:
+            assembler = Assembler(self.problem)
+            owned.callback(assembler.destroy)
+            scalars = Scalars(assembler)
+            newton = Newton(
+                assembler, self.choice, self.tolerance, users=self.petsc, border=scalars.border
+            )
+            owned.callback(newton.destroy)
+            newton.watch_inversion()
             yield from _Stepping(self, scalars, newton).run()
-        finally:
-            newton.destroy()
-            assembler.destroy()
 
     def _check_path(self) -> None:
         if self.problem.cell is not None and self.settings.method == "arc-length":
@@ -178,7 +178,7 @@ class Statics:
             largest = first
         else:
             share = 1.0 if self.problem.linear else FIRST
-            first = (s.first_step or min(share, s.max_step)) * s.end
+            first = min(s.first_step or share, s.max_step) * s.end
             stops, largest = [], s.max_step * s.end
         return StepSizes(
             s.end,
@@ -230,7 +230,7 @@ class _Stepping:
                     self._fallback = goal, self.newton.present()
                 if sizes.failed(t, goal, crushed=crushed and not progress.converged):
                     log.info("load factor %.6g: %s; a smaller step", goal, fault)
-                    self.newton.put_back(start)
+                    self.ladder.undo(start)
                     continue
                 goal, progress = self._elsewhere(t, goal, progress, fault, start)
             self._watch.accept()
@@ -269,12 +269,14 @@ class _Stepping:
             progress.reason = fault
             raise self._failure(t, goal, progress, start, kept)
         if not progress.converged or fault == UNSTABLE:
-            found = self._flow(progress)
+            found = flow_away(self.ladder, settled=progress.converged)
             if not found.converged and self._fallback is not None and self._fallback[0] > t:
                 goal, there = self._fallback
                 self.problem.set_time(goal, default=RAMP)
                 found = self.ladder.solve([("", there)])
-                self._watch.look()
+                if found.converged and (negative_eigenvalues(self.newton) or 0) > 0:
+                    found = flow_away(self.ladder, settled=True)
+            self._watch.look()
             if not found.converged or not self._watch.finite():
                 progress.reason = fault
                 raise self._failure(t, goal, progress, start, kept)
@@ -289,24 +291,15 @@ class _Stepping:
         )
         return goal, progress
 
-    def _flow(self, progress: Progress) -> Progress:
-        """Lets the body go where it flows to."""
-        if progress.converged:
-            disturb(self.newton)
-        self.newton.refresh()
-        found = relax(self.newton)
-        log.debug("flow to another equilibrium: %s", found.reason)
-        self._watch.look()
-        return found
-
     def _is_enough(self) -> bool:
         limit = self.settings.max_displacement
-        if limit is None and self._count <= self.settings.max_steps:
-            return False
         if limit is not None and self.assembler.max_displacement() >= limit:
             log.info("a displacement has reached %g m: the run ends", limit)
             return True
-        return self._count > self.settings.max_steps
+        if self._count > self.settings.max_steps:
+            log.warning("statics.max_steps = %d steps are done: the run ends", self._count - 1)
+            return True
+        return False
 
     def _attempt(self, t: float, goal: float) -> Progress:
         """Tries to go to a load factor; the displacement is put back if that fails."""
@@ -327,7 +320,11 @@ class _Stepping:
         last = good if failed is None else failed
         self.newton.put_back(last)
         fields = len(self.problem.w.x.array)
-        found = diagnose(self.assembler, progress, good=good[:fields], failed=last[:fields])
+        # Beyond a limit point the path is unstable, and so may be the fields beside scalars.
+        judged = self.settings.method == "load" and self._scalars.border is None
+        found = diagnose(
+            self.assembler, progress, good=good[:fields], failed=last[:fields], stable=judged
+        )
         force, place = self.assembler.largest_unbalance()
         return ConvergenceError(
             f"no equilibrium beyond load factor {t:.6g}: {found.text}\n  at the end: "
@@ -347,9 +344,13 @@ class _Stepping:
             arc.prepare(statics.choice, statics.tolerance, statics.petsc)
             first = statics.sizes().goal(0.0)
             for found in arc.path(first, self.settings.min_step):
+                self._watch.look()
+                if found.progress.converged and not self._watch.finite():
+                    found.progress.reason = BEYOND
+                    found.progress.converged = False
                 if not found.progress.converged:
-                    good = self.newton.present()
-                    raise self._failure(found.t, found.t, found.progress, good, self.ladder.failed)
+                    good = self.newton.present() if found.good is None else found.good
+                    raise self._failure(found.t, found.t, found.progress, good, found.failed)
                 self._limits = tuple(arc.limits)
                 yield self._state(found.t, found.progress, found.negative)
                 if self._is_enough():

@@ -42,7 +42,8 @@ class StepSizes:
         """The load factor to go to from t."""
         stop = next(s for s in self._stops if s > t + 1e-12 * self.end)
         # A last crumb of a step is not worth one of its own.
-        return stop if t + 1.2 * self.size >= stop else t + self.size
+        near = min(1.2 * self.size, max(self.size, self._largest))
+        return stop if t + near >= stop * (1 - 1e-12) else t + self.size
 
     def done(self, t: float) -> bool:
         """Whether the end is reached."""

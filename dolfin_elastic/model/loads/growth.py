@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from functools import cached_property
 from typing import Any, ClassVar, Literal
 
@@ -27,6 +28,7 @@ class Swelling(Load):
         """See `Load.vectors`."""
         return {}
 
+    @abstractmethod
     def growth(self, site: Site, expansion: Expr | None, share: Expr | None) -> Expr:
         """Fg, shape (3, 3).
 
@@ -35,7 +37,6 @@ class Swelling(Load):
             expansion: The material's coefficient of expansion [1/K], if it has one.
             share: 1 where the load acts and 0 elsewhere; None: everywhere.
         """
-        raise NotImplementedError
 
 
 class Thermal(Swelling):
