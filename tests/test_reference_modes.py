@@ -21,6 +21,7 @@ from dolfin_elastic import (
     StVenantKirchhoff,
     Support,
     Symmetry,
+    Thermal,
     Traction,
     box_body,
     rectangle_body,
@@ -211,3 +212,19 @@ def test_euler(comm: MPI.Comm) -> None:
     linear, near = (factors(rubber, count=1, preload=share)[0] for share in (0.0, 0.9))
     assert linear == pytest.approx(near, rel=2e-3)
     assert near == pytest.approx(found[0].load_factor, rel=1.5e-2)
+
+
+def test_warm_column(comm: MPI.Comm) -> None:
+    """Clamped at both ends and warmed: 4 pi^2 I/(A L^2) = strain, in plane strain (1 + nu) of it.
+
+    B. Boley and J. Weiner, Theory of Thermal Stresses (1960), section 12.4, with Engesser's shear.
+    """
+    body = rectangle_body(size=[40, 1], cells=[40, 2], comm=comm)
+    law = StVenantKirchhoff(**SOFT, expansion=1e-5)
+    supports = [Support(on=["left", "right"])]
+    problem = Problem(body, law, supports=supports, loads=[Thermal(value=1)], degree=2)
+    strain = 4 * np.pi**2 / 12 / 40**2
+    shear = strain / (1 - 0.3**2) / (5 / 6 / 2.6)
+    # Strains before buckling, 0.2 %, and the grown body's own stiffness: about as much.
+    exact = strain / (1 + shear) / (1.3 * 1e-5)
+    assert factors(problem, count=1) == pytest.approx([exact], rel=1e-2)

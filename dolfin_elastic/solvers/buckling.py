@@ -41,7 +41,7 @@ from dolfin_elastic.solvers.critical import Critical
 from dolfin_elastic.solvers.eigen import DIRECT_LIMIT, Pair, prefixed
 from dolfin_elastic.solvers.linear import Choice, LinearSettings, factorising
 from dolfin_elastic.solvers.rigid import check_held
-from dolfin_elastic.solvers.shapes import at_rest, refuse, shape
+from dolfin_elastic.solvers.shapes import at_rest, refuse, shape, shared
 from dolfin_elastic.solvers.stability import Stability
 from dolfin_elastic.solvers.statics import Statics, StaticsSettings
 from dolfin_elastic.state import Mode, State
@@ -169,7 +169,7 @@ class Buckling:
                 path.rate,
                 sign=sign,
                 choice=self.choice,
-                users=self.petsc,
+                users=shared(self.petsc)[1] if self.settings.preload else self.petsc,
                 tolerance=self.settings.tolerance,
             )
             pairs = critical.lowest(wanted)

@@ -26,7 +26,7 @@ from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.eigen import Pair, Spectrum, choose_eigen, uneven
 from dolfin_elastic.solvers.linear import LinearSettings
 from dolfin_elastic.solvers.mass import Frame, Mass, RigidMode, rigid_modes, times
-from dolfin_elastic.solvers.shapes import at_rest, complete, refuse, shape
+from dolfin_elastic.solvers.shapes import at_rest, complete, refuse, shape, shared
 from dolfin_elastic.solvers.statics import Statics, StaticsSettings
 from dolfin_elastic.state import Mode, State
 from dolfin_elastic.timing import stage
@@ -106,9 +106,9 @@ class Modal:
         if self.settings.preload:
             if self.problem.site.linear:
                 log.warning("small-strain laws know no preload: the frequencies are those at rest")
-            yield from Statics(
-                self.problem, self.statics, linear=self.linear, petsc=self.petsc
-            ).steps()
+            of_statics, _ = shared(self.petsc)
+            linear = self.linear.model_copy(update={"petsc": {}})
+            yield from Statics(self.problem, self.statics, linear=linear, petsc=of_statics).steps()
         else:
             at_rest(self.problem)
         yield from self.about_this_state()
@@ -170,7 +170,7 @@ class Vibration:
             self.assembler.matrix,
             self.mass.matrix,
             choice=modal.choice,
-            users=modal.petsc,
+            users=shared(modal.petsc)[1] if modal.settings.preload else modal.petsc,
             tolerance=self.settings.tolerance,
         )
         self.room = self._room() - len(self.rigid)
@@ -191,6 +191,8 @@ class Vibration:
         base = fem.Function(self.problem.V, name="displacement")
         base.x.array[:] = self.problem.u.x.array
         found: list[RigidMode | Pair] = [*self.rigid, *pairs]
+        if pairs and pairs[0].value < 0.0:
+            log.warning("the state is unstable: some modes have no stiffness, but grow")
         for k, one in enumerate(found, start=1):
             yield self._mode(k, one, base, k / len(found))
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,7 @@ from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.parallel import largest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.eigen import Pair, uneven
+from dolfin_elastic.solvers.options import PREFIX
 from dolfin_elastic.solvers.scalars import refuse_scalars
 
 Vector = npt.NDArray[np.float64]
@@ -22,6 +23,9 @@ log = logging.getLogger("dolfin_elastic")
 
 GAP = 1e-4
 """Relative distance of two eigenvalues between which can be counted."""
+
+_OF_MODES = ("eps_", "st_", "bv_", "ds_")
+"""How the names of SLEPc's options begin."""
 
 SPARE = 4
 """Modes that are found beyond those asked for, so that there is a gap to count in."""
@@ -80,6 +84,13 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
             where=f"load[{index}]",
             expected="a rim that is held, a closed surface, a traction, or [dynamics]",
         )
+
+
+def shared(users: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The user's PETSc options for the way to a loaded state, and those for its modes."""
+    plain = {name.lstrip("-").removeprefix(PREFIX): value for name, value in users.items()}
+    modal = {name: value for name, value in plain.items() if name.startswith(_OF_MODES)}
+    return {n: v for n, v in plain.items() if n not in modal}, modal
 
 
 def at_rest(problem: Problem) -> None:
@@ -152,7 +163,10 @@ def complete(
         left = room - len(pairs)
         if spectrum.counted:
             below = spectrum.below(top)
-            missing = 0 if below is None else below - found - zeros
+            while below is None:  # another mode, just there
+                top *= 1 + GAP / 10
+                below = spectrum.below(top)
+            missing = below - found - zeros
             if missing < 0:
                 raise ConvergenceError(
                     f"{found + zeros} modes were found where there are only {below}",
