@@ -115,6 +115,17 @@ def test_springs(comm: MPI.Comm) -> None:
         assert sum(mode.effective[name] for mode in found) == pytest.approx(whole, rel=1e-9)
 
 
+def test_fewer_cells_than_ranks(comm: MPI.Comm) -> None:
+    """All modes of two triangles; more than there are is said."""
+    body = rectangle_body(size=[1, 1], cells=[1, 1], comm=comm)
+    found = modes(Problem(body, LinearElastic(**SOFT)), count=9)
+    assert [mode.kind for mode in found] == 3 * ["rigid"] + 5 * ["elastic"]
+    several = elastic(found)
+    assert several[0] == pytest.approx(several[1], rel=1e-9)  # a double one
+    assert np.all(np.diff(several[1:]) > 1)
+    assert sum(mode.effective["x"] for mode in found) == pytest.approx(1000, rel=1e-9)
+
+
 def test_rollers(comm: MPI.Comm) -> None:
     """One free motion along a roller, straight and tilted: the same frequencies."""
     c, s = np.cos(0.4), np.sin(0.4)

@@ -109,6 +109,36 @@ def test_rigid_and_buckling_modes(folder: Path, comm: MPI.Comm) -> None:
         assert json.loads((folder / "summary.json").read_text())["modes"][0]["kind"] == "buckling"
 
 
+TWO = """
+SetFactory("OpenCASCADE");
+Rectangle(1) = {0, 0, 0, 1, 1}; Rectangle(2) = {2, 0, 0, 1, 1};
+Physical Surface("base") = {1}; Physical Surface("lid") = {2};
+Transfinite Surface {1, 2};
+Transfinite Curve {1:8} = 3;
+"""
+
+
+def test_two_bodies(folder: Path, comm: MPI.Comm) -> None:
+    """Each has its rigid modes, by name, and every frequency is there twice."""
+    on_root(comm, lambda: (folder / "two.geo").write_text(TWO) and None)
+    tables = {**TABLES, "mesh": {"file": "two.geo"}, "support": [], "load": [], "modal": {}}
+    both = Case.from_dict(tables, folder)
+    problem = both.make_problem(both.read_body(comm))
+    found = [mode for mode in both.make_solver(problem).steps() if isinstance(mode, Mode)]
+    assert [mode.name for mode in found[:6]] == [
+        "base: move along x",
+        "base: move along y",
+        "base: turn about z through (0.5, 0.5) m",
+        "lid: move along x",
+        "lid: move along y",
+        "lid: turn about z through (2.5, 0.5) m",
+    ]
+    elastic = np.array([mode.frequency for mode in found[6:]]).reshape(3, 2)
+    assert elastic[:, 0] == pytest.approx(elastic[:, 1], rel=1e-8)
+    assert np.all(np.diff(elastic[:, 0]) > 1e-3 * elastic[0, 0])
+    assert found[0].effective["x"] == pytest.approx(1000, rel=1e-9)
+
+
 @pytest.mark.usefixtures("serial_only")
 def test_picture(folder: Path, comm: MPI.Comm) -> None:
     """Each mode is drawn; what has no size is refused."""
