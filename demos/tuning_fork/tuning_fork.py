@@ -80,7 +80,7 @@ def tuned(share: float) -> float:
     """Length at which share x tone is the pitch, on the coarse mesh, by the secant rule [mm]."""
     lengths = [85.0, 90.0]
     heard = [share * tone(length, 2) for length in lengths]
-    while abs(heard[-1] - PITCH) > 0.05:
+    while abs(heard[-1] - PITCH) > 0.1:
         slope = (heard[-1] - heard[-2]) / (lengths[-1] - lengths[-2])
         lengths.append(lengths[-1] + (PITCH - heard[-1]) / slope)
         heard.append(share * tone(lengths[-1], 2))
