@@ -162,6 +162,16 @@ def test_iterations(comm: MPI.Comm) -> None:
         assert [mode.kind for mode in slow] == [mode.kind for mode in direct]
 
 
+def test_loads_at_rest(comm: MPI.Comm) -> None:
+    """Without preload they do nothing, not even one that follows the body from the start."""
+    body, law = strip(comm, (4, 1)), NeoHookean(**SOFT)
+    constant = Pressure(on="right", value=1e5, curve="constant")
+    pressed = Problem(body, law, supports=LEFT, loads=[constant])
+    bare = Problem(body, law, supports=LEFT)
+    first, second = (elastic(modes(problem, count=2)) for problem in (pressed, bare))
+    assert first == pytest.approx(second, rel=1e-9)
+
+
 # --- what is wrong ---
 
 

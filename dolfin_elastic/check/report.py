@@ -81,7 +81,6 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     notes = check(case, body)
     problem = case.make_problem(body)
     with located(case.file):
-        case.make_solver(problem)  # says what it cannot solve
         if case.analysis in ("statics", "buckling") or case.preloaded:
             check_held(problem)
         elif explicit(case):

@@ -44,6 +44,9 @@ SOFT = 1e-3
 FAR = 30.0
 """A shift so many times farther from zero than the first eigenvalue costs it digits."""
 
+NOTHING = 1e-8
+"""Eigenvalues over the Rayleigh quotient of a smooth motion whose sign may be round-off."""
+
 
 class ModalSettings(Record):
     """Which modes of vibration are looked for.
@@ -94,6 +97,8 @@ class Modal:
         self.statics, self.linear = statics or StaticsSettings(), linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
         refuse(problem, "modal", loaded=self.settings.preload)
+        for part in problem.parts:
+            problem.site.density(part)  # says where there is none
         self.choice = choose_eigen(problem, self.linear)
 
     def steps(self) -> Iterator[State | Mode]:
@@ -174,6 +179,7 @@ class Vibration:
             tolerance=self.settings.tolerance,
         )
         self.room = self._room() - len(self.rigid)
+        self.smooth = self._smooth()
 
     def _room(self) -> int:
         """How many modes there are: displacements that nothing prescribes."""
@@ -191,7 +197,7 @@ class Vibration:
         base = fem.Function(self.problem.V, name="displacement")
         base.x.array[:] = self.problem.u.x.array
         found: list[RigidMode | Pair] = [*self.rigid, *pairs]
-        if pairs and pairs[0].value < 0.0:
+        if pairs and self._grows(pairs[0].value):
             log.warning("the state is unstable: some modes have no stiffness, but grow")
         for k, one in enumerate(found, start=1):
             yield self._mode(k, one, base, k / len(found))
@@ -229,7 +235,7 @@ class Vibration:
         """
         if not self.rigid and (not self.spectrum.counted or self.spectrum.below(0.0) == 0):
             return 0.0
-        shift = -SOFT * self._smooth()
+        shift = -SOFT * self.smooth
         for _ in range(40):
             if not self.spectrum.counted or self.spectrum.below(shift) == 0:
                 return shift
@@ -252,6 +258,10 @@ class Vibration:
         work = self._product(motion, stiff)
         return abs(work / self._product(motion, self.mass.times(columns)[:, 0]))
 
+    def _grows(self, value: float) -> bool:
+        """A negative eigenvalue that is no round-off."""
+        return value < -NOTHING * self.smooth
+
     def _product(self, a: Vector, b: Vector) -> float:
         return float(self._comm.allreduce(float(np.sum(a * b))))
 
@@ -263,7 +273,7 @@ class Vibration:
                 self.spectrum, shift, count, room=self.room, known=known, zeros=len(self.rigid)
             )
             first = abs(pairs[0].value) if pairs else np.inf
-            if not -shift > FAR * first > 0.0:
+            if not (-shift > FAR * first and first > NOTHING * self.smooth):
                 break
             shift = -first  # nearer, for the sake of the lowest ones
         return pairs[:count]
@@ -278,7 +288,7 @@ class Vibration:
         u, size = shape(self.problem, vector)
         return Mode(
             number=number,
-            kind="rigid" if rigid else "elastic" if value > 0.0 else "unstable",
+            kind="rigid" if rigid else "unstable" if self._grows(value) else "elastic",
             u=u,
             base=base,
             eigenvalue=value,
