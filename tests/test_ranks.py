@@ -23,7 +23,13 @@ POINTS = (
 """Files of tests on numbers and texts, and on rates, in which ranks take no part of their own."""
 LAWS = ("geometry", "law_input", "laws", "naming", "own_energy")
 """Files that try every law, or names, on bodies of a few cells."""
-REFERENCES = ("reference_bending", "reference_heart", "reference_motion", "reference_rubber")
+REFERENCES = (
+    "reference_bending",
+    "reference_heart",
+    "reference_modes",
+    "reference_motion",
+    "reference_rubber",
+)
 """Published numbers, which ask how right the model is: the parts that ranks share in them, curved
 meshes, supports, loads, pressures and probes, have tests of their own that run here.  The linear
 ones run at 2, so that reference cases as such do."""
@@ -37,6 +43,7 @@ SHARED = (
     "loads",
     "meshes",
     "mixed",
+    "modal",
     "patch",
     "periodic",
     "pressure",
