@@ -83,7 +83,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     with located(case.file):
         if case.analysis in ("statics", "buckling") or case.preloaded:
             check_held(problem)
-        elif explicit(case):
+        elif case.dynamics is not None and not case.dynamics.implicit:
             check_explicit(problem, case.dynamics.scheme)
         if case.dynamics is not None:
             check_start(problem)
