@@ -29,7 +29,8 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
-from dolfin_elastic.errors import InputError
+from dolfin_elastic.errors import ConvergenceError, InputError
+from dolfin_elastic.solvers import eigen
 from dolfin_elastic.solvers.linear import LinearSettings
 from dolfin_elastic.state import Mode
 
@@ -260,3 +261,15 @@ def test_options_of_the_user(comm: MPI.Comm, caplog: pytest.LogCaptureFixture) -
     if comm.rank == 0:
         assert "'-nonsense' was not used" in caplog.text
         assert "eps_type" not in caplog.text
+
+
+def test_not_found(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Too few iterations, and a solver that fails: one message each, with what to try."""
+    problem = Problem(strip(comm), LinearElastic(**SOFT), supports=LEFT)
+    with pytest.raises(ConvergenceError, match=r"of 10 modes only \d were found: .*ITS") as caught:
+        modes(problem, petsc={"eps_max_it": 1, "eps_ncv": 12})
+    assert "fewer modes" in caught.value.advice
+    # CG that may do nothing: SLEPc gives up.
+    monkeypatch.setitem(eigen.GAMG, "ksp_max_it", 1)
+    with pytest.raises(ConvergenceError, match="the eigenvalue solver has failed"):
+        modes(problem, linear=LinearSettings(method="iterative"))

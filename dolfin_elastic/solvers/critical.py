@@ -19,7 +19,7 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.solvers.eigen import Pair, Vector, negative, uneven
+from dolfin_elastic.solvers.eigen import Pair, Vector, failing, negative, uneven
 from dolfin_elastic.solvers.linear import Choice
 from dolfin_elastic.solvers.options import PREFIX, Options
 from dolfin_elastic.solvers.shapes import SPARE, complete
@@ -111,7 +111,7 @@ class Critical:
             eps.setInitialSpace(spaces[0])
             if known:
                 eps.setDeflationSpace(spaces[1:])
-            with stage("solve"), self._options.in_force(), self._options.told():
+            with stage("solve"), failing(), self._options.in_force(), self._options.told():
                 eps.setFromOptions()
                 eps.solve()
                 self._options.report_unused()

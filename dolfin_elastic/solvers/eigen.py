@@ -13,7 +13,8 @@ Computations (2013), section 8.1.5 (inertia).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -122,6 +123,23 @@ def _no_factors() -> ConvergenceError:
     )
 
 
+@contextmanager
+def failing() -> Iterator[None]:
+    """Lets PETSc's failure inside an eigenvalue solver be one message.
+
+    Raises:
+        ConvergenceError: It has failed.
+    """
+    try:
+        yield
+    except PETSc.Error as error:
+        said = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
+        raise ConvergenceError(
+            f"the eigenvalue solver has failed: {said}",
+            advice='solver.method = "direct", more memory (more ranks), a coarser mesh',
+        ) from None
+
+
 class Spectrum:
     """Eigenpairs of A x = value B x. Collective; `destroy` it.
 
@@ -198,7 +216,7 @@ class Spectrum:
             eps.setDeflationSpace(spaces[1:])
         preconditioned = None
         try:
-            with stage("solve"), self.options.in_force(), self.options.told():
+            with stage("solve"), failing(), self.options.in_force(), self.options.told():
                 eps.setFromOptions()
                 preconditioned = self._prepare(eps.getST(), shift)
                 eps.solve()
