@@ -103,6 +103,11 @@ class Stepper:
         if self.scheme.alpha_f != 0.5:
             self._ends = self.look(t)
 
+    def look_at_end(self, t: float) -> None:
+        """Lets `assembler.balance` hold the forces at the present state, if it does not yet."""
+        if self.scheme.alpha_f == 0.5:
+            self.look(t)
+
     def look(self, t: float) -> Forces:
         """The forces at the present state, at a time; `assembler.balance` holds them then."""
         size = len(self.moving.moves)
