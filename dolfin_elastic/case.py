@@ -52,9 +52,6 @@ from dolfin_elastic.tables import (
 )
 from dolfin_elastic.toml_text import toml_text
 
-_CURVED = ("support", "load")
-"""Keys of lists whose tables may have a curve."""
-
 
 class Case(Record):
     """Everything a run needs to know.
@@ -163,10 +160,7 @@ class Case(Record):
             InputError: With the file's name and the dotted key.
         """
         with located(file):
-            case = cls(**dict(tables))
-            rows = {key: with_curves(getattr(case, key), key, Path(folder)) for key in _CURVED}
-            if any(rows[key] != getattr(case, key) for key in _CURVED):
-                case = case.model_copy(update=rows)
+            case = with_curves(cls(**dict(tables)), Path(folder))
         case._file, case._folder = file, Path(folder)
         return case
 

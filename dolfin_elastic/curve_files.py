@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from dolfin_elastic.errors import CaseError, InputError, nearest
 from dolfin_elastic.model.curves import Amplitude, CurveFile
@@ -13,19 +12,30 @@ from dolfin_elastic.schema import Record
 
 R = TypeVar("R", bound=Record)
 
+CURVED = ("support", "load", "contact", "periodic")
+"""Keys of tables, or of lists of tables, that may have a `curve`."""
 
-def with_curves(rows: Sequence[R], key: str, folder: Path) -> list[R]:
-    """The same loads or supports, their curves read from their files. Not collective.
+
+def with_curves(case: R, folder: Path) -> R:
+    """The same case, its curves read from their files. Not collective.
 
     Args:
-        rows: Records that may have a `curve`.
-        key: Their key in the case file, for messages.
+        case: A record with the keys `CURVED`.
         folder: Folder that the paths are relative to.
 
     Raises:
         InputError: A file that cannot be read, or that has no such columns.
     """
-    return [_with_curve(row, f"{key}[{i}].curve", folder) for i, row in enumerate(rows)]
+    read: dict[str, Any] = {}
+    for key in CURVED:
+        found = getattr(case, key)
+        if isinstance(found, list):
+            rows = [_with_curve(row, f"{key}[{i}].curve", folder) for i, row in enumerate(found)]
+            if rows != found:
+                read[key] = rows
+        elif found is not None and (table := _with_curve(found, f"{key}.curve", folder)) != found:
+            read[key] = table
+    return case.model_copy(update=read) if read else case
 
 
 def _with_curve(row: R, where: str, folder: Path) -> R:

@@ -20,6 +20,8 @@ class Enclosure:
     Attributes:
         label: What results call it.
         volume: Its present volume [m^3], a form without arguments.
+        exact: The same, though all laws may be linear.
+        push: Virtual work of a unit pressure, on the deformed surface, too [m^3].
         cavity: What is prescribed.
         site: Where its unknown pressure is.
         initial: Volume of the undeformed cavity [m^3], once a solver has found it.
@@ -29,6 +31,8 @@ class Enclosure:
 
     label: str
     volume: ufl.Form
+    exact: ufl.Form
+    push: ufl.Form
     cavity: Cavity
     site: BodySite
     initial: float = 0.0
@@ -79,7 +83,8 @@ def enclosures(loads: Sequence[Load], site: BodySite) -> Iterator[Enclosure]:
             )
         labels.add(load.label)
         try:
-            volume = load.enclosed(site)
+            volume, exact = (load.enclosed(site, linear) for linear in (site.linear, False))
         except InputError as error:
-            raise error.at(f"load[{index}].{error.where}") from None
-        yield Enclosure(load.label, volume, load, site)
+            raise error.at(f"load[{index}]" if error.where else f"load[{index}].on") from None
+        push = load.work(site, site.constant(1.0), linear=False)
+        yield Enclosure(load.label, volume, exact, push, load, site)

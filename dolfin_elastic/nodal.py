@@ -18,7 +18,7 @@ from mpi4py import MPI
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.meshes.body import Body, cell_size, span
-from dolfin_elastic.model.components import depends_on_time
+from dolfin_elastic.model.components import amplitude_of, depends_on_time
 from dolfin_elastic.model.curves import Amplitude
 from dolfin_elastic.model.loads import Concentrated, Load
 from dolfin_elastic.parallel import agree
@@ -83,9 +83,10 @@ class NodalLoads:
     def set_time(self, t: float, default: Amplitude) -> None:
         """Puts all to time t. Not collective."""
         for spread, forces in zip(self._spread, self._forces, strict=True):
-            factor = (spread.load.amplitude or default).at(t) * spread.weights
             x, y, z = spread.x.T
             for i, value in enumerate(spread.load.values):
+                amplitude = amplitude_of(value, spread.load.curve) or default
+                factor = amplitude.at(t) * spread.weights
                 if isinstance(value, Formula):
                     forces[:, i] = factor * value.evaluate(x=x, y=y, z=z, t=t)
                 else:

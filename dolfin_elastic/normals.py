@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import basix
@@ -14,6 +15,10 @@ from dolfinx.mesh import exterior_facet_indices
 from dolfin_elastic._compat import integration_entities, interpolation_points
 from dolfin_elastic.errors import MeshError
 from dolfin_elastic.meshes.body import Body, Indices, span
+from dolfin_elastic.model.contact import Contact
+from dolfin_elastic.model.loads import Load
+from dolfin_elastic.model.springs import Resisting
+from dolfin_elastic.model.supports import Restraint
 from dolfin_elastic.parallel import largest, smallest, total
 
 Floats = npt.NDArray[np.float64]
@@ -58,7 +63,7 @@ def sheet(body: Body, V: fem.FunctionSpace, name: str) -> Sheet:
         MeshError: The surface lies inside the body, where it has two normals.
     """
     facets = body.owned_facets(name)
-    _check_outside(body, facets, name)
+    check_outside(body, name, "support")
     shares, nodes = _shares(body, V, facets)
     dim, index_map = body.dim, V.dofmap.index_map
     sums = la.vector(index_map, dim + 1)
@@ -95,17 +100,50 @@ def sheet(body: Body, V: fem.FunctionSpace, name: str) -> Sheet:
     )
 
 
-def _check_outside(body: Body, facets: Indices, name: str) -> None:
+def check_outside(body: Body, name: str, where: str) -> None:
+    """A surface has an outward normal only where it is a part of the body's boundary. Collective.
+
+    Args:
+        body: The mesh and its names.
+        name: Name of the surface.
+        where: Key that names it, for the message.
+
+    Raises:
+        MeshError: A facet of it lies between two cells; on all ranks.
+    """
     tdim = body.mesh.topology.dim
     body.mesh.topology.create_connectivity(tdim - 1, tdim)
     body.mesh.topology.create_connectivity(tdim, tdim - 1)
-    inside = ~np.isin(facets, exterior_facet_indices(body.mesh.topology))
+    inside = ~np.isin(body.owned_facets(name), exterior_facet_indices(body.mesh.topology))
     if total(body.comm, int(inside.sum())):
         raise MeshError(
             f"the surface '{name}' lies inside the body, where it has no outward normal",
-            where="support",
+            where=where,
             expected="a part of the body's boundary",
         )
+
+
+def check_facing(
+    body: Body, supports: Sequence[Restraint], loads: Sequence[Load], contacts: Sequence[Contact]
+) -> None:
+    """All surfaces whose normal matters lie on the body's boundary. Collective.
+
+    Names that do not exist are left to those who use them.
+
+    Raises:
+        MeshError: One lies inside, with its key.
+    """
+    named = [
+        (f"support[{i}].on", s.surfaces)
+        for i, s in enumerate(supports)
+        if isinstance(s, Resisting) and s.by_normal
+    ]
+    named += [(f"load[{i}].on", load.parts) for i, load in enumerate(loads) if load.faces]
+    named += [(f"contact[{i}].on", contact.surfaces) for i, contact in enumerate(contacts)]
+    for where, names in named:
+        for name in names:
+            if name in body.surfaces:
+                check_outside(body, name, where)
 
 
 def tidy(normals: Floats) -> Floats:

@@ -274,7 +274,7 @@ class Prescribed:
         for hold, dofs, signs in self._entries:
             if only is not None and hold.support is not only:
                 continue
-            if hold.support is not None and len(dofs):
+            if hold.support is not None:
                 self.values.x.array[dofs] = signs * hold.goals(self._x, t, default)
         if self.tilted is not None and only is None:
             self.tilted.move_to(t, default)
@@ -308,24 +308,47 @@ class Prescribed:
                 found_dofs.append(dofs)
         return np.concatenate(found_dofs), np.concatenate(found)
 
-    def moment(self, motion: RigidMotion, forces: Floats) -> Floats:
-        """Moment about the present reference point of forces at its entries. Collective.
+    def moment(self, motion: RigidMotion, forces: Floats, u: Floats) -> Floats:
+        """Moment about the present reference point of the forces by which it holds. Collective.
 
         Args:
             motion: The rigid surface.
             forces: At the owned entries of the displacement's space [N].
+            u: The displacement's local array [m].
         """
-        f = np.zeros_like(self._x)
-        place = motion.place(self._t, self._default)
+        f = np.zeros((len(forces) // self._bs, 3))
         for hold, dofs, _ in self._entries:
             if hold.support is motion:
                 own = dofs < len(forces)
                 f[hold.nodes[own], hold.which] = forces[dofs[own]]
+        if self.tilted is not None:
+            out = forces.reshape(-1, self._bs)[self.tilted.nodes[: self.tilted.count]]
+            for support, nodes, leaning in self.tilted.each(out):
+                if support is motion:
+                    f[nodes, : self._bs] += leaning
         held = np.flatnonzero(np.any(f != 0.0, axis=1))
-        u = np.zeros((len(held), 3))
-        for i in range(self._bs):
-            u[:, i] = motion.at(i, self._x[held], self._t, self._default)
-        return total(self._V.mesh.comm, np.cross(self._x[held] + u - place, f[held]).sum(axis=0))
+        arms = self._x[held] - motion.place(self._t, self._default)
+        arms[:, : self._bs] += u.reshape(-1, self._bs)[held]
+        return total(self._V.mesh.comm, np.cross(arms, f[held]).sum(axis=0))
+
+    def probed(self, moments: Sequence[float], default: Amplitude) -> list[Floats]:
+        """Values at some moments, owned and ghost; all is left as it was. Not collective.
+
+        Args:
+            moments: Times [s], or load parameters.
+            default: Amplitude of supports that name none.
+        """
+        now, values = (self._t, self._default), self.values.x.array
+        kept = values.copy()
+        target = None if self.tilted is None else self.tilted.target.copy()
+        found = []
+        for t in moments:
+            self.move_to(t, default)
+            found.append(values.copy())
+        (self._t, self._default), values[:] = now, kept
+        if self.tilted is not None:
+            self.tilted.target[:] = target
+        return found
 
     @property
     def targets(self) -> Floats:

@@ -25,12 +25,7 @@ from dolfin_elastic.meshes.body import Body, cell_size
 from dolfin_elastic.model.components import depends_on_time
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
-from dolfin_elastic.model.geometry import (
-    Geometry,
-    Weighted,
-    gradient_variation,
-    weight,
-)
+from dolfin_elastic.model.geometry import Geometry, Weighted, gradient_variation, weight
 from dolfin_elastic.model.growth import Grown
 from dolfin_elastic.model.law import Law, SplitLaw
 from dolfin_elastic.model.loads import Load
@@ -39,6 +34,7 @@ from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.springs import Dashpot, Resisting, Spring
 from dolfin_elastic.model.supports import Restraint
 from dolfin_elastic.nodal import NodalLoads
+from dolfin_elastic.normals import check_facing
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
 from dolfin_elastic.prescribed import Prescribed, Projections, held_by_spring
 from dolfin_elastic.rest import rest_states
@@ -111,6 +107,7 @@ class Problem:
         self.geometry = checked_geometry(geometry, thickness, body)
         turned = self.geometry == "axisymmetric"
         check_contacts(contacts, body, turned=turned)
+        check_facing(body, supports, loads, contacts)
         self.cell: Cell | None = None
         if periodic is not None:
             others = {"support": supports, "load": loads, "contact": contacts}

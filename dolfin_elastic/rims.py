@@ -81,17 +81,8 @@ class _Supports:
         entries = np.zeros(len(self.prescribed.values.x.array), dtype=bool)
         entries[self.prescribed.dofs] = True
         self._held = entries.reshape(-1, dim)
-        self._values = self._probe()
-
-    def _probe(self) -> list[Floats]:
-        """Prescribed values at some moments, shape (points, component) each."""
-        values = self.prescribed.values.x.array
-        kept, found = values.copy(), []
-        for t in _MOMENTS:
-            self.prescribed.move_to(t, RAMP)
-            found.append(values.copy().reshape(-1, self.body.dim))
-        values[:] = kept
-        return found
+        values = self.prescribed.probed(_MOMENTS, RAMP)
+        self._values = [value.reshape(-1, dim) for value in values]
 
     def hold(self, edge: int) -> bool:
         """No part of the tangent is lost to skewness along an edge. Not collective."""

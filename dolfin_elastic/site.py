@@ -16,7 +16,7 @@ from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.measures import Measures
 from dolfin_elastic.meshes.body import Body
-from dolfin_elastic.model.components import Component
+from dolfin_elastic.model.components import Component, depends_on_time
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.model.geometry import Geometry, Weighted, full_gradient
 from dolfin_elastic.parallel import total
@@ -162,16 +162,36 @@ class BodySite:
         self._amplitudes.append((factor, amplitude))
         return factor
 
-    def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
-        """A vector at a point of the body, times its amplitude, as a UFL expression."""
+    def factors(self, values: tuple[Component, ...], curve: Amplitude | None) -> list[Constant]:
+        """A constant for each component that follows its amplitude, one for all that are alike."""
+        changing = curve is None and depends_on_time(values)
+        shared: dict[bool, Constant] = {}
+        found = []
+        for value in values:
+            timed = changing and (value in (None, 0.0) or depends_on_time((value,)))
+            if timed not in shared:
+                shared[timed] = self.factor(CONSTANT if timed else curve)
+            found.append(shared[timed])
+        return found
+
+    def vector(self, values: tuple[Component, ...], curve: Amplitude | None) -> Expr:
+        """A vector at a point of the body, each component times its amplitude, in UFL.
+
+        Args:
+            values: The components.
+            curve: What the user wrote: see `components.amplitude_of`.
+        """
         if len(values) != self.body.dim:
             raise InputError(
                 f"{len(values)} components given, the body has {self.body.dim}", where="load"
             )
-        factor = self.factor(amplitude)
+        factors = self.factors(values, curve)
         if not any(isinstance(value, Formula) for value in values):
-            return factor * self.constant([float(value) for value in values])  # type: ignore[arg-type]
-        return factor * ufl.as_vector([self.value(value) for value in values])
+            return factors[0] * self.constant([float(value) for value in values])  # type: ignore[arg-type]
+        items = [self.value(value) for value in values]
+        if all(factor is factors[0] for factor in factors):
+            return factors[0] * ufl.as_vector(items)
+        return ufl.as_vector([f * item for f, item in zip(factors, items, strict=True)])
 
     def scalar(self, value: Component, amplitude: Amplitude | None) -> Expr:
         """A number or formula at a point of the body, times its amplitude."""

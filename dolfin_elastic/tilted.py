@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from dolfin_elastic.errors import InputError
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.model.supports import Prescribing
 from dolfin_elastic.motions import RigidMotion
@@ -49,10 +50,16 @@ class Hold:
         )
 
     def goals(self, x: Floats, t: float, default: Amplitude = CONSTANT) -> Floats:
-        """What is prescribed along each direction [m]."""
+        """What is prescribed along each direction [m].
+
+        It is asked on ranks without nodes, too: a curve fails on all of them or on none.
+        """
         goals = np.zeros(len(self.nodes))
-        if self.support is not None and len(self.nodes):
-            goals[:] = self.support.at(self.which, x[self.nodes], t, default)
+        if self.support is not None:
+            try:
+                goals[:] = self.support.at(self.which, x[self.nodes], t, default)
+            except InputError as error:
+                raise error.at(f"support '{self.support.label}'") from None
         return goals
 
 
@@ -149,12 +156,21 @@ class Tilted:
         Args:
             out: Forces out of balance at the owned nodes [N], of shape (count, dim).
         """
-        along = np.einsum("nik,ni->nk", self._lift[: self.count], out)
         found: dict[str, Floats] = {}
+        for support, _, forces in self.each(out):
+            found[support.label] = found.get(support.label, 0.0) + forces.sum(axis=0)
+        return found
+
+    def each(self, out: Floats) -> Iterator[tuple[Prescribing | RigidMotion, Nodes, Floats]]:
+        """Each support's forces, hold by hold: owned nodes, and forces there, shape (nodes, dim).
+
+        Args:
+            out: Forces out of balance at the owned nodes [N], of shape (count, dim).
+        """
+        along = np.einsum("nik,ni->nk", self._lift[: self.count], out)
         for s in self._slots:
             if s.hold.support is not None:
                 own = s.where < self.count
                 at = s.where[own], s.row[own]
-                label = s.hold.support.label
-                found[label] = found.get(label, 0.0) + along[at] @ self._rows[at]
-        return found
+                forces = along[at][:, None] * self._rows[at]
+                yield s.hold.support, self.nodes[s.where[own]], forces

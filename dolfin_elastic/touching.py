@@ -128,12 +128,24 @@ class Touching:
             off = X[self.nodes, 0] > 1e-9 * self.size
             self.nodes, self._in_V = self.nodes[off], self._in_V[off]
             return
-        middle = fem.Function(self.penalty.function_space)
-        beside, _ = facet_places(self._site.body.mesh, facets)
-        dofs = self.penalty.function_space.dofmap.list[beside, 0]
-        middle.x.array[dofs] = facet_corners(self._site.body.mesh, facets)[:, :, 0].mean(axis=1)
-        weight = 2 * ufl.pi * (self._site.X[0] + 2 * middle) / 3
+        weight = 2 * ufl.pi * (self._site.X[0] + 2 * self._middle_radius(facets)) / 3
         self._measure = Weighted(weight, self._measure.measure)
+
+    def _middle_radius(self, facets: Indices) -> Expr:
+        """Radius of the middle of the facet at hand [m]: a cell may have several in contact.
+
+        On the reference triangle the outward normals are (1, 1)/sqrt(2), (-1, 0) and (0, -1).
+        """
+        mesh = self._site.body.mesh
+        radii = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))))
+        beside, local = facet_places(mesh, facets)
+        cells = radii.function_space.dofmap.list[beside, 0]
+        radii.x.array.reshape(-1, 3)[cells, local] = facet_corners(mesh, facets)[:, :, 0].mean(
+            axis=1
+        )
+        normal = ufl.geometry.ReferenceNormal(mesh)
+        left = ufl.conditional(ufl.lt(normal[0], -0.5), radii[1], radii[2])
+        return ufl.conditional(ufl.gt(normal[0], 0.5), radii[0], left)
 
     # --- terms ---
 

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 _NUMBER = re.compile(
     r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
-    r"\s*((?:[^\W\d_]|[%°]).*?)?\s*",  # a unit begins with a letter
+    r"(?:\s*((?:[^\W\d_]|[%°]).*?)|\s+(1\s*/.*?))?\s*",  # a unit begins with a letter, or with 1/
     re.DOTALL,
 )
 _UNIT = re.compile(
-    r"(?:(?:[^\W\d_]|[%°])+(?:\s*(?:\^|\*\*)\s*-?[0-9](?![0-9])|[²³])?(?:\s*[*/·.]\s*|\s+|\Z))+"
+    r"(?:1\s*/\s*)?(?:(?:[^\W\d_]|[%°])+(?:\s*(?:\^|\*\*)\s*-?[0-9](?![0-9])|[²³])?(?:\s*[*/·.]\s*|\s+|\Z))+"
 )
 """What pint may see: names with one-digit powers; it would work out 9^9^9 for hours."""
 
@@ -63,10 +63,14 @@ def _registry() -> pint.UnitRegistry:
 
 def is_quantity(text: str) -> bool:
     """True for a number, bare or followed by a known unit: ``"2"``, ``"2 mm"``; no formula."""
+    parts = _split(text)
+    return parts is not None and (not parts[1] or _known(parts[1]))
+
+
+def _split(text: str) -> tuple[float, str] | None:
+    """Number and unit of a text; None if it is not of this form."""
     match = _NUMBER.fullmatch(text)
-    if not match:
-        return False
-    return not match[2] or _known(match[2])
+    return (float(match[1]), match[2] or match[3] or "") if match else None
 
 
 def _known(unit: str) -> bool:
@@ -105,10 +109,9 @@ def to_si(value: float | str, unit: str) -> float:
 
 
 def _from_text(text: str, unit: str) -> float:
-    match = _NUMBER.fullmatch(text)
-    if not match:
+    if (parts := _split(text)) is None:
         raise UnitError(f"'{text}' is not a number", expected=_expected(unit))
-    number, name = float(match[1]), match[2]
+    number, name = parts
     if not name:
         return number
     for table in (COMMON, MEANT):
@@ -116,10 +119,29 @@ def _from_text(text: str, unit: str) -> float:
             return number * table[unit][name]
     if not _known(name):
         raise UnitError(f"unknown unit '{name}' in '{text}'", expected=_expected(unit))
-    quantity = _registry().Quantity(1.0, name)
-    if not quantity.is_compatible_with(unit or "dimensionless"):
+    if not _registry().Quantity(1.0, name).is_compatible_with(unit or "dimensionless"):
         raise UnitError(f"'{text}' has the wrong unit", expected=_expected(unit))
-    return float(number * quantity.to(unit or "dimensionless").magnitude)
+    zero, size = _scale(text, name, unit)
+    if zero != 0.0 and unit != "K":  # a number in kelvin is a change of temperature throughout
+        raise UnitError(f"'{text}' counts from a zero of its own", expected=_expected(unit))
+    return number * size
+
+
+def _scale(text: str, name: str, unit: str | None) -> tuple[float, float]:
+    """What nothing of a unit is in `unit` (None: in SI base units), and how much one of it adds.
+
+    Raises:
+        UnitError: Its steps are not equal, as those of decibels.
+    """
+    quantities = [_registry().Quantity(x, name) for x in (0.0, 1.0, 2.0)]
+    zero, one, two = (
+        float((q.to_base_units() if unit is None else q.to(unit or "dimensionless")).magnitude)
+        for q in quantities
+    )
+    # Round-off of a zero such as 273.15 K.
+    if abs(two - 2 * one + zero) > 1e-9 * abs(one - zero):
+        raise UnitError(f"'{text}' is on a scale whose steps are not equal")
+    return zero, one - zero
 
 
 def to_base(value: float | str) -> float:
@@ -128,16 +150,21 @@ def to_base(value: float | str) -> float:
     Raises:
         UnitError: Not a finite number, or an unknown unit.
     """
-    match = _NUMBER.fullmatch(value) if isinstance(value, str) else None
-    if match is None or not match[2]:
+    parts = _split(value) if isinstance(value, str) else None
+    if parts is None or not parts[1]:
         return to_si(value, "")
-    number, name = float(match[1]), match[2]
+    number, name = parts
     for units in COMMON.values():
         if name in units:
             return _finite(number * units[name], value)
     if not _known(name):
         raise UnitError(f"unknown unit '{name}' in '{value}'", expected='for example "0.4 MPa"')
-    return _finite(float(_registry().Quantity(number, name).to_base_units().magnitude), value)
+    zero, size = _scale(str(value), name, None)
+    if zero != 0.0:
+        raise UnitError(
+            f"'{value}' may be a temperature or a change of one", expected="the same in K"
+        )
+    return _finite(number * size, value)
 
 
 def _finite(number: float, written: object) -> float:

@@ -557,7 +557,7 @@ def test_other_mistakes(folder: Path) -> None:
     """Those that are not a change of the text of one case."""
     assert (
         complaint(folder, GOOD.replace('on = "left"', "on = []"))
-        == "case.toml: support[0].on: no name is given; leave `on` out or name a part"
+        == "case.toml: support[0].on: no name is given; a surface's name"
     )
     assert (
         complaint(folder, GOOD.replace("Block", "\udcff"))

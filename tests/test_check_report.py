@@ -199,21 +199,35 @@ def test_loads_and_their_sum():
     assert {row.time for row in found} == {1.0}
 
 
+MESHES: dict[str, dict[str, Any]] = {
+    "space": {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}},
+    "plane-strain": {"rectangle": {"size": [2, 1], "cells": [2, 1]}, "thickness": 0.5},
+    "axisymmetric": {"rectangle": {"size": [2, 1], "cells": [2, 1], "origin": [1, 0.5]}},
+}
+
+
+@pytest.mark.parametrize("geometry", MESHES)
 @pytest.mark.parametrize("name", sorted(LOADS))
-def test_same_as_the_forms(name):
+def test_same_as_the_forms(name, geometry):
     """What is summed up in numbers is what the virtual work gives."""
     if LOADS[name].intensity is Load.intensity:
         pytest.skip("not told in numbers")
+    mesh, dim = dict(MESHES[geometry]), 3 if geometry == "space" else 2
+    if dim == 2:
+        mesh["geometry"] = geometry
     scalars = {"pressure": "1 + x*y", "centrifugal": 3.0}
-    table = {"kind": name, "value": scalars.get(name, ["1 + x*y", "z", "x^2"])}
+    vector = ["1 + x*y", "z + y", "x^2"][:dim]
+    if (name, geometry) == ("gravity", "axisymmetric"):
+        vector[0] = 0
+    table = {"kind": name, "value": scalars.get(name, vector)}
     if LOADS[name].model_fields["on"].is_required():  # of surfaces
         table["on"] = "top"
-    this = case(load=[table])
+    this = case(load=[table], mesh=mesh)
     (row,) = report(this).loads
     problem = this.make_problem(this.read_body())
     problem.set_time(1.0)
     form = compiler.compile_forms(COMM, [problem.external], problem.jit)[0]
-    nodal = fem.assemble_vector(form).array.reshape(-1, 3)
+    nodal = fem.assemble_vector(form).array.reshape(-1, dim)
     sums = total(COMM, nodal.sum(axis=0))
     np.testing.assert_allclose(row.force, sums, rtol=EXACT, atol=EXACT)
 
@@ -250,6 +264,16 @@ def test_curves():
     assert moving[0].force == pytest.approx((-600, 0, 0), rel=EXACT)
     assert moving[1].force == pytest.approx((6, 0, 0), rel=EXACT)
     assert len(moving) == 3  # at different times they have no sum
+
+
+def test_peak_of_a_curve_in_a_file(folder: Path):
+    """Between the times that are looked at anyway."""
+    text = "t,f\n0,0\n0.111,0\n0.112,1\n0.113,0\n1,0\n"
+    on_root(COMM, lambda: (folder / "peak.csv").write_text(text))
+    pull = {"kind": "traction", "on": "top", "value": [100, 0, 0], "curve": {"file": "peak.csv"}}
+    tables = {**case(load=[pull]).to_dict(), "dynamics": {"end": 1, "dt": 0.1}}
+    (row,) = report(Case.from_dict(tables, folder)).loads
+    assert (row.time, row.force[0]) == (0.112, pytest.approx(200, rel=EXACT))
 
 
 def test_in_the_plane():

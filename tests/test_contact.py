@@ -162,6 +162,28 @@ def test_each_point_of_a_path_is_settled():
     assert {state.audit.verdict for state in states} == {"pass"}
 
 
+def test_no_obstacle_jumps_over_a_surface():
+    """A rod of 20 cm starts 20 cm above and is pressed in by 10 cm: steps of a quarter of its way
+    and more would land it inside unseen.
+    """
+    problem = Problem(
+        rectangle_body(size=(1, 1), cells=(10, 5)),
+        NeoHookean(E=E, nu=NU),
+        supports=[Support(on="bottom")],
+        contacts=[
+            Contact(
+                on="top",
+                cylinder={"axis": "z", "point": [0.5, 1.3], "radius": 0.1},
+                motion=[0, -0.3],
+                name="rod",
+            )
+        ],
+    )
+    states = list(Statics(problem).steps())
+    assert states[-1].reactions["rod"][1] < -1e-3 * E
+    assert states[-1].max_displacement == pytest.approx(0.1, rel=0.1)
+
+
 def test_weight_on_the_floor():
     """A body that only lies there: the floor carries its weight, exactly."""
     body = rectangle_body(size=(2, 1), cells=(4, 2))
@@ -460,6 +482,42 @@ def test_shapes_that_are_none():
     assert "did you mean 'radius'?" in wrong(sphere={"center": [0, 0, 0], "radios": 1})
     assert "motion depends on t only" in wrong(plane={"axis": "z", "at": 0}, motion=[0, 0, "x*t"])
     assert "above 0" in wrong(plane={"axis": "z", "at": 0}, gap_tolerance=0)
+
+
+@pytest.mark.parametrize("shape", ["sphere", "cylinder"])
+def test_a_node_in_the_middle_of_a_hollow(shape):
+    """The node at (0, 0) is as far from all of its wall: nothing presses, and all is finite."""
+    middle = {"sphere": "center", "cylinder": "point"}[shape]
+    found = []
+    for contacts in (
+        [Contact(on="bottom", **{shape: {middle: [0, 0], "radius": 2, "inside": True}})],
+        [],
+    ):
+        problem = Problem(
+            rectangle_body(size=(1, 1), cells=(2, 2), origin=(-0.5, 0)),
+            NeoHookean(E=E, nu=NU),
+            supports=[Support(on="top", displacement=[0, 0.1])],
+            contacts=contacts,
+        )
+        found.append(last(problem).max_displacement)
+        for touch in problem.touching:
+            assert touch.gaps()[0].max(initial=0.0) <= 2.0
+    assert found[0] == pytest.approx(found[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("on", [["right"], ["bottom"], ["right", "bottom"], ["right", "top"]])
+@pytest.mark.parametrize("n", [1, 2])
+def test_weights_near_the_axis(n, on):
+    """A disc and a mantle: exact areas, also of a cell that has two facets in contact."""
+    problem = Problem(
+        rectangle_body(size=(1, 1), cells=(n, n)),
+        LinearElastic(E=E, nu=NU),
+        contacts=[Contact(on=on, plane={"axis": "y", "at": -1})],
+        geometry="axisymmetric",
+    )
+    areas = {"right": 2 * np.pi, "bottom": np.pi, "top": np.pi}
+    one = problem.constant(1.0)
+    assert summed(problem, one) == pytest.approx(sum(areas[name] for name in on), rel=1e-13)
 
 
 @pytest.mark.parametrize(

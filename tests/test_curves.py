@@ -7,7 +7,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from dolfin_elastic import Case
+from dolfin_elastic import Case, Contact, Rigid, Rotation
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.model.components import components, depends_on_time
 from dolfin_elastic.model.curves import CONSTANT, RAMP, amplitude
@@ -111,6 +111,22 @@ def test_who_says_how_it_changes():
     assert Support(on="top", displacement=[0, "0.1*t", "free"]).amplitude is CONSTANT
 
 
+def test_each_component_has_its_own_amplitude():
+    """At half the load a number is halved; a formula in t beside it, t^2 or 0.25, is not."""
+    x = np.zeros((1, 3))
+    moves = ["t^2", 2.0, "2"]
+    support = Support(on="top", displacement=moves)
+    assert [float(support.at(i, x, 0.5, RAMP)) for i in range(3)] == [0.25, 1.0, 1.0]
+    turned = Rotation(on="top", point=[0, 0, 0], axis=[0, 0, 1], angle=0.0, displacement=moves)
+    assert [float(turned.at(i, x, 0.5, RAMP)[0]) for i in range(3)] == [0.25, 1.0, 1.0]
+    plate = Rigid(on="top", displacement=moves, rotation=[0, "t", 1.0])
+    assert plate.at_time(plate.motion(3), 0.5, RAMP) == (0.25, 1.0, 1.0, 0.0, 0.5, 0.5)
+    ball = Contact(on="top", sphere={"center": [0, 0, 0], "radius": 1}, motion=moves)
+    assert ball.moved(0.5, RAMP, 3) == [0.25, 1.0, 1.0]
+    named = Contact(on="top", plane={"axis": "z", "at": 0}, motion=moves, curve="constant")
+    assert named.moved(0.5, RAMP, 3) == [0.25, 2.0, 2.0]
+
+
 def test_time_in_formulas_is_seen():
     assert depends_on_time(components([0, "sin(t)"], "m"))
     assert not depends_on_time(components([0, "sin(x)"], "m"))
@@ -124,9 +140,13 @@ TABLES |= {"materials": {"steel": {"law": "linear-elastic", "E": "1 GPa", "nu": 
 
 
 def case_with(curve, folder):
+    floor = {"axis": "z", "at": 0}
+    faces = [["left", "right"], ["front", "back"], ["bottom", "top"]]
     rows = {
         "load": [{"kind": "traction", "on": "top", "value": [0, 0, 1], "curve": curve}],
         "support": [{"on": "bottom", "curve": curve}],
+        "contact": [{"on": "bottom", "plane": floor, "motion": [0, 0, 1], "curve": curve}],
+        "periodic": {"pairs": faces, "gradient": np.diag([2.0, 1, 1]).tolist(), "curve": curve},
     }
     return Case.from_dict({**TABLES, **rows}, folder, file="case.toml")
 
@@ -147,6 +167,8 @@ def test_curve_in_a_file(tmp_path, text, curve, value):
     case = case_with({"file": "history.csv", **curve}, tmp_path)
     assert case.load[0].amplitude.at(0.5) == value
     assert case.support[0].amplitude.at(0.5) == value
+    assert case.contact[0].moved(0.5, RAMP, 3) == [0, 0, value]
+    assert case.periodic.gradient_at(0.5, RAMP)[0, 0] == 1 + value
     again = Case.from_dict(tomllib.loads(case.to_toml()), tmp_path)
     assert again.to_toml() == case.to_toml()
     assert again.load[0].amplitude.at(0.5) == value

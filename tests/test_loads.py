@@ -6,17 +6,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dolfinx.mesh import locate_entities
 from mpi4py import MPI
 from test_pressure import FREE, annulus, forces, moved, radial, solved, total
 
 from dolfin_elastic import (
     BodyForce,
+    Cavity,
     Centrifugal,
+    Contact,
+    Gravity,
+    Growth,
     LinearElastic,
     LineForce,
     PointForce,
     Pressure,
     Problem,
+    Spring,
     Statics,
     StVenantKirchhoff,
     Support,
@@ -25,9 +31,10 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.errors import InputError
+from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials import Corotated
-from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
 
 E, NU, RHO = 1e6, 0.3, 1000.0
 SIZE = 1e4
@@ -110,6 +117,38 @@ def test_tangent_of_every_load(monkeypatch, kind, dim):
 
 
 # --- resultants ---
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        {"loads": [BodyForce(value=["4*t", 3])]},
+        {"loads": [Traction(on="right", force=["4*t", 3])]},
+        {"loads": [PointForce(at=[1, 1], value=["4*t", 3])]},
+        {"supports": [Spring(on="right", stiffness=[1, 1], displacement=["4*t", 3])]},
+    ],
+)
+def test_numbers_beside_formulas_grow(terms):
+    """At half the load 4 t is 2, and the number beside it half of its own."""
+    problem = Problem(body(2), LinearElastic(E=E, nu=NU), **terms)
+    problem.set_time(0.5, default=RAMP)
+    if "loads" in terms:
+        _, nodal = forces(problem)
+    else:
+        assembler = Assembler(problem)
+        nodal = assembler.holding_forces().reshape(-1, 2)
+        assembler.destroy()
+    np.testing.assert_allclose(total(problem, nodal), [2, 1.5], rtol=1e-13)
+
+
+def test_stretches_beside_formulas_grow():
+    """1 + t is 1.5 at half the load, and the stretch of 3 is 2."""
+    law = LinearElastic(E=E, nu=NU)
+    problem = Problem(body(2), law, loads=[Growth(value=["1 + t", 3])])
+    problem.set_time(0.5, default=RAMP)
+    (G,) = problem.rest.values()
+    form = compiled(problem, [G[0, 0] * G[1, 1] * G[2, 2] * problem.volume(None, 2)])[0]
+    assert integral(problem, form) == pytest.approx(3.0, rel=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -298,6 +337,8 @@ def test_spin_about_an_axis_in_space():
         ("traction", {"on": "top"}, "value: this key is missing"),
         ("traction", {"on": "top", "value": [1, 2], "force": [1, 2]}, "given together"),
         ("traction", {"on": "top", "force": ["1 Pa", 2]}, "force[0]: '1 Pa' has the wrong unit"),
+        ("traction", {"on": [], "value": [1, 2]}, "on: no name is given"),
+        ("gravity", {"on": []}, "on: no name is given; a region's name; left out, it is the"),
         ("centrifugal", {"value": "2 mm"}, "value: '2 mm' has the wrong unit"),
         ("centrifugal", {"value": "x"}, "value: a body spins with one speed"),
         ("centrifugal", {"value": 1, "axis": [0, 0, 0]}, "axis: an axis of no length"),
@@ -322,13 +363,44 @@ def test_what_is_no_load(kind, keys, says):
         (LineForce(start=[0, 0, 0], end=[0, 0, 2], value=[1, 0, 0]), "load[1].start: (0, 0,"),
         (Centrifugal(value=1, point=[0, 0]), "load[1].point: 2 components"),
         (Centrifugal(value=1), "materials.body"),
+        (Traction(on="none", force=[0, 0, 1]), "load[1].on: the surface has no area"),
     ],
 )
 def test_loads_that_do_not_fit_the_body(load, says):
     law = LinearElastic(E=E, nu=NU, density=RHO if "point" in load.vectors else None)
     with pytest.raises(InputError) as caught:
-        Problem(body(3), law, loads=[BodyForce(value=[0, 0, 1]), load])
+        cube = body(3).named(surfaces={"none": np.empty(0, dtype=np.int32)})
+        Problem(cube, law, loads=[BodyForce(value=[0, 0, 1]), load])
     assert says in str(caught.value)
+
+
+def test_weight_of_a_body_of_revolution_is_along_its_axis():
+    weight = Gravity(value=[1, -9.81])
+    with pytest.raises(InputError, match=r"load\[0\].value\[0\]: weight across the axis"):
+        Problem(
+            body(2),
+            LinearElastic(E=E, nu=NU, density=RHO),
+            loads=[weight],
+            geometry="axisymmetric",
+        )
+
+
+FACING: list[tuple[dict[str, Any], str]] = [
+    ({"loads": [Pressure(on="cut", value=1)]}, "load[0].on"),
+    ({"loads": [Cavity(on=["left", "cut"], pressure=1)]}, "load[0].on"),
+    ({"supports": [Spring(on="cut", normal=1)]}, "support[0].on"),
+    ({"contacts": [Contact(on="cut", sphere={"center": [5, 0, 0], "radius": 1})]}, "contact[0].on"),
+]
+
+
+@pytest.mark.parametrize(("terms", "where"), FACING)
+def test_a_surface_inside_the_body_has_no_normal(terms, where):
+    """Which of its two sides counts would be up to the numbering of cells, and so to the ranks."""
+    cube = body(3)
+    cut = locate_entities(cube.mesh, 2, lambda x: np.isclose(x[0], 0.5))
+    with pytest.raises(InputError, match="'cut' lies inside the body") as caught:
+        Problem(cube.named(surfaces={"cut": np.sort(cut)}), LinearElastic(E=E, nu=NU), **terms)
+    assert caught.value.where == where
 
 
 def test_a_tolerance_lets_points_lie_off_the_body():

@@ -30,11 +30,13 @@ from dolfin_elastic import (
 from dolfin_elastic.check import check
 from dolfin_elastic.errors import ConvergenceError, InputError, MeshError
 from dolfin_elastic.meshes import Body
+from dolfin_elastic.meshes.build import make_mesh
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.border import Bordered
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.progress import Tolerance
+from dolfin_elastic.solvers.rigid import free_bodies
 from dolfin_elastic.solvers.strains import free_strains
 
 PAIRS = [["left", "right"], ["bottom", "top"]]
@@ -422,6 +424,45 @@ def test_refused():
     refused("no supports", supports=[Support(on="left")])
     refused("no loads", loads=[Gravity()])
     refused("no contacts", contacts=[Contact(on="left", plane={"axis": "x", "at": -1})])
+
+
+def squares(kept: str) -> Body:
+    """A unit square of 5 x 5 squares, row by row from below; a dot is a hole, else a region."""
+    root = MPI.COMM_WORLD.rank == 0
+    x, y = np.meshgrid(np.arange(6), np.arange(6))
+    points = np.column_stack([x.ravel(), y.ravel()]) / 5.0
+    corners = [6 * (k // 5) + k % 5 for k, sign in enumerate(kept) if sign != "."]
+    cells = np.array([[[c, c + 1, c + 7], [c, c + 7, c + 6]] for c in corners]).reshape(-1, 3)
+    used, cells = np.unique(cells, return_inverse=True)
+    if not root:
+        used, cells = used[:0], cells[:0]
+    mesh = make_mesh(MPI.COMM_WORLD, cells.reshape(-1, 3), points[used], 1)
+    middles = mesh.geometry.x[mesh.geometry.dofmap].mean(axis=1)
+    place = np.floor(5 * middles + 1e-9).astype(int)
+    signs = np.array(list(kept))[place[:, 0] + 5 * place[:, 1]] if len(place) else np.array([])
+    regions = {s: np.flatnonzero(signs == s).astype(np.int32) for s in sorted(set(kept) - {"."})}
+    sides = {
+        name: Selector(plane=axis, at=at)
+        for (name, axis, at) in [
+            ("left", "x", "min"),
+            ("right", "x", "max"),
+            ("bottom", "y", "min"),
+            ("top", "y", "max"),
+        ]
+    }
+    return name_parts(Body(mesh).named(regions=regions), surfaces=sides)
+
+
+def test_a_loose_body_in_a_cell():
+    """An island in a hole floats; two halves that hang together through the faces do not."""
+    periodic = Periodic(pairs=PAIRS, gradient=PLANE)
+    frame = "fffff" + "f...f" + "f.i.f" + "f...f" + "fffff"
+    problem = Problem(squares(frame), rubber(1, dim=2), periodic=periodic)
+    assert [(b.name, bool(b.motions)) for b in free_bodies(problem)] == [("f", False), ("i", True)]
+    with pytest.raises(InputError, match="periodic: `i` can float about: the cell has 2 bodies"):
+        last(problem)
+    halves = Problem(squares("l...r" * 5), rubber(1, dim=2), periodic=periodic)
+    assert [body.motions for body in free_bodies(halves)] == [()]
 
 
 def test_unlike_meshes():

@@ -117,6 +117,26 @@ def test_each_material_has_its_own_stress():
     assert found["hard_safety_factor"] == pytest.approx([2.0], rel=1e-9)
 
 
+@pytest.mark.parametrize("order", [("soft", "hard"), ("hard", "soft")])
+def test_where_materials_meet_it_is_the_first(order):
+    """However the cells are numbered and shared out."""
+    body = box_body(size=(2.0, 1.0, 1.0), cells=(4, 2, 2))
+    middle = body.mesh.geometry.x[body.mesh.geometry.dofmap].mean(axis=1)[:, 0]
+    halves = {"soft": middle < 1, "hard": middle > 1}
+    laws = {"soft": LinearElastic(E=1.0, nu=0.0), "hard": LinearElastic(E=5.0, nu=0.0)}
+    problem = Problem(
+        body.named(regions={n: np.flatnonzero(m).astype(np.int32) for n, m in halves.items()}),
+        {name: laws[name] for name in order},
+        supports=[Support(on=list(body.surfaces), displacement=[0, 0, "0.1*z"])],
+    )
+    *_, state = Statics(problem).steps()
+    points = {f"p{k}": [1.0, 0.25 * k, 0.5] for k in range(5)}  # corners, edges and sides
+    found = Probe(problem, points, ["von_mises"])(state)
+    stress = 0.1 if order[0] == "soft" else 0.5
+    for values in found.values():
+        assert values == pytest.approx([stress], rel=1e-9)
+
+
 def block(**output: Any) -> dict[str, Any]:
     return {
         "mesh": {"box": {"size": [20, 10, 10], "cells": [2, 1, 1]}, "unit": "mm"},

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
+from test_supports import turned
 
 from dolfin_elastic import (
     Cavity,
     Dynamics,
+    LinearElastic,
     NeoHookean,
     NeoHookeanSplit,
+    Normal,
     Pressure,
     Problem,
     Rigid,
@@ -26,7 +29,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.case import Case
 from dolfin_elastic.errors import ConvergenceError, InputError
-from dolfin_elastic.model.curves import PROPORTIONAL
+from dolfin_elastic.model.curves import PROPORTIONAL, RAMP
 from dolfin_elastic.motions import cross_matrix, rotation, tangent
 from dolfin_elastic.solvers.arclength import Length
 from dolfin_elastic.solvers.assembler import Assembler
@@ -147,6 +150,37 @@ def test_rotation_vectors():
     assert quarter_turn @ [1, 0, 0] == pytest.approx([0, 1, 0], abs=1e-15)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_moments_balance_where_an_oblique_support_meets_a_plate(dim):
+    """The slanted roller has no node but those that the plates take over.
+
+    So the plates alone hold the body, and their forces and moments balance as those of the audit.
+    """
+    make = box_body if dim == 3 else rectangle_body
+    body = make(size=(1.0, 0.8, 0.6)[:dim], cells=(1, 2, 1)[:dim])
+    turned(body, [0.2, 0.3, 1.0] if dim == 3 else [0, 0, 1], 0.5)
+    law = NeoHookean(E=1.0, nu=0.3)
+    moved = {"displacement": [0.1, 0.05, 0.02][:dim], "rotation": [0.1, 0.2, 0.3][-(2 * dim - 3) :]}
+    problem = Problem(
+        body,
+        law,
+        supports=[Normal(on="bottom"), Rigid(on="left"), Rigid(on="right", **moved)],
+    )
+    *_, state = Statics(problem, steps=1).steps()
+    assert state.audit.verdict == "pass"
+    left, size = np.zeros(3), 0.0
+    for motion in problem.prescribed.motions:
+        force, moment = np.zeros(3), np.zeros(3)
+        force[:dim] = state.reactions[motion.label]
+        for i, axis in enumerate("xyz"):
+            moment[i] = state.numbers.get(f"moment_{motion.label}_{axis}", 0.0)
+        left += moment + np.cross(motion.place(1.0, RAMP), force)
+        size += float(np.linalg.norm(moment))
+    assert size > 1e-2
+    # Newton's tolerance.
+    assert np.linalg.norm(left) < 1e-7 * size
+
+
 def two_squares(folder):
     """Squares of 1 m, half a metre apart: surfaces left, inner (both that face) and right."""
     geo = folder / "two.geo"
@@ -169,13 +203,13 @@ def test_a_plate_that_is_turned_is_a_rotation():
     body = box_body(size=(1.0, 0.4, 0.3), cells=(2, 1, 1))
     law = NeoHookean(E=1e5, nu=0.3, density=1e3)
     found = []
-    for turned in (
+    for plate in (
         Rigid(on="right", rotation=[0, 0, "0.4*t"], displacement=["0.1*t", 0, 0], point=[1, 0, 0]),
         Rotation(
             on="right", axis=[0, 0, 1], angle="0.4*t", displacement=["0.1*t", 0, 0], point=[1, 0, 0]
         ),
     ):
-        held = [Support(on="left"), turned]
+        held = [Support(on="left"), plate]
         *_, state = Statics(Problem(body, law, supports=held), steps=1).steps()
         *_, moving = Dynamics(Problem(body, law, supports=held), end=0.02, dt=0.01).steps()
         found.append(
@@ -468,7 +502,29 @@ def test_given_pressure_is_a_pressure(folder):
     # Newton's tolerance.
     assert found[0].max_displacement == pytest.approx(found[1].max_displacement, rel=1e-8)
     assert found[0].numbers["pressure_bore"] == 0.2
+    assert found[0].numbers["volume_bore"] > HALF
     assert found[1].numbers == {}
+
+
+def test_pressure_in_an_open_cavity(caplog):
+    """It acts, but there is no volume to be told; small strains see the rim move as well."""
+    for law in (NeoHookean(E=1.0, nu=0.3), LinearElastic(E=1.0, nu=0.3)):
+        caplog.clear()
+        problem = Problem(
+            rectangle_body(size=(1.0, 1.0), cells=(2, 2)),
+            law,
+            supports=[Support(on="bottom")],
+            loads=[Cavity(on="right", pressure=1e-3, origin=[2, 0], name="air")],
+        )
+        *_, state = Statics(problem, steps=1).steps()
+        assert state.numbers == {"pressure_air": 1e-3}
+        told = [line for line in caplog.messages if "cavity 'air' is open" in line]
+        assert len(told) == (MPI.COMM_WORLD.rank == 0)
+
+
+def test_a_cavity_of_revolution_is_cut_across_its_axis(folder):
+    with pytest.raises(InputError, match=r"load\[0\].origin\[0\]: a body of revolution"):
+        sphere(folder, Cavity(on="inside", pressure=0.2, origin=[0.1, 0]))
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,9 @@ from dolfin_elastic import (
     LinearElastic,
     NeoHookean,
     Normal,
+    Pressure,
     Problem,
+    Rigid,
     Rotation,
     Spring,
     Statics,
@@ -530,6 +532,44 @@ def case(*supports: Any, **more: Any) -> Case:
 def test_bad_rows(row, message):
     with pytest.raises(InputError, match=message):
         case(row)
+
+
+@pytest.mark.parametrize(
+    "held",
+    [
+        Support(on="right", displacement=[0.1, 0], curve="sqrt(t - 0.1)"),
+        Normal(on="right", displacement=0.1, curve="sqrt(t - 0.1)"),
+        Rotation(on="right", point=[0, 0], angle="sqrt(t - 0.1)"),
+        Rigid(on="right", displacement=["sqrt(t - 0.1)", 0]),
+    ],
+)
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_a_curve_fails_on_all_ranks(held, angle):
+    """Also on those that own no node of the surface, here at the far end."""
+    body = rectangle_body(size=(8, 1), cells=(16, 1))
+    turned(body, [0, 0, 1], angle)
+    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[Support(on="left"), held])
+    said = r"support 'right': 'sqrt\(t - 0.1\)' is not a real number at t = 0.05"
+    with pytest.raises(InputError, match=said):
+        problem.set_time(0.05)
+
+
+def test_looking_at_a_rim_changes_nothing():
+    """Whether pressure has a potential is asked at moments of its own."""
+    body = rectangle_body(size=(1, 1), cells=(2, 2))
+    turned(body, [0, 0, 1], 0.4)
+    problem = Problem(
+        body,
+        NeoHookean(E=E, nu=NU),
+        supports=[Normal(on="bottom", displacement="t"), Rigid(on="right", displacement=["t", 0])],
+        loads=[Pressure(on="left", value=1.0)],
+    )
+    problem.set_time(0.5)
+    prescribed = problem.prescribed
+    before = prescribed.targets.copy(), prescribed.freedoms(prescribed.motions[0])
+    _ = problem.symmetric
+    np.testing.assert_array_equal(prescribed.targets, before[0])
+    np.testing.assert_array_equal(prescribed.freedoms(prescribed.motions[0]), before[1])
 
 
 def test_bad_on_a_body():

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from dolfin_elastic.errors import UnitError
-from dolfin_elastic.units import COMMON, _registry, is_quantity, to_si
+from dolfin_elastic.units import COMMON, _registry, is_quantity, to_base, to_si
 
 
 @pytest.mark.parametrize(
@@ -33,11 +33,19 @@ from dolfin_elastic.units import COMMON, _registry, is_quantity, to_si
         ("1 psi", "Pa", 6894.757293168361),
         ("1 inch", "m", 0.0254),
         ("5 %", "", 0.05),
+        ("12e-6 1/K", "1/K", 12e-6),
+        ("12e-6 1/degC", "1/K", 12e-6),
+        ("3 1/s", "1/s", 3.0),
+        ("18 1 / degF", "1/K", 32.4),
+        ("80 celsius", "K", 80.0),
+        ("-9 degF", "K", -5.0),
+        ("4 degR", "K", 4 / 1.8),
     ],
 )
 def test_to_si(written: float | str, unit: str, value: float) -> None:
     """Any compatible unit is taken, a bare number as it stands."""
-    assert to_si(written, unit) == pytest.approx(value, rel=1e-14)
+    # Round-off of 273.15 K, from which changes of temperature are taken.
+    assert to_si(written, unit) == pytest.approx(value, rel=1e-14 if unit != "K" else 1e-12)
 
 
 @pytest.mark.parametrize(
@@ -53,6 +61,8 @@ def test_to_si(written: float | str, unit: str, value: float) -> None:
             "Pa",
             "'10 mm' has the wrong unit; expected a number in Pa, for example \"210 GPa\"",
         ),
+        ("3 dB", "", "'3 dB' is on a scale whose steps are not equal"),
+        ("31/s", "1/s", "'31/s' is not a number; expected a number in 1/s"),
         ("10 mm", "", "'10 mm' has the wrong unit; expected a pure number"),
         ("ten", "m", "'ten' is not a number; expected a number in m, for example \"2 mm\""),
         ("", "m", "'' is not a number; expected a number in m, for example \"2 mm\""),
@@ -87,6 +97,9 @@ def test_refused(written: float | str, unit: str, message: str) -> None:
         ("2 - t", False),
         ("3/t", False),
         ("5/s", False),
+        ("51/s", False),
+        ("5 1/s", True),
+        ("5 1/t^2*x", False),
         ("2 ^ t", False),
         ("2 mmm", False),
         ("x", False),
@@ -140,6 +153,16 @@ def test_no_unit_keeps_the_machine_busy(text: str) -> None:
 )
 def test_units_as_people_write_them(text: str, unit: str, value: float) -> None:
     assert to_si(text, unit) == pytest.approx(value, rel=1e-12)
+
+
+def test_base_units():
+    """Units of any kind; where a temperature might be a change of one, it is refused."""
+    assert to_base("2 kN/mm") == pytest.approx(2e6, rel=1e-15)
+    assert to_base("3 1/degF") == pytest.approx(5.4, rel=1e-12)
+    assert to_base("20 K") == 20.0
+    for text in ("20 degC", "80 celsius", "20 degF"):
+        with pytest.raises(UnitError, match="a temperature or a change of one; the same in K"):
+            to_base(text)
 
 
 def test_units_that_mean_more():

@@ -95,13 +95,12 @@ def _times(case: Case, load: Load) -> list[float]:
     """When a load is looked at: at the end in statics, at many times of a motion."""
     if case.dynamics is None:
         return [1.0]
-    written = load.curve.written if load.curve is not None else ""
     if load.amplitude in (None, CONSTANT) and not depends_on_time(load.values):
         return [0.0]
     end = case.dynamics.end
     times = {float(t) for t in np.linspace(0.0, end, _TIMES)}
-    if isinstance(written, tuple):
-        times.update(t for t, _ in written if 0 <= t <= end)
+    if load.curve is not None:
+        times.update(t for t, _ in load.curve.table if 0 <= t <= end)
     return sorted(times)
 
 
@@ -112,9 +111,9 @@ def _resultant(load: Load, t: float, points: Points | None, integrals: Integrals
         X, weights = load.samples()
         return _both(X[None], weights[None, :, None] * vector_at(load.values, X[None], t))
     density = integrals.density(points) if load.needs_density else None
-    weights = integrals.whole(points)
+    weights, turned = integrals.whole(points), integrals.problem.geometry == "axisymmetric"
     size = float(total(integrals.body.comm, float(weights.sum())))
-    intensity = load.intensity(Places(points.X, t, points.N, density, size))
+    intensity = load.intensity(Places(points.X, t, points.N, density, size, turned))
     if intensity is None:
         return None
     sums = _both(points.X, weights[..., None] * intensity)

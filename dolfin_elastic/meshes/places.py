@@ -9,13 +9,17 @@ import numpy as np
 from dolfinx.mesh import Mesh
 
 from dolfin_elastic.errors import MeshError
-from dolfin_elastic.meshes.body import Body
+from dolfin_elastic.meshes.body import Body, Indices, span
 from dolfin_elastic.meshes.curved import cell_gradients, tabulated
 from dolfin_elastic.meshes.shapes import Floats
 
 SLACK = 0.05
 """Share of a cell by which a point may lie outside: round surfaces are flat between nodes."""
+DIGITS = 1e-9
+"""What counts as the same: shares of a cell, and lengths over the body's diagonal."""
 _NEWTON = 20
+
+Key = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -35,12 +39,18 @@ class Place:
     local: Floats
 
 
-def locate(body: Body, points: Mapping[str, Sequence[float]]) -> dict[str, Place]:
-    """Finds the owned cell of each point; the lowest rank where several share it. Collective.
+def locate(
+    body: Body, points: Mapping[str, Sequence[float]], order: Indices | None = None
+) -> dict[str, Place]:
+    """Finds the owned cell of each point. Collective.
+
+    Where several share it, one of the lowest number in `order` is taken, and of these the one whose
+    midpoint comes first along x, then y, then z: the same on any ranks.
 
     Args:
         body: The body.
         points: Name to coordinates [m] in the reference configuration.
+        order: A number of each owned cell, for example of its material; none: all are alike.
 
     Raises:
         MeshError: Points have the wrong number of coordinates or lie outside.
@@ -53,35 +63,56 @@ def locate(body: Body, points: Mapping[str, Sequence[float]]) -> dict[str, Place
                 expected=f"the body is {body.dim}-dimensional, expected {body.dim} numbers",
             )
     wanted = {name: np.asarray(point, dtype=np.float64) for name, point in points.items()}
-    found = {name: _in_own_cells(body.mesh, point) for name, point in wanted.items()}
-    off = np.array([found[name][0] for name in wanted])
-    # Round-off must not decide which rank has a point that several hold.
-    everywhere = np.round(np.array(body.comm.allgather(off)).reshape(body.comm.size, -1), 9)
-    ranks = np.argmin(everywhere, axis=0) if wanted else ()
-    _refuse(body, wanted, everywhere.min(axis=0))
+    ranking = _Ranking(body, order)
+    found = {name: _in_own_cells(body.mesh, point, ranking) for name, point in wanted.items()}
+    everywhere = body.comm.allgather([key for key, _, _ in found.values()])
+    best = [min((keys[k], rank) for rank, keys in enumerate(everywhere)) for k in range(len(found))]
+    _refuse(body, wanted, [key[0] for key, _ in best])
     return {
-        name: Place(point, int(rank), found[name][1] if rank == body.comm.rank else -1, local)
-        for (name, point), rank in zip(wanted.items(), ranks, strict=True)
+        name: Place(point, rank, found[name][1] if rank == body.comm.rank else -1, local)
+        for (name, point), (_, rank) in zip(wanted.items(), best, strict=True)
         for local in [found[name][2]]
     }
 
 
-def _in_own_cells(mesh: Mesh, point: Floats) -> tuple[float, int, Floats]:
-    """How far outside of its best owned cell a point is, that cell, and the coordinates in it."""
+class _Ranking:
+    """By what cells are compared that share a point, free of round-off. Collective to make."""
+
+    def __init__(self, body: Body, order: Indices | None) -> None:
+        self._order, self._step = order, DIGITS * span(body)
+
+    def keys(self, off: Floats, cells: Indices, nodes: Floats) -> list[Key]:
+        """How far off the point is each cell, its number, and its midpoint.
+
+        Args:
+            off: Share of each cell by which the point lies outside.
+            cells: Local numbers.
+            nodes: Their nodes [m], shape (cells, nodes, d).
+        """
+        numbers = np.zeros(len(cells)) if self._order is None else self._order[cells]
+        middles = np.round(nodes.mean(axis=1) / self._step)
+        rows = np.column_stack([np.round(off / DIGITS) * DIGITS, numbers, middles])
+        return [tuple(map(float, row)) for row in rows]
+
+
+def _in_own_cells(mesh: Mesh, point: Floats, ranking: _Ranking) -> tuple[Key, int, Floats]:
+    """The key of the best owned cell, that cell, and the point's coordinates in it."""
     d = mesh.topology.dim
     own = mesh.topology.index_map(d).size_local
     nodes = mesh.geometry.x[mesh.geometry.dofmap[:own], :d]
     low, high = nodes.min(axis=1), nodes.max(axis=1)
     # Curved edges may bulge a little over their nodes.
     margin = 4 * SLACK * (high - low).max(axis=1, initial=0.0)[:, None]
-    near = np.flatnonzero(((point >= low - margin) & (point <= high + margin)).all(axis=1))
+    inside = ((point >= low - margin) & (point <= high + margin)).all(axis=1)
+    near = np.flatnonzero(inside).astype(np.int32)
     if not len(near):
-        return np.inf, -1, np.zeros(d)
+        return (np.inf,), -1, np.zeros(d)
     local = _pulled_back(mesh, nodes[near], point)
     off = np.maximum(-local.min(axis=1), local.sum(axis=1) - 1)
     off = np.where(np.isfinite(off), np.maximum(off, 0.0), np.inf)
-    best = int(np.argmin(off))
-    return float(off[best]), int(near[best]), local[best]
+    keys = ranking.keys(off, near, nodes[near])
+    best = min(range(len(near)), key=keys.__getitem__)
+    return keys[best], int(near[best]), local[best]
 
 
 def _pulled_back(mesh: Mesh, nodes: Floats, point: Floats) -> Floats:
@@ -109,7 +140,7 @@ def _pulled_back(mesh: Mesh, nodes: Floats, point: Floats) -> Floats:
     return local
 
 
-def _refuse(body: Body, points: Mapping[str, Floats], off: Floats) -> None:
+def _refuse(body: Body, points: Mapping[str, Floats], off: Sequence[float]) -> None:
     """Names all points that lie outside, with the nearest node. Collective."""
     texts = [
         f"{name} ({', '.join(f'{x:.6g}' for x in point)}), {_nearest(body, point)}"

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
+from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.units import is_quantity, to_si
 
 COORDINATES = ("x", "y", "z", "t")
@@ -71,6 +72,19 @@ def components(written: Any, unit: str, *, may_be_free: bool = False) -> tuple[C
 def depends_on_time(vector: tuple[Component, ...]) -> bool:
     """True when a component's formula uses t."""
     return any(isinstance(item, Formula) and "t" in item.names for item in vector)
+
+
+def amplitude_of(value: Component, curve: Amplitude | None) -> Amplitude | None:
+    """What a component is multiplied by over time, whatever stands beside it in its vector.
+
+    Args:
+        value: The component.
+        curve: What the user wrote.
+
+    Returns:
+        The curve; constant where a formula in t already says how it changes; None: not said.
+    """
+    return CONSTANT if curve is None and depends_on_time((value,)) else curve
 
 
 def vector_at(

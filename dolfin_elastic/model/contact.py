@@ -16,8 +16,8 @@ from pydantic import Field, model_validator
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
-from dolfin_elastic.model.components import components
-from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.components import amplitude_of, components
+from dolfin_elastic.model.curves import Amplitude, Curve
 from dolfin_elastic.model.placed import Placed
 from dolfin_elastic.schema import Record
 from dolfin_elastic.units import ForceDensity, Length
@@ -30,6 +30,11 @@ Gap = tuple[Any, list[Any]]
 
 class Obstacle(Record):
     """A rigid body with a smooth surface."""
+
+    @property
+    def thickness(self) -> float:
+        """Depth up to which it can be told on which side of it a point is [m]."""
+        return math.inf
 
     @abstractmethod
     def check(self, dim: int, *, turned: bool) -> None:
@@ -127,6 +132,11 @@ class Ball(Obstacle):
     radius: Length = Field(gt=0)
     inside: bool = False
 
+    @property
+    def thickness(self) -> float:
+        """See `Obstacle.thickness`."""
+        return math.inf if self.inside else self.radius
+
     def check(self, dim: int, *, turned: bool) -> None:
         """See `Obstacle.check`."""
         _check_length(self.center, dim, "center")
@@ -166,6 +176,11 @@ class Tube(Obstacle):
             raise InputError("a direction cannot be zero", where="axis", expected="[0, 0, 1]")
         return self
 
+    @property
+    def thickness(self) -> float:
+        """See `Obstacle.thickness`."""
+        return math.inf if self.inside else self.radius
+
     def check(self, dim: int, *, turned: bool) -> None:
         """See `Obstacle.check`."""
         _check_length(self.point, dim, "point")
@@ -200,7 +215,9 @@ class Tube(Obstacle):
 
 
 def _round(arm: list[Any], radius: Any, root: Callable[[Any], Any], inside: bool) -> Gap:
-    length = root(sum(item * item for item in arm))
+    # On the axis or in the centre no direction leads outward; there the normal vanishes, and with
+    # it all derivatives are finite.  Elsewhere this is below round-off.
+    length = root(sum(item * item for item in arm) + 1e-16 * radius * radius)
     sign = -1.0 if inside else 1.0
     return sign * (length - radius), [sign * item / length for item in arm]
 
@@ -275,12 +292,6 @@ class Contact(Placed):
         found: Obstacle = getattr(self, self.shape)
         return found
 
-    @property
-    def amplitude(self) -> Amplitude | None:
-        """Its curve; constant where formulas already say how it moves; None: not said."""
-        timed = any(isinstance(v, Formula) and "t" in v.names for v in self.values)
-        return CONSTANT if self.curve is None and timed else self.curve
-
     def moved(self, t: float, default: Amplitude, dim: int) -> list[float]:
         """Displacement of the obstacle at time t [m].
 
@@ -291,9 +302,10 @@ class Contact(Placed):
         """
         if not self.values:
             return [0.0] * dim
-        scale = (self.amplitude or default).at(t)
         return [
-            scale * float(v.evaluate(t=t) if isinstance(v, Formula) else v) for v in self.values
+            (amplitude_of(v, self.curve) or default).at(t)
+            * float(v.evaluate(t=t) if isinstance(v, Formula) else v)
+            for v in self.values
         ]
 
     def check(self, dim: int, *, turned: bool) -> None:

@@ -82,7 +82,7 @@ class Amplitude:
         return self._in_table(t)
 
     def _in_table(self, t: float) -> float:
-        rows = self.rows if self.source else self.written
+        rows = self.table
         if not rows:
             raise InputError("the curve's file has not been read", expected=_READ)
         times, values = (np.array(column) for column in zip(*rows, strict=True))
@@ -91,6 +91,24 @@ class Amplitude:
         i = int(np.searchsorted(times, t, side="right"))
         step = smoothstep((t - times[i - 1]) / (times[i] - times[i - 1]))
         return float(values[i - 1] + step * (values[i] - values[i - 1]))
+
+    @property
+    def table(self) -> Rows:
+        """The rows of its table, wherever they stand; none if it is a word or a formula."""
+        return self.rows if self.source else () if isinstance(self.written, str) else self.written
+
+    @property
+    def corners(self) -> tuple[float, ...]:
+        """Times between which it is smooth, as far as that is known [s]."""
+        if self.written == "load-unload":
+            return (0.0, 0.5, 1.0)
+        rows = self.rows if self.source else self.written
+        return () if isinstance(rows, str) else tuple(t for t, _ in rows)
+
+    @property
+    def winding(self) -> bool:
+        """It may have turned around between any two times: a formula."""
+        return self.formula is not None and self.formula.names == frozenset({"t"})
 
     def with_rows(self, rows: Any) -> Amplitude:
         """The same with what its file says.

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Self
+
+from pydantic import model_validator
+
+from dolfin_elastic.errors import InputError
 from dolfin_elastic.schema import Record
 
 
@@ -15,6 +20,12 @@ class Placed(Record):
 
     on: str | list[str]
     name: str = ""
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> Self:
+        if not self.on:
+            raise InputError("no name is given", where="on", expected="a surface's name")
+        return self
 
     @property
     def surfaces(self) -> tuple[str, ...]:

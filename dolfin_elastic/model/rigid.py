@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, Literal
 
@@ -13,12 +13,12 @@ from dolfin_elastic.formulas import Formula
 from dolfin_elastic.model.components import (
     FREE,
     Component,
+    amplitude_of,
     component,
     components,
-    depends_on_time,
     misspelt_unit,
 )
-from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.curves import Amplitude, Curve
 from dolfin_elastic.model.supports import Restraint
 from dolfin_elastic.units import is_quantity
 
@@ -163,11 +163,9 @@ class Rigid(Restraint):
         self, values: tuple[Component, ...], t: float, default: Amplitude
     ) -> tuple[float, ...]:
         """Components at time t; 0 for what is free."""
-        scale: Callable[[float], float] = (self.curve or default).at
-        if self.curve is None and depends_on_time(values):
-            scale = CONSTANT.at
         return tuple(
-            scale(t) * (v.evaluate(t=t) if isinstance(v, Formula) else float(v or 0.0))
+            (amplitude_of(v, self.curve) or default).at(t)
+            * (v.evaluate(t=t) if isinstance(v, Formula) else float(v or 0.0))
             for v in values
         )
 

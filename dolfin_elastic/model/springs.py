@@ -13,8 +13,8 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
-from dolfin_elastic.model.components import Component, component, components, depends_on_time
-from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.components import Component, component, components
+from dolfin_elastic.model.curves import Amplitude, Curve
 from dolfin_elastic.model.rigid import Rigid
 from dolfin_elastic.model.supports import Normal, Restraint, Rotation, Support, Symmetry
 
@@ -42,8 +42,8 @@ class Ground(Protocol):
     def constant(self, value: float | Sequence[float]) -> Expr:
         """A number that can change without compiling anything."""
 
-    def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
-        """The vector at a point of the body, times the amplitude (None: as the solver decides)."""
+    def vector(self, values: tuple[Component, ...], curve: Amplitude | None) -> Expr:
+        """The vector at a point of the body, each component times its amplitude."""
 
     def value(self, value: Component) -> Expr:
         """A number or formula at a point of the body."""
@@ -205,9 +205,8 @@ class Spring(Resisting):
     def _stretch(self, site: Ground) -> Expr:
         if not self.base:
             return site.u
-        timed = self.curve is None and depends_on_time(self.base)
         try:
-            return site.u - site.vector(self.base, CONSTANT if timed else self.curve)
+            return site.u - site.vector(self.base, self.curve)
         except InputError as error:
             where = f"support '{self.label}'.displacement"
             raise InputError(error.what, where=where, expected=error.expected) from None

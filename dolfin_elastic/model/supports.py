@@ -14,6 +14,7 @@ from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.model.components import (
     Component,
+    amplitude_of,
     component,
     components,
     depends_on_time,
@@ -50,7 +51,7 @@ class Prescribing(Restraint):
 
     Where it has a `curve`, that is the amplitude over time.  Without one, what is constant grows
     with the load steps in statics and holds from the start in motion, and formulas in t are taken
-    as they are.
+    as they are, component by component.
     """
 
     needs_flat: ClassVar[bool] = False
@@ -71,11 +72,9 @@ class Prescribing(Restraint):
         """
         raise TypeError(f"{type(self).__name__} prescribes nothing")
 
-    def _scale(self, values: tuple[Component, ...], t: float, default: Amplitude) -> float:
-        """Its curve; 1 where formulas already say how it moves; the default elsewhere."""
-        curve = getattr(self, "curve", None)
-        timed = curve is None and depends_on_time(values)
-        return float((CONSTANT if timed else curve or default).at(t))
+    def _scale(self, value: Component, t: float, default: Amplitude) -> float:
+        """Its curve; 1 where a formula already says how it moves; the default elsewhere."""
+        return float((amplitude_of(value, getattr(self, "curve", None)) or default).at(t))
 
 
 def _evaluated(value: Component, x: Floats, t: float) -> Floats | float:
@@ -127,7 +126,10 @@ class Support(Prescribing):
 
     @property
     def amplitude(self) -> Amplitude | None:
-        """Its curve; constant where formulas already say how it moves; None: not said."""
+        """Its curve; constant where formulas already say how it moves; None: not said.
+
+        Of one component: others beside it have their own, see `components.amplitude_of`.
+        """
         timed = self.curve is None and depends_on_time(self.values)
         return CONSTANT if timed else self.curve
 
@@ -143,7 +145,7 @@ class Support(Prescribing):
     def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
         """See `Prescribing`."""
         value = self.values[which] if self.values else 0.0
-        return self._scale(self.values, t, default) * _evaluated(value, x, t)
+        return self._scale(value, t, default) * _evaluated(value, x, t)
 
 
 def _check_length(support: Restraint, key: str, values: tuple[Component, ...], dim: int) -> None:
@@ -196,7 +198,7 @@ class Normal(Prescribing):
 
     def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
         """See `Prescribing`."""
-        return self._scale((self.value,), t, default) * _evaluated(self.value, x, t)
+        return self._scale(self.value, t, default) * _evaluated(self.value, x, t)
 
 
 def _read_at(key: str, written: Any, unit: str) -> Component:
@@ -329,15 +331,15 @@ class Rotation(Prescribing):
 
     def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
         """See `Prescribing`."""
-        angle = self._scale((self.turn,), t, default) * _at_time(self.turn, t)
+        angle = self._scale(self.turn, t, default) * _at_time(self.turn, t)
         r = x - np.array([*map(float, self.centre), 0.0])[:3]  # type: ignore[arg-type]
         once = np.cross(self.direction, r)
         twice = np.cross(self.direction, once)
         moved = np.sin(angle) * once + 2 * np.sin(angle / 2) ** 2 * twice
         if not self.shift:
             return np.asarray(moved[:, which])
-        shift = self._scale(self.shift, t, default) * _at_time(self.shift[which], t)
-        return np.asarray(moved[:, which] + shift)
+        shift = self.shift[which]
+        return np.asarray(moved[:, which] + self._scale(shift, t, default) * _at_time(shift, t))
 
 
 def _at_time(value: Component, t: float) -> float:

@@ -114,7 +114,8 @@ class Probe:
     their values inside the cells (at the points of the quadrature rule of degree 2 in quadratic
     elements, where stresses are most accurate: Barlow, Int. J. Numer. Meth. Eng. 10 (1976) 243),
     averaged at the corners over the cells of the same material that meet there, with their volumes
-    as weights, and interpolated.
+    as weights, and interpolated.  Where materials meet it is the first of them, in the order in
+    which the problem was given them.
 
     Args:
         problem: The problem that is solved.
@@ -136,7 +137,7 @@ class Probe:
         self.problem, self.dim = problem, problem.body.dim
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
         self.fields = {name: readable(of[name]) for name in points}
-        self.places = locate(problem.body, points)
+        self.places = locate(problem.body, points, _materials(problem))
         names = dict.fromkeys(n for row in self.fields.values() for n in row if n not in NODAL)
         self._cells = _CellFields(problem, self.places, tuple(names)) if names else None
         self._means = {
@@ -220,6 +221,14 @@ class Probe:
                 expected="give the probe another name",
             )
         return replace(state, numbers={**state.numbers, **found})
+
+
+def _materials(problem: Problem) -> npt.NDArray[np.int32]:
+    """Number of the material of each owned cell."""
+    found = np.zeros(len(problem.body.owned_cells()), dtype=np.int32)
+    for number, part in enumerate(problem.parts):
+        found[part.cells] = number
+    return found
 
 
 def _columns(name: str, size: int) -> list[str]:

@@ -23,18 +23,19 @@ class Bodies:
     one pair of numbers for two such, however many nodes they share.
 
     Args:
-        problem: Whose displacement's nodes connect the cells.
+        problem: Whose unknown nodes connect the cells: those on periodic faces are one.
 
     Attributes:
         comm: The ranks.
         count: How many bodies there are, on all ranks.
-        of_node: Number of the body of each local node (ghosts included), from 0.
+        of_node: Number of the body of each local node of `unknowns.U` (ghosts included), from 0.
         places: Local nodes in the reference configuration [m], shape (nodes, dim).
     """
 
     def __init__(self, problem: Problem) -> None:
         self._body, self.comm = problem.body, problem.body.comm
-        dofmap = problem.V.dofmap
+        dofmap = problem.unknowns.U.dofmap
+        self._plain = np.asarray(problem.V.dofmap.list)
         self._dofs, self._map = np.asarray(dofmap.list), dofmap.index_map
         self.places = problem.V.tabulate_dof_coordinates()[:, : problem.body.dim]
         own = self._components_here()
@@ -68,10 +69,10 @@ class Bodies:
         return int(found), np.asarray(numbers[start : start + mine], dtype=np.int64)
 
     def _number_by_place(self) -> None:
-        """Numbers the bodies by where they are: the same on any ranks."""
-        middle = self._middles()
+        """Numbers the bodies by where they are, then by their cells: the same on any ranks."""
+        middle, cells = self._middles()
         step = 1e-9 * max(float(np.max(np.abs(middle), initial=0.0)), np.finfo(float).tiny)
-        order = np.lexsort(np.round(middle / step).T[::-1])
+        order = np.lexsort([-cells, *np.round(middle / step).T[::-1]])
         self._middle = middle[order]
         numbers = np.empty_like(order)
         numbers[order] = np.arange(self.count)
@@ -94,16 +95,16 @@ class Bodies:
         of = self.of_node[self._dofs[cells, 0]]
         return np.asarray(total(self.comm, np.bincount(of, minlength=self.count)))
 
-    def _middles(self) -> npt.NDArray[np.float64]:
-        """Mean place of each body's cells [m]."""
+    def _middles(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Mean place of each body's cells [m], and how many there are. Collective."""
         own = self._body.owned_cells()
         dim = self.places.shape[1]
         sums = np.zeros((self.count, dim + 1))
-        middle = self.places[self._dofs[own]].mean(axis=1)
+        middle = self.places[self._plain[own]].mean(axis=1)
         rows = np.concatenate([middle, np.ones((len(own), 1))], axis=1)
         np.add.at(sums, self.of_node[self._dofs[own, 0]], rows)
         sums = total(self.comm, sums)
-        return np.asarray(sums[:, :dim] / sums[:, dim:])
+        return sums[:, :dim] / sums[:, dim:], sums[:, dim]
 
 
 def _name(inside: dict[str, int], cells: int) -> str:

@@ -314,6 +314,8 @@ class Newton:
         if iteration == 0:
             self.progress.residuals.clear()
             self._first = norms[2]
+        if iteration == 1:
+            self.progress.predicted = norms[1]
         self._norm = norms[2]
         self.progress.residuals.append(a.free)
         if not norms[2] <= HOPELESS * max(self._first, self._target()):  # NaN, too

@@ -23,6 +23,7 @@ class Progress:
         rejected: Trial states refused because a cell was inside out.
         worst: Smallest det F of them, and the reference place of its cell [m].
         target: Norm of the free residual that would have been small enough [N].
+        predicted: Norm of the first Newton step [m].
         floor: Norm of the free residual that round-off alone may leave [N].
     """
 
@@ -35,6 +36,7 @@ class Progress:
     rejected: int = 0
     worst: tuple[float, tuple[float, ...]] | None = None
     target: float = 0.0
+    predicted: float = 0.0
     floor: float = 0.0
 
 

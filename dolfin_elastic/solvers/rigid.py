@@ -22,6 +22,8 @@ from dolfin_elastic.solvers.plates import couple, restricted, turns_alone
 from dolfin_elastic.solvers.rigid_words import Floats, motions_in_words, planes
 
 _ROUND_OFF = 1e-10
+LOOSE = "float about"
+"""What a body in a periodic cell can do that hangs together with nothing."""
 _SHOWN = 5
 """Bodies that one message names."""
 
@@ -64,6 +66,14 @@ def check_held(problem: Problem) -> None:
     free = [body for body in bodies if body.motions]
     if not free:
         return
+    if problem.cell is not None:
+        said = ", ".join(f"`{body.name}`" for body in free[:_SHOWN])
+        raise InputError(
+            f"{said} can {LOOSE}: the cell has {len(bodies)} bodies that share no nodes, through "
+            "its faces neither",
+            where="periodic",
+            expected="a cell that hangs together; a soft filling binds what lies in a hole",
+        )
     if problem.touching:
         _say_what_is_away(problem, free)
     what = "the supports leave the body free" if problem.supports else "there is no support"
@@ -109,9 +119,9 @@ def free_motions(problem: Problem, *, reached: bool = False) -> list[str]:
 
 def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
     """All connected bodies, each with the rigid motions that no support prevents. Collective."""
-    if problem.cell is not None:  # its neighbours hold all of it
-        return [FreeBody("", ())]
     bodies = Bodies(problem)
+    if problem.cell is not None:
+        return _parts_of_cell(problem, bodies)
     centres, sizes = _frames(bodies)
     sums = _products(bodies, held_directions(problem, reached=reached), centres, sizes)
     nulls = [_null(problem, matrix) for matrix in sums]
@@ -135,6 +145,17 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
     if stray:
         found[0] = FreeBody(found[0].name, (*found[0].motions, "let a rigid surface turn alone"))
     return found
+
+
+def _parts_of_cell(problem: Problem, bodies: Bodies) -> list[FreeBody]:
+    """Of a periodic cell all that hangs together with its held vertex is held. Collective."""
+    nodes = problem.unknowns.local(problem.prescribed.dofs) // problem.body.dim
+    marks = np.bincount(bodies.of_node[nodes], minlength=bodies.count)
+    held = total(bodies.comm, marks) > 0
+    return [
+        FreeBody(name, () if fast else (LOOSE,))
+        for name, fast in zip(bodies.names(), held, strict=True)
+    ]
 
 
 def held_directions(problem: Problem, *, reached: bool = False) -> Held:

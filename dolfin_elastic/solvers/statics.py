@@ -25,10 +25,12 @@ from dolfin_elastic.solvers.jump import PathWatch
 from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton
+from dolfin_elastic.solvers.pace import Pace
 from dolfin_elastic.solvers.progress import ANOTHER, BEYOND, UNSTABLE, Progress, Tolerance
 from dolfin_elastic.solvers.relaxation import flow_away
 from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.solvers.scalars import Scalars
+from dolfin_elastic.solvers.schedule import corners, gentle, winds
 from dolfin_elastic.solvers.steps import StepSizes
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
@@ -177,15 +179,17 @@ class Statics:
             stops = [first * i for i in range(1, s.steps)]
             largest = first
         else:
-            share = 1.0 if self.problem.linear else FIRST
+            winding = winds(self.problem)
+            share = 1.0 if self.problem.linear and not winding else FIRST
             first = min(s.first_step or share, s.max_step) * s.end
-            stops, largest = [], s.max_step * s.end
+            wide = FIRST if winding and "max_step" not in s.model_fields_set else s.max_step
+            stops, largest = [], max(first, wide * s.end)
         return StepSizes(
             s.end,
             first=first,
             largest=largest,
             smallest=first * s.min_step,
-            stops=[*stops, *s.times],
+            stops=[*stops, *s.times, *corners(self.problem)],
             steady=s.steps is not None,
         )
 
@@ -205,6 +209,7 @@ class _Stepping:
         self._fallback: tuple[float, Vector] | None = None  # where a step has jumped to
         self._limits: tuple[float, ...] = ()
         self._jumps = 0
+        self._pace = Pace(self.assembler, corners(self.problem))
 
     def run(self) -> Iterator[State]:
         self.problem.set_time(0.0, default=RAMP)
@@ -220,7 +225,7 @@ class _Stepping:
     def _load(self) -> Iterator[State]:
         sizes, t = self.statics.sizes(), 0.0
         while not sizes.done(t) and not self._is_enough():
-            goal = sizes.goal(t)
+            goal = gentle(self.problem, t, sizes.goal(t))
             start = self.newton.present()
             progress = self._attempt(t, goal)
             crushed = progress.rejected > 0 or "NAN" in progress.reason
@@ -233,7 +238,12 @@ class _Stepping:
                     self.ladder.undo(start)
                     continue
                 goal, progress = self._elsewhere(t, goal, progress, fault, start)
+            if not fault and self._pace.hasty(t, goal, start, progress) and sizes.closer(t, goal):
+                log.debug("load factor %.6g: so far in one step; a closer look", goal)
+                self.ladder.undo(start)
+                continue
             self._watch.accept()
+            self._pace.accept(known=not fault)
             self._before = t, start
             sizes.succeeded(t, goal, progress.newton)
             if fault:
@@ -343,7 +353,8 @@ class _Stepping:
         try:
             arc.prepare(statics.choice, statics.tolerance, statics.petsc)
             first = statics.sizes().goal(0.0)
-            for found in arc.path(first, self.settings.min_step):
+            chosen = self.settings.first_step is not None or self.settings.steps is not None
+            for found in arc.path(first, self.settings.min_step, chosen=chosen):
                 self._watch.look()
                 if found.progress.converged and not self._watch.finite():
                     found.progress.reason = BEYOND

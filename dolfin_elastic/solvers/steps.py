@@ -11,6 +11,10 @@ CALM = 3
 """Steps after a failure from which they grow again."""
 
 
+CLOSEST = 64
+"""Times that a step is smaller than the first one where the way is looked at closely."""
+
+
 class StepSizes:
     """The sizes of load steps from 0 to the end.
 
@@ -61,6 +65,18 @@ class StepSizes:
     def begin_anew(self) -> None:
         """After a jump: nothing is known of the path that has been reached."""
         self.size, self._calm = self._first, CALM
+
+    def closer(self, t: float, goal: float) -> bool:
+        """Takes note of a step that may have missed something on its way.
+
+        Returns:
+            False if it was small enough to see everything.
+        """
+        size = (goal - t) / 2
+        if size < max(self._smallest, self._first / CLOSEST):
+            return False
+        self.size, self._calm = size, 0
+        return True
 
     def failed(self, t: float, goal: float, *, crushed: bool) -> bool:
         """Takes note of a failure.

@@ -66,11 +66,14 @@ class Site(Protocol):
     def unknown(self, label: str) -> Expr:
         """A number that is solved for."""
 
-    def vector(self, values: tuple[Component, ...], amplitude: Amplitude | None) -> Expr:
-        """The vector at a point of the body, times the amplitude (None: as the solver decides)."""
+    def vector(self, values: tuple[Component, ...], curve: Amplitude | None) -> Expr:
+        """The vector at a point of the body, each component times its amplitude."""
 
     def factor(self, amplitude: Amplitude | None) -> Expr:
         """A number that follows an amplitude (None: as the solver decides)."""
+
+    def factors(self, values: tuple[Component, ...], curve: Amplitude | None) -> list[Expr]:
+        """What follows the amplitude of each component, see `components.amplitude_of`."""
 
     def value(self, value: Component) -> Expr:
         """A number or formula at a point of the body."""
@@ -92,6 +95,7 @@ class Places:
         N: Outward unit normals, shape of X, on surfaces only.
         density: Mass density [kg/m^3], shape (...), for loads that need it.
         size: Area or volume of all points' part [m^2, m^3].
+        revolved: They are those of a body of revolution about y.
     """
 
     X: Floats
@@ -99,6 +103,7 @@ class Places:
     N: Floats | None = None
     density: Floats | None = None
     size: float = 1.0
+    revolved: bool = False
 
 
 class Load(Record):
@@ -108,7 +113,8 @@ class Load(Record):
         kind: The load's name in a case file.
         value: Components in SI units, texts with units, or formulas in x, y, z [m] and t.
         curve: Amplitude over time.  Without one, loads grow with the load steps in statics and
-            act in full from the start in motion, and formulas in t are taken as they are.
+            act in full from the start in motion, and formulas in t are taken as they are,
+            component by component.
     """
 
     kind: str = ""
@@ -119,6 +125,8 @@ class Load(Record):
     """SI unit of `value`."""
     needs_density: ClassVar[bool] = False
     """The load is proportional to mass."""
+    faces: ClassVar[bool] = False
+    """The load acts along the outward normal of its surfaces."""
     follows: ClassVar[bool] = False
     """The load depends on the displacement."""
     linearises: ClassVar[bool] = False
@@ -132,6 +140,14 @@ class Load(Record):
 
     @model_validator(mode="after")
     def _read_components(self) -> Load:
+        if getattr(self, "on", None) == []:
+            raise InputError(
+                "no name is given",
+                where="on",
+                expected="a surface's name"
+                if type(self).model_fields["on"].is_required()
+                else "a region's name; left out, it is the whole body",
+            )
         _ = self.values, self.vectors  # fails now, not when it is used
         return self
 
@@ -161,13 +177,16 @@ class Load(Record):
 
     @property
     def amplitude(self) -> Amplitude | None:
-        """Its curve; constant where formulas already say how it changes; None: not said."""
+        """Its curve; constant where a formula already says how it changes; None: not said.
+
+        Of loads with one value; components have one each, see `components.amplitude_of`.
+        """
         timed = self.curve is None and depends_on_time(self.values)
         return CONSTANT if timed else self.curve
 
     def field(self, site: Site) -> Expr:
         """The load's vector as a UFL expression."""
-        return site.vector(self.values, self.amplitude)
+        return site.vector(self.values, self.curve)
 
     def intensity(self, places: Places) -> Floats | None:
         """Force per reference area or volume on the undeformed body, without its amplitude.

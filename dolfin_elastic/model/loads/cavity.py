@@ -53,6 +53,7 @@ class Cavity(Load):
     added: Any = None
     origin: list[Any] | None = None
     name: str = ""
+    faces: ClassVar[bool] = True
     follows: ClassVar[bool] = True
     linearises: ClassVar[bool] = True
     conservative: ClassVar[bool] = False
@@ -151,21 +152,31 @@ class Cavity(Load):
     def virtual_work(self, site: Site) -> ufl.Form:
         """See the class."""
         p = site.unknown(self.label) if self.controlled else self._given(site)
-        return -p * ufl.inner(area_vector(site), site.v) * site.areas(self.parts)
+        return self.work(site, p, linear=site.linear)
+
+    def work(self, site: Site, p: Expr, *, linear: bool) -> ufl.Form:
+        """Virtual work of a pressure p [Pa], on the undeformed surface if `linear`."""
+        return -p * ufl.inner(area_vector(site, linear), site.v) * site.areas(self.parts)
 
     def _given(self, site: Site) -> Expr:
         return site.scalar(self.values[0], self.amplitude)
 
-    def enclosed(self, site: Site) -> ufl.Form:
-        """Its present volume [m^3]; where all laws are linear, to first order in u."""
+    def enclosed(self, site: Site, linear: bool) -> ufl.Form:
+        """Its present volume [m^3]; to first order in u if `linear`."""
         dim = len(site.v)
         if self.middle and len(self.middle) != dim:
             raise InputError(
                 f"{len(self.middle)} components given, the body has {dim}", where="origin"
             )
+        if site.revolved and self.middle and self.middle[0] != 0.0:
+            raise InputError(
+                "a body of revolution has its planes of symmetry across the axis",
+                where="origin[0]",
+                expected="0: a point on the axis",
+            )
         o = site.constant([float(x or 0.0) for x in self.middle or (0.0,) * dim])  # type: ignore[arg-type]
         d = 3 if site.revolved else dim
         areas = site.areas(self.parts)
-        if site.linear:
+        if linear:
             return -ufl.inner((site.X - o) / d + site.u, site.N) * areas
-        return -ufl.inner(site.X + site.u - o, area_vector(site)) / d * areas
+        return -ufl.inner(site.X + site.u - o, area_vector(site, False)) / d * areas

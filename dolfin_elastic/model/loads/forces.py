@@ -67,7 +67,10 @@ class Traction(Load):
         """See the class."""
         traction = self.field(site)
         if self.force is not None:
-            traction = traction / site.area(self.parts)
+            area = site.area(self.parts)
+            if not area.value > 0.0:
+                raise InputError("the surface has no area", where="on")
+            traction = traction / area
         return ufl.inner(traction, site.v) * site.areas(self.parts)
 
 
@@ -110,7 +113,7 @@ class Gravity(Load):
 
     def field(self, site: Site) -> Expr:
         """The acceleration as a UFL expression."""
-        return site.vector(self.acceleration(len(site.v)), self.amplitude)
+        return site.vector(self.acceleration(len(site.v)), self.curve)
 
     def intensity(self, places: Places) -> Floats:
         """See `Load.intensity`."""
@@ -120,6 +123,12 @@ class Gravity(Load):
 
     def virtual_work(self, site: Site) -> ufl.Form:
         """See the class."""
+        if site.revolved and self.values and self.values[0] != 0.0:
+            raise InputError(
+                "weight across the axis is none of a body of revolution",
+                where="value[0]",
+                expected="0: it acts along the axis",
+            )
         g = self.field(site)
         return sum(rho * ufl.inner(g, site.v) * dx for rho, dx in site.densities(self.parts))
 
@@ -180,7 +189,7 @@ class Centrifugal(Load):
     def virtual_work(self, site: Site) -> ufl.Form:
         """See the class."""
         dim = len(site.v)
-        a, c = self._axis(site), self._centre(site)
+        a, c = self._axis(site.revolved), self._centre(site)
         place = site.X if site.linear else site.X + site.u
         r = ufl.as_vector([place[i] for i in range(dim)]) - site.constant(c)
         axis = site.constant(a[:dim])
@@ -192,8 +201,7 @@ class Centrifugal(Load):
         """See `Load.intensity`; of a body of revolution only the radial part is left."""
         assert places.density is not None
         dim = places.X.shape[-1]
-        a = np.array([*(self._numbers("axis") or [0.0, 0.0, 1.0]), 0.0][:3])
-        a = (a / np.linalg.norm(a))[:dim]
+        a = np.array(self._axis(places.revolved)[:dim])
         r = places.X - np.array(self._numbers("point") or [0.0] * dim)
         (speed,) = self.values
         omega = speed.evaluate(t=places.t) if isinstance(speed, Formula) else float(speed or 0.0)
@@ -208,11 +216,11 @@ class Centrifugal(Load):
             raise InputError("a body of revolution spins about y only", where="point")
         return c
 
-    def _axis(self, site: Site) -> list[float]:
+    def _axis(self, revolved: bool) -> list[float]:
         """Unit vector of three components."""
-        given = self._numbers("axis") or ([0.0, 1.0, 0.0] if site.revolved else [0.0, 0.0, 1.0])
+        given = self._numbers("axis") or ([0.0, 1.0, 0.0] if revolved else [0.0, 0.0, 1.0])
         a = [*given, 0.0][:3]
-        if site.revolved and (a[0] or a[2]):
+        if revolved and (a[0] or a[2]):
             raise InputError("a body of revolution spins about y only", where="axis")
         length = sum(item * item for item in a) ** 0.5
         return [item / length for item in a]

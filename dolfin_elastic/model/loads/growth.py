@@ -99,10 +99,15 @@ class Growth(Swelling):
 
     def growth(self, site: Site, expansion: Expr | None, share: Expr | None) -> Expr:
         """See the class."""
-        one, factor = ufl.Identity(3), site.factor(self.amplitude)
+        one, factors = ufl.Identity(3), site.factors(self.values, self.curve)
         items = [site.value(item) for item in self.values]
-        G = ufl.as_matrix([items[i : i + 3] for i in (0, 3, 6)])
-        return one + (factor if share is None else share * factor) * (G - one)
+        if all(factor is factors[0] for factor in factors):
+            strain = factors[0] * (ufl.as_matrix([items[i : i + 3] for i in (0, 3, 6)]) - one)
+        else:
+            rest = [1.0 if k % 4 == 0 else 0.0 for k in range(9)]
+            terms = [f * (g - r) for f, g, r in zip(factors, items, rest, strict=True)]
+            strain = ufl.as_matrix([terms[i : i + 3] for i in (0, 3, 6)])
+        return one + (strain if share is None else share * strain)
 
 
 _GROWTH = "expected stretches such as [1.1, 1, 1], or a 3x3 list"

@@ -37,6 +37,7 @@ class Pressure(Load):
     on: str | list[str]
     value: Any
     unit: ClassVar[str] = "Pa"
+    faces: ClassVar[bool] = True
     follows: ClassVar[bool] = True
     linearises: ClassVar[bool] = True
     conservative: ClassVar[bool] = False
@@ -67,12 +68,12 @@ class Pressure(Load):
     def virtual_work(self, site: Site) -> ufl.Form:
         """See the class."""
         p = site.scalar(self.values[0], self.amplitude)
-        return -p * ufl.inner(area_vector(site), site.v) * site.areas(self.parts)
+        return -p * ufl.inner(area_vector(site, site.linear), site.v) * site.areas(self.parts)
 
 
-def area_vector(site: Site) -> Expr:
-    """Current area vector over reference area, cof F N; N where all laws are linear."""
-    if site.linear:
+def area_vector(site: Site, linear: bool) -> Expr:
+    """Current area vector over reference area, cof F N; N if `linear`."""
+    if linear:
         return site.N
     dim = len(site.v)
     N = ufl.as_vector([site.N[i] if i < dim else 0.0 for i in range(3)])
