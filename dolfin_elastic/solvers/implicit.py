@@ -313,7 +313,7 @@ class Implicit:
         PETSc's scheme does not tell its acceleration: its reactions are those of the stage.
         """
         if isinstance(self.stepper, Stepper):
-            self.stepper.look(t)
+            self.stepper.look_at_end(t)
         return self.assembler.reactions()
 
     def _state(self, *, failed: bool = False) -> State:

@@ -31,9 +31,6 @@ log = logging.getLogger("dolfin_elastic")
 FAILURES = 8
 """Times that one step is made smaller, to a quarter each, before it is given up."""
 
-ORDER = 3
-"""Power of the step that the estimated error of the displacement grows with."""
-
 
 Done = tuple[Forces, Forces, Vector]
 
@@ -103,6 +100,11 @@ class Stepper:
         if self.scheme.alpha_f != 0.5:
             self._ends = self.look(t)
 
+    def look_at_end(self, t: float) -> None:
+        """Lets `assembler.balance` hold the forces at the present state, if it does not yet."""
+        if self.scheme.alpha_f == 0.5:
+            self.look(t)
+
     def look(self, t: float) -> Forces:
         """The forces at the present state, at a time; `assembler.balance` holds them then."""
         size = len(self.moving.moves)
@@ -154,6 +156,15 @@ class Stepper:
 
     def step(self, ts: PETSc.TS) -> None:
         """Takes one step, smaller where it must be."""
+        try:
+            found = self._found(ts)
+        except InputError as error:  # the same on all ranks
+            self.error, found = error, False
+        if not found:
+            ts.setConvergedReason(PETSc.TS.ConvergedReason.DIVERGED_NONLINEAR_SOLVE)
+
+    def _found(self, ts: PETSc.TS) -> bool:
+        """Takes one step; whether there was one, however small."""
         U, V = ts.getSolution2()
         self._before = self._here(float(ts.getTime()))
         crushed = self._crushed()
@@ -164,15 +175,15 @@ class Stepper:
                 h, good = choose(ts, self._order)
                 if good:
                     self._accept(ts, h)
-                    return
+                    return True
                 self._put_back(U, V)
                 ts.setTimeStep(h)
-            if self.error is not None or failure == FAILURES:
+            if failure == FAILURES:
                 break
             log.debug("t = %g: no solution for a step of %g s", ts.getTime(), ts.getTimeStep())
             self._put_back(U, V)
             ts.setTimeStep(0.25 * ts.getTimeStep())
-        ts.setConvergedReason(PETSc.TS.ConvergedReason.DIVERGED_NONLINEAR_SOLVE)
+        return False
 
     def evaluatestep(self, ts: PETSc.TS, order: int, x: PETSc.Vec) -> bool:
         """What TSAdapt compares the step with: the displacement of one order more."""
@@ -218,8 +229,7 @@ class Stepper:
         rate, shift = self.scheme.shifts(h)  # residuals, too, look at them: for prescribed values
         self.moving.shift.value, self.moving.drag.value = shift, rate
         self.newton.mass_factor = shift
-        if (goal := self._prescribed_at(old.t + h)) is None:
-            return False
+        goal = self._prescribed_at(old.t + h)
         held = self.problem.prescribed.present(self.problem.u.x.array)
         self._held_rates = held_rates(self.problem, old.t + h, h)
         was = self.problem.prescribed.present(self.a.x.array)
@@ -239,16 +249,12 @@ class Stepper:
                 return True
         return False
 
-    def _prescribed_at(self, t: float) -> Vector | None:
-        """Prescribed values at the end of the step; None if they, or loads, have none there."""
-        try:
-            self.problem.set_time(t)
-            self.problem.prescribed.check_finite()
-            if self.problem.loads_change:
-                self.newton.begin()
-        except InputError as error:  # the same on all ranks
-            self.error = error
-            return None
+    def _prescribed_at(self, t: float) -> Vector:
+        """Prescribed values at the end of the step, where loads, too, must have values."""
+        self.problem.set_time(t)
+        self.problem.prescribed.check_finite()
+        if self.problem.loads_change:
+            self.newton.begin()
         return np.asarray(self.problem.prescribed.targets)
 
     def _starts(self) -> list[Vector]:
