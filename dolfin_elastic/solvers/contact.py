@@ -73,14 +73,15 @@ class Augmentation:
             solve: Finds the next one from there.
 
         Returns:
-            Progress of the last solve, with the iterations of all.
+            Progress of the last solve, with the iterations of all and the prediction of the first.
         """
         newton, krylov, count = progress.newton, progress.krylov, 0
+        predicted = progress.predicted
         while progress.converged and count < AUGMENTATIONS and self.needed():
             self.update()
             progress, count = solve(), count + 1
             newton, krylov = newton + progress.newton, krylov + progress.krylov
-        progress.newton, progress.krylov = newton, krylov
+        progress.newton, progress.krylov, progress.predicted = newton, krylov, predicted
         return progress
 
 

@@ -353,7 +353,8 @@ class _Stepping:
         try:
             arc.prepare(statics.choice, statics.tolerance, statics.petsc)
             first = statics.sizes().goal(0.0)
-            for found in arc.path(first, self.settings.min_step):
+            chosen = self.settings.first_step is not None or self.settings.steps is not None
+            for found in arc.path(first, self.settings.min_step, chosen=chosen):
                 self._watch.look()
                 if found.progress.converged and not self._watch.finite():
                     found.progress.reason = BEYOND
