@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import resource
 import tracemalloc
 from typing import Any
@@ -224,7 +225,7 @@ def test_a_continued_run_is_the_same(kind, scheme):
     assert not state.done >= 1.0
     kept = first.kept()
     saved = {name: field.x.array.copy() for name, field in kept.fields.items()}
-    numbers = dict(kept.numbers)
+    numbers = json.loads(json.dumps(dict(kept.numbers)))
     states.close()
 
     def restore(fields: Any) -> Any:

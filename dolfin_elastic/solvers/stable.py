@@ -31,7 +31,7 @@ AT_CONTACT = 50
 """The most where an obstacle may be hit meanwhile."""
 
 SPACING = 100
-"""Fewest steps between two eigenvalues of the whole body, each of which costs about 30."""
+"""Fewest steps between two eigenvalues of the whole body, each of which costs about 15."""
 
 HIT = 1.0
 """Largest (omega dt)^2 of a node on an obstacle's penalty.
@@ -49,7 +49,7 @@ class StepSize:
 
     The limit 2/omega_max follows from the largest eigenvalue of M^-1 K, found by Lanczos' method
     (`sharp`), or from the bound by cells (`Rates`) if that is lower.  Between two of these the
-    bound alone is looked at, for a tenth of the cost: where cells have become stiffer the body's
+    bound alone is looked at, for a seventh of the cost: where cells have become stiffer the body's
     rate is taken to grow with the most that any node's which could set it has grown.
 
     Args:
