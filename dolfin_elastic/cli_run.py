@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mpi4py import MPI
 
     from dolfin_elastic.case import Case
-    from dolfin_elastic.state import State
+    from dolfin_elastic.state import Mode, State
 
 Petsc = Annotated[list[str] | None, typer.Argument(metavar="[-- PETSC...]", hidden=True)]
 Profile = Annotated[bool, typer.Option("--profile", help="Show where time and memory went.")]
@@ -120,7 +120,7 @@ class _Job:
 
     case: Case
     folder: Path
-    states: Generator[State, None, None]
+    states: Generator[State | Mode, None, None]
     stop: Stop
     quiet: bool
     profile: bool
@@ -136,7 +136,7 @@ def _compute(job: _Job, comm: MPI.Comm) -> None:
     if loud:
         from dolfin_elastic.screen import show_files, show_restart
 
-        show_files(job.folder, job.case.output.listing(job.folder))
+        show_files(job.folder, job.case.listing(job.folder))
         if code == INTERRUPTED:
             show_restart(job.folder)
     if code:
@@ -148,23 +148,31 @@ def _followed(job: _Job, comm: MPI.Comm, *, loud: bool) -> int:
     from contextlib import closing
 
     from dolfin_elastic import screen, timing
+    from dolfin_elastic.mode_screen import show_modes
+    from dolfin_elastic.state import Mode
 
     motion, (before, done) = job.case.dynamics is not None, job.since
     meter = _meter(motion, loud, done)
-    state, newton = None, 0
+    state, newton, modes = None, 0, []
     try:
-        with closing(job.states) as states:
-            for state in states:
-                newton += state.newton
-                meter.show(state)
-                if state.done < 1.0 and job.stop.agreed(comm):
+        with closing(job.states) as found:
+            for one in found:
+                if isinstance(one, Mode):
+                    modes.append(one)
+                else:
+                    state = one
+                    newton += state.newton
+                    meter.show(state)
+                if one.done < 1.0 and job.stop.agreed(comm):
                     return INTERRUPTED
     except SolveError as error:
         error.add_note(f"results so far are in {job.folder}")
         raise
     finally:
         meter.close()
-    if loud and state is not None:
+    if loud and modes:
+        show_modes(modes, timing.totals())
+    elif loud and state is not None:
         screen.show_end(state, motion=motion, seconds=timing.totals(), newton=newton, since=before)
     return 0
 

@@ -11,7 +11,9 @@ from typing import Any
 from dolfin_elastic.errors import ElasticError, OutputError, SolveError
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.results.outputs import Output, Xdmf
+from dolfin_elastic.results.files import writing
+from dolfin_elastic.results.modes import clear as clear_modes
+from dolfin_elastic.results.outputs import Modes, Output, Xdmf
 from dolfin_elastic.results.writer import Writer
 from dolfin_elastic.results.xdmf import remove
 from dolfin_elastic.state import State
@@ -44,7 +46,7 @@ def opened(
                 if kept is None
                 else file.reopen(problem, folder, kept[index])
             )
-        on_root(problem.body.comm, lambda: remove(folder / _FAILED))
+        on_root(problem.body.comm, lambda: _remove_others(folder, files))
         yield writers
     except ElasticError as error:
         ending = ("failed", error)
@@ -63,6 +65,18 @@ def opened(
         raise
     finally:
         _close(writers, ending)
+
+
+def _remove_others(folder: Path, files: Sequence[Output]) -> None:
+    """Removes what an older run has left that this one has no name for. Not collective."""
+    remove(folder / _FAILED)
+    kinds = {type(file) for file in files}
+    if Xdmf not in kinds:
+        remove(folder / "results.xdmf")
+        with writing(folder):
+            (folder / "history.csv").unlink(missing_ok=True)
+    if Modes not in kinds:
+        clear_modes(folder)
 
 
 def _close(writers: Iterable[Writer], ending: tuple[str, object]) -> None:

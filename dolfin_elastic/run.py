@@ -23,11 +23,11 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.restarts import Unfinished, about, unfinished
 from dolfin_elastic.results.checkpoints import Checkpoints
 from dolfin_elastic.results.sums import fingerprint
-from dolfin_elastic.results.writer import Writer
-from dolfin_elastic.state import State
+from dolfin_elastic.results.writer import ModeWriter, Writer
+from dolfin_elastic.state import Mode, State
 
 log = logging.getLogger("dolfin_elastic")
-States = Generator[State, None, None]
+States = Generator[State | Mode, None, None]
 
 
 def run(
@@ -38,7 +38,7 @@ def run(
     comm: MPI.Comm = MPI.COMM_WORLD,
     asked: Callable[[], bool] | None = None,
 ) -> States:
-    """Solves a case and yields its states, each of them written already.  Collective.
+    """Solves a case and yields its states, and its modes, each written already.  Collective.
 
     Whoever closes it between two states leaves a checkpoint behind.
 
@@ -131,17 +131,24 @@ class _Run:
         probe = output.probe(problem, self.case.mesh.scale)
         keeper.begin(new=before is None)
         kept = None if before is None else before.found.content["outputs"]
-        files = output.files(self.case.frames, self.case.title)
-        with opened(files, problem, self.folder, kept) as writers:
-            for state in map(probe.onto, chain(first, steps)):
+        with opened(self.case.files(), problem, self.folder, kept) as writers:
+            for step in chain(first, steps):
+                found = probe.onto(step) if isinstance(step, State) else step
                 for writer in writers:
-                    writer.write(state)
-                keeper.look(state, writers, asked=self.asked is not None and self.asked())
+                    _write(writer, found)
+                keeper.look(found, writers, asked=self.asked is not None and self.asked())
                 try:
-                    yield state
+                    yield found
                 except GeneratorExit:
-                    keeper.stop(state, writers)
+                    keeper.stop(found, writers)
                     raise
+
+
+def _write(writer: Writer, found: State | Mode) -> None:
+    if isinstance(found, State):
+        writer.write(found)
+    elif isinstance(writer, ModeWriter):
+        writer.write_mode(found)
 
 
 class _Keeper:
@@ -163,14 +170,18 @@ class _Keeper:
         elif self._checkpoints.clear():
             log.warning("the checkpoints of a run that had not ended are removed")
 
-    def look(self, state: State, writers: Sequence[Writer], *, asked: bool) -> None:
+    def look(self, state: State | Mode, writers: Sequence[Writer], *, asked: bool) -> None:
         """Makes one if it is time."""
-        if self._kept is not None and self._checkpoints.due(state, asked=asked):
+        if self._kept is None or isinstance(state, Mode):
+            return
+        if self._checkpoints.due(state, asked=asked):
             self._save(self._kept, state, writers)
 
-    def stop(self, state: State, writers: Sequence[Writer]) -> None:
+    def stop(self, state: State | Mode, writers: Sequence[Writer]) -> None:
         """Makes one for whoever goes on."""
-        if self._kept is None or self._checkpoints.off or state.done >= 1.0:
+        if self._kept is None or isinstance(state, Mode):
+            return
+        if self._checkpoints.off or state.done >= 1.0:
             return
         try:
             self._save(self._kept, state, writers)

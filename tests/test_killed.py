@@ -119,7 +119,7 @@ def test_killed_again_and_again(tmp_path: Path) -> None:
     ranks than the one before.  What comes out is what comes out of a run that nothing has happened
     to, to the tolerance of Newton's method, for other ranks sum up in another order.
     """
-    write_case(tmp_path, 40 * KILLS, every=1)
+    write_case(tmp_path, 100 + 10 * KILLS, every=1)
     for _ in run(read_case(tmp_path / "case.toml"), output=tmp_path / "whole"):
         pass
     chance, folder, steps = random.Random(7), tmp_path / "case_results", [0]

@@ -31,11 +31,14 @@ class HistoryWriter:
     * ``step``, ``t`` [s; in statics the load parameter], ``load_factor``, ``newton`` and
       ``krylov`` iterations, ``max_displacement`` [m],
     * ``strain_energy`` [J] if the material has one; in motion ``kinetic_energy``,
-      ``external_energy`` (work of the loads so far), ``total_energy``,
+      ``external_energy`` (work of the loads so far), ``total_energy``, and where there are such
+      ``springs_energy``, ``contact_energy``, ``damping_energy`` and ``dashpots_energy`` (lost so
+      far), ``potential_energy`` (of loads that do not change), ``balance_energy`` (what has come
+      from nowhere),
     * ``reaction_<support>_x``, ``_y``, ``_z`` [N] for each support,
     * further results by name, for example of probes, obstacles and cavities,
     * in motion ``momentum_x`` ... [kg m/s] and ``angular_momentum_x`` ... [kg m^2/s],
-    * in statics the audit: ``balance_force`` and ``balance_moment`` (shares that are left),
+    * the audit: ``balance_force`` and ``balance_moment`` (shares that are left), in statics
       ``external_work`` [J], ``min_jacobian``, ``max_jacobian``, ``verdict`` (pass or warn).
 
     A row is on disk when `write` returns.
@@ -124,7 +127,10 @@ def row(state: State) -> dict[str, Number | str]:
             values.update(_components(column, state.momenta[name]))
     values.update(state.numbers)
     found = {name: v if isinstance(v, int) else float(v) for name, v in values.items()}
-    return {**found, **_judged(state.audit)}
+    judged = _judged(state.audit)
+    if state.v is not None:  # in motion the work is among the energies
+        judged.pop("external_work", None)
+    return {**found, **judged}
 
 
 def _judged(audit: Audit | None) -> dict[str, Number | str]:

@@ -20,9 +20,10 @@ from dolfin_elastic import timing
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.results.extremes import Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
+from dolfin_elastic.results.modes import row
 from dolfin_elastic.results.worst import Worst
 from dolfin_elastic.results.writer import Kept, Numbers
-from dolfin_elastic.state import State
+from dolfin_elastic.state import Mode, State
 from dolfin_elastic.version import __version__
 
 if TYPE_CHECKING:
@@ -38,6 +39,10 @@ UNITS = {
     "reactions": "N",
     "place": "m",
     "von_mises": "Pa",
+    "frequency": "Hz",
+    "omega": "rad/s",
+    "mass": "kg",
+    "effective": "kg (about axes kg m^2)",
     "timings": "s",
     "peak_memory": "byte",
 }
@@ -73,22 +78,34 @@ class SummaryWriter:
             self._restarts = [*self._restarts, {**again, "at": _now()}]
         self._kept = Kept()
         self._audit = Worst(before.get("audits", ()))
+        self._extremes: Extremes | None = None
+        self._modes: list[Mode] = []
         with timing.stage("output"):
-            self._extremes = Extremes(problem)
             on_root(self.comm, lambda: make_folder(path.parent))
             self._save("running")
 
     def write(self, state: State) -> None:
         """Takes in one step; writes the file if it is older than a second."""
         with timing.stage("output"):
+            if self._extremes is None:
+                self._extremes = Extremes(self.problem)
             self._newton += state.newton
             self._krylov += state.krylov
             self._kept.keep(state)
             self._last = _numbers(state)
             self._audit.take(state)
-            # Clocks differ between ranks: the first one decides for all.
-            if self.comm.bcast(time.monotonic() - self._written > _INTERVAL):
-                self._save("running")
+            self._save_now_and_then()
+
+    def write_mode(self, mode: Mode) -> None:
+        """Takes in one mode; writes the file if it is older than a second."""
+        with timing.stage("output"):
+            self._modes.append(mode)
+            self._save_now_and_then()
+
+    def _save_now_and_then(self) -> None:
+        # Clocks differ between ranks: the first one decides for all.
+        if self.comm.bcast(time.monotonic() - self._written > _INTERVAL):
+            self._save("running")
 
     def kept(self) -> Numbers:
         """The numbers so far. Collective."""
@@ -107,7 +124,7 @@ class SummaryWriter:
         """Writes the file for the last time, with the extremes of the last converged step."""
         with timing.stage("output"):
             state = self._kept.state
-            found = self._extremes.of(state) if state else {}
+            found = self._extremes.of(state) if state and self._extremes else {}
             extra: dict[str, Any] = {
                 "finished": _now(),
                 "extremes": {k: asdict(e) for k, e in found.items()},
@@ -148,7 +165,18 @@ class SummaryWriter:
 
     def _numbers(self) -> dict[str, Any]:
         counts = {"newton_iterations": self._newton, "krylov_iterations": self._krylov}
-        return {**self._last, **counts, "audit": self._audit.told()}
+        return {**self._last, **counts, "audit": self._audit.told(), **self._of_modes()}
+
+    def _of_modes(self) -> dict[str, Any]:
+        """The modes, the whole body's masses, and the share of them that the modes carry."""
+        if not self._modes:
+            return {}
+        whole, rows = self._modes[0].whole, [row(mode) for mode in self._modes]
+        if not whole:
+            return {"modes": rows}
+        sums = {name: sum(mode.effective[name] for mode in self._modes) for name in whole}
+        shares = {name: sums[name] / whole[name] for name in whole if whole[name] > 0.0}
+        return {"modes": rows, "whole": dict(whole), "effective_shares": shares}
 
     def _timings(self) -> dict[str, float]:
         measured = {"total": time.monotonic() - self._begin, **timing.totals()}

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from dolfinx import fem
 
-from dolfin_elastic.state import State
+from dolfin_elastic.state import Mode, State
 
 Numbers = Mapping[str, Any]
 """What a writer needs to go on after a checkpoint, as JSON knows it."""
@@ -31,6 +31,14 @@ class Writer(Protocol):
             status: "completed" or "failed".
             error: Why it failed.
         """
+
+
+@runtime_checkable
+class ModeWriter(Protocol):
+    """An open output that takes modes, too."""
+
+    def write_mode(self, mode: Mode) -> None:
+        """Takes one mode. Collective."""
 
 
 class Every:

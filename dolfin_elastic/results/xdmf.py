@@ -155,7 +155,7 @@ class XdmfWriter:
         moving = {name: r for name, r in rows.items() if not FIELDS[name].fixed}
         if not self._mesh_xml:
             fixed = {name: r for name, r in rows.items() if FIELDS[name].fixed}
-            self._write_mesh(grid, {**_mesh(grid), **fixed})
+            self._write_mesh(grid, {**mesh_rows(grid), **fixed})
         file = f"{len(self._frames):06d}.h5"
         heavy.write(self.comm, self.data / file, moving)
         self._frames.append(self._frame(state, file, rows))
@@ -169,7 +169,7 @@ class XdmfWriter:
             if before:
                 self._mesh_file = f"mesh_{len(self._frames):06d}.h5"
             heavy.write(self.comm, self.data / self._mesh_file, arrays)
-        self._mesh_xml = _mesh_xml(grid, f"{self.data.name}/{self._mesh_file}")
+        self._mesh_xml = mesh_xml(grid, f"{self.data.name}/{self._mesh_file}")
 
     def _frame(self, state: State, file: str, rows: Mapping[str, Rows]) -> str:
         files = {name: self._mesh_file if FIELDS[name].fixed else file for name in rows}
@@ -249,17 +249,19 @@ def _data(path: Path) -> Path:
     return path.with_name(f"{path.stem}_data")
 
 
-def _mesh(grid: Grid) -> dict[str, Rows]:
+def mesh_rows(grid: Grid) -> dict[str, Rows]:
+    """This rank's points and cells."""
     return {"points": grid.rows("node", grid.points()), "cells": grid.rows("cell", grid.cells())}
 
 
-def _mesh_xml(grid: Grid, file: str) -> str:
-    mesh = _mesh(grid)
+def mesh_xml(grid: Grid, file: str) -> str:
+    """The mesh that stands in a file, as light data."""
+    mesh = mesh_rows(grid)
     count, nodes = mesh["cells"].shape
     return (
         f'<Topology TopologyType="{grid.kind}" NumberOfElements="{count}" '
-        f'NodesPerElement="{nodes}">{_item(mesh["cells"], f"{file}:/cells")}</Topology>\n'
-        f'<Geometry GeometryType="XYZ">{_item(mesh["points"], f"{file}:/points")}'
+        f'NodesPerElement="{nodes}">{item(mesh["cells"], f"{file}:/cells")}</Topology>\n'
+        f'<Geometry GeometryType="XYZ">{item(mesh["points"], f"{file}:/points")}'
         "</Geometry>\n"
     )
 
@@ -268,12 +270,13 @@ def _attribute(name: str, rows: Rows, file: str) -> str:
     field = FIELDS[name]
     return (
         f'<Attribute Name={quoteattr(name)} AttributeType="{field.shape.capitalize()}" '
-        f'Center="{field.centre.capitalize()}">{_item(rows, f"{file}:/{name}")}'
+        f'Center="{field.centre.capitalize()}">{item(rows, f"{file}:/{name}")}'
         "</Attribute>\n"
     )
 
 
-def _item(rows: Rows, place: str) -> str:
+def item(rows: Rows, place: str) -> str:
+    """An array that stands at a place, as light data."""
     count, columns = rows.shape
     kind = "Float" if rows.values.dtype.kind == "f" else "Int"
     return (

@@ -34,6 +34,9 @@ log = logging.getLogger("dolfin_elastic")
 WANTED = 4
 """Newton iterations of a step of the right length."""
 
+GENTLE = 0.01
+"""Largest displacement of the first step over the size of the body."""
+
 LONGEST = 8.0
 """Longest step over the first one."""
 
@@ -154,15 +157,17 @@ class ArcLength:
         if self._bordered is not None:
             self._bordered.destroy()
 
-    def path(self, first: float, smallest: float) -> Iterator[Found]:
+    def path(self, first: float, smallest: float, *, chosen: bool) -> Iterator[Found]:
         """Yields the points of the path; one that did not converge is the last. Collective.
 
         Args:
             first: Load factor of the first point, which sets the length of steps.
             smallest: Shortest step, as a share of the first.
+            chosen: The user has chosen the first step; else it is made gentle.
         """
         if self._way is None:
-            found = self._first(first, smallest)
+            longest = np.inf if chosen else GENTLE * self._newton.span
+            found = self._first(first, smallest, longest)
             if not found.progress.converged:
                 yield found
                 return
@@ -235,8 +240,11 @@ class ArcLength:
         self.limits = list(kept["limits"])
         remind(self._bordered, kept["newton"])
 
-    def _first(self, t: float, smallest: float) -> Found:
-        """A step of the load, which gives the path its direction."""
+    def _first(self, t: float, smallest: float, longest: float) -> Found:
+        """A step of the load, of at most so large displacements, which gives the path a direction.
+
+        A load far above a limit point would find the body beyond it at once.
+        """
         least = smallest * t
         while True:
             self._length.start, before = self._length.displacement().copy(), self._all.get()
@@ -246,7 +254,8 @@ class ArcLength:
             progress = self._ladder.solve([("", here)])
             self._lead = self._all.get() - before
             hasty = Pace(self._assembler).hasty(0.0, t, here, progress)
-            if progress.converged and not (hasty and t > least):
+            hasty = hasty or self._assembler.max_displacement() > longest
+            if progress.converged and not (hasty and t / 2 >= least):
                 self._points.append((t, self._length.gone()))
                 return Found(t, progress, negative_eigenvalues(self._newton))
             if t / 2 < least:

@@ -98,7 +98,9 @@ class Auditor:
             reasons["energy"] = "the strain energy has no finite value"
         low, high = self._watch.extremes()
         if not low[0] > 0.0:
-            reasons["jacobian"] = f"a cell is inside out: det F = {low[0]:.3g} at {_text(low[1])} m"
+            reasons["jacobian"] = (
+                f"a cell is inside out: det F = {low[0]:.3g} at {in_words(low[1])} m"
+            )
         self._warn(t, reasons)
         return Audit(
             force=force,
@@ -172,8 +174,11 @@ class Auditor:
     def _warn(self, t: float, reasons: dict[str, str]) -> None:
         for kind, reason in reasons.items():
             if kind not in self._warned:
-                self._warned[kind] = f"{reason} (load factor {t:.6g})"
+                self._warned[kind] = f"{reason} ({self._when(t)})"
                 log.warning("audit: %s", self._warned[kind])
+
+    def _when(self, t: float) -> str:
+        return f"load factor {t:.6g}"
 
     # --- forces and moments ---
 
@@ -228,8 +233,7 @@ class Auditor:
             return float("nan")
         x = self._X[:, : self._dim]
         if self._places == "current":
-            u = self._problem.u.x.array[: x.size]
-            x = x + u.reshape(x.shape)
+            x = x + self._moved().reshape(x.shape)
         rows = [_cross(x, force) for force in outside]
         arm = float(self._comm.allreduce(float(np.max(np.abs(x), initial=0.0)), op=MPI.MAX))
         share, size, allowed = self._share(rows, noise * arm)
@@ -239,6 +243,10 @@ class Auditor:
                 f"of their {size:.3g} N m is left"
             )
         return share
+
+    def _moved(self) -> Floats:
+        """Displacement of the owned nodes, with which forces and moments balance [m]."""
+        return np.asarray(self._problem.u.x.array[: self._dim * len(self._X)])
 
     def _share(self, rows: list[Floats], noise: float) -> tuple[float, float, float]:
         """What is left of a sum, over the sum of lengths; this sum; and the share that may be.
@@ -309,5 +317,6 @@ def _cross(x: Floats, force: Floats) -> Floats:
     return np.asarray(np.cross(x, force))
 
 
-def _text(place: Floats) -> str:
+def in_words(place: Floats) -> str:
+    """A place [m]."""
     return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"

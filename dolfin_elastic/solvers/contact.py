@@ -26,9 +26,8 @@ AUGMENTATIONS = 10
 SOFT = 0.1
 """Share of the penalty that motion takes.
 
-A node of an explicit scheme that hits in mid-step is thrown back too fast, by an energy of about
-(omega dt)^2 of its own, omega^2 = penalty over its mass; and a stiffer obstacle than the cells
-above it would only shorten the step.
+A node of an explicit scheme that hits in mid-step is thrown back too fast where the penalty is
+stiff, see `stable.HIT`; and a stiffer obstacle than the cells above it would only shorten the step.
 """
 
 
@@ -74,14 +73,15 @@ class Augmentation:
             solve: Finds the next one from there.
 
         Returns:
-            Progress of the last solve, with the iterations of all.
+            Progress of the last solve, with the iterations of all and the prediction of the first.
         """
         newton, krylov, count = progress.newton, progress.krylov, 0
+        predicted = progress.predicted
         while progress.converged and count < AUGMENTATIONS and self.needed():
             self.update()
             progress, count = solve(), count + 1
             newton, krylov = newton + progress.newton, krylov + progress.krylov
-        progress.newton, progress.krylov = newton, krylov
+        progress.newton, progress.krylov, progress.predicted = newton, krylov, predicted
         return progress
 
 

@@ -299,7 +299,9 @@ class Stepping:
     def _path(self, arc: ArcLength) -> Iterator[State]:
         if self._t > 0.0 and self._is_enough():
             return
-        for found in arc.path(self._sizes.goal(0.0), self.settings.min_step):
+        s = self.settings
+        chosen = s.first_step is not None or s.steps is not None
+        for found in arc.path(self._sizes.goal(0.0), s.min_step, chosen=chosen):
             self._watch.look()
             if found.progress.converged and not self._watch.finite():
                 found.progress.reason = BEYOND
