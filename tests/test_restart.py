@@ -405,6 +405,32 @@ def test_a_run_goes_on(folder: Path, whole: Path) -> None:
     assert on_root(WORLD, lambda: [p.name for p in (folder / "a").rglob("mesh*")]) == ["mesh.h5"]
 
 
+MOTIONS: dict[str, dict[str, Any]] = {
+    "implicit": {"end": "0.2 s", "dt": "20 ms"},
+    "adaptive": {"end": "0.2 s", "dt": "2 ms", "adaptive": True, "tolerance": 0.1},
+    "explicit": {"scheme": "symplectic-euler", "end": "150 ms", "every": 3},
+}
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_a_motion_goes_on(name: str, folder: Path) -> None:
+    """Velocities, step sizes and work so far, too; fields thinned as in one run."""
+    rubber = {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3, "density": 1000}
+    moving = case(
+        mesh={"rectangle": {"size": [1, 0.2], "cells": [5, 1]}},
+        materials={"rubber": rubber},
+        statics=None,
+        dynamics=MOTIONS[name],
+    )
+    for _ in run(moving, output=folder / "whole"):
+        pass
+    rows = history(folder / "whole")
+    assert len(rows) > 8
+    begun(moving, folder / "a", int(rows[4]["step"]))
+    assert finished(folder / "a") == [one["step"] for one in rows[5:]]
+    check_same_results(folder / "a", folder / "whole")
+
+
 @PAIR
 def test_what_came_after_the_checkpoint_is_cut_off(folder: Path, whole: Path) -> None:
     """Rows, frames and pictures of steps that were computed but not kept; half a row, too."""
