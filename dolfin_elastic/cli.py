@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 import sys
 import time
 import traceback
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -22,6 +20,7 @@ from click.exceptions import ClickException, Exit
 from dolfin_elastic.cli_materials import material, materials
 from dolfin_elastic.errors import CaseError, ElasticError, SolveError
 from dolfin_elastic.petsc_words import petsc_options, start_petsc
+from dolfin_elastic.stopping import INTERRUPTED, Stop, launched_rank
 from dolfin_elastic.version import __version__
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
     from dolfin_elastic.case import Case
 
-CRASHED, INTERRUPTED = 1, 130
+CRASHED = 1
 HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores.
 
 \b
@@ -123,7 +122,7 @@ def run(
     if loud:
         from dolfin_elastic.screen import show_files
 
-        show_files(folder, read.output.listing(folder))
+        show_files(folder, read.listing(folder))
     if code:
         raise Exit(code)
 
@@ -206,35 +205,6 @@ def info() -> None:
 # --- a run ---
 
 
-class Stop:
-    """Notes Ctrl-C, SIGTERM and a file called "stop"; a second signal ends the program at once.
-
-    Args:
-        folder: Folder of the results, where a file called "stop" may appear.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.asked, self._file = False, folder / "stop"
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._ask)
-
-    def _ask(self, number: int, frame: FrameType | None) -> None:
-        if self.asked:
-            os._exit(INTERRUPTED)
-        self.asked = True
-        if launched_rank() == 0:
-            print("\nstopping after this step; once more: at once", file=sys.stderr, flush=True)
-
-    def agreed(self, comm: MPI.Comm) -> bool:
-        """True on all ranks when one was asked to stop. Collective."""
-        from dolfin_elastic.parallel import largest
-
-        if comm.rank == 0 and self._file.exists():
-            self.asked = True
-            self._file.unlink(missing_ok=True)
-        return largest(comm, float(self.asked)) > 0
-
-
 def _compute(case: Case, folder: Path, petsc: dict[str, Any], stop: Stop, *, loud: bool) -> int:
     """Runs a case and shows it; returns the exit code."""
     from contextlib import closing
@@ -242,23 +212,31 @@ def _compute(case: Case, folder: Path, petsc: dict[str, Any], stop: Stop, *, lou
     from mpi4py import MPI
 
     from dolfin_elastic import screen, timing
+    from dolfin_elastic.mode_screen import show_modes
     from dolfin_elastic.run import run as solved
+    from dolfin_elastic.state import Mode
 
     meter = _meter(case.dynamics is not None, loud)
-    state, newton = None, 0
+    state, newton, modes = None, 0, []
     try:
-        with closing(solved(case, output=folder, petsc=petsc)) as states:
-            for state in states:
-                newton += state.newton
-                meter.show(state)
-                if state.done < 1.0 and stop.agreed(MPI.COMM_WORLD):
+        with closing(solved(case, output=folder, petsc=petsc)) as found:
+            for one in found:
+                if isinstance(one, Mode):
+                    modes.append(one)
+                else:
+                    state = one
+                    newton += state.newton
+                    meter.show(state)
+                if one.done < 1.0 and stop.agreed(MPI.COMM_WORLD):
                     return INTERRUPTED
     except SolveError as error:
         error.add_note(f"results so far are in {folder}")
         raise
     finally:
         meter.close()
-    if loud and state is not None:
+    if loud and modes:
+        show_modes(modes, timing.totals())
+    elif loud and state is not None:
         screen.show_end(
             state, motion=case.dynamics is not None, seconds=timing.totals(), newton=newton
         )
@@ -309,14 +287,6 @@ def _log_to_screen(rank: int, level: int) -> None:
 
 
 # --- how it ends ---
-
-
-def launched_rank() -> int:
-    """Rank of this process as its launcher says, without starting MPI; 0 without a launcher."""
-    for name in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID"):
-        if os.environ.get(name, "").isdigit():
-            return int(os.environ[name])
-    return 0
 
 
 def main() -> None:

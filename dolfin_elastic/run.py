@@ -15,10 +15,12 @@ from mpi4py import MPI
 from dolfin_elastic import timing
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.check import check
-from dolfin_elastic.state import State
+from dolfin_elastic.opening import opened
+from dolfin_elastic.results.writer import ModeWriter, Writer
+from dolfin_elastic.state import Mode, State
 
 log = logging.getLogger("dolfin_elastic")
-States = Generator[State, None, None]
+States = Generator[State | Mode, None, None]
 
 
 def run(
@@ -28,7 +30,7 @@ def run(
     petsc: Mapping[str, Any] | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> States:
-    """Solves a case and yields its states, each of them written already.  Collective.
+    """Solves a case and yields its states, and its modes, each written already.  Collective.
 
     Args:
         case: From `read_case`, or made in Python.
@@ -55,8 +57,16 @@ def run(
     with located(case.file), closing(steps):
         first = next(steps)  # a fault that only shows at the start leaves no folder behind
         probe = case.output.probe(problem, case.mesh.scale)
-        with case.output.opened(problem, folder, case.frames, case.title) as writers:
-            for state in map(probe.onto, chain([first], steps)):
+        with opened(case.files(), problem, folder) as writers:
+            for step in chain([first], steps):
+                found = probe.onto(step) if isinstance(step, State) else step
                 for writer in writers:
-                    writer.write(state)
-                yield state
+                    _write(writer, found)
+                yield found
+
+
+def _write(writer: Writer, found: State | Mode) -> None:
+    if isinstance(found, State):
+        writer.write(found)
+    elif isinstance(writer, ModeWriter):
+        writer.write_mode(found)

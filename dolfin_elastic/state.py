@@ -1,9 +1,10 @@
-"""`State`: what a solver yields, one converged step at a time."""
+"""`State` and `Mode`: what solvers yield, one converged step or one mode at a time."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import pi
 from typing import Literal
 
 import numpy as np
@@ -107,3 +108,54 @@ class State:
     numbers: Mapping[str, float] = field(default_factory=dict)
     audit: Audit | None = None
     done: float = 0.0
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One mode of vibration or of buckling: plain data, the same on every rank but for the fields.
+
+    Masses are those of the whole thickness or circumference, rotations are about the centre of
+    mass.  Directions are "x", "y", "z", "rx", "ry", "rz", in a plane "x", "y", "rz", in a body of
+    revolution "y".
+
+    Source: R. Clough and J. Penzien, Dynamics of Structures (2003), sections 12-4 and 26-3.
+
+    Attributes:
+        number: 1, 2, ... in the order of the frequencies or load factors.
+        kind: "rigid"; "elastic"; "unstable", where the loaded state has no stiffness against it;
+            or "buckling".
+        u: Its shape, scaled so that the largest nodal displacement is 1 m.
+        base: Displacement of the state about which the body moves [m].
+        eigenvalue: omega^2 [1/s^2], or the load factor.
+        frequency: [Hz]; 0 of rigid and unstable modes, nan of buckling.
+        mass: Generalised mass of that shape, u . M u [kg]; nan of buckling.
+        participation: Direction to participation factor u . M r/(u . M u) with the unit rigid
+            motion r.
+        effective: Direction to effective modal mass (u . M r)^2/(u . M u) [kg, kg m^2].
+        whole: Direction to mass and moment of inertia of the whole body, r . M r.
+        name: A rigid motion in words.
+        done: Share of all modes that have been yielded, 0 to 1.
+    """
+
+    number: int
+    kind: Literal["rigid", "elastic", "unstable", "buckling"]
+    u: fem.Function
+    base: fem.Function
+    eigenvalue: float
+    frequency: float = float("nan")
+    mass: float = float("nan")
+    participation: Mapping[str, float] = field(default_factory=dict)
+    effective: Mapping[str, float] = field(default_factory=dict)
+    whole: Mapping[str, float] = field(default_factory=dict)
+    name: str = ""
+    done: float = 0.0
+
+    @property
+    def omega(self) -> float:
+        """Angular frequency [rad/s]."""
+        return 2 * pi * self.frequency
+
+    @property
+    def load_factor(self) -> float:
+        """What all loads are multiplied by where the body buckles."""
+        return self.eigenvalue if self.kind == "buckling" else float("nan")

@@ -46,6 +46,7 @@ COMMON = {
     "1/K": {"1/K": 1.0, "ppm/K": 1e-6},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},
     "m/s^2": {"m/s^2": 1.0},
+    "Hz": {"Hz": 1.0, "kHz": 1e3},
     "rad": {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180},
 }
 """Units that most cases use, so that most cases start without pint's 0.3 s."""
@@ -180,6 +181,7 @@ _EXAMPLES = {
     "m/s^2": "9.81 m/s^2",
     "m/s": "3 m/s",
     "s": "0.1 s",
+    "Hz": "440 Hz",
     "N/m^3": "10 kN/m^3",
     "N": "5 kN",
     "rad": "90 deg",
@@ -255,6 +257,7 @@ if TYPE_CHECKING:
     Acceleration: TypeAlias = float
     Velocity: TypeAlias = float
     Time: TypeAlias = float
+    Frequency: TypeAlias = float
     Force: TypeAlias = float
     ForceDensity: TypeAlias = float
     Expansion: TypeAlias = float
@@ -268,6 +271,7 @@ else:
     Acceleration = quantity("m/s^2")
     Velocity = quantity("m/s")
     Time = quantity("s")
+    Frequency = quantity("Hz")
     Force = quantity("N")
     ForceDensity = quantity("N/m^3")
     Expansion = quantity("1/K")

@@ -22,7 +22,9 @@ CHECKED = {  # what a script says last about its number
     "rubber": r"P2/P1 torque off by \d\.\de-0[4-9]",
     "own_energy": r"block against bench: \d\.\de-(0[89]|1\d)",
     "printed_part": r"difference from beam theory: \d\.\de-0[3-9]",
+    "bounce": r"energy out of balance: \d\.\de-0[4-9]",
     "turek_hron": r"largest difference over the amplitude: \d\.\de-(0[3-9])",
+    "tuning_fork": r"tone 440\.\d+ Hz, off by \d\.\de-0[4-9]",
     "jelly": r"difference of the periods: \d\.\de-0[3-9]",
 }
 pytestmark = pytest.mark.usefixtures("serial_only")

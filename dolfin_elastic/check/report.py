@@ -16,9 +16,11 @@ from dolfin_elastic.check.sums import Integrals
 from dolfin_elastic.meshes.body import Body, extent
 from dolfin_elastic.parts import locking_notes
 from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.buckling import Buckling
 from dolfin_elastic.solvers.contact import check_start, out_of_reach
 from dolfin_elastic.solvers.explicit import check_explicit
-from dolfin_elastic.solvers.linear import choose
+from dolfin_elastic.solvers.linear import Choice, choose
+from dolfin_elastic.solvers.modal import Modal
 from dolfin_elastic.solvers.rigid import FreeBody, check_held, free_bodies
 
 
@@ -35,7 +37,7 @@ class Report:
         geometry: "solid", or what a plane mesh is.
         cells: Cells on all ranks.
         unknowns: Displacement components on all ranks.
-        analysis: "statics" or "dynamics".
+        analysis: "statics", "dynamics", "modal" or "buckling".
         linear_solver: Which linear solver, and why.
         surfaces: The named surfaces.
         regions: The named regions.
@@ -79,10 +81,10 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     notes = check(case, body)
     problem = case.make_problem(body)
     with located(case.file):
-        if case.dynamics is None:
+        if case.analysis in ("statics", "buckling") or case.preloaded:
             check_held(problem)
-        elif explicit(case):
-            check_explicit(problem)
+        elif case.dynamics is not None and not case.dynamics.implicit:
+            check_explicit(problem, case.dynamics.scheme)
         if case.dynamics is not None:
             check_start(problem)
         notes = (*notes, *out_of_reach(problem))
@@ -93,7 +95,11 @@ def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> 
     integrals = Integrals(problem, case.mesh.metres_thick)
     sums = load_sums(case, integrals)
     moving = case.dynamics is not None
-    choice = None if explicit(case) else choose(problem, case.solver, moving=moving)
+    solver = case.make_solver(problem)
+    if isinstance(solver, Modal | Buckling):
+        choice: Choice | None = solver.choice
+    else:
+        choice = None if explicit(case) else choose(problem, case.solver, moving=moving)
     return Report(
         case=case.file,
         title=case.title,
@@ -103,7 +109,7 @@ def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> 
         extent=extent(body),
         cells=body.num_cells,
         unknowns=problem.num_dofs,
-        analysis="dynamics" if moving else "statics",
+        analysis=case.analysis,
         linear_solver="none: explicit scheme" if choice is None else choice.why,
         surfaces=surface_sizes(case, integrals),
         regions=region_sizes(case, body, integrals),

@@ -15,6 +15,9 @@ from pydantic import Field, field_validator
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.results.fields import known
 from dolfin_elastic.results.history import HistoryWriter
+from dolfin_elastic.results.mode_pictures import ModePictureWriter
+from dolfin_elastic.results.modes import ModesWriter
+from dolfin_elastic.results.modes import listing as animations
 from dolfin_elastic.results.pictures import PictureWriter, View, drawable, own_files
 from dolfin_elastic.results.summary import SummaryWriter
 from dolfin_elastic.results.writer import Writer
@@ -144,7 +147,7 @@ class Picture(Output):
             raise InputError(f"{every} is wrong", expected='"last", 1, 2, 3, ...')
         return every
 
-    def open(self, problem: Problem, folder: Path) -> PictureWriter:
+    def open(self, problem: Problem, folder: Path) -> Writer:
         """See `Output.open`."""
         return PictureWriter(
             problem,
@@ -165,9 +168,58 @@ class Picture(Output):
         return [f"{found[0]} ... {found[-1]} ({len(found)} pictures)"]
 
 
+class ModePicture(Picture):
+    """A picture of each mode, coloured by its displacement.
+
+    Attributes:
+        amplitude: Largest displacement, over the body's longest side.
+    """
+
+    amplitude: float = Field(default=0.1, gt=0)
+
+    def open(self, problem: Problem, folder: Path) -> Writer:
+        """See `Output.open`."""
+        return ModePictureWriter(
+            problem,
+            folder / self.file,
+            amplitude=self.amplitude,
+            title=self.title or "",
+            scale=self.scale,
+            view=self.view,
+        )
+
+
+class Modes(Output):
+    """Modes of vibration or buckling: a table, and an animation of each for ParaView.
+
+    Attributes:
+        file: The CSV file; animations are called mode_01.xdmf, mode_02.xdmf ... beside it.
+        frames: Of one period.
+        amplitude: Largest displacement of an animation, over the body's longest side.
+    """
+
+    file: str = "modes.csv"
+    frames: int = Field(default=20, ge=1)
+    amplitude: float = Field(default=0.1, gt=0)
+
+    def open(self, problem: Problem, folder: Path) -> ModesWriter:
+        """See `Output.open`."""
+        return ModesWriter(
+            problem, folder / self.file, frames=self.frames, amplitude=self.amplitude
+        )
+
+    def listing(self, folder: Path) -> list[str]:
+        """See `Output.listing`; many animations are the first and the last."""
+        found = [path.name for path in animations(folder)]
+        if len(found) > _MANY:
+            found = [f"{found[0]} ... {found[-1]}"]
+        return [*super().listing(folder), *found]
+
+
 OUTPUTS: dict[str, type[Output]] = {
     "xdmf": Xdmf,
     "history": History,
     "summary": Summary,
     "pictures": Picture,
+    "modes": Modes,
 }

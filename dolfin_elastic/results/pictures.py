@@ -6,6 +6,7 @@ wrong there, down to a crash, becomes an error message here and not the end of t
 
 from __future__ import annotations
 
+import math
 import re
 import tempfile
 import time
@@ -94,7 +95,7 @@ def picture(
         InputError: The field cannot be shown.
         OutputError: The picture cannot be drawn or written.
     """
-    painter = _Painter(problem, field)
+    painter = Painter(problem, field)
     try:
         painter.paint(state, Path(file), scale=scale, view=view, title=title)
     finally:
@@ -129,7 +130,7 @@ class PictureWriter:
         self._kept = Kept()
         with stage("output"):
             on_root(problem.body.comm, self._clear)
-            self._painter = _Painter(problem, field)
+            self._painter = Painter(problem, field)
 
     def _clear(self) -> None:
         make_folder(self.path.parent)
@@ -168,7 +169,7 @@ def own_files(path: Path) -> list[Path]:
     return [*([path] if path.is_file() else []), *(p for _, p in sorted(found))]
 
 
-class _Painter:
+class Painter:
     """A field of a problem, ready to be drawn again and again."""
 
     def __init__(self, problem: Problem, field: str) -> None:
@@ -190,6 +191,7 @@ class _Painter:
         view: View = "isometric",
         title: str = "",
     ) -> None:
+        """Draws a state. Collective; see `picture`."""
         values = self._evaluate(state)[self.field]
         grid = self._evaluate.grid
         u = state.u.x.array.reshape(-1, self.dim)
@@ -262,6 +264,8 @@ def _headline(state: State, title: str, scale: float) -> str:
     """Title, load or time, and magnification, as far as there is something to say."""
     moving = state.v is not None
     place = f"t = {state.t:.4g} s" if moving else f"load {100 * state.load_factor:.4g} %"
+    if math.isnan(state.load_factor):  # a mode, which the title names
+        place = ""
     larger = "" if scale == 1.0 else f"displacements \u00d7 {scale:g}"
     return "   |   ".join(filter(None, (title, place, larger)))
 

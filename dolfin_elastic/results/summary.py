@@ -20,9 +20,10 @@ from dolfin_elastic import timing
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.results.extremes import Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
+from dolfin_elastic.results.modes import row
 from dolfin_elastic.results.worst import Worst
 from dolfin_elastic.results.writer import Kept
-from dolfin_elastic.state import State
+from dolfin_elastic.state import Mode, State
 from dolfin_elastic.version import __version__
 
 if TYPE_CHECKING:
@@ -38,6 +39,10 @@ UNITS = {
     "reactions": "N",
     "place": "m",
     "von_mises": "Pa",
+    "frequency": "Hz",
+    "omega": "rad/s",
+    "mass": "kg",
+    "effective": "kg (about axes kg m^2)",
     "timings": "s",
     "peak_memory": "byte",
 }
@@ -65,28 +70,40 @@ class SummaryWriter:
         self._steps = self._newton = self._krylov = 0
         self._kept = Kept()
         self._audit = Worst()
+        self._extremes: Extremes | None = None
+        self._modes: list[Mode] = []
         with timing.stage("output"):
-            self._extremes = Extremes(problem)
             on_root(self.comm, lambda: make_folder(path.parent))
             self._save("running")
 
     def write(self, state: State) -> None:
         """Takes in one step; writes the file if it is older than a second."""
         with timing.stage("output"):
+            if self._extremes is None:
+                self._extremes = Extremes(self.problem)
             self._steps = max(self._steps, state.step)
             self._newton += state.newton
             self._krylov += state.krylov
             self._kept.keep(state)
             self._audit.take(state)
-            # Clocks differ between ranks: the first one decides for all.
-            if self.comm.bcast(time.monotonic() - self._written > _INTERVAL):
-                self._save("running")
+            self._save_now_and_then()
+
+    def write_mode(self, mode: Mode) -> None:
+        """Takes in one mode; writes the file if it is older than a second."""
+        with timing.stage("output"):
+            self._modes.append(mode)
+            self._save_now_and_then()
+
+    def _save_now_and_then(self) -> None:
+        # Clocks differ between ranks: the first one decides for all.
+        if self.comm.bcast(time.monotonic() - self._written > _INTERVAL):
+            self._save("running")
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """Writes the file for the last time, with the extremes of the last converged step."""
         with timing.stage("output"):
             state = self._kept.state
-            found = self._extremes.of(state) if state else {}
+            found = self._extremes.of(state) if state and self._extremes else {}
             extra: dict[str, Any] = {
                 "finished": _now(),
                 "extremes": {k: asdict(e) for k, e in found.items()},
@@ -139,7 +156,19 @@ class SummaryWriter:
             "numbers": dict(state.numbers) if state else {},
             "limit_points": list(state.limit_points) if state else [],
             "audit": self._audit.told(),
+            **self._of_modes(),
         }
+
+    def _of_modes(self) -> dict[str, Any]:
+        """The modes, the whole body's masses, and the share of them that the modes carry."""
+        if not self._modes:
+            return {}
+        whole, rows = self._modes[0].whole, [row(mode) for mode in self._modes]
+        if not whole:
+            return {"modes": rows}
+        sums = {name: sum(mode.effective[name] for mode in self._modes) for name in whole}
+        shares = {name: sums[name] / whole[name] for name in whole if whole[name] > 0.0}
+        return {"modes": rows, "whole": dict(whole), "effective_shares": shares}
 
     def _timings(self) -> dict[str, float]:
         measured = {"total": time.monotonic() - self._begin, **timing.totals()}

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from dolfinx import fem
 
-from dolfin_elastic.state import State
+from dolfin_elastic.state import Mode, State
 
 
 class Writer(Protocol):
@@ -23,6 +23,14 @@ class Writer(Protocol):
             status: "completed" or "failed".
             error: Why it failed.
         """
+
+
+@runtime_checkable
+class ModeWriter(Protocol):
+    """An open output that takes modes, too."""
+
+    def write_mode(self, mode: Mode) -> None:
+        """Takes one mode. Collective."""
 
 
 class Every:

@@ -105,8 +105,8 @@ class XdmfWriter:
         moving = {name: r for name, r in rows.items() if not FIELDS[name].fixed}
         if not self._frames:
             fixed = {name: r for name, r in rows.items() if FIELDS[name].fixed}
-            heavy.write(self.comm, self.data / "mesh.h5", {**_mesh(grid), **fixed})
-            self._mesh_xml = _mesh_xml(grid, f"{self.data.name}/mesh.h5")
+            heavy.write(self.comm, self.data / "mesh.h5", {**mesh_rows(grid), **fixed})
+            self._mesh_xml = mesh_xml(grid, f"{self.data.name}/mesh.h5")
         file = f"{len(self._frames):06d}.h5"
         heavy.write(self.comm, self.data / file, moving)
         self._frames.append(self._frame(state, file, rows))
@@ -172,17 +172,19 @@ def _data(path: Path) -> Path:
     return path.with_name(f"{path.stem}_data")
 
 
-def _mesh(grid: Grid) -> dict[str, Rows]:
+def mesh_rows(grid: Grid) -> dict[str, Rows]:
+    """This rank's points and cells."""
     return {"points": grid.rows("node", grid.points()), "cells": grid.rows("cell", grid.cells())}
 
 
-def _mesh_xml(grid: Grid, file: str) -> str:
-    mesh = _mesh(grid)
+def mesh_xml(grid: Grid, file: str) -> str:
+    """The mesh that stands in a file, as light data."""
+    mesh = mesh_rows(grid)
     count, nodes = mesh["cells"].shape
     return (
         f'<Topology TopologyType="{grid.kind}" NumberOfElements="{count}" '
-        f'NodesPerElement="{nodes}">{_item(mesh["cells"], f"{file}:/cells")}</Topology>\n'
-        f'<Geometry GeometryType="XYZ">{_item(mesh["points"], f"{file}:/points")}'
+        f'NodesPerElement="{nodes}">{item(mesh["cells"], f"{file}:/cells")}</Topology>\n'
+        f'<Geometry GeometryType="XYZ">{item(mesh["points"], f"{file}:/points")}'
         "</Geometry>\n"
     )
 
@@ -191,12 +193,13 @@ def _attribute(name: str, rows: Rows, file: str) -> str:
     field = FIELDS[name]
     return (
         f'<Attribute Name={quoteattr(name)} AttributeType="{field.shape.capitalize()}" '
-        f'Center="{field.centre.capitalize()}">{_item(rows, f"{file}:/{name}")}'
+        f'Center="{field.centre.capitalize()}">{item(rows, f"{file}:/{name}")}'
         "</Attribute>\n"
     )
 
 
-def _item(rows: Rows, place: str) -> str:
+def item(rows: Rows, place: str) -> str:
+    """An array that stands at a place, as light data."""
     count, columns = rows.shape
     kind = "Float" if rows.values.dtype.kind == "f" else "Int"
     return (

@@ -26,9 +26,8 @@ AUGMENTATIONS = 10
 SOFT = 0.1
 """Share of the penalty that motion takes.
 
-A node of an explicit scheme that hits in mid-step is thrown back too fast, by an energy of about
-(omega dt)^2 of its own, omega^2 = penalty over its mass; and a stiffer obstacle than the cells
-above it would only shorten the step.
+A node of an explicit scheme that hits in mid-step is thrown back too fast where the penalty is
+stiff, see `stable.HIT`; and a stiffer obstacle than the cells above it would only shorten the step.
 """
 
 

@@ -17,7 +17,8 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
 from dolfin_elastic.solvers.alpha import Scheme
 from dolfin_elastic.solvers.contact import begin_motion
-from dolfin_elastic.solvers.explicit import SymplecticEuler
+from dolfin_elastic.solvers.explicit import SCHEMES as EXPLICIT
+from dolfin_elastic.solvers.explicit import Explicit
 from dolfin_elastic.solvers.implicit import Implicit
 from dolfin_elastic.solvers.initial import set_initial
 from dolfin_elastic.solvers.linear import LinearSettings
@@ -53,8 +54,9 @@ class DynamicsSettings(Record):
 
     Attributes:
         scheme: Implicit: "generalized-alpha", "newmark", "implicit-euler", and "alpha2", PETSc's
-            own generalized-alpha.  Explicit: "symplectic-euler" (v += dt f/m, then x += dt v,
-            lumped mass, linear elements).
+            own generalized-alpha.  Explicit, with lumped mass and linear elements:
+            "symplectic-euler" (v += dt f/m, then x += dt v) and "central-differences" (the
+            velocity halfway between places, of second order).
         end: When it ends [s]; it starts at 0.
         dt: Time step [s].  Implicit: needed; the first step if adaptive.  Explicit: the stable
             step times `safety` if not given; a larger one than the stable one is refused.
@@ -72,13 +74,19 @@ class DynamicsSettings(Record):
         atol: Free residual that always is small enough [N].
         max_iterations: Newton iterations after which a step is made smaller.
         safety: Share of the stable step that the explicit scheme takes.
-        every: Steps from one yielded state to the next; or, with a unit, the time between them,
-            which is met exactly (implicit schemes).
+        every: Steps from one yielded state to the next, if not given 1, of explicit schemes about
+            200 states in all; or, with a unit, the time between states, which is met exactly
+            (implicit schemes).
         times: Further times that are met exactly and yielded [s] (implicit schemes).
     """
 
     scheme: Literal[
-        "generalized-alpha", "newmark", "implicit-euler", "alpha2", "symplectic-euler"
+        "generalized-alpha",
+        "newmark",
+        "implicit-euler",
+        "alpha2",
+        "symplectic-euler",
+        "central-differences",
     ] = "generalized-alpha"
     end: Time = Field(gt=0)
     dt: Time | None = Field(default=None, gt=0)
@@ -94,7 +102,7 @@ class DynamicsSettings(Record):
     atol: Force = Field(default=0.0, ge=0)
     max_iterations: int = Field(default=20, ge=1)
     safety: float = Field(default=0.9, gt=0, le=1)
-    every: Annotated[int, Field(ge=1)] | Annotated[Time, Field(gt=0)] = 1
+    every: Annotated[int, Field(ge=1)] | Annotated[Time, Field(gt=0)] = 0
     times: list[Annotated[Time, Field(gt=0)]] = Field(default=[])
 
     @model_validator(mode="after")
@@ -104,6 +112,8 @@ class DynamicsSettings(Record):
             raise ValueError(f"'{self.scheme}' needs a time step dt")
         if self.adaptive and not self.implicit:
             raise ValueError("an adaptive step needs the scheme 'generalized-alpha'")
+        if self.implicit:  # an explicit scheme knows only later how many steps it takes
+            self.__dict__["every"] = self.every or 1
         self._check_keys()
         for index, time in enumerate(self.times):
             if time > self.end:
@@ -134,7 +144,7 @@ class DynamicsSettings(Record):
     @property
     def implicit(self) -> bool:
         """The scheme solves equations."""
-        return self.scheme in ("generalized-alpha", "newmark", "implicit-euler", "alpha2")
+        return self.scheme not in EXPLICIT
 
     @property
     def parameters(self) -> Scheme | None:
@@ -210,8 +220,7 @@ class Dynamics:
         self.linear = linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
         self.velocity = fem.Function(problem.V, name="velocity")
-
-        self._march: Implicit | SymplecticEuler | None = None
+        self._march: Explicit | Implicit | None = None
 
     def steps(self, restore: Restore | None = None) -> Iterator[State]:
         """Yields the initial state and then every state asked for. Collective.
@@ -233,10 +242,8 @@ class Dynamics:
         s = self.settings
         if restore is None:
             set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
-        elif not s.implicit:
-            raise RuntimeError(f"a motion by '{s.scheme}' cannot be gone on with")
         begin_motion(self.problem)
-        yield from self._implicit(restore) if s.implicit else self._explicit()
+        yield from self._implicit(restore) if s.implicit else self._explicit(restore)
 
     @property
     def ts(self) -> PETSc.TS:
@@ -250,11 +257,11 @@ class Dynamics:
 
     def kept(self) -> Kept:
         """What the next step needs to know, between two steps. Collective."""
-        if not isinstance(self._march, Implicit):
+        if self._march is None:
             raise RuntimeError("there is nothing to keep: the motion has not begun, or has ended")
         return self._march.kept()
 
-    def _explicit(self) -> Iterator[State]:
+    def _explicit(self, restore: Restore | None) -> Iterator[State]:
         s = self.settings
         for part in self.problem.parts:
             if part.law.viscosity is not None:
@@ -264,9 +271,14 @@ class Dynamics:
                     expected='leave it out, or dynamics.scheme = "generalized-alpha"',
                 )
         assert isinstance(s.every, int)
-        yield from SymplecticEuler(
+        march = EXPLICIT[s.scheme](
             self.problem, self.velocity, end=s.end, dt=s.dt, safety=s.safety, every=s.every
-        ).steps()
+        )
+        self._march = march
+        try:
+            yield from march.steps(restore)
+        finally:
+            self._march = None
 
     def _implicit(self, restore: Restore | None) -> Iterator[State]:
         march = Implicit(self.problem, self.velocity, self.settings, self.linear, self.petsc)
