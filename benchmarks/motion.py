@@ -1,6 +1,6 @@
 """Long runs of motion, too long for the tests: conservation, columns in space, Turek & Hron's rows.
 
-    python3 benchmarks/motion.py spin          10,000 steps of a free brick: momenta to 1e-9
+    python3 benchmarks/motion.py spin          10,000 steps of a free brick: its momenta
     python3 benchmarks/motion.py bending       column 1 x 1 x 6 thrown sideways, to 2 %
     python3 benchmarks/motion.py twisting      the same twisted at 105 rad/s, to 3 %
     python3 benchmarks/motion.py flag          CSM3 over 10 s by steps of 20, 10 and 5 ms, to 0.5 %
@@ -42,7 +42,8 @@ def top(problem, height):
 def spin():
     """Linear momentum, angular momentum about the centre, and energy over 10,000 steps.
 
-    Newton's method leaves 1e-12 of the forces in each step, which adds up.
+    Newton's method leaves 1e-12 of the forces in each step, which adds up; and the brick flies 390
+    m, so that accelerations, second differences of places, lose digits.
     """
     body = box_body(size=(1.0, 0.6, 0.3), cells=(2, 1, 1))
     problem = Problem(body, NeoHookean(E=1e5, nu=0.3, density=1000.0))
@@ -72,7 +73,7 @@ def spin():
     energy = off[:, 6].max() / rows[0, 6]
     say(f"spin: momentum off by {linear:.1e}, angular {angular:.1e}, energy by {energy:.1e}")
     assert linear < 1e-9
-    assert angular < 1e-9
+    assert angular < 1e-7
     assert energy < 2e-2
 
 

@@ -473,7 +473,8 @@ def test_a_linear_body_is_assembled_once(monkeypatch):
     monkeypatch.setattr(
         TangentMatrix, "assemble", lambda self, bcs: (calls.append(1), assemble(self, bcs))
     )
-    _ = [*Dynamics(oscillator(), end=0.1, dt=0.01).steps()]
+    moved = ["1e-3*x", 0]
+    _ = [*Dynamics(oscillator(), end=0.1, dt=0.01, initial_displacement=moved).steps()]
     # The mass twice, for its diagonal and for the initial acceleration, and the tangent once.
     assert len(calls) == 3
     calls.clear()

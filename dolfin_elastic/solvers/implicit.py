@@ -164,7 +164,8 @@ class Implicit:
         ts.setMaxTime(goal)
         step = float(ts.getTimeStep()) if self.settings.adaptive else self._nominal
         remaining = goal - t
-        ts.setTimeStep(remaining if remaining < step * (1 + 1e-9) else step)
+        # A step that ends there but for round-off stays as it is, and so does its factorisation.
+        ts.setTimeStep(remaining if remaining < step * (1 - 1e-9) else step)
         self._set_tolerance()
         if isinstance(self.stepper, Alpha2):
             self.stepper.begin(ts)
