@@ -68,17 +68,21 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.supports import Symmetry as Symmetry
     from dolfin_elastic.problem import Problem as Problem
     from dolfin_elastic.results.outputs import History as History
+    from dolfin_elastic.results.outputs import Modes as Modes
     from dolfin_elastic.results.outputs import Picture as Picture
     from dolfin_elastic.results.outputs import Summary as Summary
     from dolfin_elastic.results.outputs import Xdmf as Xdmf
     from dolfin_elastic.results.probes import Probe as Probe
+    from dolfin_elastic.run import restart as restart
     from dolfin_elastic.run import run as run
+    from dolfin_elastic.solvers.buckling import Buckling as Buckling
     from dolfin_elastic.solvers.dynamics import Dynamics as Dynamics
+    from dolfin_elastic.solvers.modal import Modal as Modal
     from dolfin_elastic.solvers.statics import Statics as Statics
 
 _PLACES = {
     "case": ("Case", "read_case"),
-    "run": ("run",),
+    "run": ("restart", "run"),
     "meshes": ("Body", "Selector", "box_body", "name_parts", "read_body", "rectangle_body"),
     "model.materials": (
         "ArrudaBoyce",
@@ -120,7 +124,9 @@ _PLACES = {
     "problem": ("Problem",),
     "solvers.statics": ("Statics",),
     "solvers.dynamics": ("Dynamics",),
-    "results.outputs": ("History", "Picture", "Summary", "Xdmf"),
+    "solvers.modal": ("Modal",),
+    "solvers.buckling": ("Buckling",),
+    "results.outputs": ("History", "Modes", "Picture", "Summary", "Xdmf"),
     "results.probes": ("Probe",),
 }
 _WHERE = {name: place for place, names in _PLACES.items() for name in names}

@@ -12,8 +12,6 @@ Any number may be a text with a unit of its own ("2 mm").
 
 from __future__ import annotations
 
-import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
@@ -24,8 +22,16 @@ import numpy as np
 from mpi4py import MPI
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
+from dolfin_elastic.analyses import (
+    ANALYSES,
+    Analysis,
+    Solver,
+    check_analyses,
+    refuse_both,
+    solver_of,
+)
 from dolfin_elastic.curve_files import with_curves
-from dolfin_elastic.errors import CaseError, InputError, nearest
+from dolfin_elastic.errors import InputError, RestartError
 from dolfin_elastic.meshes import Body, Selector, name_parts
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.law import Law
@@ -35,10 +41,13 @@ from dolfin_elastic.model.springs import SUPPORTS
 from dolfin_elastic.model.supports import Restraint
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.problem import Problem
+from dolfin_elastic.results.outputs import Output as File
 from dolfin_elastic.schema import Record, within
-from dolfin_elastic.solvers.dynamics import Dynamics, DynamicsSettings
+from dolfin_elastic.solvers.buckling import BucklingSettings
+from dolfin_elastic.solvers.dynamics import DynamicsSettings
 from dolfin_elastic.solvers.linear import LinearSettings
-from dolfin_elastic.solvers.statics import Statics, StaticsSettings
+from dolfin_elastic.solvers.modal import ModalSettings
+from dolfin_elastic.solvers.statics import StaticsSettings
 from dolfin_elastic.tables import (
     Material,
     MeshTable,
@@ -50,7 +59,7 @@ from dolfin_elastic.tables import (
     selectors,
     written,
 )
-from dolfin_elastic.toml_text import toml_text
+from dolfin_elastic.toml_text import read_toml, toml_text
 
 
 class Case(Record):
@@ -68,6 +77,8 @@ class Case(Record):
         periodic: Opposite faces that are one, and the macroscopic deformation of the cell.
         statics: Equilibrium under growing load (what is done if nothing is said).
         dynamics: Motion in time.
+        modal: Natural frequencies and modes; with a preload [statics] says how that is found.
+        buckling: Load factors at which it buckles; as above.
         solver: How linear systems are solved.
         output: What is written.
     """
@@ -83,6 +94,8 @@ class Case(Record):
     periodic: Periodic | None = None
     statics: StaticsSettings | None = None
     dynamics: DynamicsSettings | None = None
+    modal: ModalSettings | None = None
+    buckling: BucklingSettings | None = None
     solver: LinearSettings = LinearSettings()
     output: Output = Output()
 
@@ -116,25 +129,25 @@ class Case(Record):
     @model_validator(mode="before")
     @classmethod
     def _not_both(cls, tables: Any) -> Any:
-        """Before what is wrong inside of one that may be left out."""
-        if isinstance(tables, Mapping) and all(
-            tables.get(key) is not None for key in ("statics", "dynamics")
-        ):
-            raise InputError(
-                "[statics] and [dynamics] given together",
-                expected="a case has one analysis; leave one of them out",
-            )
+        refuse_both(tables)
         return tables
 
     @model_validator(mode="after")
     def _one_analysis(self) -> Self:
-        if self.periodic is not None and self.dynamics is not None:
-            raise InputError(
-                "a periodic cell has no motion",
-                where="dynamics",
-                expected="leave it out, or write [statics]",
-            )
+        check_analyses(self)
         return self
+
+    @property
+    def analysis(self) -> Analysis:
+        """What is done: "statics", "dynamics", "modal" or "buckling"."""
+        others: tuple[Analysis, ...] = ("dynamics", "modal", "buckling")
+        return next((key for key in others if getattr(self, key) is not None), "statics")
+
+    @property
+    def preloaded(self) -> bool:
+        """An equilibrium comes before the modes."""
+        settings = self.modal or self.buckling
+        return settings is not None and bool(settings.preload)
 
     # --- where it came from ---
 
@@ -185,12 +198,10 @@ class Case(Record):
         tables["support"] = [_support_table(item) for item in self.support]
         tables["load"] = [{"kind": item.kind, **written(item)} for item in self.load]
         tables["contact"] = [written(item) for item in self.contact]
-        for key in ("periodic", "statics", "dynamics", "solver", "output"):
+        for key in ("periodic", *ANALYSES, "solver", "output"):
             if key in self.model_fields_set and getattr(self, key) is not None:
                 tables[key] = written(getattr(self, key))
-        return {
-            key: value for key, value in tables.items() if value or key in ("statics", "dynamics")
-        }
+        return {key: value for key, value in tables.items() if value or key in ANALYSES}
 
     def to_toml(self) -> str:
         """The case as the text of a case file that reads back to an equal case."""
@@ -226,24 +237,30 @@ class Case(Record):
                 periodic=self.periodic,
             )
 
-    def make_solver(
-        self, problem: Problem, *, petsc: Mapping[str, Any] | None = None
-    ) -> Statics | Dynamics:
+    def make_solver(self, problem: Problem, *, petsc: Mapping[str, Any] | None = None) -> Solver:
         """The solver of the case's analysis.
 
         Args:
             problem: From `make_problem`.
             petsc: PETSc options that win over the case's own.
         """
-        if self.dynamics is not None:
-            return Dynamics(problem, self.dynamics, linear=self.solver, petsc=petsc)
-        return Statics(problem, self.statics, linear=self.solver, petsc=petsc)
+        with located(self.file):
+            return solver_of(self, problem, petsc)
 
     @property
     def frames(self) -> int | None:
         """States whose fields are written unless the case says: explicit schemes take too many."""
-        explicit = self.dynamics is not None and self.dynamics.scheme == "symplectic-euler"
-        return 200 if explicit else None
+        return 200 if self.dynamics is not None and not self.dynamics.implicit else None
+
+    def files(self) -> list[File]:
+        """Everything that is written."""
+        modes = self.analysis in ("modal", "buckling")
+        states = not modes or self.preloaded
+        return self.output.files(self.frames, self.title, states=states, modes=modes)
+
+    def listing(self, folder: Path) -> list[str]:
+        """What a run has written to its folder, as a user reads it. Not collective."""
+        return sorted({name for file in self.files() for name in file.listing(folder)})
 
     def results_folder(self) -> Path:
         """Where results go if nothing else is said."""
@@ -265,7 +282,7 @@ def read_case(path: str | PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD) -> 
         InputError: On every rank, with file, dotted key, and what is expected.
     """
     file = str(path)
-    return on_root(comm, lambda: Case.from_dict(_read_file(file), Path(file).parent, file=file))
+    return on_root(comm, lambda: Case.from_dict(read_toml(file), Path(file).parent, file=file))
 
 
 def read_materials(path: str | PathLike[str]) -> dict[str, Material]:
@@ -275,49 +292,12 @@ def read_materials(path: str | PathLike[str]) -> dict[str, Material]:
         InputError: With file, dotted key, and what is expected.
     """
     file = str(path)
-    tables = _read_file(file)
+    tables = read_toml(file)
     with located(file, "materials"):
         found = named(tables.get("materials", {}), Material.read)
         if not found:
             raise InputError("there is no material", expected="write [materials.NAME]")
     return found
-
-
-def _read_file(file: str) -> dict[str, Any]:
-    text = ""
-    try:
-        text = Path(file).read_text(encoding="utf-8-sig")
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise CaseError(_syntax(str(error), text), where=file) from None
-    except UnicodeDecodeError:
-        raise CaseError("this is no text file in UTF-8", where=file) from None
-    except FileNotFoundError:
-        others = sorted(str(p) for p in Path(file).parent.glob("*.toml"))
-        hint = nearest(file, others) if others else "dolfin-elastic new writes a first one"
-        raise CaseError("there is no such case file", where=file, expected=hint) from None
-    except OSError as error:
-        raise CaseError(f"cannot be read: {error.strerror}", where=file) from None
-
-
-_SAID = {
-    "Illegal character '\\n'": "the closing quote is missing",
-    "Cannot overwrite a value": "this key stands here for the second time",
-}
-
-
-def _syntax(message: str, text: str) -> str:
-    """TOML's complaint with the line it is about and a caret."""
-    found = re.fullmatch(r"(.*?) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
-    if not found:
-        return message[:1].lower() + message[1:]
-    what, line, column = found[1], int(found[2]), int(found[3])
-    if twice := re.fullmatch(r"Cannot declare \((.*?),?\) twice", what):
-        key = twice[1].replace("'", "").replace(", ", ".")
-        what = f"[{key}] stands here for the second time"
-    what = _SAID.get(what, what[:1].lower() + what[1:])
-    shown = text.splitlines()[line - 1].replace("\t", " ")
-    return f"line {line}: {what}\n    {shown}\n    {' ' * (column - 1)}^"
 
 
 @contextmanager
@@ -331,6 +311,8 @@ def located(file: str, key: str = "", *, exact: bool = True) -> Iterator[None]:
     """
     try:
         yield
+    except RestartError:
+        raise  # it is not about the case file
     except InputError as error:
         if exact or error.where in ("size", "cells", "origin"):
             where = [file, within(key, error).where]

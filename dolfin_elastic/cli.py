@@ -8,28 +8,26 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 import sys
 import time
 import traceback
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from click.exceptions import ClickException, Exit
+from click.exceptions import ClickException
 
 from dolfin_elastic.cli_materials import material, materials
-from dolfin_elastic.errors import CaseError, ElasticError, SolveError
-from dolfin_elastic.petsc_words import petsc_options, start_petsc
+from dolfin_elastic.cli_run import log_to_screen, restart, run
+from dolfin_elastic.errors import CaseError, ElasticError
+from dolfin_elastic.stopping import INTERRUPTED, launched_rank
 from dolfin_elastic.version import __version__
 
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-    from dolfin_elastic.case import Case
 
-CRASHED, INTERRUPTED = 1, 130
+CRASHED = 1
 HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores.
 
 \b
@@ -38,15 +36,17 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
   dolfin-elastic material beam.toml         try its materials at a point
   dolfin-elastic run beam.toml              compute it
   mpirun -n 4 dolfin-elastic run beam.toml  the same on four cores
+  dolfin-elastic restart beam_results       go on after it was stopped or killed
 
 \b
 Exit codes:
   0    done
   1    a fault of the program itself
-  2    the case, a mesh or the command line is wrong; nothing was written
+  2    the case, a mesh or the command line is wrong, or there is nothing to go on from;
+       nothing was written
   3    no solution was found; the results so far are complete
   4    results cannot be written
-  130  interrupted; the results so far are complete
+  130  interrupted; the results so far are complete, and `restart` goes on
 """
 
 app = typer.Typer(
@@ -82,53 +82,6 @@ def _options(
 
 
 @app.command()
-def run(
-    case: CaseFile,
-    petsc: Annotated[list[str] | None, typer.Argument(metavar="[-- PETSC...]", hidden=True)] = None,
-    *,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
-    ] = None,
-    profile: Annotated[
-        bool, typer.Option("--profile", help="Show where time and memory went.")
-    ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show only problems.")] = False,
-) -> None:
-    """Compute a case file (TOML).
-
-    \b
-      dolfin-elastic run beam.toml
-      dolfin-elastic run beam.toml --output /scratch/beam --profile
-      mpirun -n 4 dolfin-elastic run beam.toml -- -ksp_type gmres -log_view
-
-    Results go to CASE_results (fields for ParaView, history.csv, summary.json) unless the case or
-    --output says otherwise.  Ctrl-C, or a file called `stop` in that folder, stops after the
-    current step; what is written stays complete.
-    What follows two dashes are PETSc options; they win over the case's own.
-    """
-    options, of_petsc = petsc_options(petsc or [])
-    start_petsc(of_petsc)
-    from mpi4py import MPI
-
-    from dolfin_elastic.case import read_case
-
-    comm = MPI.COMM_WORLD
-    loud = comm.rank == 0 and not quiet
-    _log_to_screen(comm.rank, logging.WARNING if quiet else logging.INFO)
-    read = read_case(case, comm=comm)
-    folder = output if output is not None else read.results_folder()
-    code = _compute(read, folder, options, Stop(folder), loud=loud)
-    if profile:
-        _show_profile(comm)
-    if loud:
-        from dolfin_elastic.screen import show_files
-
-        show_files(folder, read.output.listing(folder))
-    if code:
-        raise Exit(code)
-
-
-@app.command()
 def check(
     case: CaseFile,
     json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
@@ -147,7 +100,7 @@ def check(
     from dolfin_elastic.check import report
 
     comm = MPI.COMM_WORLD
-    _log_to_screen(comm.rank, logging.ERROR)  # what there is to say is in the report
+    log_to_screen(comm.rank, logging.ERROR)  # what there is to say is in the report
     found = report(read_case(case, comm=comm), comm=comm)
     if comm.rank == 0 and json:
         from dataclasses import asdict
@@ -160,6 +113,8 @@ def check(
         show_check(found)
 
 
+app.command()(run)
+app.command()(restart)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(material)
 app.command()(materials)
 
@@ -203,120 +158,7 @@ def info() -> None:
         print(f"warning: {line}", file=sys.stderr)
 
 
-# --- a run ---
-
-
-class Stop:
-    """Notes Ctrl-C, SIGTERM and a file called "stop"; a second signal ends the program at once.
-
-    Args:
-        folder: Folder of the results, where a file called "stop" may appear.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.asked, self._file = False, folder / "stop"
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._ask)
-
-    def _ask(self, number: int, frame: FrameType | None) -> None:
-        if self.asked:
-            os._exit(INTERRUPTED)
-        self.asked = True
-        if launched_rank() == 0:
-            print("\nstopping after this step; once more: at once", file=sys.stderr, flush=True)
-
-    def agreed(self, comm: MPI.Comm) -> bool:
-        """True on all ranks when one was asked to stop. Collective."""
-        from dolfin_elastic.parallel import largest
-
-        if comm.rank == 0 and self._file.exists():
-            self.asked = True
-            self._file.unlink(missing_ok=True)
-        return largest(comm, float(self.asked)) > 0
-
-
-def _compute(case: Case, folder: Path, petsc: dict[str, Any], stop: Stop, *, loud: bool) -> int:
-    """Runs a case and shows it; returns the exit code."""
-    from contextlib import closing
-
-    from mpi4py import MPI
-
-    from dolfin_elastic import screen, timing
-    from dolfin_elastic.run import run as solved
-
-    meter = _meter(case.dynamics is not None, loud)
-    state, newton = None, 0
-    try:
-        with closing(solved(case, output=folder, petsc=petsc)) as states:
-            for state in states:
-                newton += state.newton
-                meter.show(state)
-                if state.done < 1.0 and stop.agreed(MPI.COMM_WORLD):
-                    return INTERRUPTED
-    except SolveError as error:
-        error.add_note(f"results so far are in {folder}")
-        raise
-    finally:
-        meter.close()
-    if loud and state is not None:
-        screen.show_end(
-            state, motion=case.dynamics is not None, seconds=timing.totals(), newton=newton
-        )
-    return 0
-
-
-def _meter(motion: bool, loud: bool) -> Any:
-    from dolfin_elastic import screen
-
-    if not loud:
-        return screen.Silent()
-    shared = next(
-        (
-            handler.screen
-            for handler in logging.getLogger("dolfin_elastic").handlers
-            if isinstance(handler, screen.Handler)
-        ),
-        None,
-    )
-    if shared is not None and shared.is_terminal and sys.stdout.isatty():
-        return screen.Bar(motion, shared)
-    return screen.Lines(motion)
-
-
-def _show_profile(comm: MPI.Comm) -> None:
-    """Collective."""
-    from dolfin_elastic import screen, timing
-    from dolfin_elastic.parallel import largest, smallest
-    from dolfin_elastic.results.summary import peak_memory
-
-    seconds = timing.totals()
-    rows = [
-        (name, smallest(comm, seconds[name]), largest(comm, seconds[name]))
-        for name in [n for n in seconds if n != "total"] + ["total"]
-    ]
-    memory = peak_memory(comm)
-    if comm.rank == 0:
-        screen.show_profile(rows, memory)
-
-
-def _log_to_screen(rank: int, level: int) -> None:
-    from dolfin_elastic.screen import Handler, console
-
-    log = logging.getLogger("dolfin_elastic")
-    log.handlers = [Handler(rank, console(stderr=True))]
-    log.setLevel(level)
-    log.propagate = False
-
-
 # --- how it ends ---
-
-
-def launched_rank() -> int:
-    """Rank of this process as its launcher says, without starting MPI; 0 without a launcher."""
-    for name in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID"):
-        if os.environ.get(name, "").isdigit():
-            return int(os.environ[name])
-    return 0
 
 
 def main() -> None:

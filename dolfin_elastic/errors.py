@@ -5,7 +5,8 @@ ElasticError                      base: `except ElasticError` catches all of the
 │   ├── CaseError                 a key or value of the case file
 │   ├── FormulaError              a formula ("0.1*x*t")
 │   ├── UnitError                 a number with a unit ("10 MPa")
-│   └── MeshError                 a mesh file, a region or surface name, a geometry selector
+│   ├── MeshError                 a mesh file, a region or surface name, a geometry selector
+│   └── RestartError              a folder of results from which no run can go on
 ├── SolveError          exit 3    the input is right, but no solution was found
 │   ├── ConvergenceError          Newton or the load stepping gave up
 │   └── StabilityError            an explicit time step above the stable one
@@ -73,6 +74,10 @@ class UnitError(InputError):
 
 class MeshError(InputError):
     """A mesh, or a name or selector that refers to one, is wrong."""
+
+
+class RestartError(InputError):
+    """There is nothing to go on from, or not with this case and this mesh."""
 
 
 class SolveError(ElasticError):

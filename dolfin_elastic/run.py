@@ -1,11 +1,12 @@
-"""The pipe: case, body, problem, solver, results."""
+"""The pipe: case, body, problem, solver, results; from the start or from a checkpoint."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
-from itertools import chain
+from dataclasses import dataclass
+from itertools import chain, islice
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
@@ -16,11 +17,19 @@ from dolfin_elastic import timing
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.check import check
 from dolfin_elastic.check.contacts import contact_notes
+from dolfin_elastic.errors import OutputError
+from dolfin_elastic.kept import Kept
+from dolfin_elastic.opening import opened
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.restarts import Unfinished, about, unfinished
+from dolfin_elastic.results.checkpoints import Checkpoints
+from dolfin_elastic.results.sums import fingerprint
+from dolfin_elastic.results.writer import ModeWriter, Writer
 from dolfin_elastic.solvers.contact import tell_untouched
-from dolfin_elastic.state import State
+from dolfin_elastic.state import Mode, State
 
 log = logging.getLogger("dolfin_elastic")
-States = Generator[State, None, None]
+States = Generator[State | Mode, None, None]
 
 
 def run(
@@ -29,38 +38,162 @@ def run(
     output: str | PathLike[str] | None = None,
     petsc: Mapping[str, Any] | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
+    asked: Callable[[], bool] | None = None,
 ) -> States:
-    """Solves a case and yields its states, each of them written already.  Collective.
+    """Solves a case and yields its states, and its modes, each written already.  Collective.
+
+    Whoever closes it between two states leaves a checkpoint behind.
 
     Args:
         case: From `read_case`, or made in Python.
         output: Folder of the results; by default what the case says.
         petsc: PETSc options that win over the case's own.
         comm: The ranks that work together.
+        asked: Called after each state; true on a rank: a checkpoint is written there and then.
 
     Raises:
         InputError: The case is wrong; nothing has been written.
         SolveError: No solution was found; the results so far are complete.
         OutputError: Results cannot be written.
     """
-    timing.begin()
-    with timing.stage("mesh"):
-        body = case.read_body(comm)
-    for note in body.notes:
-        log.info("mesh: %s", note)
-    for note in check(case, body):
-        log.warning("%s", note)
-    problem = case.make_problem(body)
-    for note in contact_notes(case, problem):
-        log.warning("%s", note)
-    solver = case.make_solver(problem, petsc=petsc)
     folder = Path(output) if output is not None else case.results_folder()
-    steps = tell_untouched(problem, cast(States, solver.steps()))
-    with located(case.file), closing(steps):
-        first = next(steps)  # a fault that only shows at the start leaves no folder behind
-        probe = case.output.probe(problem, case.mesh.scale)
-        with case.output.opened(problem, folder, case.frames, case.title) as writers:
-            for state in map(probe.onto, chain([first], steps)):
+    yield from _Run(case, folder, dict(petsc or {}), comm, asked).states()
+
+
+def restart(
+    folder: str | PathLike[str] | Unfinished,
+    *,
+    case: Case | None = None,
+    petsc: Mapping[str, Any] | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    asked: Callable[[], bool] | None = None,
+) -> States:
+    """Goes on with a run from its last checkpoint, on any number of ranks.  Collective.
+
+    The results after that checkpoint are cut off, and grow again.  What is yielded begins with
+    the step after it.
+
+    Args:
+        folder: Of the results; or what `unfinished` has found there.
+        case: See `unfinished`.
+        petsc: PETSc options that win over those of the first run.
+        comm: The ranks that work together.
+        asked: See `run`.
+
+    Raises:
+        RestartError: There is nothing to go on from, or case or mesh have changed.
+        InputError: The mesh is gone, or the case is wrong.
+        SolveError: No solution was found; the results so far are complete.
+        OutputError: Results cannot be written.
+    """
+    if not isinstance(folder, Unfinished):
+        folder = unfinished(folder, case=case, comm=comm)
+        log.info("%s", folder.told())
+    options = {**folder.found.content["petsc"], **(petsc or {})}
+    yield from _Run(folder.case, folder.folder, options, comm, asked).states(folder)
+
+
+@dataclass
+class _Run:
+    """One run, from the start or from a checkpoint; see `run`."""
+
+    case: Case
+    folder: Path
+    petsc: dict[str, Any]
+    comm: MPI.Comm
+    asked: Callable[[], bool] | None
+
+    def states(self, before: Unfinished | None = None) -> States:
+        timing.begin()
+        with timing.stage("mesh"):
+            body = self.case.read_body(self.comm)
+            told = about(self.case, fingerprint(body), self.petsc)
+        if before is not None:
+            before.check(told)
+        for note in body.notes:
+            log.info("mesh: %s", note)
+        for note in check(self.case, body):
+            log.warning("%s", note)
+        problem = self.case.make_problem(body)
+        for note in contact_notes(self.case, problem):
+            log.warning("%s", note)
+        solver = self.case.make_solver(problem, petsc=self.petsc)
+        restore = {} if before is None else {"restore": before.found.restore}
+        steps = cast(States, solver.steps(**restore))
+        if before is None:  # what was touched before is not known
+            steps = tell_untouched(problem, steps)
+        step, settings = 0 if before is None else before.step, self.case.output.checkpoint
+        checkpoints = Checkpoints(self.comm, self.folder, settings, told, step=step)
+        with located(self.case.file), closing(steps):
+            yield from self._written(problem, steps, _Keeper(checkpoints, solver), before)
+        checkpoints.clear()
+
+    def _written(
+        self, problem: Problem, steps: States, keeper: _Keeper, before: Unfinished | None
+    ) -> States:
+        """The states, each with all outputs, and a checkpoint now and then."""
+        output = self.case.output
+        first = list(islice(steps, 1))  # a fault at the start leaves no folder behind
+        probe = output.probe(problem, self.case.mesh.scale)
+        keeper.begin(new=before is None)
+        kept = None if before is None else before.found.content["outputs"]
+        with opened(self.case.files(), problem, self.folder, kept) as writers:
+            for step in chain(first, steps):
+                found = probe.onto(step) if isinstance(step, State) else step
                 for writer in writers:
-                    writer.write(state)
-                yield state
+                    _write(writer, found)
+                keeper.look(found, writers, asked=self.asked is not None and self.asked())
+                try:
+                    yield found
+                except GeneratorExit:
+                    keeper.stop(found, writers)
+                    raise
+
+
+def _write(writer: Writer, found: State | Mode) -> None:
+    if isinstance(found, State):
+        writer.write(found)
+    elif isinstance(writer, ModeWriter):
+        writer.write_mode(found)
+
+
+class _Keeper:
+    """Makes checkpoints of a solver that can go on from them.  All of it is collective.
+
+    Args:
+        checkpoints: Where they go.
+        solver: Whoever has `kept`, see kept.py.
+    """
+
+    def __init__(self, checkpoints: Checkpoints, solver: Any) -> None:
+        self._checkpoints = checkpoints
+        self._kept: Callable[[], Kept] | None = getattr(solver, "kept", None)
+
+    def begin(self, *, new: bool) -> None:
+        """Removes the checkpoints that are none of this run."""
+        if not new:
+            self._checkpoints.go_on()
+        elif self._checkpoints.clear():
+            log.warning("the checkpoints of a run that had not ended are removed")
+
+    def look(self, state: State | Mode, writers: Sequence[Writer], *, asked: bool) -> None:
+        """Makes one if it is time."""
+        if self._kept is None or isinstance(state, Mode):
+            return
+        if self._checkpoints.due(state, asked=asked):
+            self._save(self._kept, state, writers)
+
+    def stop(self, state: State | Mode, writers: Sequence[Writer]) -> None:
+        """Makes one for whoever goes on."""
+        if self._kept is None or isinstance(state, Mode):
+            return
+        if self._checkpoints.off or state.done >= 1.0:
+            return
+        try:
+            self._save(self._kept, state, writers)
+        except OutputError as error:
+            log.warning("%s", error)
+
+    def _save(self, kept: Callable[[], Kept], state: State, writers: Sequence[Writer]) -> None:
+        outputs = [writer.kept() if hasattr(writer, "kept") else {} for writer in writers]
+        self._checkpoints.save(state, kept(), outputs)

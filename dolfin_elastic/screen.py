@@ -71,8 +71,9 @@ class Silent:
 class Lines:
     """One line a step, for files and pipes."""
 
-    def __init__(self, motion: bool) -> None:
+    def __init__(self, motion: bool, done: float = 0.0) -> None:
         self.motion, self._begin, self._shown, self._count = motion, time.monotonic(), 0.0, 0
+        self._done = done
 
     def show(self, state: State) -> None:
         """Takes one step."""
@@ -80,7 +81,7 @@ class Lines:
         due = self._count < FIRST_LINES or now - self._shown > 1.0 or state.done >= 1.0
         if state.step and due:
             self._shown, self._count = now, self._count + 1
-            left = time_left(now - self._begin, state.done)
+            left = time_left(now - self._begin, state.done, self._done)
             print(f"{step_text(state, motion=self.motion)}  {left}", flush=True)
 
     def close(self) -> None:
@@ -90,8 +91,8 @@ class Lines:
 class Bar:
     """A bar that moves, for terminals."""
 
-    def __init__(self, motion: bool, screen: Console) -> None:
-        self.motion, self._begin = motion, time.monotonic()
+    def __init__(self, motion: bool, screen: Console, done: float = 0.0) -> None:
+        self.motion, self._begin, self._done = motion, time.monotonic(), done
         self._progress = Progress(
             BarColumn(bar_width=24),
             TextColumn("{task.percentage:>3.0f} %"),
@@ -103,7 +104,7 @@ class Bar:
 
     def show(self, state: State) -> None:
         """Takes one step."""
-        left = time_left(time.monotonic() - self._begin, state.done)
+        left = time_left(time.monotonic() - self._begin, state.done, self._done)
         text = re.sub("  +", "  ", f"{step_text(state, motion=self.motion)}  {left}")
         self._progress.update(self._task, completed=state.done, description=text)
 
@@ -125,11 +126,17 @@ def step_text(state: State, *, motion: bool) -> str:
     return f"step {state.step:>4}   {place:<15} {work:<20} max |u| {state.max_displacement:.4g} m"
 
 
-def time_left(spent: float, done: float) -> str:
-    """Rough time to the end, nothing where it cannot be said."""
-    if not 0.0 < done < 1.0:
+def time_left(spent: float, done: float, before: float = 0.0) -> str:
+    """Rough time to the end, nothing where it cannot be said.
+
+    Args:
+        spent: Since the program started [s].
+        done: Share of the run that is done.
+        before: Share that was done when it started.
+    """
+    if not before < done < 1.0:
         return ""
-    seconds = round(spent * (1.0 - done) / done)
+    seconds = round(spent * (1.0 - done) / (done - before))
     minutes, seconds = divmod(seconds, 60)
     hours, minutes = divmod(minutes, 60)
     text = f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
@@ -192,14 +199,25 @@ def show_table(screen: Console, table: Table) -> None:
         screen.print(line.rstrip(), soft_wrap=True)
 
 
-def show_end(state: State, *, motion: bool, seconds: Mapping[str, float], newton: int) -> None:
-    """The run in a few lines."""
+def show_end(
+    state: State, *, motion: bool, seconds: Mapping[str, float], newton: int, since: int = 0
+) -> None:
+    """The run in a few lines.
+
+    Args:
+        state: The last one.
+        motion: Whether it moves.
+        seconds: Where the time went.
+        newton: Newton iterations.
+        since: Step that it has gone on from.
+    """
     screen = console()
     table = Table(box=None, show_header=False, pad_edge=True)
     for name, value in _end_rows(state, motion):
         table.add_row(name, value)
     iterations = f", {count(newton, 'Newton iteration')}" if newton else ""
-    screen.print(f"done: {count(state.step, 'step')}{iterations}")
+    again = f" since step {since}" if since else ""
+    screen.print(f"done: {count(state.step, 'step')}{iterations}{again}")
     show_table(screen, table)
     # Longer than a column is wide.
     screen.print(f" time: {_times(seconds)}", soft_wrap=True)
@@ -260,6 +278,14 @@ def show_profile(rows: Sequence[tuple[str, float, float]], memory: Mapping[str, 
 def show_files(folder: Path, names: Iterable[str]) -> None:
     """What a run has written to its folder."""
     print(f"results in {folder}: {', '.join(names)}")
+
+
+def show_restart(folder: Path) -> None:
+    """How a run that was stopped can go on."""
+    from dolfin_elastic.results.checkpoints import last_step
+
+    if (step := last_step(folder)) is not None:
+        print(f"to go on after step {step}: dolfin-elastic restart {folder}")
 
 
 def show_versions(found: Mapping[str, Any]) -> None:

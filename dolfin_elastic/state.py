@@ -1,9 +1,10 @@
-"""`State`: what a solver yields, one converged step at a time."""
+"""`State` and `Mode`: what solvers yield, one converged step or one mode at a time."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import pi
 from typing import Literal
 
 import numpy as np
@@ -15,15 +16,17 @@ Vector = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Audit:
-    """Whether a converged step obeys the laws that any equilibrium obeys.
+    """Whether a converged step obeys the laws that any equilibrium or motion obeys.
 
     Attributes:
-        force: Length of the sum of applied forces and reactions, over the sum of their lengths at
-            the nodes; axial ones only in an axisymmetric body; nan for a periodic cell.
+        force: Length of the sum of applied forces, reactions and, in motion, inertia, over the sum
+            of their lengths at the nodes; axial ones only in an axisymmetric body; nan for a
+            periodic cell.
         moment: The same of their moments about the origin; nan where there is no such balance.
         work: Work of loads, springs and supports on the body since the start [J], by the
             trapezoidal rule.
-        energy: Growth of the stored energy since the start [J]; nan where a law has none.
+        energy: Growth of the stored energy since the start [J], in motion strain and kinetic
+            energy; nan where a law has none.
         min_jacobian: Smallest det F at the points where the energy is integrated.
         max_jacobian: The largest.
         min_place: Reference place of the cell with the smallest det F [m].
@@ -60,17 +63,20 @@ class State:
         u: Displacement [m], reference configuration.
         w: All unknowns, where there are others beside u.
         v: Velocity [m/s], in motion only.
-        a: Mean acceleration of the step [m/s^2], in motion only; 0 in the initial state.
+        a: Acceleration [m/s^2], in motion only; of explicit schemes and "alpha2" the mean one of
+            the step, 0 in the initial state.
         load_factor: Share of the load that is on, in statics; 1 in motion.
         newton: Newton iterations since the state before.
         krylov: Linear iterations since then (0 with a direct solver).
         reason: Why the step counts as converged, PETSc's name.
         residuals: Norm of the free residual before each Newton iteration and after the last [N].
         energies: "strain" [J]; in motion also "kinetic", "external" (work of the loads so far),
-            "total"; with springs "springs", stored in them and no part of the total.
+            "total"; with springs "springs", stored in them and no part of the total; in implicit
+            motion "damping" and "dashpots" (lost to them so far), "potential" (of loads that do
+            not change), "balance" (strain and kinetic energy and what was damped that came from no
+            work).
         reactions: Support's name to the force it exerts on the body [N], from the residual
-            (virtual work).  The implicit scheme has its equilibrium, and so its reactions, at a
-            time within the step.
+            (virtual work), inertia included; of "alpha2" at a time within the step.
         momenta: In motion "linear" [kg m/s] and "angular" [kg m^2/s] about the origin.
         max_displacement: Largest length of u over the body's nodes [m].
         negative: In statics the number of negative eigenvalues of the tangent, 0 where the body is
@@ -78,7 +84,7 @@ class State:
         limit_points: Load factors of the limit points that a path has passed so far.
         numbers: Further results by name, for example of probes or the volume of a cavity
             [SI units].
-        audit: Whether the step obeys what any equilibrium obeys, in statics only.
+        audit: Whether the step obeys what any equilibrium or motion obeys; not of explicit schemes.
         done: Share of the whole run that is done, 0 to 1.
     """
 
@@ -102,3 +108,54 @@ class State:
     numbers: Mapping[str, float] = field(default_factory=dict)
     audit: Audit | None = None
     done: float = 0.0
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One mode of vibration or of buckling: plain data, the same on every rank but for the fields.
+
+    Masses are those of the whole thickness or circumference, rotations are about the centre of
+    mass.  Directions are "x", "y", "z", "rx", "ry", "rz", in a plane "x", "y", "rz", in a body of
+    revolution "y".
+
+    Source: R. Clough and J. Penzien, Dynamics of Structures (2003), sections 12-4 and 26-3.
+
+    Attributes:
+        number: 1, 2, ... in the order of the frequencies or load factors.
+        kind: "rigid"; "elastic"; "unstable", where the loaded state has no stiffness against it;
+            or "buckling".
+        u: Its shape, scaled so that the largest nodal displacement is 1 m.
+        base: Displacement of the state about which the body moves [m].
+        eigenvalue: omega^2 [1/s^2], or the load factor.
+        frequency: [Hz]; 0 of rigid and unstable modes, nan of buckling.
+        mass: Generalised mass of that shape, u . M u [kg]; nan of buckling.
+        participation: Direction to participation factor u . M r/(u . M u) with the unit rigid
+            motion r.
+        effective: Direction to effective modal mass (u . M r)^2/(u . M u) [kg, kg m^2].
+        whole: Direction to mass and moment of inertia of the whole body, r . M r.
+        name: A rigid motion in words.
+        done: Share of all modes that have been yielded, 0 to 1.
+    """
+
+    number: int
+    kind: Literal["rigid", "elastic", "unstable", "buckling"]
+    u: fem.Function
+    base: fem.Function
+    eigenvalue: float
+    frequency: float = float("nan")
+    mass: float = float("nan")
+    participation: Mapping[str, float] = field(default_factory=dict)
+    effective: Mapping[str, float] = field(default_factory=dict)
+    whole: Mapping[str, float] = field(default_factory=dict)
+    name: str = ""
+    done: float = 0.0
+
+    @property
+    def omega(self) -> float:
+        """Angular frequency [rad/s]."""
+        return 2 * pi * self.frequency
+
+    @property
+    def load_factor(self) -> float:
+        """What all loads are multiplied by where the body buckles."""
+        return self.eigenvalue if self.kind == "buckling" else float("nan")

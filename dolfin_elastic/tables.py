@@ -6,49 +6,33 @@ whoever reads the table puts its own key in front.
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from mpi4py import MPI
 from pydantic import Field, field_validator, model_validator
 
-from dolfin_elastic.errors import (
-    ElasticError,
-    InputError,
-    MeshError,
-    OutputError,
-    SolveError,
-    UnitError,
-    nearest,
-)
+from dolfin_elastic.errors import InputError, MeshError, UnitError, nearest
 from dolfin_elastic.formulation import Formulation
 from dolfin_elastic.meshes import Body, Selector, box_body, read_body, rectangle_body
-from dolfin_elastic.meshes.places import locate
 from dolfin_elastic.meshes.selectors import MeshLength
 from dolfin_elastic.model.geometry import Geometry
 from dolfin_elastic.model.law import Law
 from dolfin_elastic.model.materials import MATERIALS
 from dolfin_elastic.model.own import Own, read_energy
-from dolfin_elastic.parallel import on_root
 from dolfin_elastic.problem import Problem
+from dolfin_elastic.results.checkpoints import Checkpoint
 from dolfin_elastic.results.fields import FIELDS
-from dolfin_elastic.results.outputs import History, Picture, Summary, Xdmf
+from dolfin_elastic.results.outputs import History, ModePicture, Modes, Picture, Summary, Xdmf
 from dolfin_elastic.results.outputs import Output as File
-from dolfin_elastic.results.probes import Probe, ProbePoint
-from dolfin_elastic.results.writer import Writer
-from dolfin_elastic.results.xdmf import remove
+from dolfin_elastic.results.probes import Probe, ProbePoint, check_places
 from dolfin_elastic.schema import Record, known_keys, shown, within
-from dolfin_elastic.state import State
 from dolfin_elastic.toml_text import key_text
 from dolfin_elastic.units import to_si
 
 T = TypeVar("T")
-log = logging.getLogger("dolfin_elastic")
 Count = Annotated[int, Field(gt=0)]
-_FAILED = "failed_state.xdmf"
 
 
 class Box(Record):
@@ -222,7 +206,11 @@ class Output(Record):
         every: Fields are written every so many steps, and at the end; by default every step, with
             an explicit scheme about 200 states.
         pictures: Pictures of the deformed body.
-        probes: Name to a point of the undeformed body, where fields are read off at every step.
+        probes: Name to a point or surface of the undeformed body, where fields are read off at
+            every step.
+        checkpoint: When all is written that a run needs to go on; false: never.
+        frames: Of one period of a mode.
+        amplitude: Largest displacement of a mode's animation, over the body's longest side.
     """
 
     folder: str | None = None
@@ -230,6 +218,9 @@ class Output(Record):
     every: Count | None = None
     pictures: list[Picture] = Field(default=[])
     probes: dict[str, ProbePoint] = Field(default={})
+    checkpoint: Checkpoint = Checkpoint()
+    frames: Count = 20
+    amplitude: Annotated[float, Field(gt=0)] = 0.1
 
     @field_validator("fields")
     @classmethod
@@ -248,7 +239,7 @@ class Output(Record):
             MeshError: A point lies outside, or has too few coordinates.
         """
         try:
-            locate(body, {name: probe.place(scale) for name, probe in self.probes.items()})
+            check_places(self.probes, body, scale)
         except MeshError as error:
             raise within("output.probes", error) from None
 
@@ -259,77 +250,34 @@ class Output(Record):
             problem: The problem that is solved.
             scale: Metres per unit of the mesh.
         """
-        points = {name: probe.place(scale) for name, probe in self.probes.items()}
-        return Probe(problem, points, {n: probe.fields for n, probe in self.probes.items()})
+        return Probe.of(self.probes, problem, scale)
 
-    def files(self, frames: int | None = None, title: str = "") -> list[File]:
+    def files(
+        self,
+        frames: int | None = None,
+        title: str = "",
+        *,
+        states: bool = True,
+        modes: bool = False,
+    ) -> list[File]:
         """Everything that is written.
 
         Args:
             frames: Thins the fields unless `every` says how.
             title: Of pictures that have none of their own.
+            states: There are states.
+            modes: There are modes.
         """
         every = {"frames": frames} if self.every is None else {"every": self.every}
         pictures = [
             p if p.title is not None else p.model_copy(update={"title": title})
             for p in self.pictures
         ]
-        return [Xdmf(fields=self.fields, **every), History(), *pictures, Summary()]
-
-    def listing(self, folder: Path) -> list[str]:
-        """What a run has written to its folder, as a user reads it. Not collective."""
-        return sorted({name for file in self.files() for name in file.listing(folder)})
-
-    @contextmanager
-    def opened(
-        self, problem: Problem, folder: Path, frames: int | None = None, title: str = ""
-    ) -> Iterator[list[Writer]]:
-        """Opens all files and closes them with how it ended: completed, failed or stopped."""
-        writers: list[Writer] = []
-        ending: tuple[str, object] = ("completed", None)
-        try:
-            writers.extend(file.open(problem, folder) for file in self.files(frames, title))
-            on_root(problem.body.comm, lambda: remove(folder / _FAILED))
-            yield writers
-        except ElasticError as error:
-            ending = ("failed", error)
-            if isinstance(error, SolveError) and isinstance(error.state, State):
-                try:
-                    _write_failed(problem, folder, error.state)
-                    error.add_note(f"the state that failed is in {folder / _FAILED}")
-                except OutputError as second:
-                    log.warning("%s", second)
-            raise
-        except GeneratorExit:
-            ending = ("stopped", "on request")
-            raise
-        except BaseException:
-            writers.clear()  # perhaps on this rank alone: closing together would wait for ever
-            raise
-        finally:
-            _close(writers, ending)
-
-
-def _close(writers: Iterable[Writer], ending: tuple[str, object]) -> None:
-    """Closes all; a file that cannot be closed does not keep the others open, nor hide a cause."""
-    fault: OutputError | None = None
-    for writer in writers:
-        try:
-            writer.close(*ending)
-        except OutputError as error:
-            fault = fault or error
-            log.warning("%s", error)
-    if fault is not None and ending[0] == "completed":
-        raise fault
-
-
-def _write_failed(problem: Problem, folder: Path, state: State) -> None:
-    """The state that is no solution, in a file of its own. Collective."""
-    fields = ["displacement", "jacobian", "von_mises"]
-    fields += ["residual"] * (state.v is None) + ["energy_density"] * problem.has_energy
-    writer = Xdmf(file=_FAILED, fields=tuple(fields)).open(problem, folder)
-    writer.write(state)
-    writer.close("failed", None)
+        found: list[File] = [Xdmf(fields=self.fields, **every), History()] if states else []
+        if not modes:
+            return [*found, *pictures, Summary()]
+        drawn = [ModePicture(**{**written(p), "amplitude": self.amplitude}) for p in pictures]
+        return [*found, Modes(frames=self.frames, amplitude=self.amplitude), *drawn, Summary()]
 
 
 # --- reading ---

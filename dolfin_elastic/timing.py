@@ -27,9 +27,13 @@ class Stopwatch:
             yield
         finally:
             spent = time.perf_counter() - begin
-            self.seconds[name] = self.seconds.get(name, 0.0) + spent - self._inner.pop()
-            if self._inner:
-                self._inner[-1] += spent
+            self.add(name, spent, inner=self._inner.pop())
+
+    def add(self, name: str, seconds: float, *, inner: float = 0.0) -> None:
+        """Adds seconds to a stage, of which others inside it have counted `inner` already."""
+        self.seconds[name] = self.seconds.get(name, 0.0) + seconds - inner
+        if self._inner:
+            self._inner[-1] += seconds
 
     def totals(self) -> dict[str, float]:
         """Seconds per stage on this rank, and "total" since the watch was made."""
@@ -66,6 +70,13 @@ def stage(name: str) -> Iterator[None]:
         return
     with watch.stage(name):
         yield
+
+
+def add(name: str, seconds: float) -> None:
+    """Adds time that the caller has measured: for loops in which a `stage` would cost too much."""
+    watch = _watch.get()
+    if watch is not None:
+        watch.add(name, seconds)
 
 
 def totals() -> dict[str, float]:

@@ -181,6 +181,14 @@ class Touching:
         return (q**2 - self.lam**2) / (2 * self.penalty) * self._measure
 
     @cached_property
+    def bound(self) -> ufl.Form:
+        """The penalty times each component of `site.v`: bounds the rows of its part of the tangent.
+
+        At an obstacle's curvature 1/R it has the further eigenvalue eps g/R, which is smaller.
+        """
+        return self.penalty * sum(self._site.v) * self._measure
+
+    @cached_property
     def area(self) -> ufl.Form:
         """Reference area on which there is pressure [m^2]."""
         return ufl.conditional(ufl.gt(self._pushed, 0.0), 1.0, 0.0) * self._measure

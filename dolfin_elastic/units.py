@@ -40,12 +40,13 @@ COMMON = {
     "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "N/m^2": 1.0, "N/mm^2": 1e6},
     "kg/m^3": {"kg/m^3": 1.0, "g/cm^3": 1e3},
     "N/m^3": {"N/m^3": 1.0, "kN/m^3": 1e3},
-    "s": {"s": 1.0, "ms": 1e-3},
+    "s": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0},
     "rad/s": {"rad/s": 1.0, "rpm": math.tau / 60},
     "K": {"K": 1.0},
     "1/K": {"1/K": 1.0, "ppm/K": 1e-6},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},
     "m/s^2": {"m/s^2": 1.0},
+    "Hz": {"Hz": 1.0, "kHz": 1e3},
     "rad": {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180},
 }
 """Units that most cases use, so that most cases start without pint's 0.3 s."""
@@ -180,6 +181,7 @@ _EXAMPLES = {
     "m/s^2": "9.81 m/s^2",
     "m/s": "3 m/s",
     "s": "0.1 s",
+    "Hz": "440 Hz",
     "N/m^3": "10 kN/m^3",
     "N": "5 kN",
     "rad": "90 deg",
@@ -259,9 +261,12 @@ if TYPE_CHECKING:
     Acceleration: TypeAlias = float
     Velocity: TypeAlias = float
     Time: TypeAlias = float
+    Frequency: TypeAlias = float
     Force: TypeAlias = float
     ForceDensity: TypeAlias = float
     Expansion: TypeAlias = float
+    Viscosity: TypeAlias = float
+    Rate: TypeAlias = float
 else:
     Number = quantity("")
     Length = quantity("m")
@@ -270,6 +275,9 @@ else:
     Acceleration = quantity("m/s^2")
     Velocity = quantity("m/s")
     Time = quantity("s")
+    Frequency = quantity("Hz")
     Force = quantity("N")
     ForceDensity = quantity("N/m^3")
     Expansion = quantity("1/K")
+    Viscosity = quantity("Pa*s")
+    Rate = quantity("1/s")

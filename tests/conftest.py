@@ -40,7 +40,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_cmdline_main(config: pytest.Config) -> None:
     """Spreads the whole suite over the cores, unless the command line says how, or MPI does."""
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
-    if whole and MPI.COMM_WORLD.size == 1 and config.getoption("numprocesses", 0) is None:
+    alone = MPI.COMM_WORLD.size == 1 and "PYTEST_XDIST_WORKER" not in os.environ
+    if whole and alone and config.getoption("numprocesses", 0) is None:
         config.option.numprocesses = os.cpu_count()
         config.option.dist = "worksteal"
 

@@ -118,6 +118,14 @@ def test_snap_through_of_a_shallow_arch():
     assert w == pytest.approx(there, rel=1e-2)
 
 
+def test_a_load_far_beyond_the_limit_points():
+    """Ten times as large a load: its first step is made so small that nothing is passed over."""
+    problem = arch(RISE, 10 * FULL, (24, 1))
+    states = [*Statics(problem, method="arc-length", max_displacement=2.5 * RISE).steps()]
+    found = np.array(states[-1].limit_points) * 10 * FULL
+    assert found == pytest.approx(limits(RISE), rel=2e-2)  # of longer steps
+
+
 def test_the_falling_path_is_unstable_and_the_rising_ones_are_not():
     """Between the limit points the tangent of a half arch has one negative eigenvalue."""
     problem = arch(RISE, FULL, (24, 1))

@@ -163,6 +163,28 @@ def test_each_point_of_a_path_is_settled():
     assert {state.audit.verdict for state in states} == {"pass"}
 
 
+def test_no_obstacle_jumps_over_a_surface():
+    """A rod of 20 cm starts 20 cm above and is pressed in by 10 cm: steps of a quarter of its way
+    and more would land it inside unseen.
+    """
+    problem = Problem(
+        rectangle_body(size=(1, 1), cells=(10, 5)),
+        NeoHookean(E=E, nu=NU),
+        supports=[Support(on="bottom")],
+        contacts=[
+            Contact(
+                on="top",
+                cylinder={"axis": "z", "point": [0.5, 1.3], "radius": 0.1},
+                motion=[0, -0.3],
+                name="rod",
+            )
+        ],
+    )
+    states = list(Statics(problem).steps())
+    assert states[-1].reactions["rod"][1] < -1e-3 * E
+    assert states[-1].max_displacement == pytest.approx(0.1, rel=0.1)
+
+
 def test_weight_on_the_floor():
     """A body that only lies there: the floor carries its weight, exactly."""
     body = rectangle_body(size=(2, 1), cells=(4, 2))

@@ -112,7 +112,7 @@ def test_large_growth_held():
     """St. Venant-Kirchhoff that grew by g all around and is held: Fe = I/g, Jg = g^3, so
     P = g^3 g^-1 Fe S(Fe), S = (3 lmbda + 2 mu) (g^-2 - 1)/2 I.
     """
-    g = 1.2
+    g = 1.15  # at 1.18 this material gives way
     law = StVenantKirchhoff(E=E, nu=NU)
     problem = Problem(
         box(3),

@@ -23,6 +23,7 @@ from dolfin_elastic import (
 from dolfin_elastic.check import check
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes.places import locate
+from dolfin_elastic.state import State
 
 FREE = "free"
 
@@ -164,6 +165,35 @@ def test_columns_of_the_history(folder):
     ]
 
 
+def test_means_over_surfaces(folder):
+    """Of a stretched block: u is linear in x, the stress one number; both exact."""
+    probes = {
+        "end": {"surface": "right", "fields": ["displacement", "cauchy_stress"]},
+        "side": {"surface": "top", "fields": ["displacement", "von_mises"]},
+    }
+    *_, state = run(Case.from_dict(block(probes=probes)), output=folder / "out")
+    assert state.numbers["end_x"] == pytest.approx(2e-3, rel=1e-9)
+    assert state.numbers["end_cauchy_stress_xx"] == pytest.approx(1e5, rel=1e-9)
+    assert state.numbers["side_x"] == pytest.approx(1e-3, rel=1e-9)
+    assert state.numbers["side_von_mises"] == pytest.approx(1e5, rel=1e-9)
+    *_, row = csv.DictReader((folder / "out" / "history.csv").open())
+    assert float(row["side_x"]) == pytest.approx(1e-3, rel=1e-9)
+
+
+def test_a_mean_over_a_surface_of_revolution(folder):
+    """u_r = c r on a disc: the mean of r over its area is 2/3 of the radius, on a rim all of it."""
+    body = rectangle_body(size=(3.0, 1.0), cells=(3, 1))
+    law = {"a": LinearElastic(E=1.0, nu=0.0)}
+    problem = Problem(body, law["a"], geometry="axisymmetric")
+    problem.u.interpolate(lambda x: (0.01 * x[0], 0.0 * x[0]))
+    state = State(step=0, t=0.0, u=problem.u, v=problem.u)
+    asked = {"lid": ("top", ("displacement", "velocity")), "rim": ("right", ("displacement",))}
+    found = Probe(problem, {}, surfaces=asked)(state)
+    np.testing.assert_allclose(found["lid_displacement"], [0.02, 0], rtol=1e-12, atol=1e-16)
+    np.testing.assert_allclose(found["lid_velocity"], [0.02, 0], rtol=1e-12, atol=1e-16)
+    np.testing.assert_allclose(found["rim_displacement"], [0.03, 0], rtol=1e-12, atol=1e-16)
+
+
 def test_no_probes(folder):
     *_, state = run(Case.from_dict(block()), output=folder / "out")
     assert not state.numbers
@@ -179,6 +209,9 @@ def test_no_probes(folder):
         ({"tip": {"at": [1, 1, 1], "fields": ["velocity"]}}, "no 'velocity' in statics"),
         ({"tip": {"place": [1, 1, 1]}}, "output.probes.tip: unknown key 'place'"),
         ({"tip": "top"}, "output.probes.tip"),
+        ({"end": {"surface": "rigth"}}, r"output.probes.end.surface: no surface 'rigth'.*right"),
+        ({"end": {"surface": "right", "at": [1, 1, 1]}}, "at and surface are given together"),
+        ({"end": {"fields": ["von_mises"]}}, "no place is given"),
     ],
 )
 def test_what_is_refused(probes, message):

@@ -96,7 +96,12 @@ def serial() -> dict[str, dict[str, float]]:
 
 
 def scale_of(key: str, numbers: dict[str, float]) -> float:
-    """Components of one force or momentum are judged by its length, not one by one."""
+    """Components of one force or momentum are judged by its length, not one by one.
+
+    The balance of energy is a small difference of large energies, and judged by these.
+    """
+    if key == "energy balance":
+        return sum(abs(value) for name, value in numbers.items() if name.startswith("energy"))
     name = key.partition("[")[0]
     group = [v for k, v in numbers.items() if k.partition("[")[0] == name]
     return float(np.linalg.norm(group))

@@ -17,38 +17,54 @@ POINTS = (
     "manufactured",
     "moduli",
     "reference_energies",
+    "schemes",
     "units",
 )
 """Files of tests on numbers and texts, and on rates, in which ranks take no part of their own."""
 LAWS = ("geometry", "law_input", "laws", "naming", "own_energy")
 """Files that try every law, or names, on bodies of a few cells."""
-REFERENCES = ("reference_bending", "reference_heart", "reference_rubber")
+REFERENCES = (
+    "reference_bending",
+    "reference_heart",
+    "reference_modes",
+    "reference_motion",
+    "reference_rubber",
+)
 """Published numbers, which ask how right the model is: the parts that ranks share in them, curved
 meshes, supports, loads, pressures and probes, have tests of their own that run here.  The linear
 ones run at 2, so that reference cases as such do."""
 SHARED = (
     "audit",
+    "checkpoints",
     "contact",
     "dynamics",
     "explicit",
+    "explicit_loop",
+    "impact",
     "loads",
     "meshes",
     "mixed",
+    "modal",
     "patch",
     "periodic",
     "pressure",
     "probes",
     "problem",
     "rank_agreement",
+    "restart",
     "results",
     "scalars",
+    "stable_step",
     "statics",
     "supports",
     "tetrahedron",
 )
 """Files of tests of what ranks share and agree upon: what 3 ranks can show beyond 2, ranks without
 a cell or a facet of a part, it shows here."""
-LONG = "not picture and not drawer and not colour and not adaptive and not second_order"
+LONG = (
+    "not picture and not drawer and not colour and not adaptive and not second_order "
+    "and not ten_thousand"
+)
 """Tests of one rank's drawings and of many small steps, which take long where ranks share cores."""
 
 

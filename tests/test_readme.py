@@ -28,8 +28,10 @@ from dolfin_elastic.model.supports import Support
 from dolfin_elastic.operations import FUNCTIONS
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import Picture
+from dolfin_elastic.solvers.buckling import BucklingSettings
 from dolfin_elastic.solvers.dynamics import DynamicsSettings
 from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.solvers.modal import ModalSettings
 from dolfin_elastic.solvers.statics import StaticsSettings
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -53,6 +55,8 @@ MODELS: list[type[BaseModel]] = [
     Periodic,
     StaticsSettings,
     DynamicsSettings,
+    ModalSettings,
+    BucklingSettings,
     LinearSettings,
     tables.Output,
     Picture,

@@ -289,6 +289,21 @@ def test_a_support_that_is_not_finite_is_refused_everywhere():
         _ = [*Statics(problem).steps()]
 
 
+@pytest.mark.parametrize(
+    ("curve", "times"),
+    [
+        ("load-unload", [0.0, 0.5, 1.0]),
+        ([[0, 0], [0.1, 1], [0.2, 0], [1, 0]], [0.0, 0.1, 0.2, 1.0]),
+        ("4*t*(1 - t)", [0.0, 0.25, 0.5, 0.75, 1.0]),
+    ],
+)
+def test_no_step_passes_over_what_a_curve_does(curve, times):
+    pull = Traction(on="right", value=[1e4, 0], curve=curve)
+    body = rectangle_body(size=(1, 1), cells=(1, 1))
+    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[Support(on="left")], loads=[pull])
+    assert [state.t for state in Statics(problem).steps()] == pytest.approx(times)
+
+
 def test_settings_are_checked():
     problem = bar()
     for wrong in ({"steps": 0}, {"rtol": 0.0}, {"rtol": 2.0}, {"step": 3}, {"max_iterations": 0}):

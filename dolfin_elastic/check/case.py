@@ -42,8 +42,9 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_fields(case)
         case.output.check_probes(body, case.mesh.scale)
         if explicit(case) and case.mesh.degree > 1:
+            assert case.dynamics is not None
             raise CaseError(
-                "symplectic-euler has a lumped mass, for linear elements only",
+                f"{case.dynamics.scheme} has a lumped mass, for linear elements only",
                 where="mesh.degree",
                 expected="use degree = 1 or generalized-alpha",
             )
@@ -52,7 +53,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
 
 def explicit(case: Case) -> bool:
     """The scheme solves no equations."""
-    return case.dynamics is not None and case.dynamics.scheme == "symplectic-euler"
+    return case.dynamics is not None and not case.dynamics.implicit
 
 
 # --- names ---
@@ -144,6 +145,8 @@ def _check_fields(case: Case) -> None:
         for key, probe in case.output.probes.items()
         for name in probe.fields
     ]
+    if case.analysis in ("modal", "buckling"):
+        _check_mode_pictures(case)
     powerless = [n for n, m in case.materials.items() if not m.law.has_energy]
     for where, name in fields:
         if FIELDS[name].motion and case.dynamics is None:
@@ -171,6 +174,16 @@ def _check_fields(case: Case) -> None:
                 "no material has an allowable stress",
                 where=where,
                 expected='write for example allowable = "40 MPa" under [materials.NAME]',
+            )
+
+
+def _check_mode_pictures(case: Case) -> None:
+    for i, picture in enumerate(case.output.pictures):
+        if "field" in picture.model_fields_set and picture.field != "displacement":
+            raise CaseError(
+                f"a mode has no '{picture.field}': it has no size of its own",
+                where=f"output.pictures[{i}].field",
+                expected="leave it out; modes are coloured by their displacement",
             )
 
 
@@ -218,7 +231,9 @@ def _marked(body: Body, regions: Sequence[str], own: int) -> npt.NDArray[np.bool
 def _check_densities(case: Case) -> None:
     heavy = [(i, load) for i, load in enumerate(case.load) if load.needs_density]
     everywhere = [f"load[{i}] ({load.kind})" for i, load in heavy if not load.parts]
-    reason = "[dynamics]" if case.dynamics is not None else next(iter(everywhere), "")
+    reason = next(iter(everywhere), "")
+    if case.analysis in ("dynamics", "modal"):
+        reason = f"[{case.analysis}]"
     for name, material in case.materials.items():
         if reason and material.law.density is None:
             raise CaseError(
@@ -251,7 +266,12 @@ def _notes(case: Case) -> Iterator[str]:
     moving = moving or any(value != 0.0 for c in case.contact for value in c.values)
     for i, support in enumerate(case.support):
         if support.kind == "dashpot" and case.dynamics is None:
-            yield f"support[{i}]: a dashpot does nothing in statics"
+            where = f"[{case.analysis}]" if case.modal or case.buckling else "statics"
+            yield f"support[{i}]: a dashpot does nothing in {where}"
+    if case.modal is not None and not case.preloaded:
+        if case.load or moving:
+            yield "modal.preload is not set: the modes are those at rest, without the loads"
+        return
     still = case.dynamics is None and not case.load and not moving
     if still and case.periodic is None:
         yield "there is no load and every support is at rest: nothing will move"

@@ -19,9 +19,11 @@ from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes.body import Body, extent
 from dolfin_elastic.parts import locking_notes
 from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.buckling import Buckling
 from dolfin_elastic.solvers.contact import check_start
 from dolfin_elastic.solvers.explicit import check_explicit
-from dolfin_elastic.solvers.linear import choose
+from dolfin_elastic.solvers.linear import Choice, choose
+from dolfin_elastic.solvers.modal import Modal
 from dolfin_elastic.solvers.rigid import FreeBody, check_held, free_bodies
 
 PLANE = ("plane-strain", "plane-stress")
@@ -40,7 +42,7 @@ class Report:
         geometry: "solid", or what a plane mesh is.
         cells: Cells on all ranks.
         unknowns: Displacement components on all ranks.
-        analysis: "statics" or "dynamics".
+        analysis: "statics", "dynamics", "modal" or "buckling".
         linear_solver: Which linear solver, and why.
         surfaces: The named surfaces.
         regions: The named regions.
@@ -101,19 +103,23 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
 
 def _check_start(case: Case, problem: Problem) -> None:
     """What the solver would refuse at its start."""
-    if case.dynamics is None:
+    if case.analysis in ("statics", "buckling") or case.preloaded:
         check_held(problem)
-        return
-    if explicit(case):
-        check_explicit(problem)
-    check_start(problem)
+    elif case.dynamics is not None and not case.dynamics.implicit:
+        check_explicit(problem, case.dynamics.scheme)
+    if case.dynamics is not None:
+        check_start(problem)
 
 
 def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> Report:
     integrals = Integrals(problem, case.mesh.metres_thick)
     sums = load_sums(case, integrals)
     moving = case.dynamics is not None
-    choice = None if explicit(case) else choose(problem, case.solver, moving=moving)
+    solver = case.make_solver(problem)
+    if isinstance(solver, Modal | Buckling):
+        choice: Choice | None = solver.choice
+    else:
+        choice = None if explicit(case) else choose(problem, case.solver, moving=moving)
     return Report(
         case=case.file,
         title=case.title,
@@ -123,7 +129,7 @@ def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> 
         extent=extent(body),
         cells=body.num_cells,
         unknowns=problem.num_dofs,
-        analysis="dynamics" if moving else "statics",
+        analysis=case.analysis,
         linear_solver="none: explicit scheme" if choice is None else choice.why,
         surfaces=surface_sizes(case, integrals),
         regions=region_sizes(case, body, integrals),

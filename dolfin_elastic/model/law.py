@@ -13,7 +13,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.model import moduli, varying
 from dolfin_elastic.model.directions import numbers
 from dolfin_elastic.schema import Record
-from dolfin_elastic.units import Deferred, Density, Expansion, Number, Stress
+from dolfin_elastic.units import Deferred, Density, Expansion, Number, Stress, Viscosity
 
 
 class Law(Record):
@@ -29,6 +29,7 @@ class Law(Record):
         density: Mass per reference volume [kg/m^3]; needed for gravity and for motion.
         expansion: Coefficient of thermal expansion, strain per change of temperature [1/K].
         allowable: Von Mises stress that the material may bear [Pa]; needed for safety factors.
+        viscosity: Viscous stress per rate of strain, over 2 [Pa s], in implicit motion.
     """
 
     law: str = ""
@@ -37,6 +38,7 @@ class Law(Record):
     )
     expansion: Expansion | None = None
     allowable: Stress | None = Field(default=None, gt=0)
+    viscosity: Viscosity | None = Field(default=None, gt=0)
 
     linear: ClassVar[bool] = False
     """Stress is linear in the displacement gradient."""

@@ -241,6 +241,7 @@ class Energy(Own):
         "density",
         "rho",
         "expansion",
+        "viscosity",
         "fibre",
         "fibre2",
     )

@@ -152,6 +152,14 @@ class Resisting(Restraint):
     def virtual_work(self, site: Ground) -> ufl.Form:
         """Virtual work of its force on the body, linear in `site.v`. Collective."""
 
+    def bound(self, site: Ground) -> ufl.Form:
+        """Largest coefficient times each component of `site.v`: a bound of its matrix's rows."""
+        values = self._values(site)
+        most = values[0]
+        for value in values[1:]:
+            most = ufl.max_value(most, value)
+        return most * sum(site.v) * site.areas(self.surfaces)
+
 
 def _located(key: str, read: Callable[[Any, str], T], written: Any, unit: str) -> T:
     """What a key says; faults get its name."""
@@ -242,14 +250,6 @@ class Dashpot(Resisting):
     def work_at(self, site: Ground, velocity: Expr) -> ufl.Form:
         """Virtual work of its force at a velocity [m/s]."""
         return -ufl.inner(self.resistance(site, velocity), site.v) * site.areas(self.surfaces)
-
-    def bound(self, site: Ground) -> ufl.Form:
-        """Largest coefficient times each component of `site.v`: a bound of its matrix's rows."""
-        values = self._values(site)
-        most = values[0]
-        for value in values[1:]:
-            most = ufl.max_value(most, value)
-        return most * sum(site.v) * site.areas(self.surfaces)
 
 
 SUPPORTS: dict[str, type[Restraint]] = {

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from dolfin_elastic.errors import OutputError
+from dolfin_elastic.errors import OutputError, RestartError
 
 _SPARE = 1 << 20
 
@@ -44,16 +44,42 @@ def _cause(error: OSError) -> str:
     return reason + advice.get(error.errno or 0, "")
 
 
-def replace_text(path: Path, text: str) -> None:
+def replace_text(path: Path, text: str, *, lasting: bool = False) -> None:
     """Writes a whole file under another name and renames it. Not collective.
 
     Whoever opens `path`, at any moment and also after the program was killed, finds either the
     old text or the new one, complete.
+
+    Args:
+        path: The file.
+        text: What it shall hold.
+        lasting: Also after a loss of power.
     """
     draft = path.with_name(f".{path.name}.part")
     with writing(path):
         draft.write_text(text, encoding="utf-8")
+        if lasting:
+            sync(draft)
         draft.replace(path)
+
+
+def sync(path: Path) -> None:
+    """Waits until a file or folder is on the disk itself. Not collective."""
+    with writing(path):
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def shortened(path: Path, what: str) -> RestartError:
+    """The error of results that are not there any more. Not collective."""
+    return RestartError(
+        f"{what} at the checkpoint are not in the file any more",
+        where=str(path),
+        expected="put the results back as the run has left them, or compute the case anew",
+    )
 
 
 def make_folder(folder: Path) -> None:

@@ -58,13 +58,14 @@ class Rows:
         return self.shape[0] * self.shape[1] * self.values.itemsize
 
 
-def write(comm: MPI.Comm, path: Path, arrays: Mapping[str, Rows]) -> None:
+def write(comm: MPI.Comm, path: Path, arrays: Mapping[str, Rows], *, lasting: bool = False) -> None:
     """Writes a new HDF5 file that is complete and closed on return. Collective.
 
     Args:
         comm: The ranks that hold the rows.
         path: The file, on a file system all ranks see; it is overwritten.
         arrays: Name in the file to this rank's rows; same names and types on all ranks.
+        lasting: On return it is on the disk itself, and outlasts a loss of power.
 
     Raises:
         OutputError: On all ranks, when the file cannot be written on any.
@@ -72,6 +73,8 @@ def write(comm: MPI.Comm, path: Path, arrays: Mapping[str, Rows]) -> None:
     places = on_root(comm, lambda: _lay_out(path, arrays))
     file = _open(comm, path)
     errors = [_put(file, path, places[name], rows) for name, rows in arrays.items()]
+    if lasting:
+        errors.append(_sync(file, path))
     file.Close()
     agree(comm, next((error for error in errors if error), None))
 
@@ -122,3 +125,39 @@ def _put(file: MPI.File, path: Path, start: int, rows: Rows) -> OutputError | No
     if status.Get_count(MPI.BYTE) != values.nbytes:
         return OutputError(f"cannot write {path}: only a part was written; is the disk full?")
     return None
+
+
+def _sync(file: MPI.File, path: Path) -> OutputError | None:
+    """Waits until what was written is on disk; an error is returned. Collective."""
+    try:
+        with writing(path):
+            file.Sync()
+    except OutputError as caught:
+        return caught
+    return None
+
+
+def names(path: Path) -> dict[str, tuple[int, int]]:
+    """Name to rows and columns of the arrays in a file. Not collective.
+
+    Raises:
+        OSError: The file is missing, or no HDF5 file.
+    """
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        return {name: (int(data.shape[0]), int(data.shape[1])) for name, data in file.items()}
+
+
+def read(path: Path, name: str, first: int, count: int) -> Array:
+    """Some rows of an array. Not collective.
+
+    Raises:
+        OSError: The file is missing, damaged, or has fewer rows.
+    """
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        if name not in file or file[name].shape[0] < first + count:
+            raise OSError(f"{path} has no such rows")
+        return np.asarray(file[name][first : first + count])

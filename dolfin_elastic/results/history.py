@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from dolfin_elastic.parallel import on_root
-from dolfin_elastic.results.files import make_folder, writing
+from dolfin_elastic.results.files import make_folder, shortened, sync, writing
+from dolfin_elastic.results.writer import Numbers
 from dolfin_elastic.state import Audit, State
 from dolfin_elastic.timing import stage
 
@@ -30,11 +31,14 @@ class HistoryWriter:
     * ``step``, ``t`` [s; in statics the load parameter], ``load_factor``, ``newton`` and
       ``krylov`` iterations, ``max_displacement`` [m],
     * ``strain_energy`` [J] if the material has one; in motion ``kinetic_energy``,
-      ``external_energy`` (work of the loads so far), ``total_energy``,
+      ``external_energy`` (work of the loads so far), ``total_energy``, and where there are such
+      ``springs_energy``, ``contact_energy``, ``damping_energy`` and ``dashpots_energy`` (lost so
+      far), ``potential_energy`` (of loads that do not change), ``balance_energy`` (what has come
+      from nowhere),
     * ``reaction_<support>_x``, ``_y``, ``_z`` [N] for each support,
     * further results by name, for example of probes, obstacles and cavities,
     * in motion ``momentum_x`` ... [kg m/s] and ``angular_momentum_x`` ... [kg m^2/s],
-    * in statics the audit: ``balance_force`` and ``balance_moment`` (shares that are left),
+    * the audit: ``balance_force`` and ``balance_moment`` (shares that are left), in statics
       ``external_work`` [J], ``min_jacobian``, ``max_jacobian``, ``verdict`` (pass or warn).
 
     A row is on disk when `write` returns.
@@ -42,21 +46,41 @@ class HistoryWriter:
     Args:
         problem: The problem that is solved.
         path: The file; an old one is overwritten.
+        kept: Where it goes on after a checkpoint: rows from there on are cut off.
 
     Raises:
         OutputError: The file cannot be written.
+        RestartError: It has lost rows since the checkpoint.
     """
 
-    def __init__(self, problem: Problem, path: Path) -> None:
+    def __init__(self, problem: Problem, path: Path, kept: Numbers | None = None) -> None:
         self.comm, self.path = problem.body.comm, path
         self._file: BinaryIO | None = None
         self._columns: list[str] = []
-        on_root(self.comm, self._open)
+        on_root(self.comm, self._open if kept is None else lambda: self._reopen(kept["bytes"]))
 
     def _open(self) -> None:
         make_folder(self.path.parent)
         with writing(self.path):
             self._file = self.path.open("wb", buffering=0)
+
+    def _reopen(self, size: int) -> None:
+        if not self.path.is_file() or self.path.stat().st_size < size:
+            raise shortened(self.path, "all rows")
+        with writing(self.path):
+            self._file = self.path.open("r+b", buffering=0)
+            head = self._file.readline() if size else b""
+            self._file.truncate(size)
+            self._file.seek(size)
+        self._columns = next(csv.reader([head.decode()]), [])
+
+    def kept(self) -> Numbers:
+        """Where it ends now, on disk."""
+        return {"bytes": on_root(self.comm, self._synced)}
+
+    def _synced(self) -> int:
+        sync(self.path)
+        return self.path.stat().st_size
 
     def write(self, state: State) -> None:
         """Appends one row."""
@@ -103,7 +127,10 @@ def row(state: State) -> dict[str, Number | str]:
             values.update(_components(column, state.momenta[name]))
     values.update(state.numbers)
     found = {name: v if isinstance(v, int) else float(v) for name, v in values.items()}
-    return {**found, **_judged(state.audit)}
+    judged = _judged(state.audit)
+    if state.v is not None:  # in motion the work is among the energies
+        judged.pop("external_work", None)
+    return {**found, **judged}
 
 
 def _judged(audit: Audit | None) -> dict[str, Number | str]:

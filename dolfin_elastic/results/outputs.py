@@ -15,9 +15,12 @@ from pydantic import Field, field_validator
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.results.fields import known
 from dolfin_elastic.results.history import HistoryWriter
+from dolfin_elastic.results.mode_pictures import ModePictureWriter
+from dolfin_elastic.results.modes import ModesWriter
+from dolfin_elastic.results.modes import listing as animations
 from dolfin_elastic.results.pictures import PictureWriter, View, drawable, own_files
 from dolfin_elastic.results.summary import SummaryWriter
-from dolfin_elastic.results.writer import Writer
+from dolfin_elastic.results.writer import Numbers, Writer
 from dolfin_elastic.results.xdmf import XdmfWriter
 from dolfin_elastic.schema import Record
 
@@ -45,6 +48,16 @@ class Output(Record):
             InputError: A field that the problem does not have.
             OutputError: The folder cannot be written to.
         """
+
+    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> Writer:
+        """Opens it to go on after a checkpoint, here as if nothing had been. Collective.
+
+        Args:
+            problem: The problem that is solved.
+            folder: Of the results.
+            kept: What the writer said of itself at the checkpoint.
+        """
+        return self.open(problem, folder)
 
     def listing(self, folder: Path) -> list[str]:
         """What of it is in the results' folder, as a user reads it. Not collective."""
@@ -82,8 +95,20 @@ class Xdmf(Output):
 
     def open(self, problem: Problem, folder: Path) -> XdmfWriter:
         """See `Output.open`."""
+        return self._writer(problem, folder)
+
+    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> XdmfWriter:
+        """See `Output.reopen`."""
+        return self._writer(problem, folder, kept)
+
+    def _writer(self, problem: Problem, folder: Path, kept: Numbers | None = None) -> XdmfWriter:
         return XdmfWriter(
-            problem, folder / self.file, fields=self.fields, every=self.every, frames=self.frames
+            problem,
+            folder / self.file,
+            fields=self.fields,
+            every=self.every,
+            frames=self.frames,
+            kept=kept,
         )
 
 
@@ -100,6 +125,10 @@ class History(Output):
         """See `Output.open`."""
         return HistoryWriter(problem, folder / self.file)
 
+    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> HistoryWriter:
+        """See `Output.reopen`."""
+        return HistoryWriter(problem, folder / self.file, kept)
+
 
 class Summary(Output):
     """The run in numbers.
@@ -113,6 +142,10 @@ class Summary(Output):
     def open(self, problem: Problem, folder: Path) -> SummaryWriter:
         """See `Output.open`."""
         return SummaryWriter(problem, folder / self.file)
+
+    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> SummaryWriter:
+        """See `Output.reopen`."""
+        return SummaryWriter(problem, folder / self.file, kept)
 
 
 class Picture(Output):
@@ -144,12 +177,20 @@ class Picture(Output):
             raise InputError(f"{every} is wrong", expected='"last", 1, 2, 3, ...')
         return every
 
-    def open(self, problem: Problem, folder: Path) -> PictureWriter:
+    def open(self, problem: Problem, folder: Path) -> Writer:
         """See `Output.open`."""
+        return self._writer(problem, folder)
+
+    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> PictureWriter:
+        """See `Output.reopen`."""
+        return self._writer(problem, folder, kept)
+
+    def _writer(self, problem: Problem, folder: Path, kept: Numbers | None = None) -> PictureWriter:
         return PictureWriter(
             problem,
             folder / self.file,
             field=self.field,
+            kept=kept,
             view=self.view,
             scale=self.scale,
             title=self.title or "",
@@ -165,9 +206,58 @@ class Picture(Output):
         return [f"{found[0]} ... {found[-1]} ({len(found)} pictures)"]
 
 
+class ModePicture(Picture):
+    """A picture of each mode, coloured by its displacement.
+
+    Attributes:
+        amplitude: Largest displacement, over the body's longest side.
+    """
+
+    amplitude: float = Field(default=0.1, gt=0)
+
+    def open(self, problem: Problem, folder: Path) -> Writer:
+        """See `Output.open`."""
+        return ModePictureWriter(
+            problem,
+            folder / self.file,
+            amplitude=self.amplitude,
+            title=self.title or "",
+            scale=self.scale,
+            view=self.view,
+        )
+
+
+class Modes(Output):
+    """Modes of vibration or buckling: a table, and an animation of each for ParaView.
+
+    Attributes:
+        file: The CSV file; animations are called mode_01.xdmf, mode_02.xdmf ... beside it.
+        frames: Of one period.
+        amplitude: Largest displacement of an animation, over the body's longest side.
+    """
+
+    file: str = "modes.csv"
+    frames: int = Field(default=20, ge=1)
+    amplitude: float = Field(default=0.1, gt=0)
+
+    def open(self, problem: Problem, folder: Path) -> ModesWriter:
+        """See `Output.open`."""
+        return ModesWriter(
+            problem, folder / self.file, frames=self.frames, amplitude=self.amplitude
+        )
+
+    def listing(self, folder: Path) -> list[str]:
+        """See `Output.listing`; many animations are the first and the last."""
+        found = [path.name for path in animations(folder)]
+        if len(found) > _MANY:
+            found = [f"{found[0]} ... {found[-1]}"]
+        return [*super().listing(folder), *found]
+
+
 OUTPUTS: dict[str, type[Output]] = {
     "xdmf": Xdmf,
     "history": History,
     "summary": Summary,
     "pictures": Picture,
+    "modes": Modes,
 }

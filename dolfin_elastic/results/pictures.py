@@ -6,6 +6,7 @@ wrong there, down to a crash, becomes an error message here and not the end of t
 
 from __future__ import annotations
 
+import math
 import re
 import tempfile
 import time
@@ -29,7 +30,7 @@ from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import make_folder, writing
 from dolfin_elastic.results.grid import to_nodes
 from dolfin_elastic.results.surface import Surface, gather
-from dolfin_elastic.results.writer import Every, Kept
+from dolfin_elastic.results.writer import Every, Kept, Numbers
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
@@ -94,7 +95,7 @@ def picture(
         InputError: The field cannot be shown.
         OutputError: The picture cannot be drawn or written.
     """
-    painter = _Painter(problem, field)
+    painter = Painter(problem, field)
     try:
         painter.paint(state, Path(file), scale=scale, view=view, title=title)
     finally:
@@ -112,6 +113,7 @@ class PictureWriter:
         every: Each n-th step (see `Every`) and the last one, with the step's number in the
             file's name; None: the last only, without it.
         field: See `picture`.
+        kept: Where it goes on after a checkpoint: pictures of later steps are removed.
         options: `scale`, `view` and `title` of `picture`.
     """
 
@@ -122,20 +124,27 @@ class PictureWriter:
         *,
         every: int | None = None,
         field: str = "von_mises",
+        kept: Numbers | None = None,
         **options: Any,
     ) -> None:
         self.path, self.options = path, options
-        self._every = None if every is None else Every(every)
+        self._every = None if every is None else Every(every, -1 if kept is None else kept["taken"])
+        self._drawn = -1 if kept is None else int(kept["drawn"])
         self._kept = Kept()
         with stage("output"):
             on_root(problem.body.comm, self._clear)
-            self._painter = _Painter(problem, field)
+            self._painter = Painter(problem, field)
 
     def _clear(self) -> None:
         make_folder(self.path.parent)
         with writing(self.path):
             for file in own_files(self.path):
-                file.unlink()
+                if file == self.path or _number(self.path, file) > self._drawn:
+                    file.unlink()
+
+    def kept(self) -> Numbers:
+        """Which pictures there are now."""
+        return {"drawn": self._drawn, "taken": -1 if self._every is None else self._every.taken}
 
     def write(self, state: State) -> None:
         """Draws the step, or keeps it for the end."""
@@ -150,6 +159,7 @@ class PictureWriter:
         name = f"{self.path.stem}_{state.step:04d}{self.path.suffix}"
         file = self.path if self._every is None else self.path.with_name(name)
         self._painter.paint(state, file, **self.options)
+        self._drawn = state.step
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """Draws the last converged step if it has not been drawn."""
@@ -163,12 +173,18 @@ class PictureWriter:
 
 def own_files(path: Path) -> list[Path]:
     """Pictures that a run has drawn as `path`, in their order. Not collective."""
-    numbered = re.compile(rf"{re.escape(path.stem)}_(\d{{4,}}){re.escape(path.suffix)}")
-    found = [(int(m[1]), p) for p in path.parent.iterdir() if (m := numbered.fullmatch(p.name))]
+    found = [(number, p) for p in path.parent.iterdir() if (number := _number(path, p)) >= 0]
     return [*([path] if path.is_file() else []), *(p for _, p in sorted(found))]
 
 
-class _Painter:
+def _number(path: Path, file: Path) -> int:
+    """Number of the step that a picture shows, -1 if the file is no such picture."""
+    stem, suffix = re.escape(path.stem), re.escape(path.suffix)
+    found = re.fullmatch(rf"{stem}_(\d{{4,}}){suffix}", file.name)
+    return int(found[1]) if found else -1
+
+
+class Painter:
     """A field of a problem, ready to be drawn again and again."""
 
     def __init__(self, problem: Problem, field: str) -> None:
@@ -190,6 +206,7 @@ class _Painter:
         view: View = "isometric",
         title: str = "",
     ) -> None:
+        """Draws a state. Collective; see `picture`."""
         values = self._evaluate(state)[self.field]
         grid = self._evaluate.grid
         u = state.u.x.array.reshape(-1, self.dim)
@@ -262,6 +279,8 @@ def _headline(state: State, title: str, scale: float) -> str:
     """Title, load or time, and magnification, as far as there is something to say."""
     moving = state.v is not None
     place = f"t = {state.t:.4g} s" if moving else f"load {100 * state.load_factor:.4g} %"
+    if math.isnan(state.load_factor):  # a mode, which the title names
+        place = ""
     larger = "" if scale == 1.0 else f"displacements \u00d7 {scale:g}"
     return "   |   ".join(filter(None, (title, place, larger)))
 

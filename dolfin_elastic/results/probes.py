@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, Self, cast
 
 import basix
 import numpy as np
@@ -21,31 +21,33 @@ from dolfin_elastic.meshes.curved import cell_volumes
 from dolfin_elastic.meshes.places import Place, locate
 from dolfin_elastic.meshes.selectors import MeshLength, metres
 from dolfin_elastic.parallel import total
+from dolfin_elastic.results.averages import NODAL, SurfaceMean, check_surface
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.schema import Record
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
 if TYPE_CHECKING:
+    from dolfin_elastic.meshes.body import Body
     from dolfin_elastic.model.law import Law
     from dolfin_elastic.parts import Part
     from dolfin_elastic.problem import Problem
 
 Array = npt.NDArray[np.float64]
-NODAL = {"displacement": "u", "velocity": "v", "acceleration": "a"}
-"""Fields that are read off a state's functions."""
 _AXES = "xyz"
 
 
 class ProbePoint(Record):
-    """A point of the undeformed body where fields are read off.
+    """A point of the undeformed body where fields are read off, or a surface that has their mean.
 
     Attributes:
-        at: Its coordinates, bare numbers in the mesh's unit.
+        at: The point's coordinates, bare numbers in the mesh's unit.
+        surface: Name of the surface, in place of a point.
         fields: Names from `FIELDS`: displacement, velocity, acceleration and those of cells.
     """
 
-    at: Annotated[list[MeshLength], Key(min_length=2, max_length=3)]
+    at: Annotated[list[MeshLength], Key(min_length=2, max_length=3)] | None = None
+    surface: str | None = None
     fields: tuple[str, ...] = ("displacement",)
 
     @model_validator(mode="before")
@@ -59,13 +61,37 @@ class ProbePoint(Record):
     def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         return readable(names)
 
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.at is None) == (self.surface is None):
+            what = "at and surface are given together" if self.at else "no place is given"
+            raise InputError(what, expected="at = [x, y, z], or surface with a name")
+        return self
+
     def place(self, scale: float) -> list[float]:
-        """Its coordinates [m].
+        """Its coordinates [m]; it is a point.
 
         Args:
             scale: Metres per unit of the mesh.
         """
+        assert self.at is not None
         return [metres(x, scale) for x in self.at]
+
+
+def _points(probes: Mapping[str, ProbePoint], scale: float) -> dict[str, list[float]]:
+    return {name: p.place(scale) for name, p in probes.items() if p.at is not None}
+
+
+def check_places(probes: Mapping[str, ProbePoint], body: Body, scale: float) -> None:
+    """Finds points and surfaces of probes in a body. Collective.
+
+    Raises:
+        MeshError: A point lies outside, or has too few coordinates; or there is no such surface.
+    """
+    locate(body, _points(probes, scale))
+    for name, probe in probes.items():
+        if probe.surface is not None:
+            check_surface(body, probe.surface, f"{name}.surface")
 
 
 def readable(names: Iterable[str]) -> tuple[str, ...]:
@@ -95,6 +121,7 @@ class Probe:
         problem: The problem that is solved.
         points: Name to coordinates [m] in the reference configuration.
         fields: Fields at all points, or name of the point to its fields.
+        surfaces: Name to a surface and the fields whose means over it are read, too.
 
     Raises:
         InputError: A point lies outside of the body, or a field cannot be read at a point.
@@ -105,6 +132,7 @@ class Probe:
         problem: Problem,
         points: Mapping[str, Sequence[float]],
         fields: Iterable[str] | Mapping[str, Iterable[str]] = ("displacement",),
+        surfaces: Mapping[str, tuple[str, Sequence[str]]] | None = None,
     ) -> None:
         self.problem, self.dim = problem, problem.body.dim
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
@@ -112,12 +140,38 @@ class Probe:
         self.places = locate(problem.body, points, _materials(problem))
         names = dict.fromkeys(n for row in self.fields.values() for n in row if n not in NODAL)
         self._cells = _CellFields(problem, self.places, tuple(names)) if names else None
+        self._means = {
+            name: SurfaceMean(problem, surface, readable(asked))
+            for name, (surface, asked) in (surfaces or {}).items()
+        }
+
+    @classmethod
+    def of(cls, probes: Mapping[str, ProbePoint], problem: Problem, scale: float) -> Probe:
+        """From what a user wrote. Collective.
+
+        Args:
+            probes: Name to point or surface.
+            problem: The problem that is solved.
+            scale: Metres per unit of the mesh.
+        """
+        points = _points(probes, scale)
+        surfaces = {n: (p.surface, p.fields) for n, p in probes.items() if p.surface is not None}
+        return cls(problem, points, {name: probes[name].fields for name in points}, surfaces)
 
     def __call__(self, state: State) -> dict[str, Array]:
         """`POINT_FIELD` to the field's components there, the same on every rank.
 
         Vectors have as many components as the body has dimensions, tensors nine, row by row.
         """
+        with stage("output"):
+            means = {
+                f"{name}_{field}": values
+                for name, mean in self._means.items()
+                for field, values in mean(state).items()
+            }
+        return {**self._at_points(state), **means}
+
+    def _at_points(self, state: State) -> dict[str, Array]:
         if not self.fields:
             return {}
         with stage("output"):

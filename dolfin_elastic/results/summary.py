@@ -20,9 +20,10 @@ from dolfin_elastic import timing
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.results.extremes import Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
+from dolfin_elastic.results.modes import row
 from dolfin_elastic.results.worst import Worst
-from dolfin_elastic.results.writer import Kept
-from dolfin_elastic.state import State
+from dolfin_elastic.results.writer import Kept, Numbers
+from dolfin_elastic.state import Mode, State
 from dolfin_elastic.version import __version__
 
 if TYPE_CHECKING:
@@ -38,6 +39,10 @@ UNITS = {
     "reactions": "N",
     "place": "m",
     "von_mises": "Pa",
+    "frequency": "Hz",
+    "omega": "rad/s",
+    "mass": "kg",
+    "effective": "kg (about axes kg m^2)",
     "timings": "s",
     "peak_memory": "byte",
 }
@@ -53,40 +58,73 @@ class SummaryWriter:
     Args:
         problem: The problem that is solved.
         path: The file; an old one is overwritten.
+        kept: Where it goes on after a checkpoint; numbers and seconds are then of both together.
 
     Raises:
         OutputError: The file cannot be written.
     """
 
-    def __init__(self, problem: Problem, path: Path) -> None:
+    def __init__(self, problem: Problem, path: Path, kept: Numbers | None = None) -> None:
         self.problem, self.path, self.comm = problem, path, problem.body.comm
         self._begin = self._written = time.monotonic()
-        self._started = _now()
-        self._steps = self._newton = self._krylov = 0
+        before = dict(kept or {})
+        self._started = before.get("started", _now())
+        self._newton, self._krylov = before.get("newton", 0), before.get("krylov", 0)
+        self._last: dict[str, Any] = before.get("last", _NUMBERS)
+        self._spent: dict[str, float] = before.get("timings", {})
+        self._restarts: list[dict[str, Any]] = before.get("restarts", [])
+        if kept is not None:
+            again = {"step": self._last["steps"], "t": self._last["t"], "ranks": self.comm.size}
+            self._restarts = [*self._restarts, {**again, "at": _now()}]
         self._kept = Kept()
-        self._audit = Worst()
+        self._audit = Worst(before.get("audits", ()))
+        self._extremes: Extremes | None = None
+        self._modes: list[Mode] = []
         with timing.stage("output"):
-            self._extremes = Extremes(problem)
             on_root(self.comm, lambda: make_folder(path.parent))
             self._save("running")
 
     def write(self, state: State) -> None:
         """Takes in one step; writes the file if it is older than a second."""
         with timing.stage("output"):
-            self._steps = max(self._steps, state.step)
+            if self._extremes is None:
+                self._extremes = Extremes(self.problem)
             self._newton += state.newton
             self._krylov += state.krylov
             self._kept.keep(state)
+            self._last = _numbers(state)
             self._audit.take(state)
-            # Clocks differ between ranks: the first one decides for all.
-            if self.comm.bcast(time.monotonic() - self._written > _INTERVAL):
-                self._save("running")
+            self._save_now_and_then()
+
+    def write_mode(self, mode: Mode) -> None:
+        """Takes in one mode; writes the file if it is older than a second."""
+        with timing.stage("output"):
+            self._modes.append(mode)
+            self._save_now_and_then()
+
+    def _save_now_and_then(self) -> None:
+        # Clocks differ between ranks: the first one decides for all.
+        if self.comm.bcast(time.monotonic() - self._written > _INTERVAL):
+            self._save("running")
+
+    def kept(self) -> Numbers:
+        """The numbers so far. Collective."""
+        found = {
+            "started": self._started,
+            "newton": self._newton,
+            "krylov": self._krylov,
+            "last": _plain(self._last),
+            "timings": self._timings(),
+            "restarts": self._restarts,
+            "audits": self._audit.kept(),
+        }
+        return self.comm.bcast(found)  # clocks differ
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """Writes the file for the last time, with the extremes of the last converged step."""
         with timing.stage("output"):
             state = self._kept.state
-            found = self._extremes.of(state) if state else {}
+            found = self._extremes.of(state) if state and self._extremes else {}
             extra: dict[str, Any] = {
                 "finished": _now(),
                 "extremes": {k: asdict(e) for k, e in found.items()},
@@ -110,6 +148,7 @@ class SummaryWriter:
             "versions": versions(),
             "units": UNITS,
             "started": self._started,
+            "restarts": self._restarts,
             **(extra or {}),
         }
         text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -125,26 +164,58 @@ class SummaryWriter:
         }
 
     def _numbers(self) -> dict[str, Any]:
-        state = self._kept.state
-        return {
-            "steps": self._steps,
-            "t": state.t if state else None,
-            "load_factor": state.load_factor if state else None,
-            "newton_iterations": self._newton,
-            "krylov_iterations": self._krylov,
-            "max_displacement": state.max_displacement if state else None,
-            "strain_energy": state.energies.get("strain") if state else None,
-            "energies": dict(state.energies) if state else {},
-            "reactions": dict(state.reactions) if state else {},
-            "numbers": dict(state.numbers) if state else {},
-            "limit_points": list(state.limit_points) if state else [],
-            "audit": self._audit.told(),
-        }
+        counts = {"newton_iterations": self._newton, "krylov_iterations": self._krylov}
+        return {**self._last, **counts, "audit": self._audit.told(), **self._of_modes()}
+
+    def _of_modes(self) -> dict[str, Any]:
+        """The modes, the whole body's masses, and the share of them that the modes carry."""
+        if not self._modes:
+            return {}
+        whole, rows = self._modes[0].whole, [row(mode) for mode in self._modes]
+        if not whole:
+            return {"modes": rows}
+        sums = {name: sum(mode.effective[name] for mode in self._modes) for name in whole}
+        shares = {name: sums[name] / whole[name] for name in whole if whole[name] > 0.0}
+        return {"modes": rows, "whole": dict(whole), "effective_shares": shares}
 
     def _timings(self) -> dict[str, float]:
         measured = {"total": time.monotonic() - self._begin, **timing.totals()}
         names = dict.fromkeys((*_STAGES, *measured))
-        return {name: round(measured.get(name, 0.0), 4) for name in names}
+        return {
+            name: round(measured.get(name, 0.0) + self._spent.get(name, 0.0), 4) for name in names
+        }
+
+
+_NUMBERS: dict[str, Any] = {
+    "steps": 0,
+    "t": None,
+    "load_factor": None,
+    "newton_iterations": 0,
+    "krylov_iterations": 0,
+    "max_displacement": None,
+    "strain_energy": None,
+    "energies": {},
+    "reactions": {},
+    "numbers": {},
+    "limit_points": [],
+}
+"""What is told of the last step, before there is one; in this order."""
+
+
+def _numbers(state: State) -> dict[str, Any]:
+    """What is told of a step."""
+    return {
+        **_NUMBERS,
+        "steps": state.step,
+        "t": state.t,
+        "load_factor": state.load_factor,
+        "max_displacement": state.max_displacement,
+        "strain_energy": state.energies.get("strain"),
+        "energies": dict(state.energies),
+        "reactions": dict(state.reactions),
+        "numbers": dict(state.numbers),
+        "limit_points": list(state.limit_points),
+    }
 
 
 def _now() -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -10,10 +12,18 @@ from dolfin_elastic.state import Audit, State
 
 
 class Worst:
-    """Takes in the audit of each step and tells the worst of all.  Not collective."""
+    """Takes in the audit of each step and tells the worst of all.  Not collective.
 
-    def __init__(self) -> None:
-        self._audits: list[Audit] = []
+    Args:
+        kept: Of the steps before a checkpoint.
+    """
+
+    def __init__(self, kept: Iterable[Mapping[str, Any]] = ()) -> None:
+        self._audits = [_audit(table) for table in kept]
+
+    def kept(self) -> list[dict[str, Any]]:
+        """What the next steps are compared with, as JSON knows it."""
+        return [asdict(audit) for audit in self._audits]
 
     def take(self, state: State) -> None:
         """Takes in one step; keeps nothing but what is worst so far."""
@@ -40,6 +50,14 @@ class Worst:
             "min_jacobian": {"value": low.min_jacobian, "place": list(low.min_place)},
             "max_jacobian": {"value": high.max_jacobian, "place": list(high.max_place)},
         }
+
+
+def _audit(table: Mapping[str, Any]) -> Audit:
+    """From JSON, which knows lists only."""
+    values: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in table.items()
+    }
+    return Audit(**values)
 
 
 def _extremes(audits: list[Audit]) -> list[Audit]:

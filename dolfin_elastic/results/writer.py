@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from dolfinx import fem
 
-from dolfin_elastic.state import State
+from dolfin_elastic.state import Mode, State
+
+Numbers = Mapping[str, Any]
+"""What a writer needs to go on after a checkpoint, as JSON knows it."""
 
 
 class Writer(Protocol):
-    """An open output.  All of it is collective."""
+    """An open output.  All of it is collective.
+
+    One with `kept() -> Numbers` can go on after a checkpoint (`Output.reopen`): what it has written
+    so far is on disk when that returns.
+    """
 
     def write(self, state: State) -> None:
         """Takes one converged step."""
@@ -25,6 +33,14 @@ class Writer(Protocol):
         """
 
 
+@runtime_checkable
+class ModeWriter(Protocol):
+    """An open output that takes modes, too."""
+
+    def write_mode(self, mode: Mode) -> None:
+        """Takes one mode. Collective."""
+
+
 class Every:
     """Which states are taken: the first one at or after each n-th step.
 
@@ -32,17 +48,20 @@ class Every:
 
     Args:
         n: Steps from one taken state to the next.
+        taken: Where a run before this one was.
+
+    Attributes:
+        taken: Number of the last n steps of which a state was taken.
     """
 
-    def __init__(self, n: int) -> None:
-        self.n = n
-        self._taken = -1
+    def __init__(self, n: int, taken: int = -1) -> None:
+        self.n, self.taken = n, taken
 
     def takes(self, step: int) -> bool:
         """True if this state is taken. To be asked once for each."""
-        due = step // self.n > self._taken
+        due = step // self.n > self.taken
         if due:
-            self._taken = step // self.n
+            self.taken = step // self.n
         return due
 
 

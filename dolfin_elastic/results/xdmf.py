@@ -6,6 +6,8 @@ What is on disk:
     results_data/mesh.h5      points, cells, and fields that never change
     results_data/000000.h5    the fields of the first written step
     results_data/000001.h5    ... one file for each further one
+    results_data/mesh_000007.h5   points and cells from there on, if the run went on from a
+                              checkpoint on other ranks
 
 One HDF5 file per step, because a run may be killed at any moment.  A file that is open while the
 program dies is lost, also the older steps in it if it is one that grows; here it is only ever the
@@ -22,26 +24,32 @@ first, the `.xdmf` before what it names.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import escape, quoteattr
 
-from dolfin_elastic.parallel import on_root
+import numpy as np
+from mpi4py import MPI
+
+from dolfin_elastic.parallel import largest, on_root
 from dolfin_elastic.results import heavy
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import DEFAULT, FIELDS, IN_MOTION
-from dolfin_elastic.results.files import make_folder, replace_text, writing
+from dolfin_elastic.results.files import make_folder, replace_text, shortened, sync, writing
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.heavy import Rows
-from dolfin_elastic.results.writer import Every, Kept
+from dolfin_elastic.results.writer import Every, Kept, Numbers
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem import Problem
 
-_OURS = re.compile(r"mesh\.h5|\d{6,}\.h5")
+_OURS = re.compile(r"mesh\.h5|(?:mesh_)?(\d{6,})\.h5")
+_MESH = re.compile(r"/([^/:<>]+\.h5):/points<")
+_FRAME = '<Grid Name="step '
+_END = "</Grid>\n</Domain>"
 
 
 class XdmfWriter:
@@ -53,9 +61,11 @@ class XdmfWriter:
         fields: Names from `FIELDS`; None: displacement and stresses, in motion also velocity.
         every: Writes each n-th step (see `Every`), and always the last one.
         frames: Instead of that, as many states as this, evenly over the run, and the last one.
+        kept: Where it goes on after a checkpoint: later steps are cut off.
 
     Raises:
         InputError: An unknown field.
+        RestartError: Steps have got lost since the checkpoint.
         OutputError: The folder cannot be written to.
     """
 
@@ -67,21 +77,61 @@ class XdmfWriter:
         fields: tuple[str, ...] | None = None,
         every: int = 1,
         frames: int | None = None,
+        kept: Numbers | None = None,
     ) -> None:
         self.problem, self.path, self.fields = problem, path, fields
-        self.every, self.frames = Every(every), frames
+        self.every, self.frames = Every(every, -1 if kept is None else kept["taken"]), frames
         self.comm = problem.body.comm
         self.data = _data(path)
         self._frames: list[str] = []
+        self._synced = 0
+        self._mesh_file = self._mesh_xml = ""
         self._kept = Kept()
         self._pending = False
         with stage("output"):
             self._evaluate = Evaluator(problem, fields or DEFAULT)
-            on_root(self.comm, self._clear)
+            if kept is None:
+                on_root(self.comm, self._clear)
+            else:
+                self._frames = on_root(self.comm, lambda: self._cut(kept["frames"]))
+                self._synced = len(self._frames)
 
     def _clear(self) -> None:
         make_folder(self.data)
         clear(self.path)
+
+    def _cut(self, count: int) -> list[str]:
+        """Leaves the first frames only, and returns them. On rank 0."""
+        make_folder(self.data)
+        with writing(self.path):
+            text = self.path.read_text(encoding="utf-8") if self.path.is_file() else ""
+        frames = [_FRAME + part for part in text.partition(_END)[0].split(_FRAME)[1:]][:count]
+        meshes = {mesh for frame in frames for mesh in _MESH.findall(frame)}
+        needed = meshes | {f"{number:06d}.h5" for number in range(count)}
+        if len(frames) < count or any(not (self.data / name).is_file() for name in needed):
+            raise shortened(self.path, "all steps")
+        if count:
+            replace_text(self.path, _light(frames))
+        else:
+            clear(self.path)
+        with writing(self.data):
+            for file in self.data.glob("*.h5"):
+                if _OURS.fullmatch(file.name) and file.name not in needed:
+                    file.unlink()
+        return frames
+
+    def kept(self) -> Numbers:
+        """How many steps there are now, on disk."""
+        on_root(self.comm, self._sync)
+        self._synced = len(self._frames)
+        return {"frames": len(self._frames), "taken": self.every.taken}
+
+    def _sync(self) -> None:
+        for number in range(self._synced, len(self._frames)):
+            sync(self.data / f"{number:06d}.h5")
+        if self._frames:
+            sync(self.data / _MESH.findall(self._frames[-1])[0])
+            sync(self.path)
 
     def write(self, state: State) -> None:
         """Writes one step; on return it can be opened, whatever happens next."""
@@ -103,17 +153,26 @@ class XdmfWriter:
         values = self._evaluate(state, more=IN_MOTION if default_in_motion else ())
         rows = {name: grid.rows(FIELDS[name].centre, v) for name, v in values.items()}
         moving = {name: r for name, r in rows.items() if not FIELDS[name].fixed}
-        if not self._frames:
+        if not self._mesh_xml:
             fixed = {name: r for name, r in rows.items() if FIELDS[name].fixed}
-            heavy.write(self.comm, self.data / "mesh.h5", {**_mesh(grid), **fixed})
-            self._mesh_xml = _mesh_xml(grid, f"{self.data.name}/mesh.h5")
+            self._write_mesh(grid, {**mesh_rows(grid), **fixed})
         file = f"{len(self._frames):06d}.h5"
         heavy.write(self.comm, self.data / file, moving)
         self._frames.append(self._frame(state, file, rows))
-        on_root(self.comm, lambda: replace_text(self.path, self._light()))
+        on_root(self.comm, lambda: replace_text(self.path, _light(self._frames)))
+
+    def _write_mesh(self, grid: Grid, arrays: Mapping[str, Rows]) -> None:
+        """Writes what never changes, unless a run before this one has written the same."""
+        before = _MESH.findall(self._frames[-1])[0] if self._frames else ""
+        self._mesh_file = before or "mesh.h5"
+        if not before or not _same(self.comm, self.data / before, arrays):
+            if before:
+                self._mesh_file = f"mesh_{len(self._frames):06d}.h5"
+            heavy.write(self.comm, self.data / self._mesh_file, arrays)
+        self._mesh_xml = mesh_xml(grid, f"{self.data.name}/{self._mesh_file}")
 
     def _frame(self, state: State, file: str, rows: Mapping[str, Rows]) -> str:
-        files = {name: "mesh.h5" if FIELDS[name].fixed else file for name in rows}
+        files = {name: self._mesh_file if FIELDS[name].fixed else file for name in rows}
         attributes = "".join(
             _attribute(name, r, f"{self.data.name}/{files[name]}") for name, r in rows.items()
         )
@@ -122,19 +181,37 @@ class XdmfWriter:
             f'<Time Value="{state.t!r}"/>\n{attributes}</Grid>\n'
         )
 
-    def _light(self) -> str:
-        return (
-            '<?xml version="1.0" encoding="utf-8"?>\n<Xdmf Version="3.0">\n<Domain>\n'
-            '<Grid Name="results" GridType="Collection" CollectionType="Temporal">\n'
-            f"{''.join(self._frames)}</Grid>\n</Domain>\n</Xdmf>\n"
-        )
-
     def close(self, status: str = "completed", error: object = None) -> None:
         """Writes the last step if `every` has left it out."""
         if self._pending and self._kept.state:
             with stage("output"):
                 self._write(self._kept.state)
             self._pending = False
+
+
+def _light(frames: Sequence[str]) -> str:
+    return (
+        '<?xml version="1.0" encoding="utf-8"?>\n<Xdmf Version="3.0">\n<Domain>\n'
+        '<Grid Name="results" GridType="Collection" CollectionType="Temporal">\n'
+        f"{''.join(frames)}{_END}\n</Xdmf>\n"
+    )
+
+
+def _same(comm: MPI.Comm, path: Path, arrays: Mapping[str, Rows]) -> bool:
+    """Whether a file holds these very arrays. Collective."""
+    return not largest(comm, float(_differs(path, arrays)))
+
+
+def _differs(path: Path, arrays: Mapping[str, Rows]) -> bool:
+    try:
+        if heavy.names(path) != {name: rows.shape for name, rows in arrays.items()}:
+            return True
+        return any(
+            not np.array_equal(heavy.read(path, name, rows.first, len(rows.values)), rows.values)
+            for name, rows in arrays.items()
+        )
+    except OSError:
+        return True
 
 
 def clear(path: Path) -> None:
@@ -172,17 +249,19 @@ def _data(path: Path) -> Path:
     return path.with_name(f"{path.stem}_data")
 
 
-def _mesh(grid: Grid) -> dict[str, Rows]:
+def mesh_rows(grid: Grid) -> dict[str, Rows]:
+    """This rank's points and cells."""
     return {"points": grid.rows("node", grid.points()), "cells": grid.rows("cell", grid.cells())}
 
 
-def _mesh_xml(grid: Grid, file: str) -> str:
-    mesh = _mesh(grid)
+def mesh_xml(grid: Grid, file: str) -> str:
+    """The mesh that stands in a file, as light data."""
+    mesh = mesh_rows(grid)
     count, nodes = mesh["cells"].shape
     return (
         f'<Topology TopologyType="{grid.kind}" NumberOfElements="{count}" '
-        f'NodesPerElement="{nodes}">{_item(mesh["cells"], f"{file}:/cells")}</Topology>\n'
-        f'<Geometry GeometryType="XYZ">{_item(mesh["points"], f"{file}:/points")}'
+        f'NodesPerElement="{nodes}">{item(mesh["cells"], f"{file}:/cells")}</Topology>\n'
+        f'<Geometry GeometryType="XYZ">{item(mesh["points"], f"{file}:/points")}'
         "</Geometry>\n"
     )
 
@@ -191,12 +270,13 @@ def _attribute(name: str, rows: Rows, file: str) -> str:
     field = FIELDS[name]
     return (
         f'<Attribute Name={quoteattr(name)} AttributeType="{field.shape.capitalize()}" '
-        f'Center="{field.centre.capitalize()}">{_item(rows, f"{file}:/{name}")}'
+        f'Center="{field.centre.capitalize()}">{item(rows, f"{file}:/{name}")}'
         "</Attribute>\n"
     )
 
 
-def _item(rows: Rows, place: str) -> str:
+def item(rows: Rows, place: str) -> str:
+    """An array that stands at a place, as light data."""
     count, columns = rows.shape
     kind = "Float" if rows.values.dtype.kind == "f" else "Int"
     return (

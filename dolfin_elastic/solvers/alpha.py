@@ -1,400 +1,107 @@
-"""Implicit motion by PETSc TS in second-order form: generalized-alpha (TSALPHA2)."""
+"""The formulas of implicit schemes for M a + f(u, v) = 0: generalized-alpha and its relatives.
+
+One step from (u0, v0, a0) to (u1, v1, a1) over h:
+
+    u1 = u0 + h v0 + h^2 (start a0 + beta a1)
+    v1 = v0 + h ((1 - gamma) a0 + gamma a1)
+    M ((1 - alpha_m) a1 + alpha_m a0) + f(u_s, v_s) = 0
+
+with the stage u_s = (1 - alpha_f) u1 + alpha_f u0, v_s alike, at t_s = t0 + (1 - alpha_f) h, where
+loads are taken, too: forces are those of the mean place, not the mean of two forces, so that
+without damping (alpha_m = alpha_f = 1/2) angular momentum is kept exactly.
+
+Sources: N. M. Newmark, J. Eng. Mech. Div. ASCE 85 (1959) 67; J. Chung & G. M. Hulbert, J. Appl.
+Mech. 60 (1993) 371, (9)-(18) and (25); order of a: S. Erlicher, L. Bonaventura & O. S. Bursi,
+Comput. Mech. 28 (2002) 83; stage forces: J. C. Simo & N. Tarnow, ZAMP 43 (1992) 757.
+"""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
 
 import numpy as np
-import ufl
-from dolfinx import fem
-from petsc4py import PETSc
+import numpy.typing as npt
 
-from dolfin_elastic.errors import ConvergenceError, InputError
-from dolfin_elastic.parallel import largest, total
-from dolfin_elastic.problem import Problem
-from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.contact import Measured
-from dolfin_elastic.solvers.doctor import diagnose
-from dolfin_elastic.solvers.linear import LinearSettings, choose
-from dolfin_elastic.solvers.motion import ConsistentMass, Strain, lumped, work
-from dolfin_elastic.solvers.newton import Newton
-from dolfin_elastic.solvers.options import PREFIX, ts_reason
-from dolfin_elastic.solvers.progress import Tolerance
-from dolfin_elastic.state import State
-from dolfin_elastic.timing import stage
-
-if TYPE_CHECKING:
-    from dolfin_elastic.solvers.dynamics import DynamicsSettings
-
-log = logging.getLogger("dolfin_elastic")
+Vector = npt.NDArray[np.float64]
 
 
-UNJUDGED = 1e100
-"""Error that scalar fields, which follow from the displacement, may have in a step [m]."""
+@dataclass(frozen=True)
+class Scheme:
+    """Parameters of a step, see the module.
 
-FAILURES = 8
-"""Times that one step is made smaller, to a quarter each, before it is given up."""
-
-
-class Alpha:
-    """TSALPHA2 for one problem.
-
-    The scheme asks for the residual at a stage between two times.  Prescribed values there are
-    blended between the two times, so that the end of the step is prescribed exactly.
-
-    Args:
-        problem: What moves, in its initial state.
-        velocity: Its velocity, in its initial state.
-        settings: Of the motion.
-        linear: How linear systems are solved.
-        petsc: PETSc options of the user.
+    Attributes:
+        alpha_m: Share of the old acceleration in the stage's.
+        alpha_f: Share of the old displacement and velocity in the stage's.
+        beta: Weight of the new acceleration in the displacement.
+        gamma: Weight of the new acceleration in the velocity.
+        start: Weight of the old acceleration in the displacement.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        velocity: fem.Function,
-        settings: DynamicsSettings,
-        linear: LinearSettings,
-        petsc: Mapping[str, Any],
-    ) -> None:
-        self.settings, self.problem, self.v = settings, problem, velocity
-        self.a = fem.Function(problem.V, name="stage acceleration")
-        self._mean = fem.Function(problem.V, name="acceleration")
-        self.shift = problem.constant(0.0)
-        inertia = problem.inertia(self.a, problem.v)
-        trial = problem.unknowns.displacement(ufl.TrialFunction(problem.W))
-        mass = problem.inertia(trial, problem.v)
-        self.drag = problem.constant(0.0)
-        tangent = self.shift * mass
-        if (damping := problem.damping(trial)) is not None:
-            tangent += self.drag * damping
-        self.assembler = Assembler(problem, extra=inertia, extra_tangent=tangent)
-        self.measure = ConsistentMass(problem, self.v)
-        self.strain, self._measured = Strain(problem), Measured(problem, moving=True)
-        choice = choose(problem, linear, moving=True)
-        log.info("%s", choice.why)
-        self.ts = PETSc.TS().create(problem.body.comm)
-        self._F = self.assembler.create_vector()
-        self._U, self._V = self.assembler.create_vector(), self.assembler.create_vector()
-        s = self.settings
-        self.newton = Newton(
-            self.assembler,
-            choice,
-            Tolerance(s.rtol, s.atol, s.max_iterations),
-            defaults={"snes_linesearch_type": "basic"},
-            users=petsc,
-            snes=self.ts.getSNES(),
-            moving=True,
-        )
-        self.options = self.newton.options
-        self.options.change(self._defaults())
-        self._configure()
-        self._from = self._to = problem.prescribed.targets
-        self._external_work = 0.0
-        self._start, self._known_dt = 0.0, 0.0
-        self._mass = np.abs(lumped(problem, self.assembler))
-        self._norm_of_mass = float(np.sqrt(total(problem.body.comm, np.sum(self._mass**2))))
-        self._extras = np.setdiff1d(np.arange(self.assembler.size), self.assembler.moves)
-        self._newton = self._krylov = 0
-        self._usual = 0.0
-        self._error: InputError | None = None
-        self._scale = 0.0
+    alpha_m: float
+    alpha_f: float
+    beta: float
+    gamma: float
+    start: float
 
-    def _defaults(self) -> dict[str, Any]:
-        s = self.settings
-        adapt: dict[str, Any] = {"ts_adapt_type": "basic" if s.adaptive else "none"}
-        if s.adaptive:
-            adapt["ts_adapt_dt_min"] = 1e-9 * s.end
-        return {
-            "ts_alpha_radius": s.spectral_radius,
-            **adapt,
-            "snes_linesearch_type": "basic",
-            **self.newton.choice.options,
-        }
+    @classmethod
+    def generalized_alpha(cls, radius: float) -> Scheme:
+        """Of second order, with a spectral radius from 0 to 1 at infinite frequency.
 
-    def _configure(self) -> None:
-        ts = self.ts
-        ts.setOptionsPrefix(PREFIX)
-        ts.setType("alpha2")
-        ts.setProblemType(PETSc.TS.ProblemType.NONLINEAR)
-        ts.setI2Function(self._function, self._F)
-        ts.setI2Jacobian(self._jacobian, self.assembler.matrix, self.assembler.matrix)
-        ts.setTime(0.0)
-        ts.setTimeStep(self.settings.dt)
-        ts.setMaxTime(self.settings.end)
-        ts.setMaxSteps(10**9)
-        ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
-        with self.options.in_force():
-            ts.setFromOptions()
-        ts.setErrorIfStepFails(False)
-        self.newton.judge()
-        self.assembler.get(self._U)
-        self._V.array_w[self.assembler.moves] = self.v.x.array[: len(self.assembler.moves)]
-        ts.setSolution2(self._U, self._V)
+        Source: Chung & Hulbert (1993), (17), (18) and (25).
+        """
+        alpha_m, alpha_f = (2 * radius - 1) / (radius + 1), radius / (radius + 1)
+        beta = (1 - alpha_m + alpha_f) ** 2 / 4
+        return cls(alpha_m, alpha_f, beta, 0.5 - alpha_m + alpha_f, 0.5 - beta)
 
-    # --- what TS asks for ---
+    @classmethod
+    def newmark(cls, beta: float, gamma: float) -> Scheme:
+        """Newmark's method; beta = 1/4 and gamma = 1/2 are the trapezoidal rule."""
+        return cls(0.0, 0.0, beta, gamma, 0.5 - beta)
 
-    def _function(
-        self, ts: PETSc.TS, t: float, U: PETSc.Vec, V: PETSc.Vec, A: PETSc.Vec, F: PETSc.Vec
-    ) -> None:
-        try:
-            self.problem.set_time(t)
-        except InputError as error:  # the same on all ranks; PETSc would lose it
-            self._error = error
-            F.set(np.nan)
-            return
-        self.a.x.array[: len(self.assembler.moves)] = A.array_r[self.assembler.moves]
-        self.a.x.scatter_forward()
-        self._tell_dashpots(V.array_r[self.assembler.moves])
-        forces = self._mass * A.array_r[self.assembler.moves]
-        self.newton.inertia = float(np.sqrt(total(self.problem.body.comm, np.sum(forces**2))))
-        share = (t - self._start) / self._dt()
-        self.assembler.residual(U, F, target=(1 - share) * self._from + share * self._to)
+    @classmethod
+    def implicit_euler(cls) -> Scheme:
+        """Backward Euler: u1 = u0 + h v1, v1 = v0 + h a1; of first order, damps strongly."""
+        return cls(0.0, 0.0, 1.0, 1.0, 0.0)
 
-    def _jacobian(
-        self,
-        ts: PETSc.TS,
-        t: float,
-        U: PETSc.Vec,
-        V: PETSc.Vec,
-        A: PETSc.Vec,
-        shift_v: float,
-        shift_a: float,
-        J: PETSc.Mat,
-        P: PETSc.Mat,
-    ) -> None:
-        self.shift.value, self.drag.value = shift_a, shift_v
-        self.newton.mass = shift_a * self._norm_of_mass
-        self.assembler.tangent(U, shift_a)
-        self.newton.note_tangent(P)
+    def acceleration(self, du: Vector, v0: Vector, a0: Vector, h: float) -> Vector:
+        """a1 from du = u1 - u0."""
+        return np.asarray(((du / h - v0) / h - self.start * a0) / self.beta)
 
-    def _tell_dashpots(self, v: Any) -> None:
-        """Gives dashpots the owned entries of a velocity. Collective."""
-        if self.problem.dashpots:
-            velocity = self.problem.site.velocity.x
-            velocity.array[: len(v)] = v
-            velocity.scatter_forward()
+    def velocity(self, v0: Vector, a0: Vector, a1: Vector, h: float) -> Vector:
+        """v1 from both accelerations."""
+        return np.asarray(v0 + h * ((1 - self.gamma) * a0 + self.gamma * a1))
 
-    def _dt(self) -> float:
-        dt = self.ts.getTimeStep()
-        if dt != self._known_dt:  # TS has made the step smaller: its end has moved
-            self._known_dt = dt
-            self._to = self._prescribed_at(self._start + dt)
-        return float(dt)
+    def predicted(self, v0: Vector, a0: Vector, h: float) -> Vector:
+        """u1 - u0 if the acceleration did not change."""
+        return np.asarray(h * v0 + h * h * (self.start + self.beta) * a0)
 
-    def _prescribed_at(self, t: float) -> Any:
-        held, now = self.problem.prescribed, float(self.problem.t.value)
-        self.problem.set_time(t)
-        values = held.targets
-        self.problem.set_time(now)
-        return values
+    def shifts(self, h: float) -> tuple[float, float]:
+        """Derivatives of the stage's velocity [1/s] and acceleration [1/s^2] by its place."""
+        rate = 1 / (self.beta * h)
+        return self.gamma * rate, (1 - self.alpha_m) / (1 - self.alpha_f) * rate / h
 
-    # --- the loop ---
+    def at_end(self, a0: Vector, a1: Vector) -> Vector:
+        """The acceleration at t1 to second order.
 
-    def run(self) -> Iterator[State]:
-        """Yields the initial state and then every state asked for. Collective."""
-        s, step = self.settings, 0
-        with stage("assemble"):
-            self.problem.set_time(0.0)
-            self._tell_dashpots(self.v.x.array[: len(self.assembler.moves)])
-            self.assembler.assemble_balance()
-        self._settle()
-        self._held = self.assembler.holding_forces()
-        yield self._state(0, 0.0)
-        t = 0.0
-        while t < s.end * (1 - 1e-12):
-            before = self.problem.w.x.array[: self.assembler.size].copy()
-            t, step = self._step(t), step + 1
-            self._add_work(before)
-            if step % s.every == 0 or t >= s.end * (1 - 1e-12):
-                yield self._state(step, t)
-                self._newton = self._krylov = 0
+        a1 belongs to the time t1 - (alpha_f - alpha_m) h: Erlicher et al. (2002), section 3.
+        """
+        return np.asarray(a1 + (self.alpha_f - self.alpha_m) * (a1 - a0))
 
-    def _settle(self) -> None:
-        """Finds the scalar fields that belong to an initial displacement. Collective."""
-        problem = self.problem
-        exactly = any(
-            isinstance(part.compliance, fem.Constant) and float(part.compliance.value) == 0.0
-            for part in problem.parts
-        )
-        if not len(self._extras) or exactly or self.assembler.max_displacement() == 0.0:
-            return  # an exactly incompressible body's pressure does not follow from its shape
-        still = Assembler(problem, still=True)
-        newton = Newton(still, choose(problem, LinearSettings(method="direct")), Tolerance())
-        start = problem.prescribed.values.x.array.copy()
-        try:
-            problem.prescribed.values.x.array[:] = problem.u.x.array
-            newton.solve("basic")
-        finally:
-            problem.prescribed.values.x.array[:] = start
-            newton.destroy()
-            still.destroy()
-        self.assembler.get(self._U)
-        self.ts.setSolution2(self._U, self._V)
-        self.assembler.assemble_balance()
+    def error(self, v: tuple[Vector, Vector], a: tuple[Vector, Vector], h: float) -> Vector:
+        """Estimate of the error that a step makes in the displacement [m].
 
-    def _step(self, t: float) -> float:
-        """One step of TS from time t; returns the time reached."""
-        self._prepare(t)
-        ts = self.ts
-        linear, newton = ts.getKSPIterations(), ts.getSNESIterations()
-        with stage("solve"), self.options.in_force():
-            self.newton.begin()
-            self._take()
-            self.options.report_unused()
-        if self._error is not None:
-            raise self._error
-        newton, linear = ts.getSNESIterations() - newton, ts.getKSPIterations() - linear
-        linear = 0 if self.newton.direct else linear
-        self._newton += newton
-        self._krylov += linear
-        if ts.getConvergedReason() < 0:
-            raise self._failure(t)
-        self._renew(linear / max(newton, 1))
-        self._accept(float(ts.getTime()) - t)
-        return float(ts.getTime())
-
-    def _prepare(self, t: float) -> None:
-        """Says what is wrong with formulas at the end of the step before it is begun."""
-        s, ts = self.settings, self.ts
-        if not s.adaptive:
-            assert s.dt is not None
-            remaining = s.end - t
-            ts.setTimeStep(remaining if remaining < s.dt * (1 + 1e-9) else s.dt)
-        self._start, self._known_dt = t, 0.0
-        self._from = self._prescribed_at(t)
-        self.problem.set_time(t + ts.getTimeStep())
-        self.problem.prescribed.check_finite()
-        self._set_tolerance()
-
-    def _take(self) -> None:
-        ts, dt = self.ts, self.ts.getTimeStep()
-        ts.setMaxSNESFailures(ts.getSNESFailures() + FAILURES)
-        ts.step()
-        if ts.getConvergedReason() < 0 and self._falls_back():
-            ts.setConvergedReason(PETSc.TS.ConvergedReason.CONVERGED_ITERATING)
-            ts.setMaxSNESFailures(ts.getSNESFailures() + FAILURES)
-            ts.setTimeStep(dt)
-            ts.step()
-
-    def _accept(self, dt: float) -> None:
-        """Takes displacement, velocity and mean acceleration over from TS."""
-        moves = self.assembler.moves
-        size = len(moves)
-        U, V = self.ts.getSolution2()
-        # The scheme would extrapolate scalar fields, which have no inertia, from the stage, and
-        # they would swing from step to step; they are taken from the stage itself.
-        if len(self._extras):
-            U.array_w[self._extras] = self.problem.w.x.array[self._extras]
-        self.assembler.put(U)
-        v = V.array_r[moves]
-        self._mean.x.array[:size] = (v - self.v.x.array[:size]) / dt
-        self._mean.x.scatter_forward()
-        self.v.x.array[:size] = v
-        self.v.x.scatter_forward()
-        self._tell_dashpots(v)
-
-    def _failure(self, t: float) -> ConvergenceError:
-        force, place = self.assembler.largest_unbalance()
-        where = ", ".join(f"{x:.4g}" for x in place)
-        reason = ts_reason(self.ts.getConvergedReason())
-        last = self.problem.w.x.array.copy()
-        self.newton.finish()
-        found = diagnose(self.assembler, self.newton.progress, good=last, failed=last, moving=True)
-        return ConvergenceError(
-            f"no solution for the step from t = {t:.6g} s: {reason}; {found.text}\n  at the end: "
-            f"the largest force out of balance, {force:.3g} N, is at ({where}) m",
-            advice=found.advice,
-            state=self._state(-1, t),
-            diagnosis=found,
-        )
-
-    def _falls_back(self) -> bool:
-        """The linear solver has failed and there is another."""
-        self.newton.finish()
-        return "LINEAR_SOLVE" in self.newton.progress.reason and self.newton.fall_back()
-
-    def _renew(self, each: float) -> None:
-        """Lets multigrid begin anew when the body has turned away from the modes it knows.
+        The place is compared with that of a linear acceleration, which is of one order more:
+        for all schemes but the implicit Euler h^2 (beta - 1/6) (a1 - a0).  Where gamma is not
+        what makes the scheme one of second order, the velocity's error times h comes in.
+        Source: O. C. Zienkiewicz & Y. M. Xie, Earthq. Eng. Struct. Dyn. 20 (1991) 871, (13).
 
         Args:
-            each: Linear iterations of each Newton iteration.
+            v: v0 and v1.
+            a: a0 and a1.
+            h: The step [s].
         """
-        if self._usual and each > 1.5 * self._usual + 5:
-            self.newton.refresh()
-            each = 0.0
-        self._usual = self._usual or each
-
-    def _set_tolerance(self) -> None:
-        """Lets errors be judged against the largest displacement and velocity so far."""
-        if not self.settings.adaptive:
-            return
-        local = max(
-            float(np.max(np.abs(field.x.array), initial=0.0)) for field in (self.problem.u, self.v)
-        )
-        smallest = 1e-6 * self.newton.span
-        self._scale = max(self._scale, largest(self.problem.body.comm, local), smallest)
-        tolerance = self.settings.tolerance
-        atol: Any = tolerance * self._scale
-        if len(self._extras):
-            atol = self.assembler.create_vector()
-            atol.set(tolerance * self._scale)
-            atol.array_w[self._extras] = UNJUDGED
-        self.ts.setTolerances(rtol=tolerance, atol=atol)
-        if len(self._extras):
-            atol.destroy()
-
-    def _add_work(self, before: Any) -> None:
-        """Work of loads and supports, with the forces of the stage within the step."""
-        du = self.problem.w.x.array[: self.assembler.size] - before
-        a = self.assembler
-        forces = a.external_forces() + a.constraint_forces(a.balance.array[: a.size])
-        now = a.holding_forces()
-        forces += (self._held + now) / 2
-        self._held = now
-        self._external_work += work(self.problem, forces, du)
-
-    def _energies(self) -> dict[str, float]:
-        kinetic, self._linear, self._angular = self.measure.measure()
-        strain, more = self.strain.energy(), self._measured.energies()
-        return {
-            "strain": strain,
-            "kinetic": kinetic,
-            "total": strain + kinetic + sum(more.values()),
-            "external": self._external_work,
-            **self.strain.springs(),
-            **more,
-        }
-
-    def _state(self, step: int, t: float) -> State:
-        energies = self._energies()
-        first = step == 0
-        return State(
-            step=step,
-            t=t,
-            u=self.problem.u,
-            w=self.problem.w,
-            v=self.v,
-            a=self._mean,
-            newton=0 if first else self._newton,
-            krylov=0 if first else self._krylov,
-            reason="initial state" if first else "converged",
-            residuals=tuple(self.newton.progress.residuals),
-            energies=energies,
-            reactions=self.assembler.reactions(),
-            momenta={"linear": self._linear, "angular": self._angular},
-            max_displacement=self.assembler.max_displacement(),
-            numbers=self._measured.numbers(),
-            done=t / self.settings.end,
-        )
-
-    def destroy(self) -> None:
-        """Frees what it owns. Collective."""
-        self.newton.destroy()
-        self.ts.destroy()
-        self.assembler.destroy()
-        for vector in (self._F, self._U, self._V):
-            vector.destroy()
+        first = h * h * ((self.start - 1 / 3) * a[0] + (self.beta - 1 / 6) * a[1])
+        lag = self.gamma - 0.5 - self.alpha_f + self.alpha_m
+        if abs(self.beta - 1 / 6) < 1e-3 and abs(lag) < 1e-12:
+            first = h * h / 12 * (a[1] - a[0])  # what the linear acceleration itself leaves
+        return np.asarray(first + lag * h * h * (a[1] - a[0]))

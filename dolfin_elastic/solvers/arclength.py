@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 
 from dolfin_elastic.model.curves import PROPORTIONAL
 from dolfin_elastic.parallel import total
@@ -22,6 +23,7 @@ from dolfin_elastic.solvers.border import Border, Borders
 from dolfin_elastic.solvers.inertia import negative_eigenvalues
 from dolfin_elastic.solvers.ladder import Ladder
 from dolfin_elastic.solvers.linear import Choice
+from dolfin_elastic.solvers.memory import remembered, remind
 from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.pace import Pace
 from dolfin_elastic.solvers.progress import Progress, Tolerance
@@ -31,6 +33,9 @@ log = logging.getLogger("dolfin_elastic")
 
 WANTED = 4
 """Newton iterations of a step of the right length."""
+
+GENTLE = 0.01
+"""Largest displacement of the first step over the size of the body."""
 
 LONGEST = 8.0
 """Longest step over the first one."""
@@ -139,6 +144,8 @@ class ArcLength:
         self._bordered: Newton | None = None
         self.limits: list[float] = []
         self._points: list[tuple[float, float]] = [(0.0, 0.0)]
+        self._way: Vector | None = None  # of the last step
+        self._size = self._longest = 0.0
 
     def prepare(self, choice: Choice, tolerance: Tolerance, users: Mapping[str, Any]) -> None:
         """Makes the solver for displacement and load factor together. Collective."""
@@ -150,45 +157,94 @@ class ArcLength:
         if self._bordered is not None:
             self._bordered.destroy()
 
-    def path(self, first: float, smallest: float) -> Iterator[Found]:
+    def path(self, first: float, smallest: float, *, chosen: bool) -> Iterator[Found]:
         """Yields the points of the path; one that did not converge is the last. Collective.
 
         Args:
             first: Load factor of the first point, which sets the length of steps.
             smallest: Shortest step, as a share of the first.
+            chosen: The user has chosen the first step; else it is made gentle.
         """
-        found = self._first(first, smallest)
-        yield found
-        if not found.progress.converged:
-            return
-        way = self._length.moved()
-        size = longest = self._length.gone()
-        longest, shortest = LONGEST * size, smallest * size
+        if self._way is None:
+            longest = np.inf if chosen else GENTLE * self._newton.span
+            found = self._first(first, smallest, longest)
+            if not found.progress.converged:
+                yield found
+                return
+            self._way, self._size = self._length.moved(), self._length.gone()
+            self._longest = LONGEST * self._size
+            yield found
         while self._length.t < self._end * (1 - 1e-12):
-            here, t, before = self._newton.present(), self._length.t, self._all.get()
-            progress = self._step(way, size)
-            if not progress.converged or self._turned(way):
+            here, t = self._newton.present(), self._length.t
+            point = self._next(self._way)
+            if not point.progress.converged:
                 failed = self._newton.present()
                 self._back(here, t)
-                size /= 2
-                if size < shortest:
-                    progress.converged = False
-                    yield Found(t, progress, good=here, failed=failed)
+                self._size /= 2
+                if self._size < smallest * self._longest / LONGEST:
+                    yield Found(t, point.progress, good=here, failed=failed)
                     return
-                log.debug("arc length %g m: %s, a shorter one", size, progress.reason)
                 continue
-            if self._length.t >= self._end:
+            if point.t >= self._end:
                 yield self._land(here, t)
                 return
-            way, self._lead = self._length.moved(), self._all.get() - before
-            self._note(self._length.t, self._points[-1][1] + size)
-            assert self._bordered is not None
-            yield Found(self._length.t, progress, negative_eigenvalues(self._bordered))
-            factor = np.sqrt(WANTED / max(progress.newton, 1))
-            size = min(longest, size * float(np.clip(factor, 0.5, 2.0)))
+            yield point
 
-    def _first(self, t: float, smallest: float) -> Found:
-        """A step of the load, which gives the path its direction."""
+    def _next(self, way: Vector) -> Found:
+        """The next point of the path, and how to go on from there; or a shorter step is due."""
+        assert self._bordered is not None
+        before, size = self._all.get(), self._size
+        progress = self._step(way, size)
+        if not progress.converged or self._turned(way):
+            log.debug("arc length %g m: %s, a shorter one", size / 2, progress.reason)
+            progress.converged = False
+            return Found(self._length.t, progress)
+        if self._length.t < self._end:
+            self._way, self._lead = self._length.moved(), self._all.get() - before
+            self._note(self._length.t, self._points[-1][1] + size)
+            factor = np.sqrt(WANTED / max(progress.newton, 1))
+            self._size = min(self._longest, size * float(np.clip(factor, 0.5, 2.0)))
+        return Found(self._length.t, progress, negative_eigenvalues(self._bordered))
+
+    def kept(self) -> tuple[fem.Function | None, dict[str, Any]]:
+        """The last step at all unknowns, and what else the next one needs, between two steps."""
+        if self._way is None or self._bordered is None:
+            return None, {}
+        way = fem.Function(self._problem.W)
+        way.x.array[self._assembler.moves] = self._way
+        numbers = {
+            "lead": self._lead.tolist(),
+            "size": self._size,
+            "longest": self._longest,
+            "points": self._points,
+            "limits": self.limits,
+            "newton": remembered(self._bordered),
+        }
+        return way, numbers
+
+    def go_on(self, t: float, way: fem.Function | None, kept: Mapping[str, Any]) -> None:
+        """Takes up what `kept` has told, after `prepare`. Collective.
+
+        Args:
+            t: Load factor of the present point.
+            way: The last step at all unknowns.
+            kept: The numbers.
+        """
+        if way is None or self._bordered is None:
+            return
+        self._length.t = t
+        self._way = way.x.array[self._assembler.moves].copy()
+        self._lead = np.array(kept["lead"])
+        self._size, self._longest = kept["size"], kept["longest"]
+        self._points = [(load, arc) for load, arc in kept["points"]]
+        self.limits = list(kept["limits"])
+        remind(self._bordered, kept["newton"])
+
+    def _first(self, t: float, smallest: float, longest: float) -> Found:
+        """A step of the load, of at most so large displacements, which gives the path a direction.
+
+        A load far above a limit point would find the body beyond it at once.
+        """
         least = smallest * t
         while True:
             self._length.start, before = self._length.displacement().copy(), self._all.get()
@@ -198,7 +254,8 @@ class ArcLength:
             progress = self._ladder.solve([("", here)])
             self._lead = self._all.get() - before
             hasty = Pace(self._assembler).hasty(0.0, t, here, progress)
-            if progress.converged and not (hasty and t > least):
+            hasty = hasty or self._assembler.max_displacement() > longest
+            if progress.converged and not (hasty and t / 2 >= least):
                 self._points.append((t, self._length.gone()))
                 return Found(t, progress, negative_eigenvalues(self._newton))
             if t / 2 < least:

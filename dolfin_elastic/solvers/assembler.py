@@ -38,6 +38,7 @@ class Assembler:
         still: All displacements are held where they are: only the scalar fields are unknown.
 
     Attributes:
+        form: The compiled residual.
         matrix: The tangent; owned here.
         balance: Residual without any boundary condition: out-of-balance nodal forces [N], whose
             entries at prescribed dofs are the reactions.
@@ -68,7 +69,7 @@ class Assembler:
             forms.append(problem.external)
         forms += problem.holding.values()
         compiled = compile_forms(self.comm, forms, problem.jit)
-        self._residual, self._tangent = compiled[:2]
+        self.form, self._tangent = compiled[:2]
         self._external = compiled[2] if problem.external is not None else None
         first = len(compiled) - len(problem.holding)
         self._holding = dict(zip(problem.holding, compiled[first:], strict=True))
@@ -99,11 +100,8 @@ class Assembler:
         self.pressures = problem.unknowns.count("pressure")
         self.free = self.held = self.gap = self.pushed = 0.0
         with stage("assemble"):
-            self._filled = (
-                TangentMatrix(self._tangent)
-                if self._tilted is None
-                else TangentMatrix(self._tangent, self.tilted, self._tilted.P[: len(self._nodes)])
-            )
+            P = None if self._tilted is None else self._tilted.P[: len(self._nodes)]
+            self._filled = TangentMatrix(self._tangent, None if P is None else self.tilted, P)
         self.matrix = self._filled.petsc
         self._shift: float | None = None
         self._scale = 0.0
@@ -203,7 +201,7 @@ class Assembler:
     def assemble_balance(self) -> None:
         """Out-of-balance nodal forces at the problem's displacement into `balance`."""
         self.balance.array[:] = 0.0
-        fem.assemble_vector(self.balance.array, self._residual)
+        fem.assemble_vector(self.balance.array, self.form)
         self._add_nodal(self.balance.array, -1.0)
         self.balance.scatter_reverse(la.InsertMode.add)
 

@@ -8,7 +8,9 @@ the work that is stored in it.
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -71,6 +73,7 @@ class Auditor:
         self._places = _places(problem)
         self._last: _Last | None = None
         self._work = self._stored = self._blur = 0.0
+        self._unbalanced = False  # the last state was no equilibrium
         self._warned: dict[str, str] = {}
         self._far = ""
 
@@ -84,18 +87,14 @@ class Auditor:
         reasons: dict[str, str] = {}
         self._blur = 0.0
         noise, energy_noise = round_off(self._assembler)
-        if self._assembler.cell is None:
-            outside = self._outside()
+        outside, forces, u = self._present()
+        force = moment = np.nan
+        if outside:
             force = self._sum(outside, noise, reasons)
             moment = self._moment(outside, noise, reasons)
-            forces = np.sum(outside, axis=0)
             if self._last is None and reasons:  # loads that are on before anything has moved
                 reasons.clear()
-                forces = self._inside(forces.shape)
-            u = self._problem.u.x.array[: forces.size].reshape(forces.shape).copy()
-        else:
-            force = moment = np.nan
-            forces, u = self._macroscopic(self._assembler.cell)
+                forces, self._unbalanced = self._inside(forces.shape), True
         if self._last is not None:  # what begins in an obstacle has not been pushed out yet
             self._touch(reasons)
         if np.isfinite(energy) or self._problem.strain_energy is None:
@@ -104,7 +103,9 @@ class Auditor:
             reasons["energy"] = "the strain energy has no finite value"
         low, high = self._watch.extremes()
         if not low[0] > 0.0:
-            reasons["jacobian"] = f"a cell is inside out: det F = {low[0]:.3g} at {_text(low[1])} m"
+            reasons["jacobian"] = (
+                f"a cell is inside out: det F = {low[0]:.3g} at {in_words(low[1])} m"
+            )
         self._warn(t, reasons)
         self._watch_strains(t)
         return Audit(
@@ -130,10 +131,41 @@ class Auditor:
         names = ", ".join(sorted({p.law.name() for p in self._problem.parts if p.law.linear}))
         self._far = (
             f"the law {names} is for small strains and rotations, but |grad u| is {steepest:.2g} "
-            f"at {_text(place[: self._dim])} m (load factor {t:.6g}): st-venant-kirchhoff or "
+            f"at {in_words(place[: self._dim])} m (load factor {t:.6g}): st-venant-kirchhoff or "
             "neo-hookean follow large ones"
         )
         log.warning("%s", self._far)
+
+    def kept(self) -> dict[str, Any]:
+        """What the next audit needs of those before, but for what the state itself tells."""
+        last = self._last
+        return {
+            "work": self._work,
+            "stored": self._stored,
+            "warned": dict(self._warned),
+            "energy": last.energy if last else 0.0,
+            "change": last.change if last else 0.0,
+            "unbalanced": self._unbalanced,
+            "far": self._far,
+        }
+
+    def go_on(self, kept: Mapping[str, Any]) -> None:
+        """Takes up what `kept` has told, in the state it was told in. Collective."""
+        _, forces, u = self._present()
+        if kept["unbalanced"]:
+            forces = self._inside(forces.shape)
+        self._last = _Last(u, forces, kept["energy"], kept["change"])
+        self._work, self._stored = kept["work"], kept["stored"]
+        self._warned, self._far = dict(kept["warned"]), kept["far"]
+
+    def _present(self) -> tuple[list[Floats], Floats, Floats]:
+        """Nodal forces by origin (none of a cell), their sum, and what they move. Collective."""
+        if self._assembler.cell is not None:
+            return [], *self._macroscopic(self._assembler.cell)
+        outside = self._outside()
+        forces = np.asarray(np.sum(outside, axis=0))
+        u = self._problem.u.x.array[: forces.size].reshape(forces.shape).copy()
+        return outside, forces, u
 
     def _notes(self, energy: float) -> tuple[str, ...]:
         notes = [self._far] if self._far else []
@@ -162,8 +194,11 @@ class Auditor:
     def _warn(self, t: float, reasons: dict[str, str]) -> None:
         for kind, reason in reasons.items():
             if kind not in self._warned:
-                self._warned[kind] = f"{reason} (load factor {t:.6g})"
+                self._warned[kind] = f"{reason} ({self._when(t)})"
                 log.warning("audit: %s", self._warned[kind])
+
+    def _when(self, t: float) -> str:
+        return f"load factor {t:.6g}"
 
     # --- forces and moments ---
 
@@ -218,8 +253,7 @@ class Auditor:
             return float("nan")
         x = self._X[:, : self._dim]
         if self._places == "current":
-            u = self._problem.u.x.array[: x.size]
-            x = x + u.reshape(x.shape)
+            x = x + self._moved().reshape(x.shape)
         rows = [_cross(x, force) for force in outside]
         arm = float(self._comm.allreduce(float(np.max(np.abs(x), initial=0.0)), op=MPI.MAX))
         share, size, allowed = self._share(rows, noise * arm)
@@ -229,6 +263,10 @@ class Auditor:
                 f"of their {size:.3g} N m is left"
             )
         return share
+
+    def _moved(self) -> Floats:
+        """Displacement of the owned nodes, with which forces and moments balance [m]."""
+        return np.asarray(self._problem.u.x.array[: self._dim * len(self._X)])
 
     def _share(self, rows: list[Floats], noise: float) -> tuple[float, float, float]:
         """What is left of a sum, over the sum of lengths; this sum; and the share that may be.
@@ -277,7 +315,7 @@ class Auditor:
                 f"differ by more than a smooth path allows ({allowed:.2g} J): the body has jumped "
                 "to another equilibrium, or a force is not what it should be"
             )
-        self._last = _Last(u, forces, energy, abs(change))
+        self._last, self._unbalanced = _Last(u, forces, energy, abs(change)), False
 
 
 def _places(problem: Problem) -> str:
@@ -299,5 +337,6 @@ def _cross(x: Floats, force: Floats) -> Floats:
     return np.asarray(np.cross(x, force))
 
 
-def _text(place: Floats) -> str:
+def in_words(place: Floats) -> str:
+    """A place [m]."""
     return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"

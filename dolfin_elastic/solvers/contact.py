@@ -17,11 +17,11 @@ from dolfin_elastic.parallel import largest, smallest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.progress import Progress
-from dolfin_elastic.state import State
+from dolfin_elastic.state import Mode, State
 from dolfin_elastic.touching import Touching
 
 Floats = npt.NDArray[np.float64]
-States = Generator[State, None, None]
+States = Generator[State | Mode, None, None]
 log = logging.getLogger("dolfin_elastic")
 
 AUGMENTATIONS = 10
@@ -30,9 +30,8 @@ AUGMENTATIONS = 10
 SOFT = 0.1
 """Share of the penalty that motion takes.
 
-A node of an explicit scheme that hits in mid-step is thrown back too fast, by an energy of about
-(omega dt)^2 of its own, omega^2 = penalty over its mass; and a stiffer obstacle than the cells
-above it would only shorten the step.
+A node of an explicit scheme that hits in mid-step is thrown back too fast where the penalty is
+stiff, see `stable.HIT`; and a stiffer obstacle than the cells above it would only shorten the step.
 """
 
 
@@ -78,14 +77,15 @@ class Augmentation:
             solve: Finds the next one from there.
 
         Returns:
-            Progress of the last solve, with the iterations of all.
+            Progress of the last solve, with the iterations of all and the prediction of the first.
         """
         newton, krylov, count = progress.newton, progress.krylov, 0
+        predicted = progress.predicted
         while progress.converged and count < AUGMENTATIONS and self.needed():
             self.update()
             progress, count = solve(), count + 1
             newton, krylov = newton + progress.newton, krylov + progress.krylov
-        progress.newton, progress.krylov = newton, krylov
+        progress.newton, progress.krylov, progress.predicted = newton, krylov, predicted
         return progress
 
 
@@ -237,7 +237,8 @@ def tell_untouched(problem: Problem, states: States) -> States:
     never = {touch.label for touch in problem.touching}
     with closing(states):
         for state in states:
-            area = {label: state.numbers.get(f"contact_area_{label}", 1.0) for label in never}
+            numbers = state.numbers if isinstance(state, State) else {}
+            area = {label: numbers.get(f"contact_area_{label}", 1.0) for label in never}
             never -= {label for label in never if area[label] > 0}
             yield state
     for label in sorted(never):

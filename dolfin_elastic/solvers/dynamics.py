@@ -1,72 +1,174 @@
-"""Motion: settings of all schemes, and implicit dynamics by PETSc TS in second-order form."""
+"""Motion: settings of all schemes, implicit and explicit."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from dolfinx import fem
+from petsc4py import PETSc
 from pydantic import Field, model_validator
 
 from dolfin_elastic.errors import InputError
+from dolfin_elastic.kept import Kept, Restore
 from dolfin_elastic.model.components import Component, components, depends_on_time
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.schema import Record
-from dolfin_elastic.solvers.alpha import Alpha
+from dolfin_elastic.solvers.alpha import Scheme
 from dolfin_elastic.solvers.contact import begin_motion
-from dolfin_elastic.solvers.explicit import SymplecticEuler
+from dolfin_elastic.solvers.explicit import SCHEMES as EXPLICIT
+from dolfin_elastic.solvers.explicit import Explicit
+from dolfin_elastic.solvers.implicit import Implicit
 from dolfin_elastic.solvers.initial import set_initial
 from dolfin_elastic.solvers.linear import LinearSettings
 from dolfin_elastic.solvers.scalars import refuse_scalars
 from dolfin_elastic.state import State
-from dolfin_elastic.units import Force, Time
+from dolfin_elastic.units import Force, Rate, Time
+
+
+class Rayleigh(Record):
+    """Rayleigh damping: forces a M v, and stresses b times the rate of the elastic ones.
+
+    A mode of angular frequency w has the damping ratio a/(2 w) + b w/2.
+
+    Attributes:
+        mass: a [1/s].
+        stiffness: b [s].
+    """
+
+    mass: Rate = Field(default=0.0, ge=0)
+    stiffness: Time = Field(default=0.0, ge=0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short(cls, value: Any) -> Any:
+        """Two numbers stand for both."""
+        if isinstance(value, list | tuple) and len(value) == 2:
+            return {"mass": value[0], "stiffness": value[1]}
+        return value
 
 
 class DynamicsSettings(Record):
     """How motion is followed through time.
 
     Attributes:
-        scheme: "generalized-alpha" (implicit, PETSc's TSALPHA2) or "symplectic-euler" (explicit,
-            v += dt f/m, then x += dt v, lumped mass, linear elements).
+        scheme: Implicit: "generalized-alpha", "newmark", "implicit-euler", and "alpha2", PETSc's
+            own generalized-alpha.  Explicit, with lumped mass and linear elements:
+            "symplectic-euler" (v += dt f/m, then x += dt v) and "central-differences" (the
+            velocity halfway between places, of second order).
         end: When it ends [s]; it starts at 0.
         dt: Time step [s].  Implicit: needed; the first step if adaptive.  Explicit: the stable
             step times `safety` if not given; a larger one than the stable one is refused.
         adaptive: Let the error estimate choose the implicit step.
-        tolerance: Relative error a step may make in displacement and velocity, if adaptive.
+        tolerance: Error a step may make in the displacement of any node, over the largest
+            displacement so far, if adaptive.
         spectral_radius: Of the generalized-alpha scheme at infinite frequency: 1 keeps the
             energy of a linear body, less damps what the step cannot resolve.
+        beta: Of Newmark's method; 1/4 by default.
+        gamma: Of Newmark's method; 1/2 by default, more damps.
+        rayleigh: Damping of the whole body (implicit schemes).
         initial_displacement: Components [m] or formulas in x, y, z.
         initial_velocity: Components [m/s] or formulas in x, y, z.
         rtol: Newton's tolerance, relative to the forces of the step.
         atol: Free residual that always is small enough [N].
         max_iterations: Newton iterations after which a step is made smaller.
         safety: Share of the stable step that the explicit scheme takes.
-        every: Steps from one yielded state to the next.
+        every: Steps from one yielded state to the next, if not given 1, of explicit schemes about
+            200 states in all; or, with a unit, the time between states, which is met exactly
+            (implicit schemes).
+        times: Further times that are met exactly and yielded [s] (implicit schemes).
     """
 
-    scheme: Literal["generalized-alpha", "symplectic-euler"] = "generalized-alpha"
+    scheme: Literal[
+        "generalized-alpha",
+        "newmark",
+        "implicit-euler",
+        "alpha2",
+        "symplectic-euler",
+        "central-differences",
+    ] = "generalized-alpha"
     end: Time = Field(gt=0)
     dt: Time | None = Field(default=None, gt=0)
     adaptive: bool = False
     tolerance: float = Field(default=1e-3, gt=0, lt=1)
     spectral_radius: float = Field(default=0.9, ge=0, le=1)
+    beta: float | None = Field(default=None, gt=0)
+    gamma: float | None = Field(default=None, ge=0.5)
+    rayleigh: Rayleigh | None = None
     initial_displacement: list[Any] = Field(default=[])
     initial_velocity: list[Any] = Field(default=[])
     rtol: float = Field(default=1e-8, gt=0, lt=1)
     atol: Force = Field(default=0.0, ge=0)
     max_iterations: int = Field(default=20, ge=1)
     safety: float = Field(default=0.9, gt=0, le=1)
-    every: int = Field(default=1, ge=1)
+    every: Annotated[int, Field(ge=1)] | Annotated[Time, Field(gt=0)] = 0
+    times: list[Annotated[Time, Field(gt=0)]] = Field(default=[])
 
     @model_validator(mode="after")
     def _read(self) -> DynamicsSettings:
         _ = self.displacement, self.velocity
-        if self.dt is None and self.scheme != "symplectic-euler":
+        if self.dt is None and self.implicit:
             raise ValueError(f"'{self.scheme}' needs a time step dt")
-        if self.adaptive and self.scheme == "symplectic-euler":
+        if self.adaptive and not self.implicit:
             raise ValueError("an adaptive step needs the scheme 'generalized-alpha'")
+        if self.implicit:  # an explicit scheme knows only later how many steps it takes
+            self.__dict__["every"] = self.every or 1
+        self._check_keys()
+        for index, time in enumerate(self.times):
+            if time > self.end:
+                raise InputError(
+                    f"{time:g} s lies beyond the end",
+                    where=f"times[{index}]",
+                    expected=f"at most dynamics.end = {self.end:g} s",
+                )
         return self
+
+    def _check_keys(self) -> None:
+        """Keys that the scheme does not know."""
+        wrong = {
+            "beta": self.beta is not None and self.scheme != "newmark",
+            "gamma": self.gamma is not None and self.scheme != "newmark",
+            "rayleigh": self.rayleigh is not None and not self.implicit,
+            "times": bool(self.times) and not self.implicit,
+            "every": not isinstance(self.every, int) and not self.implicit,
+        }
+        for key in (key for key, is_wrong in wrong.items() if is_wrong):
+            what = "counts steps" if key == "every" else f"has no {key}"
+            raise InputError(
+                f"the scheme '{self.scheme}' {what}",
+                where=key,
+                expected="a whole number" if key == "every" else "leave it out",
+            )
+
+    @property
+    def implicit(self) -> bool:
+        """The scheme solves equations."""
+        return self.scheme not in EXPLICIT
+
+    @property
+    def parameters(self) -> Scheme | None:
+        """Of an implicit scheme of our own; None: PETSc's."""
+        match self.scheme:
+            case "newmark":
+                return Scheme.newmark(self.beta or 0.25, self.gamma or 0.5)
+            case "implicit-euler":
+                return Scheme.implicit_euler()
+            case "alpha2":
+                return None
+        return Scheme.generalized_alpha(self.spectral_radius)
+
+    @property
+    def order(self) -> int:
+        """Power of the step that the error of one step grows with."""
+        first = self.scheme == "implicit-euler" or (self.gamma or 0.5) > 0.5
+        return 2 if first else 3
+
+    @property
+    def damps(self) -> bool:
+        """The scheme is meant to damp what the step does not resolve, and more."""
+        radius = self.spectral_radius
+        return self.order == 2 or (self.scheme != "newmark" and radius < 0.5)
 
     @cached_property
     def displacement(self) -> tuple[Component, ...]:
@@ -118,9 +220,14 @@ class Dynamics:
         self.linear = linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
         self.velocity = fem.Function(problem.V, name="velocity")
+        self._march: Explicit | Implicit | None = None
 
-    def steps(self) -> Iterator[State]:
+    def steps(self, restore: Restore | None = None) -> Iterator[State]:
         """Yields the initial state and then every state asked for. Collective.
+
+        Args:
+            restore: Fills what was `kept`, to go on from there; the state that was kept is not
+                yielded again.
 
         Raises:
             ConvergenceError: A step found no equilibrium however small it was made.
@@ -133,18 +240,51 @@ class Dynamics:
                 expected="leave it out, or use [statics]",
             )
         s = self.settings
-        set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
+        if restore is None:
+            set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
         begin_motion(self.problem)
-        if s.scheme == "symplectic-euler":
-            yield from SymplecticEuler(
-                self.problem, self.velocity, end=s.end, dt=s.dt, safety=s.safety, every=s.every
-            ).steps()
-        else:
-            yield from self._implicit()
+        yield from self._implicit(restore) if s.implicit else self._explicit(restore)
 
-    def _implicit(self) -> Iterator[State]:
-        march = Alpha(self.problem, self.velocity, self.settings, self.linear, self.petsc)
+    @property
+    def ts(self) -> PETSc.TS:
+        """PETSc's TS of an implicit motion that is on, for monitors and events of one's own.
+
+        Its solution is that of all unknowns, and its second one the velocity.
+        """
+        if not isinstance(self._march, Implicit):
+            raise RuntimeError("there is no TS: no implicit motion is on")
+        return self._march.ts
+
+    def kept(self) -> Kept:
+        """What the next step needs to know, between two steps. Collective."""
+        if self._march is None:
+            raise RuntimeError("there is nothing to keep: the motion has not begun, or has ended")
+        return self._march.kept()
+
+    def _explicit(self, restore: Restore | None) -> Iterator[State]:
+        s = self.settings
+        for part in self.problem.parts:
+            if part.law.viscosity is not None:
+                raise InputError(
+                    f"the scheme '{s.scheme}' knows no viscosity",
+                    where=f"materials.{part.name}.viscosity",
+                    expected='leave it out, or dynamics.scheme = "generalized-alpha"',
+                )
+        assert isinstance(s.every, int)
+        march = EXPLICIT[s.scheme](
+            self.problem, self.velocity, end=s.end, dt=s.dt, safety=s.safety, every=s.every
+        )
+        self._march = march
         try:
-            yield from march.run()
+            yield from march.steps(restore)
         finally:
+            self._march = None
+
+    def _implicit(self, restore: Restore | None) -> Iterator[State]:
+        march = Implicit(self.problem, self.velocity, self.settings, self.linear, self.petsc)
+        self._march = march
+        try:
+            yield from march.run(restore)
+        finally:
+            self._march = None
             march.destroy()

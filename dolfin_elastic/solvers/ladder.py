@@ -41,6 +41,10 @@ class Ladder:
         self.failed: Vector | None = None
         self._first = True
 
+    def go_on(self) -> None:
+        """The displacement is not that of the solver's beginning: it looks anew."""
+        self._first = False
+
     def solve(self, starts: Sequence[tuple[str, Vector]]) -> Progress:
         """Finds equilibrium from the first start that leads there. Collective.
 

@@ -32,7 +32,6 @@ log = logging.getLogger("dolfin_elastic")
 FORCING = 1e-3
 """Relative tolerance of a linear solve inside Newton: tighter ones cost more than they save."""
 
-
 LINEAR = 1e-12
 """The same where one linear solve is all: as tight as the residual is judged."""
 
@@ -53,20 +52,20 @@ class Newton:
         assembler: Residual and tangent.
         choice: Linear solver.
         tolerance: When equilibrium counts as found.
-        defaults: More PETSc options, for example the line search.
-        users: The user's PETSc options; they win.
+        defaults: More PETSc options, such as the line search; `users`, the user's, win.
         snes: A SNES made elsewhere (by TS); its functions are then set elsewhere too.
-        moving: Forces of inertia belong to what the residual is measured against, and their share
-            of the tangent to its round-off: whoever calls keeps `inertia` and `mass` up to date.
+        moving: Inertia counts for what the residual is measured against, and for its round-off:
+            whoever calls keeps `inertia` and `mass_factor` up to date.
         border: Scalar unknowns beside the fields.
 
     Attributes:
         guard: Shortens steps that turn cells inside out, after `watch_inversion`.
         ksp: The linear solver of the fields, looked after by `linear`.
         bordered: The system with scalar unknowns, if there are any.
+        round_off: Of the last tangent.
         shift: Share of its diagonal that was added to the last tangent.
         inertia: Norm of the forces of inertia at the present iterate [N], in motion.
-        mass: Norm of the mass's share of the tangent's diagonal [N/m], in motion.
+        mass: Diagonal of the mass [kg], in motion; `mass_factor` [1/s^2] stands before it.
     """
 
     def __init__(
@@ -85,9 +84,9 @@ class Newton:
         self.progress, self._moving = Progress(), moving
         self.shift = 0.0
         self._flow: Callable[[float, float], float] | None = None
-        self.inertia, self.mass = 0.0, 0.0
+        self.inertia, self.mass_factor, self.mass = 0.0, 0.0, None
         self._external = 0.0
-        self._round_off = RoundOff(assembler)
+        self.round_off = RoundOff(assembler)
         self._floor = self._first = self._norm = 0.0
         self._line_search = ""
         body = assembler.problem.body
@@ -275,12 +274,14 @@ class Newton:
     def note_tangent(self, P: PETSc.Mat) -> None:
         """Sets the linear tolerance and the round-off floor from a fresh tangent. Collective."""
         a = self.assembler
-        self._round_off.renew(P)
-        self._floor = self._round_off.norm
-        if self._moving:  # round-off of the stress is that of F = I + grad u, of inertia that of u
+        self.round_off.renew(P)
+        self._floor = self.round_off.norm
+        if self.mass is not None:  # round-off of the stress is that of F, of inertia that of u
             diagonal = P.getDiagonal()
-            stiff = max(float(diagonal.norm()) - self.mass, 0.0) * self.cell_size
-            self._floor = SAFETY * np.finfo(float).eps * (stiff + self.mass * a.max_unknown())
+            diagonal.axpy(-self.mass_factor, self.mass)
+            heavy = self.mass_factor * float(self.mass.norm()) * a.max_unknown()
+            stiff = float(diagonal.norm()) * self.cell_size
+            self._floor = SAFETY * np.finfo(float).eps * (stiff + heavy)
             diagonal.destroy()
         if not self.direct and "ksp_rtol" not in self.options.users:
             forcing = LINEAR if a.problem.linear else FORCING
@@ -302,7 +303,7 @@ class Newton:
         free, wanted = self.assembler.free, self._wanted()
         if free <= wanted or self._moving:
             return free <= self._target()
-        return free <= HOPELESS * self._floor and self._round_off.beyond() <= wanted
+        return free <= HOPELESS * self._floor and self.round_off.beyond() <= wanted
 
     def _test(
         self,

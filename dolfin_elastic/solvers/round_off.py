@@ -37,13 +37,14 @@ class RoundOff:
 
     Attributes:
         norm: Of all rows [N].
+        first: Largest stiffness of the first tangent [N/m].
     """
 
     def __init__(self, assembler: Assembler) -> None:
         self._assembler = assembler
         self._h, self._span = cell_size(assembler.problem.body), span(assembler.problem.body)
         self._rows: Vector = np.zeros(assembler.size)
-        self._first, self.norm = 0.0, 0.0
+        self.first, self.norm = 0.0, 0.0
 
     def renew(self, tangent: PETSc.Mat) -> None:
         """Takes the rows from a fresh tangent. Collective."""
@@ -52,8 +53,8 @@ class RoundOff:
         stiff = np.abs(diagonal.array_r[a.moves])
         diagonal.destroy()
         most = largest(a.comm, float(np.max(stiff, initial=0.0)))
-        self._first = self._first or most
-        stiff = np.minimum(stiff, CRUSHED * self._first)
+        self.first = self.first or most
+        stiff = np.minimum(stiff, CRUSHED * self.first)
         size = SAFETY * np.finfo(float).eps * (self._h + min(a.max_displacement(), self._span))
         square, count = total(a.comm, np.array([np.sum(stiff**2), len(stiff)]))
         self._rows[:] = size * np.sqrt(square / max(count, 1.0))

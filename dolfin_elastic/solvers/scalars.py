@@ -57,6 +57,10 @@ class Scalars:
             self.parts.append(strains)
         self.border = Borders(self.parts) if self.parts else None
 
+    def get(self) -> list[float]:
+        """All scalar unknowns."""
+        return [] if self.border is None else [float(value) for value in self.border.get()]
+
     def numbers(self) -> dict[str, float]:
         """What is told of cavities, rigid surfaces and periodic cells [SI]. Collective.
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 QUICK, SLOW = 5, 10
 """Newton iterations up to which the next step is doubled, and from which it is shortened."""
@@ -61,6 +62,14 @@ class StepSizes:
             self.size = min(self._largest, 2.0 * max(self.size, goal - t))
         elif newton >= SLOW and not self._steady:
             self.size = max(self._smallest, 0.7 * (goal - t))
+
+    def kept(self) -> dict[str, float]:
+        """What has been learnt so far."""
+        return {"size": self.size, "calm": self._calm}
+
+    def go_on(self, kept: Mapping[str, Any]) -> None:
+        """Takes up what `kept` has told."""
+        self.size, self._calm = kept["size"], kept["calm"]
 
     def begin_anew(self) -> None:
         """After a jump: nothing is known of the path that has been reached."""

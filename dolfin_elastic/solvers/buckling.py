@@ -1,0 +1,314 @@
+"""Load factors at which a body buckles, and how, by SLEPc.
+
+All loads and prescribed displacements of the problem grow with one factor s.  K(s) is the tangent
+along the path of equilibria; where it becomes singular the body buckles.  Linearised about a state
+s0 on the path,
+
+    (K(s0) + (factor - s0) dK/ds) u = 0,
+
+with dK/ds the geometric stiffness: the derivative of the tangent along the path, by the
+displacement du/ds = -K^-1 dR/ds and by loads that follow the body.  At s0 = 0 this is linear
+buckling about the undeformed body; the nearer s0 is to the factor, the less is left of what the
+linearisation leaves out.  Before, the body must be stable: then K is positive, and the eigenvalues
+1/(factor - s0) of -dK/ds u = value K u are real.
+
+Sources: R. Cook et al., Concepts and Applications of Finite Element Analysis (2002), section 18.2;
+C. Felippa, Nonlinear Finite Element Methods, chapter 28 (linearised prebuckling); dK/ds by central
+differences along the path.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from petsc4py import PETSc
+from pydantic import Field
+
+from dolfin_elastic.errors import ConvergenceError, InputError
+from dolfin_elastic.meshes.body import cell_size
+from dolfin_elastic.model.components import depends_on_time
+from dolfin_elastic.model.curves import Amplitude
+from dolfin_elastic.parallel import largest
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.schema import Record
+from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.critical import Critical
+from dolfin_elastic.solvers.eigen import DIRECT_LIMIT, Pair, prefixed
+from dolfin_elastic.solvers.linear import Choice, LinearSettings, factorising
+from dolfin_elastic.solvers.rigid import check_held
+from dolfin_elastic.solvers.shapes import at_rest, refuse, shape, shared
+from dolfin_elastic.solvers.stability import Stability
+from dolfin_elastic.solvers.statics import Statics, StaticsSettings
+from dolfin_elastic.state import Mode, State
+from dolfin_elastic.timing import stage
+
+Vector = npt.NDArray[np.float64]
+log = logging.getLogger("dolfin_elastic")
+
+STRAIN = 1e-3
+"""Displacement over the size of a cell across which the tangent is differentiated.
+
+The strain is smaller still: at 1e-4 the error of the central difference is about 1e-8, and
+round-off 1e-12, of the stiffness per unit strain.
+"""
+
+SHARE = 1e-3
+"""Difference of the load over which its forces are differentiated, which are linear in it."""
+
+
+class BucklingSettings(Record):
+    """Which buckling modes are looked for.
+
+    Attributes:
+        count: How many, from the smallest load factor on.
+        negative: As many with the loads reversed, too.
+        preload: Share of the loads at whose equilibrium the problem is linearised; 0: at rest.
+        tolerance: Relative error of load factors.
+    """
+
+    count: int = Field(default=4, ge=1)
+    negative: bool = False
+    preload: float = Field(default=0.0, ge=0)
+    tolerance: float = Field(default=1e-9, gt=0, lt=1)
+
+
+class Buckling:
+    """Finds the load factors at which a problem buckles, and the modes.
+
+    Args:
+        problem: What is loaded, without curves over time; its materials must know large rotations.
+        settings: See `BucklingSettings`; keyword arguments are its fields.
+        statics: How the loaded state is found, with a `preload`.
+        linear: How linear systems are solved: by factors.
+        petsc: PETSc and SLEPc options, which win over everything.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        settings: BucklingSettings | None = None,
+        *,
+        statics: StaticsSettings | None = None,
+        linear: LinearSettings | None = None,
+        petsc: Mapping[str, Any] | None = None,
+        **fields: Any,
+    ) -> None:
+        if settings is not None and fields:
+            raise TypeError(f"give settings or keywords, not both: {', '.join(fields)}")
+        self.problem, self.settings = problem, settings or BucklingSettings(**fields)
+        self.statics, self.linear = statics or StaticsSettings(), linear or LinearSettings()
+        self.petsc = {**self.linear.petsc, **(petsc or {})}
+        refuse(problem, "buckling", loaded=True)
+        _check_laws(problem)
+        _check_proportional(problem)
+        if self.linear.method == "iterative":
+            raise InputError(
+                "buckling modes are found by factors",
+                where="solver.method",
+                expected='"auto" or "direct"',
+            )
+        size = f"{problem.num_dofs} unknowns"
+        if problem.num_dofs > DIRECT_LIMIT[problem.body.dim]:
+            size += ", which will take much memory"
+        why = f"buckling by Krylov-Schur iterations (SLEPc; MUMPS, LDL^T): {size}"
+        self.choice = Choice(True, prefixed(factorising(True)), why)
+
+    def steps(self) -> Iterator[State | Mode]:
+        """Yields the states of the preload, if there is one, and then the modes. Collective.
+
+        Raises:
+            InputError: The supports do not hold the body.
+            ConvergenceError: No equilibrium was found, it is unstable, or not all modes were.
+        """
+        check_held(self.problem)
+        share = self.settings.preload
+        if share > 0.0:
+            settings = self.statics.model_copy(update={"end": share})
+            yield from Statics(self.problem, settings, linear=self.linear, petsc=self.petsc).steps()
+        else:
+            at_rest(self.problem)
+        yield from self.about_this_state()
+
+    def modes(self) -> Iterator[Mode]:
+        """Yields the modes only. Collective."""
+        yield from (found for found in self.steps() if isinstance(found, Mode))
+
+    def about_this_state(self) -> Iterator[Mode]:
+        """Yields the modes about the present state of the problem. Collective."""
+        log.info("%s", self.choice.why)
+        path = _Path(self.problem, self.settings.preload)
+        try:
+            pairs = self._pairs(path)
+        finally:
+            path.destroy()
+        base = fem.Function(self.problem.V, name="displacement")
+        base.x.array[:] = self.problem.u.x.array
+        for k, pair in enumerate(pairs, start=1):
+            yield Mode(
+                number=k,
+                kind="buckling",
+                u=shape(self.problem, pair.vector)[0],
+                base=base,
+                eigenvalue=pair.value,
+                done=k / len(pairs),
+            )
+
+    def _pairs(self, path: _Path) -> list[Pair]:
+        """Load factors and modes, those of the loads as they are first."""
+        found: list[Pair] = []
+        wanted = self.settings.count
+        for sign, name in ((1, "these"), (-1, "the reversed"))[: 1 + self.settings.negative]:
+            critical = Critical(
+                self.problem,
+                path.stiffness,
+                path.rate,
+                sign=sign,
+                choice=self.choice,
+                users=shared(self.petsc)[1] if self.settings.preload else self.petsc,
+                tolerance=self.settings.tolerance,
+            )
+            pairs = critical.lowest(wanted)
+            if len(pairs) < wanted:
+                log.warning(
+                    "%d buckling modes asked for under %s loads, there are only %d",
+                    wanted,
+                    name,
+                    len(pairs),
+                )
+            found += [Pair(self.settings.preload + sign * p.value, p.vector) for p in pairs]
+        if not found:
+            raise ConvergenceError(
+                "the body does not buckle: the loads make it only stiffer",
+                advice="buckling.negative = true for the reversed loads",
+            )
+        return found
+
+
+class _Path:
+    """Tangent of a state, and its derivative along the path of equilibria. Collective.
+
+    Args:
+        problem: In that state.
+        share: Of the loads.
+
+    Attributes:
+        stiffness: K(s0), ones on the diagonal where displacements are prescribed.
+        rate: dK/ds, zero there.
+    """
+
+    def __init__(self, problem: Problem, share: float) -> None:
+        self._problem, self._share = problem, share
+        self._assembler = Assembler(problem)
+        try:
+            self._make()
+        finally:
+            self._assembler.destroy()
+
+    def _make(self) -> None:
+        problem, assembler = self._problem, self._assembler
+        kept = problem.w.x.array.copy()
+        self._put(kept, self._share)
+        along = self._velocity(kept)
+        self.stiffness: PETSc.Mat = self._tangent(kept, self._share).copy()
+        top = largest(problem.body.comm, float(np.max(np.abs(along), initial=0.0)))
+        if top == 0.0:
+            self.stiffness.destroy()
+            raise InputError(
+                "no load deforms the body", where="load", expected="at least one that does"
+            )
+        step = STRAIN * cell_size(problem.body) / top
+        self.rate: PETSc.Mat = self._tangent(kept + step * along, self._share + step).copy()
+        before = self._tangent(kept - step * along, self._share - step)
+        with stage("assemble"):
+            self.rate.axpy(-1.0, before, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            self.rate.scale(0.5 / step)
+        self._put(kept, self._share)
+        assembler.assemble_balance()
+
+    def _put(self, values: Vector, share: float) -> None:
+        """Puts all unknowns, ghosts included, and the loads."""
+        problem = self._problem
+        problem.set_time(1.0, default=Amplitude(((0.0, share), (1.0, share))))
+        problem.w.x.array[:] = values
+        problem.unknowns.tell()
+
+    def _tangent(self, values: Vector, share: float) -> PETSc.Mat:
+        self._put(values, share)
+        self._assembler.forget_tangent()
+        x = self._assembler.create_vector()
+        self._assembler.get(x)
+        self._assembler.tangent(x)
+        x.destroy()
+        return self._assembler.matrix
+
+    def _velocity(self, kept: Vector) -> Vector:
+        """dw/ds = -K^-1 dR/ds, ghosts included."""
+        assembler, problem = self._assembler, self._problem
+        rates = [self._residual(kept, self._share + h) for h in (SHARE, -SHARE)]
+        self._tangent(kept, self._share)
+        stability = Stability(assembler)
+        if not stability.sound or stability.negative != 0:
+            stability.destroy()
+            raise ConvergenceError(
+                f"the body is not stable under {self._share:g} times the loads",
+                advice="a smaller buckling.preload; supports that hold every part",
+            )
+        f, x = assembler.create_vector(), assembler.create_vector()
+        f.array_w[:] = (rates[1] - rates[0]) / (2 * SHARE)
+        with stage("solve"):
+            stability.solve(f, x)
+        along = fem.Function(problem.W)
+        along.x.array[: assembler.size] = x.array_r
+        along.x.scatter_forward()
+        for thing in (f, x, stability):
+            thing.destroy()
+        return np.array(along.x.array)
+
+    def _residual(self, values: Vector, share: float) -> Vector:
+        self._put(values, share)
+        assembler = self._assembler
+        x, f = assembler.create_vector(), assembler.create_vector()
+        assembler.get(x)
+        assembler.residual(x, f)
+        found = f.array_r.copy()
+        x.destroy()
+        f.destroy()
+        return found
+
+    def destroy(self) -> None:
+        """Frees both matrices. Collective."""
+        self.stiffness.destroy()
+        self.rate.destroy()
+
+
+def _check_laws(problem: Problem) -> None:
+    for part in problem.parts:
+        if part.law.linear:
+            raise InputError(
+                f"'{part.law.name()}' is for small rotations: its stiffness does not change "
+                "under load",
+                where=f"materials.{part.name}.law",
+                expected="st-venant-kirchhoff, which takes the same constants, or another law for "
+                "large rotations",
+            )
+
+
+def _check_proportional(problem: Problem) -> None:
+    """One factor multiplies all."""
+    own = {"load": [load.amplitude is not None for load in problem.loads], "support": []}
+    for support in problem.supports:
+        timed = any(depends_on_time(values) for values in support.vectors.values())
+        timed = timed or getattr(support, "curve", None) is not None
+        own["support"].append(timed and not support.at_rest)
+    for key, rows in own.items():
+        if any(rows):
+            raise InputError(
+                "what has a course of its own over t is not multiplied by a load factor",
+                where=f"{key}[{rows.index(True)}].curve",
+                expected="numbers without a curve, formulas without t",
+            )

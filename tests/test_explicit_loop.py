@@ -1,0 +1,291 @@
+"""The loop of explicit motion: a textbook's lines, what it allocates, continued runs."""
+
+from __future__ import annotations
+
+import json
+import resource
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+from dolfinx import fem
+from mpi4py import MPI
+from test_tetrahedron import CORNERS, GRADIENTS, V0
+
+from dolfin_elastic import (
+    Contact,
+    Dashpot,
+    Dynamics,
+    Gravity,
+    LinearElastic,
+    NeoHookean,
+    Normal,
+    PointForce,
+    Pressure,
+    Problem,
+    Spring,
+    Support,
+    Traction,
+    box_body,
+    rectangle_body,
+)
+from dolfin_elastic.meshes import Body
+from dolfin_elastic.meshes.build import make_mesh
+from dolfin_elastic.parallel import largest, total
+from dolfin_elastic.solvers.explicit import SCHEMES, CentralDifferences, SymplecticEuler
+
+E, NU, RHO = 1e5, 0.3, 1000.0
+BOTH = pytest.mark.parametrize("scheme", SCHEMES)
+
+
+def tetrahedron() -> Body:
+    """The one of the textbook, on rank 0."""
+    comm = MPI.COMM_WORLD
+    root = comm.rank == 0
+    cells = np.array([[0, 1, 2, 3]] if root else np.empty((0, 4)), dtype=np.int64)
+    return Body(make_mesh(comm, cells, CORNERS if root else np.empty((0, 3)), 1))
+
+
+def test_one_tetrahedron_as_in_a_textbook():
+    """v += dt f/m, x += dt v at four corners, f_a = -V0 P grad(phi_a), m = rho V0/4.
+
+    P of the neo-Hookean solid: mu (F - F^-T) + lmbda ln(J) F^-T.
+    """
+    law = NeoHookean(E=E, nu=NU, density=RHO)
+    problem = Problem(tetrahedron(), law, loads=[Gravity()])
+    v0 = np.array([3.0, -1.0, 0.5])  # times the reference place: stretches and turns it
+    x, v = CORNERS.copy(), np.outer(CORNERS[:, 1], v0) - np.outer(CORNERS[:, 2], v0[::-1])
+    dt, g = 1e-3, np.array([0, 0, -9.81])
+    velocity = [f"{v0[i]}*y - {v0[::-1][i]}*z" for i in range(3)]
+    places = problem.V.tabulate_dof_coordinates()
+    own = problem.V.dofmap.index_map.size_local
+    corner = [int(np.argmin(np.linalg.norm(CORNERS - place, axis=1))) for place in places[:own]]
+    for state in Dynamics(
+        problem, scheme="symplectic-euler", end=0.2, dt=dt, every=1, initial_velocity=velocity
+    ).steps():
+        if state.step:
+            F = x.T @ GRADIENTS
+            T = np.linalg.inv(F).T
+            P = law.mu * (F - T) + law.lmbda * np.log(np.linalg.det(F)) * T
+            v = v + dt * (-V0 * GRADIENTS @ P.T / (RHO * V0 / 4) + g)
+            x = x + dt * v
+        u = state.u.x.array.reshape(-1, 3)[:own]
+        off = np.abs(places[:own] + u - x[corner]).max(initial=0.0)
+        off_v = np.abs(state.v.x.array.reshape(-1, 3)[:own] - v[corner]).max(initial=0.0)
+        # Round-off: forces are 1e5 of numbers that cancel to a few units, over 200 steps.
+        assert total(problem.body.comm, float(off)) < 1e-12 * np.abs(x).max()
+        assert total(problem.body.comm, float(off_v)) < 1e-11 * np.abs(v).max()
+    assert abs(np.linalg.det(x.T @ GRADIENTS) - 1) > 0.05
+
+
+# --- what the loop costs ---
+
+
+def loaded(cells: tuple[int, ...] = (6, 2, 2), **more: Any) -> Problem:
+    """A block with a dead load, its weight, a held end and a floor."""
+    settings: dict[str, Any] = {
+        "supports": [Support(on="left")],
+        "loads": [Gravity(), Traction(on="right", value=[0, 0, -50.0])],
+        "contacts": [Contact(on="bottom", plane={"axis": "z", "at": -0.01}, name="floor")],
+    } | more
+    body = box_body(size=(0.6, 0.2, 0.2), cells=cells)
+    return Problem(body, NeoHookean(E=E, nu=NU, density=RHO), **settings)
+
+
+@BOTH
+def test_steps_allocate_nothing(scheme):
+    """Between two states, beside a few numbers: nothing that grows with the mesh or the steps."""
+    problem = loaded(cells=(16, 4, 4))
+    march = SCHEMES[scheme](
+        problem, fem.Function(problem.V), end=1.0, dt=None, safety=0.5, every=100
+    )
+    march._balance()
+    march.work.begin()
+    tracemalloc.start()
+    try:
+        for _ in range(100):  # Python keeps some views and numbers for later
+            march._advance(march.dt)
+        before, _ = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        for _ in range(200):
+            march._advance(march.dt)
+        after, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # A vector of this mesh has 3400 bytes and more on each of three ranks; what remains are numpy's
+    # views and Python's numbers.
+    assert largest(problem.body.comm, after - before) < 1000
+    assert largest(problem.body.comm, peak - before) < 3000
+    assert not march.work.shares
+    march.assembler.destroy()
+
+
+def peak_memory() -> int:
+    """Most memory that this process has had [byte]."""
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+@BOTH
+def test_memory_and_energy_stay_over_ten_thousand_steps(scheme):
+    """A free brick that turns and swings, D-3: momenta and energy, and no byte more in use."""
+    problem = Problem(
+        box_body(size=(1.0, 0.6, 0.3), cells=(2, 1, 1)), NeoHookean(E=1e5, nu=NU, density=1000)
+    )
+    velocity = ["1 - 2*(z - 0.15) - 5*(y - 0.3)", "2 + 5*(x - 0.5) - 3*(z - 0.15)"]
+    velocity.append("-0.5 + 3*(y - 0.3) + 2*(x - 0.5)")
+    dt, rows, memory = 2e-3, [], 0
+    for state in Dynamics(
+        problem, scheme=scheme, end=1e4 * dt, dt=dt, every=250, initial_velocity=velocity
+    ).steps():
+        momenta = np.concatenate([state.momenta["linear"], state.momenta["angular"]])
+        rows.append([*momenta, state.energies["total"]])
+        if state.step == 1000:
+            memory = peak_memory()
+    assert state.step == 10_000
+    # Pages of the allocator; a vector leaked at each step would be 4 MB and more.
+    assert largest(problem.body.comm, peak_memory() - memory) < 1_000_000
+    table = np.array(rows)
+    np.testing.assert_allclose(table[0, :3], [180, 360, -90], rtol=1e-12)
+    drift = np.abs(table - table[0]).max(axis=0)
+    assert drift[:3].max() < 1e-12 * np.linalg.norm(table[0, :3])
+    assert drift[3:6].max() < 1e-11 * np.linalg.norm(table[0, 3:6])
+    # 1.7e-3 and 1.8e-5 found: to first and to second order in the step, without a trend.
+    energy = table[:, 6] / table[0, 6]
+    assert np.ptp(energy) < (5e-3 if scheme == "symplectic-euler" else 6e-5)
+    halves = energy[1:21].mean() - energy[21:].mean()
+    assert abs(halves) < 0.5 * np.ptp(energy)  # 20 samples each, at chance
+
+
+# --- continued runs ---
+
+PROBLEMS: dict[str, Any] = {
+    "held": {},
+    "all moves": {
+        "supports": [
+            Normal(on="left", displacement="0.01*sin(60*t)"),
+            Spring(on="front", normal=1e5, displacement=[0, "0.005*sin(80*t)", 0]),
+            Dashpot(on="right", normal=300.0, tangential=100.0),
+        ],
+        "loads": [
+            Pressure(on="top", value="2000*t/0.05"),
+            PointForce(at=[0.6, 0.1, 0.2], value=["5*sin(90*t)", 0, 3]),
+        ],
+        "contacts": [
+            Contact(
+                on="bottom",
+                plane={"axis": "z", "at": -0.004},
+                motion=[0, 0, "0.02*sin(50*t)"],
+                name="floor",
+            )
+        ],
+    },
+    "springs at rest": {
+        "supports": [Spring(on="left", normal=1e6, tangential=1e6)],
+        "contacts": [],
+    },
+}
+
+
+def followed(states: Any, stop: int | None = None) -> tuple[list[np.ndarray], Any]:
+    """Numbers of states by their step, up to one of them."""
+    rows = []
+    for state in states:
+        energies = [state.energies[key] for key in sorted(state.energies)]
+        forces = [state.reactions[key] for key in sorted(state.reactions)]
+        fields = [np.linalg.norm(f.x.array[: 3 * own(f)]) for f in (state.u, state.v, state.a)]
+        squares = np.sqrt(total(MPI.COMM_WORLD, np.square(fields)))
+        row = [state.step, state.t, *energies, *np.concatenate([np.zeros(0), *forces]), *squares]
+        rows.append(np.array(row))
+        if state.step == stop:
+            break
+    return rows, state
+
+
+def own(field: fem.Function) -> int:
+    return int(field.function_space.dofmap.index_map.size_local)
+
+
+@pytest.mark.parametrize(
+    ("kind", "scheme"),
+    [
+        ("held", "symplectic-euler"),
+        ("all moves", "symplectic-euler"),
+        ("all moves", "central-differences"),
+        ("springs at rest", "central-differences"),
+    ],
+)
+def test_a_continued_run_is_the_same(kind, scheme):
+    """Stopped at a state and gone on with by another solver: to round-off as without a break."""
+    settings = {"scheme": scheme, "end": 0.08, "every": 7, "safety": 0.8}
+    whole, _ = followed(Dynamics(loaded(**PROBLEMS[kind]), **settings).steps())
+    first = Dynamics(loaded(**PROBLEMS[kind]), **settings)
+    states = first.steps()
+    head, state = followed(states, stop=7 * (len(whole) // 2))
+    assert not state.done >= 1.0
+    kept = first.kept()
+    saved = {name: field.x.array.copy() for name, field in kept.fields.items()}
+    numbers = json.loads(json.dumps(dict(kept.numbers)))
+    states.close()
+
+    def restore(fields: Any) -> Any:
+        assert fields.keys() == saved.keys()
+        for name, field in fields.items():
+            field.x.array[:] = saved[name]
+        return numbers
+
+    tail, last = followed(Dynamics(loaded(**PROBLEMS[kind]), **settings).steps(restore))
+    assert last.done == pytest.approx(1.0, abs=1e-12)
+    assert len(head) + len(tail) == len(whole)
+    scale = np.maximum(np.abs(np.array(whole)).max(axis=0), 1e-300)
+    for there, here in zip(whole, [*head, *tail], strict=True):
+        # Velocities halfway are made of those at the state anew; the rest is bit by bit the same.
+        assert np.abs(there - here).max(initial=0.0, where=scale == 0) == 0
+        np.testing.assert_allclose(
+            here / scale.clip(1e-300), there / scale.clip(1e-300), atol=1e-11
+        )
+
+
+def test_states_do_not_change_the_motion():
+    """How often it is looked at only rounds differently."""
+    ends = []
+    for every in (1, 10):
+        settings = {"scheme": "central-differences", "end": 0.05, "dt": 5e-4, "every": every}
+        *_, state = Dynamics(loaded(**PROBLEMS["all moves"]), **settings).steps()
+        ends.append((state.energies["external"], state.max_displacement, state.energies["total"]))
+    np.testing.assert_allclose(ends[0], ends[1], rtol=1e-10)
+
+
+def test_about_two_hundred_states_by_default():
+    problem = Problem(
+        rectangle_body(size=(1, 1), cells=(1, 1)), LinearElastic(E=E, nu=NU, density=RHO)
+    )
+    for scheme in SCHEMES:
+        steps = [s.step for s in Dynamics(problem, scheme=scheme, end=1.0, dt=2.5e-4).steps()]
+        assert len(steps) == 201
+        assert steps[1] == 20
+        assert steps[-1] == 4000
+    few = [s.step for s in Dynamics(problem, scheme=scheme, end=0.01, dt=2.5e-4).steps()]
+    assert few == list(range(41))
+
+
+# --- work ---
+
+
+@pytest.mark.parametrize("march", [SymplecticEuler, CentralDifferences])
+def test_energy_balance_of_all_that_moves(march):
+    """Strain, kinetic and contact energy are the work of loads, springs, dashpots and supports.
+
+    To the order of the scheme: 1 and 2, with the step halved.
+    """
+    off = []
+    for dt in (4e-4, 2e-4):
+        problem = loaded(**PROBLEMS["all moves"])
+        worst, first = 0.0, None
+        for state in Dynamics(problem, scheme=march.name, end=0.05, dt=dt, every=5).steps():
+            first = state.energies["total"] if first is None else first
+            gained = state.energies["total"] - first - state.energies["external"]
+            worst = max(worst, abs(gained))
+        off.append(worst / state.energies["total"])
+    assert max(off) < 0.1
+    assert off[1] < (0.6 if march is SymplecticEuler else 0.3) * off[0]

@@ -1,0 +1,448 @@
+"""Implicit motion of bodies: waves, moving supports, damping, times, events, audit and restarts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from test_dynamics import (
+    NU,
+    PERIOD,
+    RHO,
+    STIFF,
+    E,
+    brick,
+    drift,
+    oscillator,
+    value_at,
+)
+
+from dolfin_elastic import (
+    Contact,
+    Dashpot,
+    Dynamics,
+    Gravity,
+    LinearElastic,
+    NeoHookean,
+    Problem,
+    Spring,
+    Support,
+    Traction,
+    rectangle_body,
+)
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.results.summary import peak_memory
+
+# --- waves ---
+
+
+def test_a_wave_along_a_bar():
+    """u = A sin(pi x/2L) cos(omega t) with omega = pi c/2L, lateral motion blocked: order 2."""
+    body = rectangle_body(size=(1.0, 0.1), cells=(12, 1))
+    speed = np.sqrt(STIFF / RHO)
+    omega = np.pi * speed / 2
+    end, errors, steps = 0.7 * 2 * np.pi / omega, [], (20, 40, 80)
+    for n in steps:
+        problem = Problem(
+            body,
+            LinearElastic(E=E, nu=NU, density=RHO),
+            degree=2,
+            supports=[
+                Support(on=["top", "bottom"], displacement=["free", 0]),
+                Support(on="left", displacement=[0, 0]),
+            ],
+        )
+        *_, state = Dynamics(
+            problem,
+            end=end,
+            dt=end / n,
+            every=n,
+            spectral_radius=0.8,
+            initial_displacement=["1e-3*sin(pi*x/2)", 0],
+        ).steps()
+        u = value_at(problem, state.u.x.array, (1.0, 0.0))[0]
+        v = value_at(problem, state.v.x.array, (1.0, 0.0))[0]
+        exact = 1e-3 * np.array([np.cos(omega * end), -np.sin(omega * end)])
+        errors.append(np.linalg.norm(np.array([u, v / omega]) - exact))
+    # The mesh leaves 1e-5 of the amplitude.
+    assert np.polyfit(np.log(1 / np.array(steps)), np.log(errors), 1)[0] == pytest.approx(
+        2, abs=0.1
+    )
+    assert errors[-1] < 1.5e-6
+
+
+def test_a_front_arrives_on_time():
+    """A pull at one end is felt at the other after L/c; the step resolves it to a few steps."""
+    body = rectangle_body(size=(1.0, 0.1), cells=(40, 1))
+    problem = Problem(
+        body,
+        LinearElastic(E=E, nu=NU, density=RHO),
+        supports=[
+            Support(on=["top", "bottom"], displacement=["free", 0]),
+            Support(on="left", displacement=[0, 0]),
+        ],
+        loads=[Traction(on="right", value=[1e4, 0])],
+    )
+    speed = np.sqrt(STIFF / RHO)
+    dt, rows = 1 / speed / 80, []
+    for state in Dynamics(problem, end=1.5 / speed, dt=dt, spectral_radius=0.5).steps():
+        rows.append((state.t * speed, state.reactions["left"][0]))
+    t, held = np.array(rows).T
+    # The front is reflected: what is held jumps from nothing to twice the pull.
+    assert abs(held[t < 0.85]).max() < 0.1 * 1e3
+    np.testing.assert_allclose(held[t > 1.25], -2e3, rtol=0.15)
+    arrival = np.interp(-1e3, held[::-1], t[::-1]) if held[0] > held[-1] else np.nan
+    assert arrival == pytest.approx(1.0, abs=0.03)
+
+
+def test_petsc_agrees_to_the_order_of_the_scheme():
+    """TSALPHA2 is the same scheme but for its start, which it finds by two half steps."""
+    body = rectangle_body(size=(1.0, 3.0), cells=(1, 3))
+    gaps = []
+    for dt in (0.02, 0.01, 0.005, 0.0025):
+        ends = []
+        for scheme in ("generalized-alpha", "alpha2"):
+            problem = Problem(
+                body,
+                NeoHookean(E=1e6, nu=NU, density=1100.0),
+                degree=2,
+                supports=[Support(on="bottom", displacement=[0, 0])],
+            )
+            *_, state = Dynamics(
+                problem,
+                scheme=scheme,
+                end=0.1,
+                dt=dt,
+                every=100,
+                spectral_radius=0.8,
+                rtol=1e-11,
+                initial_velocity=["3*y", 0],
+            ).steps()
+            ends.append(value_at(problem, state.u.x.array, (0.5, 3.0)))
+        gaps.append(np.linalg.norm(ends[1] - ends[0]))
+    assert gaps[0] < 1e-3 * np.linalg.norm(ends[0])
+    # It goes up and down a little: it is that of one moment of a vibration.
+    slope = np.polyfit(np.log([8, 4, 2, 1]), np.log(gaps), 1)[0]
+    assert slope == pytest.approx(2.0, abs=0.4)
+
+
+# --- supports that move ---
+
+
+def test_prescribed_motion_has_its_velocity_and_acceleration():
+    """u = A (1 - cos w t): met exactly; v and a by the scheme, of second order."""
+    A, w = 0.01, 40.0
+    errors = []
+    for n in (40, 80):
+        problem = Problem(
+            rectangle_body(size=(1.0, 0.5), cells=(2, 1)),
+            LinearElastic(E=E, nu=NU, density=RHO),
+            supports=[Support(on="left", displacement=[f"{A}*(1 - cos({w}*t))", 0])],
+        )
+        worst = np.zeros(3)
+        for state in Dynamics(problem, end=0.2, dt=0.2 / n, spectral_radius=0.8).steps():
+            t = state.t
+            exact = A * np.array([1 - np.cos(w * t), w * np.sin(w * t), w * w * np.cos(w * t)])
+            place = (0.0, 0.5)
+            got = [value_at(problem, f.x.array, place)[0] for f in (state.u, state.v, state.a)]
+            worst = np.maximum(worst, np.abs(np.array(got) - exact))
+        errors.append(worst / [A, A * w, A * w * w])
+    assert max(e[0] for e in errors) < 1e-14
+    assert (errors[1][1:] < [2e-3, 2e-2]).all()
+    assert (np.log2(errors[0][1:] / errors[1][1:]) > 1.8).all()
+
+
+def test_reactions_are_those_of_the_end_of_the_step():
+    """A rigid block that is shaken: what holds it is its mass times the acceleration then."""
+    w = 30.0
+    problem = Problem(
+        rectangle_body(size=(1.0, 1.0), cells=(1, 1)),
+        LinearElastic(E=1e12, nu=0.0, density=RHO),
+        supports=[Support(on=["left", "right"], displacement=[f"0.01*sin({w}*t)^2", 0])],
+    )
+    rows = [
+        (
+            s.t,
+            s.reactions["left+right"][0]
+            if "left+right" in s.reactions
+            else sum(f[0] for f in s.reactions.values()),
+        )
+        for s in Dynamics(problem, end=0.1, dt=1e-3, spectral_radius=0.9).steps()
+    ]
+    t, force = np.array(rows).T
+    exact = RHO * 0.01 * 2 * w**2 * np.cos(2 * w * t)
+    # Second order: (2 w dt)^2 = 4e-3 of it; at the time of the stage it would be off by 3 %.
+    np.testing.assert_allclose(force, exact, rtol=0, atol=2e-3 * abs(exact).max())
+
+
+# --- damping ---
+
+
+@pytest.mark.parametrize("how", [{"viscosity": 200.0}, {"rayleigh": [0, 5e-3]}])
+def test_damping_inside_a_body_does_not_feel_a_rotation(how):
+    """A soft brick thrown with a spin keeps both its momenta; it loses what vibrates only."""
+    law = {"viscosity": how["viscosity"]} if "viscosity" in how else {}
+    settings = {"rayleigh": how["rayleigh"]} if "rayleigh" in how else {}
+    problem, start = brick(**law)
+    states = []
+    for s in Dynamics(
+        problem, end=0.4, dt=0.02, spectral_radius=1.0, rtol=1e-12, **settings, **start
+    ).steps():
+        states.append((s.momenta["linear"], s.momenta["angular"], s.energies["damping"]))
+        assert s.audit.verdict == "pass"
+        assert s.audit.force < 1e-9
+        assert s.audit.moment < 1e-9
+    linear, angular, damped = zip(*states, strict=True)
+    assert drift(list(linear)) < 1e-9
+    assert drift(list(angular)) < 1e-9
+    assert (np.diff(damped) >= 0).all()
+    # It stretches as it begins to turn, and that is damped: some of 790 J, which a force against
+    # the velocity itself would take within a second.
+    assert 0.0 < damped[-1] < 8.0
+
+
+def test_rayleigh_mass_brakes_a_free_body():
+    """p = p0 exp(-a t): the trapezoidal rule is off by (a dt)^2/12."""
+    problem, start = brick()
+    for state in Dynamics(
+        problem, end=0.5, dt=0.01, every=50, spectral_radius=1.0, rayleigh=[2.0, 0], **start
+    ).steps():
+        exact = np.array([180, 360, -90]) * np.exp(-2.0 * state.t)
+        np.testing.assert_allclose(state.momenta["linear"], exact, rtol=1e-4)
+        assert state.audit.verdict == "pass"
+
+
+# --- the control of the step, and times that are met ---
+
+
+def test_times_are_met_exactly_and_all_that_is_asked_for_is_shown():
+    asked = [0.013, 0.1, 0.2499]
+    for adaptive in (False, True):
+        shown = [
+            state.t
+            for state in Dynamics(
+                oscillator(), end=0.25, dt=0.01, every="50 ms", times=asked, adaptive=adaptive
+            ).steps()
+        ]
+        assert shown == [0.0, 0.013, 0.05, 0.1, 0.15000000000000002, 0.2, 0.2499, 0.25]
+    steps = [
+        s.step for s in Dynamics(oscillator(), end=0.1, dt=0.01, every=4, times=[0.05]).steps()
+    ]
+    assert steps == [0, 4, 5, 8, 10]
+
+
+def test_a_cell_that_turns_inside_out_makes_the_step_smaller():
+    """A patch of bar thrown together so fast that one whole step would fold it."""
+    problem = Problem(
+        rectangle_body(size=(1.0, 0.5), cells=(2, 1)),
+        NeoHookean(E=1e5, nu=NU, density=RHO),
+        supports=[Support(on="left", displacement=[0, 0])],
+    )
+    states = list(
+        Dynamics(
+            problem, end=0.1, dt=0.1, initial_velocity=["-25*x", 0], spectral_radius=0.5
+        ).steps()
+    )
+    assert len(states) > 2
+    assert all(state.audit.min_jacobian > 0 for state in states)
+    assert states[-1].t == pytest.approx(0.1)
+
+
+def test_events_of_ts_find_their_time():
+    """PETSc takes a step back and looks for the zero of u within it: a quarter of the period.
+
+    Work and steps that were taken back do not count.
+    """
+    problem = oscillator()
+    motion = Dynamics(
+        problem,
+        end=0.4 * PERIOD,
+        dt=PERIOD / 40,
+        spectral_radius=0.8,
+        rtol=1e-12,
+        initial_displacement=["1e-3*x", 0],
+    )
+    states, met = motion.steps(), []
+    next(states)
+    comm = problem.body.comm
+
+    def place(ts: Any, t: float, U: Any, values: Any) -> None:
+        values[0] = comm.allreduce(float(U.array_r.sum()))  # one unknown is not held
+
+    def note(ts: Any, events: Any, t: float, U: Any, forward: bool) -> None:
+        met.append(t)
+
+    motion.ts.setEventHandler([0], [False], place, note)
+    motion.ts.setEventTolerances(1e-12)
+    seen = []
+    motion.ts.setMonitor(lambda ts, step, t, U: seen.append(step))
+    for state in states:
+        assert abs(state.energies["balance"]) < 1e-3 * 0.25 * STIFF * 1e-6
+    assert len(met) == 1
+    # Of second order: (omega dt)^2/12 = 2e-3 of the phase.
+    assert met[0] == pytest.approx(PERIOD / 4, rel=3e-3)
+    assert state.t == pytest.approx(0.4 * PERIOD)
+    assert max(seen) == state.step
+
+
+# --- audit ---
+
+
+def test_the_audit_balances_forces_with_inertia(monkeypatch):
+    """A shaken column with springs, dashpots and weight: all sums up, and a false load is seen."""
+
+    def last() -> Any:
+        problem = column()
+        *_, state = Dynamics(problem, end=0.02, dt=2e-3, rayleigh=[1.0, 1e-4]).steps()
+        return state
+
+    good = last()
+    assert good.audit.force < 1e-7
+    assert good.audit.moment < 1e-7
+    assert good.audit.verdict == "pass"
+    from dolfin_elastic.solvers.assembler import Assembler
+
+    true = Assembler.external_forces
+    monkeypatch.setattr(Assembler, "external_forces", lambda self: 1.01 * true(self))
+    bad = last()
+    assert bad.audit.verdict == "warn"
+    assert "do not balance" in bad.audit.so_far[0]
+
+
+# --- restarts ---
+
+
+def column(**more: Any) -> Problem:
+    """Weight, a foot that is shaken, springs, dashpots, viscosity and an obstacle."""
+    return Problem(
+        rectangle_body(size=(0.5, 1.0), cells=(2, 3)),
+        NeoHookean(E=1e6, nu=NU, density=RHO, viscosity=300.0),
+        loads=[Gravity(), Traction(on="top", value=["2e4*sin(300*t)", 0])],
+        supports=[
+            Support(on="bottom", displacement=["0.01*sin(200*t)^2", 0]),
+            Spring(on="left", normal="1 MPa/m"),
+            Dashpot(on="right", normal=2e3, tangential=1e3),
+        ],
+        contacts=[Contact(on="top", plane={"point": [0, 1.001], "normal": [0, -1]}, name="lid")],
+        **more,
+    )
+
+
+def record(state: Any) -> dict[str, Any]:
+    return {
+        "t": state.t,
+        "step": state.step,
+        **{f"energy {k}": v for k, v in state.energies.items()},
+        **{f"reaction {k} {i}": x for k, v in state.reactions.items() for i, x in enumerate(v)},
+        "u": state.w.x.array.copy(),
+        "v": state.v.x.array.copy(),
+        "a": state.a.x.array.copy(),
+    }
+
+
+def test_a_motion_goes_on_as_if_it_had_never_stopped():
+    """From copied arrays and numbers as JSON, in a new problem: the same states to round-off."""
+    cases: list[tuple[Callable[[], Problem], dict[str, Any]]] = [
+        (column, {"rayleigh": [1.0, 1e-4], "spectral_radius": 0.8}),
+        (column, {"scheme": "newmark", "adaptive": True, "tolerance": 1e-3, "times": [0.01]}),
+        (mixed, {"scheme": "generalized-alpha"}),
+        (mixed, {"scheme": "implicit-euler", "every": 2}),
+    ]
+    for make, settings in cases:
+        given = {"end": 0.02, "dt": 1e-3, "rtol": 1e-12, **settings}
+        motion = Dynamics(make(), **given)
+        whole: list[dict[str, Any]] = []
+        saved: Any = None
+        for state in motion.steps():
+            whole.append(record(state))
+            if saved is None and state.t >= 0.008:
+                kept = motion.kept()
+                arrays = {name: f.x.array.copy() for name, f in kept.fields.items()}
+                saved = len(whole), arrays, json.dumps(kept.numbers)
+        number, arrays, numbers = saved
+
+        def restore(fields: Any, arrays: Any = arrays, numbers: Any = numbers) -> Any:
+            assert fields.keys() == arrays.keys()
+            for name, field in fields.items():
+                field.x.array[:] = arrays[name]
+            return json.loads(numbers)
+
+        again = [record(state) for state in Dynamics(make(), **given).steps(restore)]
+        assert len(again) == len(whole) - number > 3
+        for one, other in zip(again, whole[number:], strict=True):
+            assert one.keys() == other.keys()
+            for name, value in one.items():
+                scale = np.abs(np.asarray(other[name])).max(initial=1e-9)
+                np.testing.assert_allclose(value, other[name], rtol=0, atol=1e-12 * scale + 1e-15)
+
+
+def mixed() -> Problem:
+    """Incompressible rubber: the pressure is kept, too."""
+    return Problem(
+        rectangle_body(size=(1.0, 0.25), cells=(4, 1)),
+        NeoHookean(E=1e6, nu=0.4999, density=RHO),
+        degree=2,
+        supports=[Support(on="left", displacement=[0, 0])],
+        loads=[Gravity()],
+    )
+
+
+def test_memory_stays_flat():
+    """Over 500 steps of a small body the largest memory in use grows by less than 2 MB.
+
+    A vector or matrix that is not freed, 40 of each a step, would take some 10 MB.
+    """
+    problem = column()
+    peak: list[int] = []
+    for state in Dynamics(problem, end=0.55, dt=1e-3, every=10).steps():
+        if state.step in (50, 550):
+            peak.append(peak_memory(problem.body.comm)["largest_rank"])
+    assert peak[1] - peak[0] < 2e6
+
+
+def test_there_is_nothing_to_keep_before_a_motion_and_after_it():
+    motion = Dynamics(oscillator(), end=0.02, dt=0.01)
+    with pytest.raises(RuntimeError, match="nothing to keep"):
+        motion.kept()
+    _ = [*motion.steps()]
+    with pytest.raises(RuntimeError, match="nothing to keep"):
+        motion.kept()
+
+
+# --- what is refused ---
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"beta": 0.3}, "beta: the scheme 'generalized-alpha' has no beta"),
+        ({"scheme": "newmark", "gamma": 0.4}, "gamma"),
+        ({"scheme": "newmark", "beta": 0.0}, "beta"),
+        ({"rayleigh": [1.0]}, "rayleigh"),
+        ({"rayleigh": [-1.0, 0]}, "rayleigh.mass"),
+        ({"rayleigh": {"stifness": 1.0}}, "stiffness"),
+        ({"times": [2.0]}, r"times\[0\]: 2 s lies beyond the end"),
+        ({"every": 0}, "every"),
+        ({"scheme": "symplectic-euler", "every": "1 ms"}, "counts steps"),
+        ({"scheme": "symplectic-euler", "rayleigh": [1, 0]}, "has no rayleigh"),
+        ({"scheme": "newmarc"}, "newmark"),
+    ],
+)
+def test_wrong_settings_are_named(settings, said):
+    with pytest.raises(InputError, match=said):
+        Dynamics(oscillator(), end=1.0, dt=0.1, **settings)
+
+
+def test_viscosity_is_for_implicit_schemes():
+    with pytest.raises(InputError, match=r"materials.body.viscosity: .* knows no viscosity"):
+        next(Dynamics(oscillator(viscosity=1.0), scheme="symplectic-euler", end=1.0).steps())
+
+
+def test_units_of_damping():
+    found = Dynamics(oscillator(), end="1 s", dt="1 ms", rayleigh=[1, "2 ms"]).settings
+    assert (found.rayleigh.mass, found.rayleigh.stiffness) == (1.0, 2e-3)
+    law = LinearElastic(E=1, nu=0, viscosity="2 kPa*s")
+    assert law.viscosity == pytest.approx(2000.0)

@@ -1,0 +1,608 @@
+"""Runs that go on from a checkpoint: as if they had never ended."""
+
+from __future__ import annotations
+
+import csv
+import json
+import logging
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from mpi4py import MPI
+from test_arclength import FULL, RISE, arch
+from test_checkpoints import SIZES, on_ranks, saved
+
+from dolfin_elastic import (
+    Case,
+    Cavity,
+    Contact,
+    Energy,
+    Gravity,
+    LinearElastic,
+    NeoHookean,
+    NeoHookeanSplit,
+    Periodic,
+    Problem,
+    Rigid,
+    Spring,
+    Statics,
+    Support,
+    Traction,
+    box_body,
+    rectangle_body,
+    restart,
+    run,
+)
+from dolfin_elastic.errors import RestartError
+from dolfin_elastic.parallel import on_root
+from dolfin_elastic.restarts import portable
+from dolfin_elastic.results.checkpoints import FOLDER, newest
+from dolfin_elastic.results.history import row
+from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.state import State
+
+WORLD = MPI.COMM_WORLD
+FREE = "free"
+E = 1e6
+
+ALONE = pytest.mark.skipif(WORLD.size > 1, reason="ranks have no part of their own in it")
+PAIR = pytest.mark.skipif(WORLD.size > 2, reason="two ranks show what three do")
+
+NEAR = 1e-9
+"""Difference that rows of two runs may have, over the size of their numbers.
+
+Both take the same Newton steps from the same state to 16 digits, but for forces that are summed in
+another order; equilibria are found to 1e-8 of the forces or, by the last quadratic step, far below.
+"""
+
+
+# --- solvers ---
+
+
+def bent(comm: MPI.Comm = WORLD, **more: Any) -> Problem:
+    """A strip of rubber that a load on its end bends far."""
+    keys: dict[str, Any] = {
+        "supports": [Support(on="left")],
+        "loads": [Traction(on="right", value=[0, -8e3])],
+    } | more
+    body = rectangle_body(size=(1, 0.2), cells=(5, 1), comm=comm)
+    return Problem(body, NeoHookean(E=E, nu=0.3), degree=2, **keys)
+
+
+def mixed() -> Problem:
+    """Wholly incompressible, with a pressure."""
+    return Problem(
+        rectangle_body(size=(1, 0.5), cells=(4, 2)),
+        NeoHookeanSplit(mu=E / 3, nu=0.5),
+        degree=2,
+        supports=[Support(on="left"), Spring(on="bottom", stiffness=[0, 1e5])],
+        loads=[Traction(on="right", value=[2e5, 5e4])],
+    )
+
+
+def pressed() -> Problem:
+    """A block that lies on a floor and is pressed by a ball: multipliers of two contacts."""
+    return Problem(
+        rectangle_body(size=(1, 0.5), cells=(6, 3)),
+        NeoHookean(E=E, nu=0.3),
+        supports=[Support(on="left", displacement=[0, FREE])],
+        contacts=[
+            Contact(on="bottom", plane={"axis": "y", "at": 0}, name="floor"),
+            Contact(
+                on="top",
+                cylinder={"axis": "z", "point": [0, 1], "radius": 0.5},
+                motion=[0, -0.1],
+                name="ball",
+            ),
+        ],
+    )
+
+
+def cell() -> Problem:
+    """A periodic cell with strains that are unknown."""
+    return Problem(
+        rectangle_body(size=(1, 1), cells=(3, 3)),
+        NeoHookeanSplit(mu=E / 3, nu=0.49),
+        degree=2,
+        formulation="mixed",
+        periodic=Periodic(
+            pairs=[["left", "right"], ["bottom", "top"]],
+            gradient=[[1.3, 0.2], [0, FREE]],
+            stress=[[FREE, FREE], [FREE, 5e4]],
+        ),
+    )
+
+
+def rolled() -> Problem:
+    """A strip whose end is rigid, under a moment: three unknown numbers."""
+    return bent(
+        supports=[Support(on="left"), Rigid(on="right", force=[0, 0], moment=600.0)], loads=[]
+    )
+
+
+def blown() -> Problem:
+    """A quarter of a tube whose volume is given: the pressure is unknown."""
+    body = rectangle_body(size=(1, 1), cells=(4, 4))
+    r, phi = 1 + 0.3 * body.mesh.geometry.x[:, 0], np.pi / 2 * body.mesh.geometry.x[:, 1]
+    body.mesh.geometry.x[:, 0], body.mesh.geometry.x[:, 1] = r * np.cos(phi), r * np.sin(phi)
+    return Problem(
+        body,
+        NeoHookean(E=E, nu=0.3),
+        supports=[
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="top", displacement=[0, FREE]),
+        ],
+        loads=[Cavity(on="left", volume_ratio=2.0, name="bore")],
+    )
+
+
+def snapping() -> Problem:
+    """A shallow arch whose load passes two limit points."""
+    return arch(RISE, FULL, (10, 1))
+
+
+def bulky() -> Problem:
+    """A block whose tangents are solved with by iteration."""
+    body = box_body(size=(1, 1, 1), cells=(3, 3, 3))
+    loads = [Traction(on="top", value=[2e5, 0, -1e5])]
+    return Problem(body, NeoHookean(E=E, nu=0.3), supports=[Support(on="bottom")], loads=loads)
+
+
+def linear() -> Problem:
+    """One solve, one tangent for all steps."""
+    body = box_body(size=(2, 1, 1), cells=(3, 2, 2))
+    law = LinearElastic(E=E, nu=0.3, density=1e3)
+    return Problem(body, law, supports=[Support(on="left")], loads=[Gravity()])
+
+
+SOLVES: dict[str, tuple[Callable[[], Problem], dict[str, Any]]] = {
+    "bent": (bent, {"max_step": 0.2}),
+    "mixed": (mixed, {"steps": 4}),
+    "contact": (pressed, {"steps": 5}),
+    "cell": (cell, {"steps": 4}),
+    "rigid": (rolled, {"max_step": 0.2}),
+    "cavity": (blown, {"steps": 4}),
+    "arc-length": (snapping, {"method": "arc-length", "first_step": 0.1}),
+    "linear": (linear, {"steps": 3}),
+    "iterative": (bulky, {"steps": 4, "linear": LinearSettings(method="iterative")}),
+}
+
+
+def numbers(states: list[State]) -> list[dict[str, Any]]:
+    """Rows of history, as they were yielded."""
+    return [dict(state) if isinstance(state, dict) else row(state) for state in states]
+
+
+def sizes(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """How large the numbers of each column are; components and shares of one thing together."""
+    groups: dict[str, float] = {}
+    for one in rows:
+        for name, value in one.items():
+            if isinstance(value, float) and np.isfinite(value):
+                group = _group(name)
+                groups[group] = max(groups.get(group, 0.0), abs(value))
+    return groups | {"balance": 1.0, "jacobian": 1.0}
+
+
+def _group(name: str) -> str:
+    for part in ("balance", "jacobian", "reaction", "moment", "energy", "work"):
+        if part in name:
+            return {"work": "energy"}.get(part, part)
+    return name.rstrip("xyz0123456789")
+
+
+def check_same(
+    found: list[dict[str, Any]], known: list[dict[str, Any]], near: float = NEAR
+) -> None:
+    """Row by row and column by column; counts and words exactly."""
+    assert [list(one) for one in found] == [list(one) for one in known]
+    scale = sizes(known)
+    for one, other in zip(found, known, strict=True):
+        for name, value in other.items():
+            if isinstance(value, float) and name not in ("newton", "krylov"):
+                off = abs(one[name] - value)
+                assert off <= near * scale[_group(name)] or np.isnan(value), (one["step"], name)
+            else:
+                assert one[name] == value, (one["step"], name, one[name], value)
+
+
+@pytest.mark.parametrize("name", SOLVES)
+def test_a_solver_goes_on(name: str, folder: Path) -> None:
+    """From each of its steps, through a file, in a problem of its own."""
+    make, keys = SOLVES[name]
+    solver, known, limits = Statics(make(), **keys), [], []
+    for state in solver.steps():
+        known.append(row(state))
+        limits.append(state.limit_points)
+        saved(WORLD, folder / str(state.step), solver.kept(), max(state.step, 1))
+    assert len(known) > 3
+    first = 0 if name == "arc-length" else 1
+    # Along a path where the first limit point is still to be noticed.
+    later = next((i - 1 for i, found in enumerate(limits) if found), len(known) // 2)
+    for step in (first, later):
+        found = newest(WORLD, folder / str(step))
+        assert found is not None
+        again = list(Statics(make(), **keys).steps(found.restore))
+        check_same([row(state) for state in again], known[step + 1 :])
+        assert [state.limit_points for state in again] == pytest.approx(limits[step + 1 :])
+    if name == "arc-length":
+        assert len(limits[-1]) == 2
+
+
+@ALONE
+def test_a_solver_goes_on_after_failures(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Steps were made smaller, and an equilibrium beyond the snap, found early, is come back to."""
+    solver, known = Statics(snapping(), max_step=0.5), []
+    with caplog.at_level(logging.INFO):
+        for state in solver.steps():
+            known.append(row(state))
+            saved(WORLD, folder / str(state.step), solver.kept(), max(state.step, 1))
+    assert on_root(WORLD, lambda: "a smaller step" in caplog.text and "snapped" in caplog.text)
+    for step in (1, len(known) // 2):
+        found = newest(WORLD, folder / str(step))
+        assert found is not None
+        again = Statics(snapping(), max_step=0.5).steps(found.restore)
+        check_same([row(state) for state in again], known[step + 1 :])
+
+
+def test_from_two_ranks_to_three_to_one(folder: Path) -> None:
+    """Half of a run on each, as far as there are so many; the path stays the same."""
+    keys = {"max_step": 0.2, "rtol": 1e-10}
+    known = on_ranks(1, lambda c: [row(s) for s in Statics(bent(c), **keys).steps()])
+
+    def part(comm: MPI.Comm) -> list[dict[str, Any]]:
+        solver, rows = Statics(bent(comm), **keys), []
+        found = newest(comm, folder)
+        states = solver.steps() if found is None else solver.steps(found.restore)
+        for state in states:
+            rows.append(row(state))
+            if len(rows) == 2:
+                saved(comm, folder, solver.kept(), state.step)
+                break
+        states.close()
+        return rows
+
+    order = [SIZES[-1 if len(SIZES) < 3 else 1], SIZES[-1], 1]
+    rows = [one for count in order for one in on_ranks(count, part)]
+    check_same(rows, known[: len(rows)], near=1e-8)
+    assert len(rows) == 6
+
+
+# --- runs ---
+
+
+class Killed(BaseException):
+    """The end of a run, without a word."""
+
+
+def case(**tables: Any) -> Case:
+    """A strip of rubber, bent far in automatic steps, with a checkpoint of each."""
+    whole: dict[str, Any] = {
+        "title": "A strip",
+        "mesh": {"rectangle": {"size": [1, 0.2], "cells": [5, 1]}, "degree": 2},
+        "materials": {"rubber": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3}},
+        "support": [{"on": "left"}],
+        "load": [{"kind": "traction", "on": "right", "value": [0, "-8 kPa"]}],
+        "statics": {"max_step": 0.2},
+        "output": {"probes": {"tip": [1, 0.1]}, "checkpoint": {"every": 1}},
+    }
+    return Case.from_dict({**whole, **tables})
+
+
+def begun(case: Case, folder: Path, steps: int, **keys: Any) -> None:
+    """Computes some steps, and is killed when the last of them has been told of."""
+    states = run(case, output=folder, **keys)
+    while next(states).step < steps:
+        pass
+    kill(states)
+
+
+def kill(states: Any) -> None:
+    with pytest.raises(Killed):
+        states.throw(Killed())
+
+
+def finished(folder: Path) -> list[int]:
+    """Goes on to the end; the steps that were made."""
+    return [state.step for state in restart(folder)]
+
+
+def history(folder: Path) -> list[dict[str, Any]]:
+    """The rows of history.csv as numbers, on every rank."""
+
+    def read() -> list[dict[str, Any]]:
+        text = (folder / "history.csv").read_text()
+        return [{k: _number(v) for k, v in one.items()} for one in csv.DictReader(text.split("\n"))]
+
+    return on_root(WORLD, read)
+
+
+def _number(text: str) -> Any:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    return on_root(WORLD, lambda: json.loads((folder / "summary.json").read_text()))
+
+
+def frames(folder: Path) -> list[tuple[str, str, np.ndarray]]:
+    """Name, time and displacements of each step as ParaView reads them; rank 0 alone."""
+    found = []
+    for grid in ET.parse(folder / "results.xdmf").getroot().findall("./Domain/Grid/Grid"):
+        points = _data(folder, grid.find("Geometry/DataItem"))
+        field = _data(folder, grid.find("Attribute[@Name='displacement']/DataItem"))
+        assert len(points) == len(field)
+        order = np.lexsort(np.round(points.T, 9))
+        found.append((grid.get("Name"), grid.find("Time").get("Value"), field[order]))
+    return found
+
+
+def _data(folder: Path, item: Any) -> np.ndarray:
+    file, name = item.text.split(":")
+    with h5py.File(folder / file, "r") as h5:
+        assert h5[name].shape == tuple(map(int, item.get("Dimensions").split()))
+        return h5[name][:]
+
+
+def check_same_results(folder: Path, known: Path) -> None:
+    """History, summary and fields of two folders."""
+    check_same(history(folder), history(known))
+    here, there = summary(folder), summary(known)
+    assert here["status"] == there["status"] == "completed"
+    for key in ("steps", "t", "newton_iterations", "cells", "dofs"):
+        assert here[key] == there[key], key
+    assert here["max_displacement"] == pytest.approx(there["max_displacement"], rel=NEAR)
+    work = there["audit"].get("external_work")  # explicit motion has no audit
+    assert here["audit"].get("external_work") == pytest.approx(work, rel=NEAR)
+    on_root(WORLD, lambda: check_same_frames(folder, known))
+
+
+def check_same_frames(folder: Path, known: Path) -> None:
+    found, wanted = frames(folder), frames(known)
+    assert [name for name, _, _ in found] == [name for name, _, _ in wanted]
+    for (_, t, u), (_, s, v) in zip(found, wanted, strict=True):
+        assert float(t) == pytest.approx(float(s), rel=1e-12)
+        assert np.allclose(u, v, rtol=0, atol=NEAR)
+    files = {p.name for p in (folder / "results_data").iterdir()}
+    assert {p.name for p in (known / "results_data").iterdir()} <= files
+
+
+@pytest.fixture
+def whole(folder: Path) -> Path:
+    """Results of the case without an interruption."""
+    for _ in run(case(), output=folder / "whole"):
+        pass
+    return folder / "whole"
+
+
+@PAIR
+def test_a_run_goes_on(folder: Path, whole: Path) -> None:
+    """Killed after the third step, and again after the fourth: one series in all files."""
+    begun(case(), folder / "a", 3)
+    states = restart(folder / "a")
+    assert next(states).step == 4
+    kill(states)
+    assert finished(folder / "a") == list(range(5, len(history(whole))))
+    check_same_results(folder / "a", whole)
+    told = summary(folder / "a")
+    assert [(one["step"], one["ranks"]) for one in told["restarts"]] == [
+        (3, WORLD.size),
+        (4, WORLD.size),
+    ]
+    assert summary(whole)["restarts"] == []
+    # What is not needed any more is gone; the mesh is written once, for it is the same.
+    assert on_root(WORLD, lambda: not (folder / "a" / FOLDER).exists())
+    assert on_root(WORLD, lambda: [p.name for p in (folder / "a").rglob("mesh*")]) == ["mesh.h5"]
+
+
+MOTIONS: dict[str, dict[str, Any]] = {
+    "implicit": {"end": "0.2 s", "dt": "20 ms"},
+    "adaptive": {"end": "0.2 s", "dt": "2 ms", "adaptive": True, "tolerance": 0.1},
+    "explicit": {"scheme": "symplectic-euler", "end": "150 ms", "every": 3},
+}
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_a_motion_goes_on(name: str, folder: Path) -> None:
+    """Velocities, step sizes and work so far, too; fields thinned as in one run."""
+    rubber = {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3, "density": 1000}
+    moving = case(
+        mesh={"rectangle": {"size": [1, 0.2], "cells": [5, 1]}},
+        materials={"rubber": rubber},
+        statics=None,
+        dynamics=MOTIONS[name],
+    )
+    for _ in run(moving, output=folder / "whole"):
+        pass
+    rows = history(folder / "whole")
+    assert len(rows) > 8
+    begun(moving, folder / "a", int(rows[4]["step"]))
+    assert finished(folder / "a") == [one["step"] for one in rows[5:]]
+    check_same_results(folder / "a", folder / "whole")
+
+
+@PAIR
+def test_what_came_after_the_checkpoint_is_cut_off(folder: Path, whole: Path) -> None:
+    """Rows, frames and pictures of steps that were computed but not kept; half a row, too."""
+    output = {"probes": {"tip": [1, 0.1]}, "checkpoint": {"every": 3}}
+    begun(case(output=output), folder / "a", 5)
+
+    def half_written() -> None:
+        with (folder / "a/history.csv").open("a") as file:
+            file.write("6,0.9,0.")
+        (folder / "a/results_data/000006.h5").write_bytes(b"half")
+
+    on_root(WORLD, half_written)
+    assert finished(folder / "a")[0] == 4
+    check_same_results(folder / "a", whole)
+
+
+@ALONE
+def test_thinned_fields_go_on(folder: Path) -> None:
+    """Every second step is shown, and the last; a run that ended on request had shown another."""
+    output = {"every": 2, "checkpoint": {}}
+    for _ in run(case(output=output), output=folder / "whole"):
+        pass
+    states = run(case(output=output), output=folder / "a")
+    while next(states).step < 3:
+        pass
+    states.close()
+    assert summary(folder / "a")["status"] == "stopped"
+    assert finished(folder / "a")[0] == 4
+    check_same_results(folder / "a", folder / "whole")
+
+
+def test_other_ranks_go_on(folder: Path) -> None:
+    """The points stand in another order then, and ParaView is told so."""
+
+    def whole(comm: MPI.Comm) -> None:
+        for _ in run(case(), output=folder / "whole", comm=comm):
+            pass
+
+    def first(comm: MPI.Comm) -> None:
+        begun(case(), folder / "a", 2, comm=comm)
+
+    def second(comm: MPI.Comm) -> None:
+        for _ in restart(folder / "a", comm=comm):
+            pass
+
+    on_ranks(1, whole)
+    on_ranks(SIZES[-1], first)
+    on_ranks(SIZES[len(SIZES) // 2], second)
+    check_same_results(folder / "a", folder / "whole")
+    assert summary(folder / "a")["restarts"][0]["ranks"] == SIZES[len(SIZES) // 2]
+
+
+@PAIR
+def test_closing_leaves_a_checkpoint(folder: Path, whole: Path) -> None:
+    """Whoever stops looking can go on; so can who asks for a checkpoint and is killed later."""
+    output = {"probes": {"tip": [1, 0.1]}, "checkpoint": "1 h"}
+    states = run(case(output=output), output=folder / "a")
+    next(states), next(states), next(states)
+    states.close()
+    wishes = iter([False, True, False])
+    states = restart(folder / "a", asked=lambda: next(wishes))
+    assert [next(states).step for _ in range(3)] == [3, 4, 5]
+    kill(states)
+    assert finished(folder / "a")[0] == 5
+    check_same_results(folder / "a", whole)
+
+
+@ALONE
+def test_a_new_run_forgets_the_old_one(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    begun(case(), folder / "a", 2)
+    output = {"checkpoint": False}
+    for _ in run(case(output=output), output=folder / "a"):
+        assert on_root(WORLD, lambda: not (folder / "a" / FOLDER).exists())
+    assert on_root(WORLD, lambda: "a run that had not ended are removed" in caplog.text)
+
+
+# --- what cannot go on ---
+
+
+def refused(folder: Path, match: str, **keys: Any) -> None:
+    with pytest.raises(RestartError, match=match):
+        next(restart(folder, **keys))
+
+
+@PAIR
+def test_nothing_to_go_on_from(folder: Path, whole: Path) -> None:
+    refused(whole, "whole: this run is complete; nothing is left to compute")
+    refused(folder / "none", "none: there is no such folder")
+    on_root(WORLD, (folder / "mine").mkdir)
+    refused(folder / "mine", "mine: this is no folder of results")
+    refused(whole / "history.csv", "history.csv: this is a file; expected the folder of")
+    states = run(case(output={"checkpoint": False}), output=folder / "off")
+    next(states), next(states)
+    states.close()
+    refused(folder / "off", "off: the run has ended before its first checkpoint")
+
+
+@PAIR
+def test_changed_results_are_refused(folder: Path) -> None:
+    """What is lost cannot be made up."""
+    begun(case(), folder / "a", 3)
+    on_root(WORLD, lambda: os.truncate(folder / "a/history.csv", 40))
+    refused(folder / "a", r"history.csv: all rows at the checkpoint are not in the file any more")
+    begun(case(), folder / "b", 3)
+    on_root(WORLD, (folder / "b/results_data/000001.h5").unlink)
+    refused(folder / "b", r"results.xdmf: all steps at the checkpoint")
+
+
+@PAIR
+def test_a_changed_case_is_refused(folder: Path) -> None:
+    begun(case(), folder / "a", 2)
+    harder = [{"kind": "traction", "on": "right", "value": [0, "-9 kPa"]}]
+    refused(
+        folder / "a",
+        r"the case is not that of the checkpoint: load\[0\].value\[1\]",
+        case=case(load=harder),
+    )
+    copy = folder / "a" / FOLDER / "case.toml"
+    on_root(WORLD, lambda: [copy.write_text(copy.read_text().replace("0.3", "0.4")), None][1])
+    refused(folder / "a", r"case.toml: this is not the case of the checkpoint any more")
+
+
+@PAIR
+def test_a_changed_mesh_is_refused(folder: Path) -> None:
+    """The file that the case names is another one now."""
+
+    def write(size: float) -> None:
+        text = 'SetFactory("OpenCASCADE");\nRectangle(1) = {0, 0, 0, 1, 0.2};\n'
+        text += f"MeshSize {{:}} = {size};\n"
+        (folder / "body.geo").write_text(text)
+
+    def on_file() -> Case:
+        surfaces = {"left": {"plane": "x", "at": "min"}, "right": {"plane": "x", "at": "max"}}
+        return case(mesh={"file": str(folder / "body.geo"), "degree": 2}, surfaces=surfaces)
+
+    on_root(WORLD, lambda: write(0.2))
+    begun(on_file(), folder / "a", 2)
+    on_root(WORLD, lambda: write(0.1))
+    refused(folder / "a", "the mesh is not that of the checkpoint: its number of cells differ")
+    on_root(WORLD, lambda: write(0.2))
+    states = restart(folder / "a")
+    assert next(states).step == 3
+    kill(states)
+
+
+@ALONE
+def test_a_case_of_functions(folder: Path) -> None:
+    """What cannot be written down must be given again."""
+    law = Energy(lambda I1, J, mu: mu / 2 * (I1 - 3) - mu * (J - 1) + mu * (J - 1) ** 2, mu=1e6)
+    begun(case(materials={"own": law}), folder / "a", 2)
+    refused(folder / "a", "the case was made in Python and cannot be written down")
+    states = restart(folder / "a", case=case(materials={"own": law}))
+    assert next(states).step == 3
+    kill(states)
+
+
+@ALONE
+def test_the_copy_of_a_case_stands_alone(folder: Path) -> None:
+    """Tables of curves are in it, and the mesh is found from everywhere."""
+
+    def write() -> None:
+        (folder / "rise.csv").write_text("t,f\n0,0\n0.5,2\n1,1\n")
+        (folder / "case.toml").write_text("")
+
+    on_root(WORLD, write)
+    tables = case().to_dict()
+    tables["load"][0]["curve"] = {"file": "rise.csv"}
+    floor = {"axis": "y", "at": -1}
+    tables["contact"] = [{"on": "bottom", "plane": floor, "curve": {"file": "rise.csv"}}]
+    del tables["mesh"]["rectangle"]
+    tables["mesh"]["file"] = "sub/../body.msh"
+    first = Case.from_dict(tables, folder)
+    copy = Case.from_dict(portable(first), "/elsewhere")
+    assert copy.mesh.file == str(folder.resolve() / "body.msh")
+    assert copy.load[0].curve.at(0.25) == copy.contact[0].curve.at(0.25) == 1.0
+    assert portable(copy) == portable(first)
