@@ -58,11 +58,10 @@ def _open(load: Cavity, problem: Problem) -> bool:
     origin[: len(load.middle)] = [float(x or 0.0) for x in load.middle]  # type: ignore[arg-type]
     held = np.zeros(len(problem.prescribed.values.x.array), dtype=bool)
     held[problem.prescribed.dofs] = True
-    held = held.reshape(-1, dim)
     turned, lost = problem.geometry == "axisymmetric", 0
     for edge in rim(body, load.parts):
         points, nodes = _ends(problem, int(edge))
-        free = ~held[points].all(axis=0)
+        free = ~held.reshape(-1, dim)[points].all(axis=0)
         lost += bool(_flux(body.mesh.geometry.x[nodes, :dim], origin, turned)[free].any())
     return bool(total(body.comm, lost))
 

@@ -104,7 +104,9 @@ def _pushed(motion: RigidMotion, t: float, case: Case, dim: int) -> Floats:
 
 
 def _rigid_times(case: Case) -> list[float]:
-    return [1.0] if case.dynamics is None else np.linspace(0, case.dynamics.end, _TIMES).tolist()
+    if case.dynamics is None:
+        return [1.0]
+    return [float(t) for t in np.linspace(0.0, case.dynamics.end, _TIMES)]
 
 
 def _points(load: Load, integrals: Integrals) -> Points | None:

@@ -98,8 +98,7 @@ class JacobianWatch:
         if self._small is None:
             return 0.0, np.zeros(3)
         steep = np.zeros(len(found))
-        steep[self._small] = np.sqrt(found[self._small, :, 1].max(axis=1))
-        steep = np.nan_to_num(steep)
+        steep[self._small] = np.nan_to_num(np.sqrt(found[self._small, :, 1].max(axis=1)))
         mine: Extreme = (0.0, np.zeros(3))
         if len(steep):
             mine = self._at(steep, int(np.argmax(steep)))
