@@ -90,8 +90,10 @@ def _check_numbers(table: list[list[str]], at: list[int], mark: str) -> None:
 
 
 def _refuse_commas(lines: list[str], head: list[str] | None) -> None:
-    """Columns that no heading names: three of them look like decimal commas."""
-    if head is None and all(line.count(",") == 3 for line in lines):
+    """Four columns of whole numbers that no heading names look like two with decimal commas."""
+    cells = [line.split(",") for line in lines]
+    whole = all(cell.strip().lstrip("+-").isdigit() for row in cells for cell in row)
+    if head is None and whole and all(len(row) == 4 for row in cells):
         raise InputError(
             f"the line {lines[0]!r} has 4 columns: are its commas decimal ones?",
             expected="decimal points; or name the columns by headings, and by time and value",
