@@ -223,8 +223,6 @@ def test_a_piece_that_nothing_holds(law):
     assert "a support on that piece" in found.advice
 
 
-# On several ranks MUMPS itself may fail in the singular step before there is a diagnosis.
-@pytest.mark.usefixtures("serial_only")
 def test_a_body_that_is_lifted_off():
     """It rests on a floor only, and its load turns up on the way: nothing holds it any more."""
     problem = Problem(
