@@ -136,6 +136,8 @@ __all__ = sorted(_WHERE)  # noqa: PLE0605
 def __getattr__(name: str) -> Any:
     if name not in _WHERE:
         raise AttributeError(f"module 'dolfin_elastic' has no attribute '{name}'")
-    value = getattr(import_module(f"dolfin_elastic.{_WHERE[name]}"), name)
-    globals()[name] = value  # `run` is a module, too: the function is meant
-    return value
+    module = import_module(f"dolfin_elastic.{_WHERE[name]}")
+    # `run` is a module, too, which Python puts here when any name of it is asked for: the function
+    # is meant.
+    globals().update({name: getattr(module, name) for name in _PLACES[_WHERE[name]]})
+    return globals()[name]

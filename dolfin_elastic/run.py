@@ -133,7 +133,8 @@ class _Run:
     ) -> States:
         """The states, each with all outputs, and a checkpoint now and then."""
         output = self.case.output
-        first = list(islice(steps, 1))  # a fault at the start leaves no folder behind
+        # A fault at the start leaves no folder behind; where one goes on, it is there already.
+        first = [] if before else list(islice(steps, 1))
         probe = output.probe(problem, self.case.mesh.scale)
         keeper.begin(new=before is None)
         kept = None if before is None else before.found.content["outputs"]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import ufl
+from conftest import ROOT
 from dolfinx import fem, la
 from mpi4py import MPI
 
@@ -431,3 +434,11 @@ def test_a_body_that_nothing_holds_is_refused():
     )
     with pytest.raises(InputError, match="as a rigid body it can move along y"):
         next(Statics(problem).steps())
+
+
+@pytest.mark.usefixtures("serial_only")
+@pytest.mark.parametrize("names", ["restart, run", "run, restart", "*"])
+def test_functions_that_modules_are_named_after(names):
+    """In a process of its own, for which name was asked for first decides."""
+    code = f"from dolfin_elastic import {names}; assert callable(run) and callable(restart)"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, timeout=60)

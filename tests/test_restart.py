@@ -408,6 +408,12 @@ MOTIONS: dict[str, dict[str, Any]] = {
     "implicit": {"end": "0.2 s", "dt": "20 ms"},
     "adaptive": {"end": "0.2 s", "dt": "2 ms", "adaptive": True, "tolerance": 0.1},
     "explicit": {"scheme": "symplectic-euler", "end": "150 ms", "every": 3},
+    "stretched": {
+        "scheme": "central-differences",
+        "end": "60 ms",
+        "every": 2,
+        "initial_displacement": ["0.1*x", 0],
+    },
 }
 
 

@@ -111,7 +111,7 @@ class XdmfWriter:
         if len(frames) < count or any(not (self.data / name).is_file() for name in needed):
             raise shortened(self.path, "all steps")
         if count:
-            replace_text(self.path, _light(frames))
+            replace_text(self.path, _light(frames), lasting=True)
         else:
             clear(self.path)
         with writing(self.data):
@@ -159,7 +159,7 @@ class XdmfWriter:
         file = f"{len(self._frames):06d}.h5"
         heavy.write(self.comm, self.data / file, moving)
         self._frames.append(self._frame(state, file, rows))
-        on_root(self.comm, lambda: replace_text(self.path, _light(self._frames)))
+        on_root(self.comm, lambda: replace_text(self.path, _light(self._frames), lasting=True))
 
     def _write_mesh(self, grid: Grid, arrays: Mapping[str, Rows]) -> None:
         """Writes what never changes, unless a run before this one has written the same."""

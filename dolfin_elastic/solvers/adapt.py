@@ -33,7 +33,7 @@ def choose(ts: PETSc.TS, order: int) -> tuple[float, bool]:
     library = _library()
     handle, adapt = ctypes.c_void_p(ts.handle), ctypes.c_void_p()
     integer = ctypes.c_int if PETSc.IntType().itemsize == 4 else ctypes.c_int64
-    scheme, accepted, h = integer(), ctypes.c_int(), ctypes.c_double()
+    scheme, accepted, h = integer(), ctypes.c_int(1), ctypes.c_double()
     _check(library.TSGetAdapt(handle, ctypes.byref(adapt)))
     _check(library.TSAdaptCandidatesClear(adapt))
     _check(

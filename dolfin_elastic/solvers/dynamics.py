@@ -240,8 +240,7 @@ class Dynamics:
                 expected="leave it out, or use [statics]",
             )
         s = self.settings
-        if restore is None:
-            set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
+        set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
         begin_motion(self.problem)
         yield from self._implicit(restore) if s.implicit else self._explicit(restore)
 

@@ -171,9 +171,11 @@ class Implicit:
             self.stepper.begin(ts)
 
     def _after_step(self, ts: PETSc.TS) -> None:
+        ts.setMaxTime(self.settings.end)
+        if ts.getConvergedReason() < 0:
+            return  # TS comes here after a step that it has given up, too
         if isinstance(self.stepper, Alpha2):
             self.stepper.accept(ts)
-        ts.setMaxTime(self.settings.end)
         assert self.stepper.done is not None
         at_stage, in_the_middle, du = self.stepper.done
         self.ledger.add(in_the_middle, du)
