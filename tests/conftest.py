@@ -7,6 +7,7 @@ same tests again under `mpirun -n 2` and `-n 3`, started by test_ranks.py.
 from __future__ import annotations
 
 import gc
+import logging
 import os
 import tempfile
 from collections import defaultdict
@@ -81,6 +82,16 @@ def _together():
     yield
     gc.collect()
     MPI.COMM_WORLD.barrier()
+
+
+@pytest.fixture(autouse=True)
+def _own_log():
+    """What a command line run in this process does to the log is undone."""
+    log = logging.getLogger("dolfin_elastic")
+    before = log.handlers[:], log.level, log.propagate
+    yield
+    log.handlers[:], log.propagate = before[0], before[2]
+    log.setLevel(before[1])
 
 
 @pytest.fixture
