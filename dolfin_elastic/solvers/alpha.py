@@ -17,7 +17,7 @@ Comput. Mech. 28 (2002) 83; stage forces: J. C. Simo & N. Tarnow, ZAMP 43 (1992)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -52,6 +52,17 @@ class Scheme:
         alpha_m, alpha_f = (2 * radius - 1) / (radius + 1), radius / (radius + 1)
         beta = (1 - alpha_m + alpha_f) ** 2 / 4
         return cls(alpha_m, alpha_f, beta, 0.5 - alpha_m + alpha_f, 0.5 - beta)
+
+    def without_overshoot(self) -> Scheme:
+        """The same with beta = gamma/2, for bodies whose material is damped.
+
+        Where stiff damping does not fit the start, the first acceleration is as large as the
+        square of the highest frequency.  For b v + u to follow a force at infinite frequency,
+        u1 = u0 + h v0 + h^2 a0 (start - beta (1 - gamma)/gamma) as h/b goes to zero, and alike for
+        larger h: bounded only if beta = gamma/2.  That is the smallest beta for which the scheme
+        is stable at any step; what it damps less at high frequencies, the material damps.
+        """
+        return replace(self, beta=self.gamma / 2, start=0.5 - self.gamma / 2)
 
     @classmethod
     def newmark(cls, beta: float, gamma: float) -> Scheme:

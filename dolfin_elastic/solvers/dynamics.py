@@ -111,7 +111,7 @@ class DynamicsSettings(Record):
         if self.dt is None and self.implicit:
             raise ValueError(f"'{self.scheme}' needs a time step dt")
         if self.adaptive and not self.implicit:
-            raise ValueError("an adaptive step needs the scheme 'generalized-alpha'")
+            raise ValueError("an adaptive step needs an implicit scheme")
         if self.implicit:  # an explicit scheme knows only later how many steps it takes
             self.__dict__["every"] = self.every or 1
         self._check_keys()

@@ -78,7 +78,10 @@ class Implicit:
         log.info("%s", choice.why)
         self.ts = PETSc.TS().create(problem.body.comm)
         self.ts.setOptionsPrefix(PREFIX)
-        self.stepper: Stepper | Alpha2 = self._stepper(settings.parameters)
+        scheme = settings.parameters
+        if scheme and self.moving.damping.inside and settings.scheme == "generalized-alpha":
+            scheme = scheme.without_overshoot()
+        self.stepper: Stepper | Alpha2 = self._stepper(scheme)
         s = settings
         self.newton = self.stepper.newton = Newton(
             self.assembler,

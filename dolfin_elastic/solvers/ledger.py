@@ -74,8 +74,15 @@ class Ledger:
         return found
 
     def off(self, energies: Mapping[str, float]) -> float:
-        """The balance over the largest energy so far; positive where energy has appeared."""
-        return energies.get("balance", 0.0) / self._scale if self._scale > 0 else 0.0
+        """The balance over the largest energy so far; positive where energy has appeared.
+
+        Damping takes energy; what it should have given has appeared, too.
+        """
+        if self._scale <= 0:
+            return 0.0
+        appeared = -energies.get("damping", 0.0)
+        balance = energies.get("balance", 0.0)
+        return (max(balance, appeared) if appeared > 0 else balance) / self._scale
 
     def _potential(self) -> float:
         """Of loads that do not change: minus their forces times the displacement [J]."""
