@@ -340,11 +340,11 @@ def test_audit_sees_the_whole_deformation():
 def test_given_up():
     """A cell that comes to no equilibrium is diagnosed like any body."""
     body = rectangle_body(size=(1, 1), cells=(4, 4))
-    periodic = Periodic(pairs=PAIRS, gradient=[["1 - 1.2*t", 0], [0, FREE]])
+    periodic = Periodic(pairs=PAIRS, gradient=[["1 - 4.8*t*(1 - t)", 0], [0, FREE]])
     with pytest.raises(ConvergenceError) as caught:
         last(cored(body, periodic=periodic))
-    # Its volume is gone at t = 0.83, unless it grows sideways first.
-    assert 0.3 < caught.value.state.t < 0.84
+    # Its volume is gone at t = 0.295, unless it grows sideways first, and back from 0.7 on.
+    assert 0.1 < caught.value.state.t < 0.5
     assert caught.value.diagnosis.cause not in ("rigid-motion", "round-off")
 
 
