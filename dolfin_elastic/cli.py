@@ -178,6 +178,8 @@ def guarded() -> int:
             error.show()
             if "No such option" in error.format_message():
                 print("PETSc options stand after two dashes: ... -- -ksp_view", file=sys.stderr)
+        else:
+            time.sleep(1.0)  # the launcher ends all when one leaves: rank 0 speaks first
         return error.exit_code
     except ElasticError as error:
         return _told(error)

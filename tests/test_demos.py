@@ -87,7 +87,7 @@ def test_case(case: Path, tmp_path: Path) -> None:
 def test_duck_on_the_command_line(tmp_path: Path) -> None:
     """The command of the README: fields, numbers and a picture."""
     out = launched(["-m", "dolfin_elastic", "run", str(DEMOS / "duck/case.toml")], tmp_path, 2)
-    assert "done: 5 steps" in out
+    assert re.search(r"done: \d+ steps", out)
     files = {path.name for path in (tmp_path / "case_results").iterdir()}
     assert files >= {"duck.png", "history.csv", "results.xdmf", "summary.json"}
     assert json.loads((tmp_path / "case_results/summary.json").read_text())["ranks"] == 2

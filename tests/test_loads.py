@@ -360,7 +360,10 @@ def test_what_is_no_load(kind, keys, says):
         (PointForce(at=[1.5, 0.5, 0.5], value=[1, 0, 0]), "load[1].at: (1.5, 0.5, 0.5) m is 0.5 m"),
         (PointForce(at=[0.5, 0.5], value=[1, 0, 0]), "load[1].at: 2 components"),
         (PointForce(at=[0.5, 0.5, 0.5], value=[1, 0]), "load[1].value: 2 components"),
-        (LineForce(start=[0, 0, 0], end=[0, 0, 2], value=[1, 0, 0]), "load[1].end: on the line (0, 0,"),
+        (
+            LineForce(start=[0, 0, 0], end=[0, 0, 2], value=[1, 0, 0]),
+            "load[1].end: on the line (0,",
+        ),
         (Centrifugal(value=1, point=[0, 0]), "load[1].point: 2 components"),
         (Centrifugal(value=1), "materials.body"),
         (Traction(on="none", force=[0, 0, 1]), "load[1].on: the surface has no area"),

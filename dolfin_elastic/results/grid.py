@@ -95,7 +95,7 @@ class Grid:
             self.V.dofmap.index_map if centre == "node" else topology.index_map(topology.dim)
         )
         return Rows(
-            values.reshape(len(values), -1),
+            values.reshape(len(values), int(np.prod(values.shape[1:]))),
             int(index_map.local_range[0]),
             int(index_map.size_global),
         )

@@ -38,6 +38,7 @@ class JacobianWatch:
         if self._small is not None:
             H = F - ufl.Identity(3)
             seen.append(ufl.inner(H, H))
+        self._columns = len(seen)
         self._seen_in = compile_expression(mesh.comm, ufl.as_vector(seen), points, problem.jit)
         self._problem, self._points = problem, points
         self._cells = problem.body.owned_cells()
@@ -79,7 +80,7 @@ class JacobianWatch:
         mesh = self._problem.body.mesh
         with stage("assemble"):
             found = self._seen_in.eval(mesh, self._cells)
-        found = found.reshape(len(self._cells), len(self._points), -1)
+        found = found.reshape(len(self._cells), len(self._points), self._columns)
         self._steepest = self._largest(found)
         values = found[:, :, 0]
         values[np.isnan(values)] = -np.inf  # as bad as can be, on whichever rank

@@ -99,7 +99,7 @@ def _motions(
     modes = rigid_motions((now - centre) / (radius or 1.0)) * inside[:, None, None]
     if problem.geometry == "axisymmetric":
         modes = modes[:, :, 1:2]
-    columns = modes.reshape(own * dim, -1)
+    columns = modes.reshape(own * dim, modes.shape[-1])
     columns = columns / np.sqrt(total(comm, (columns**2).sum(axis=0)))
     null = _null(assembler, columns)
     if not null.shape[1]:
