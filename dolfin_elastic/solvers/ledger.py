@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfin_elastic.parallel import total
+from dolfin_elastic.solvers.jump import round_off
 from dolfin_elastic.solvers.moving import Forces, Moving
 
 Vector = npt.NDArray[np.float64]
@@ -74,8 +75,14 @@ class Ledger:
         return found
 
     def off(self, energies: Mapping[str, float]) -> float:
-        """The balance over the largest energy so far; positive where energy has appeared."""
-        return energies.get("balance", 0.0) / self._scale if self._scale > 0 else 0.0
+        """The balance over the largest energy so far; positive where energy has appeared.
+
+        Round-off is no part of it: where hardly anything moves, all energy is. Collective.
+        """
+        balance, noise = energies.get("balance", 0.0), round_off(self._moving.assembler)[1]
+        if self._scale == 0.0 or abs(balance) <= noise:
+            return 0.0
+        return (balance - math.copysign(noise, balance)) / self._scale
 
     def _potential(self) -> float:
         """Of loads that do not change: minus their forces times the displacement [J]."""
