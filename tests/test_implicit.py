@@ -35,6 +35,8 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.results.summary import peak_memory
+from dolfin_elastic.solvers.implicit import Implicit
+from dolfin_elastic.solvers.linear import LinearSettings
 
 # --- waves ---
 
@@ -399,6 +401,42 @@ def test_a_motion_goes_on_as_if_it_had_never_stopped():
             for name, value in one.items():
                 scale = np.abs(np.asarray(other[name])).max(initial=1e-9)
                 np.testing.assert_allclose(value, other[name], rtol=0, atol=1e-12 * scale + 1e-15)
+
+
+def test_a_motion_goes_on_with_the_linear_solver_it_has_come_to():
+    """Conjugate gradients had failed: they are not tried again."""
+    given: dict[str, Any] = {
+        "end": 0.004,
+        "dt": 1e-3,
+        "linear": LinearSettings(method="iterative"),
+    }
+
+    def kind(motion: Dynamics) -> str:
+        return str(motion.ts.getSNES().ksp.getType())
+
+    motion = Dynamics(column(), **given)
+    states = motion.steps()
+    _ = next(states), next(states)
+    assert kind(motion) == "cg"
+    assert isinstance(motion._march, Implicit)
+    assert motion._march.newton.fall_back()
+    next(states)
+    kept = motion.kept()
+    arrays = {name: f.x.array.copy() for name, f in kept.fields.items()}
+    numbers = json.dumps(kept.numbers)
+    known = next(states)
+
+    def restore(fields: Any) -> Any:
+        for name, field in fields.items():
+            field.x.array[:] = arrays[name]
+        return json.loads(numbers)
+
+    again = Dynamics(column(), **given)
+    more = again.steps(restore)
+    found = next(more)
+    assert kind(again) == "gmres"
+    # To the tolerance of the steps.
+    assert found.max_displacement == pytest.approx(known.max_displacement, rel=1e-6)
 
 
 def mixed() -> Problem:

@@ -551,3 +551,60 @@ def test_a_material_is_judged_by_its_largest_poisson_ratio():
 def test_a_law_without_volumetric_stiffness_needs_no_pressure():
     with pytest.raises(InputError, match="no material has a volumetric part"):
         block(NeoHookean(E=1e6, nu=0.0), formulation="mixed")
+
+
+# --- where a motion starts ---
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("how", [{"scheme": "newmark"}, {"spectral_radius": 1.0}])
+def test_a_confined_body_carries_its_load_at_once(degree, how):
+    """It cannot move: 100 Pa on 2 m are 200 N below, but for the round-off of the first solve.
+
+    An acceleration that does not know of the constraint would swing for ever: 389 N, 11 N, ...
+    """
+    problem = Problem(
+        rectangle_body(size=(2.0, 1.0), cells=(4, 2)),
+        NeoHookean(E=1e5, nu=0.5, density=1000.0),
+        degree=degree,
+        formulation="mixed",
+        supports=[
+            Support(on=["left", "right"], displacement=[0, FREE]),
+            Support(on="bottom", displacement=[FREE, 0]),
+        ],
+        loads=[Traction(on="top", value=[0, -100.0])],
+    )
+    states = list(Dynamics(problem, end=0.05, dt=0.01, **how).steps())
+    found = [state.reactions["bottom"][1] for state in states]
+    assert found == pytest.approx([200.0] * 6, rel=1e-9)
+    assert [state.audit.verdict for state in states] == ["pass"] * 6  # no energy to speak of
+
+
+def test_a_ring_that_is_opened_knows_its_acceleration():
+    """r r' = C and free sides: C' = C^2 (1/a^2 - 1/b^2)/(2 ln(b/a)), r'' = C'/r - C^2/r^3.
+
+    From Euler's equation integrated from a to b, like Rayleigh's of a bubble (Philosophical
+    Magazine 34 (1917) 94), of a cylinder.  Without v . g'' v the acceleration would be zero.
+    """
+    off = []
+    for n in (4, 8):
+        problem = Problem(
+            rectangle_body(size=(1.0, 0.25), cells=(n, n // 4), origin=(1.0, 0.0)),
+            NeoHookean(E=1e5, nu=0.5, density=1000.0),
+            degree=2,
+            geometry="axisymmetric",
+            supports=[Support(on=["bottom", "top"], displacement=[FREE, 0])],
+        )
+        motion = Dynamics(problem, end=1e-3, dt=1e-3, initial_velocity=["3/x", 0])
+        state = next(motion.steps())
+        x = problem.V.tabulate_dof_coordinates()[:, 0]
+        exact = 9 * (1 - 1 / 4) / (2 * np.log(2)) / x - 9 / x**3
+        square = (state.a.x.array.reshape(-1, 2)[:, 0] - exact) ** 2
+        count = problem.V.dofmap.index_map.size_local
+        sums = np.array([square[:count].sum(), float(count)])
+        found = problem.body.comm.allreduce(sums, op=MPI.SUM)
+        off.append(np.sqrt(found[0] / found[1]))
+    print(off)
+    # The acceleration is as good as the gradient of the linear pressure: of first order.
+    assert np.log2(off[0] / off[1]) > 1.0
+    assert off[1] < 0.05 * 4.13  # of what is at the inside

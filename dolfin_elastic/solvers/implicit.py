@@ -23,13 +23,14 @@ from dolfin_elastic.solvers.extras import Extras
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.ledger import Ledger
 from dolfin_elastic.solvers.linear import LinearSettings, choose
-from dolfin_elastic.solvers.mass import held_acceleration, initial_acceleration
+from dolfin_elastic.solvers.memory import remembered, remind
 from dolfin_elastic.solvers.motion import ConsistentMass, Strain
 from dolfin_elastic.solvers.motion_audit import MotionAuditor
 from dolfin_elastic.solvers.moving import Moving
 from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.options import PREFIX, ts_reason
 from dolfin_elastic.solvers.progress import Tolerance
+from dolfin_elastic.solvers.saddle import begin
 from dolfin_elastic.solvers.settle import settle
 from dolfin_elastic.solvers.stepper import Stepper
 from dolfin_elastic.solvers.steptimes import StepTimes
@@ -231,8 +232,7 @@ class Implicit:
         settle(self.problem, self.assembler)
         if isinstance(self.stepper, Stepper):
             with stage("solve"):
-                held = held_acceleration(self.problem, self._nominal / 8)
-                initial_acceleration(self.assembler, held, self.a)
+                begin(self.moving, self.v, self.a, self._nominal / 8)
             self.stepper.at_end.x.array[:] = self.a.x.array
             self.stepper.begin(0.0)
         self._tell_ts()
@@ -263,8 +263,7 @@ class Implicit:
         if self.stepper.error is not None:
             raise self.stepper.error
         now = self._counts()
-        newton, krylov = now[0] - newton, now[1] - krylov
-        krylov = 0 if self.newton.direct else krylov
+        newton, krylov = now[0] - newton, 0 if self.newton.direct else now[1] - krylov
         self._newton += newton
         self._krylov += krylov
         if ts.getConvergedReason() < 0:
@@ -376,6 +375,7 @@ class Implicit:
             "usual": self._usual,
             "ledger": self.ledger.kept(),
             "audit": self.auditor.kept(),
+            "newton": remembered(self.newton),
         }
         return Kept(fields, numbers)
 
@@ -391,6 +391,7 @@ class Implicit:
         if isinstance(self.stepper, Stepper):
             self.stepper.begin(numbers["t"])
         self._tell_ts()
+        remind(self.newton, numbers["newton"])
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfin_elastic.parallel import total
+from dolfin_elastic.solvers.jump import round_off
 from dolfin_elastic.solvers.moving import Forces, Moving
 
 Vector = npt.NDArray[np.float64]
@@ -76,13 +77,14 @@ class Ledger:
     def off(self, energies: Mapping[str, float]) -> float:
         """The balance over the largest energy so far; positive where energy has appeared.
 
-        Damping takes energy; what it should have given has appeared, too.
+        Damping takes energy; what it should have given has appeared, too.  Round-off is no part of
+        it: where hardly anything moves, all energy is. Collective.
         """
-        if self._scale <= 0:
+        balance, noise = energies.get("balance", 0.0), round_off(self._moving.assembler)[1]
+        balance = max(balance, -energies.get("damping", 0.0)) if balance >= 0.0 else balance
+        if self._scale == 0.0 or abs(balance) <= noise:
             return 0.0
-        appeared = -energies.get("damping", 0.0)
-        balance = energies.get("balance", 0.0)
-        return (max(balance, appeared) if appeared > 0 else balance) / self._scale
+        return (balance - math.copysign(noise, balance)) / self._scale
 
     def _potential(self) -> float:
         """Of loads that do not change: minus their forces times the displacement [J]."""

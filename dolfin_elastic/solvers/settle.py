@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dolfinx import fem
-
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.progress import Tolerance
+from dolfin_elastic.solvers.saddle import exactly
 
 
 def settle(problem: Problem, assembler: Assembler) -> None:
@@ -18,11 +17,7 @@ def settle(problem: Problem, assembler: Assembler) -> None:
         problem: Its scalar fields are changed.
         assembler: Whose `balance` is assembled anew.
     """
-    exactly = any(
-        isinstance(part.compliance, fem.Constant) and float(part.compliance.value) == 0.0
-        for part in problem.parts
-    )
-    if not problem.unknowns.extras or exactly or assembler.max_displacement() == 0.0:
+    if not problem.unknowns.extras or exactly(problem) or assembler.max_displacement() == 0.0:
         return  # an exactly incompressible body's pressure does not follow from its shape
     still = Assembler(problem, still=True)
     newton = Newton(still, choose(problem, LinearSettings(method="direct")), Tolerance())

@@ -1,0 +1,191 @@
+"""The beginning of a motion of exactly incompressible bodies: acceleration and pressure together.
+
+The pressure of such a body is no function of its shape: it is what keeps the acceleration from
+changing the volume.  With the constraint g(u) = 0, B its gradient, M a + B p = f and
+B^T a = -v . g'' v: its second derivative in time.  Source: E. Hairer & G. Wanner, Solving Ordinary
+Differential Equations II (1996), section VII.1, consistent values of systems of index 3.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from petsc4py import PETSc
+
+from dolfin_elastic.errors import ConvergenceError
+from dolfin_elastic.meshes.body import cell_size
+from dolfin_elastic.parallel import largest, total
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.linear import LAST_DIRECT, factorising
+from dolfin_elastic.solvers.mass import held_acceleration, initial_acceleration
+from dolfin_elastic.solvers.moving import Moving
+from dolfin_elastic.solvers.options import PREFIX, Options, ksp_reason
+
+Vector = npt.NDArray[np.float64]
+
+HEAVY = 1e6
+"""Inertia over stiffness in the matrix; each solve leaves an error of its inverse."""
+
+SOLVES = 3
+"""With one factorisation: their errors fall to those of rounding."""
+
+STRAIN = 1e-3
+"""To which the body is moved along its velocity: its square is far above round-off, and g as good
+as quadratic."""
+
+
+def exactly(problem: Problem) -> bool:
+    """Some pressure does not follow from the shape. Not collective.
+
+    Out of a plane that is free the body gives way: there it does.
+    """
+    return not problem.unknowns.has("stretch") and any(map(_incompressible, _compliances(problem)))
+
+
+def _compliances(problem: Problem) -> list[object]:
+    return [part.compliance for part in problem.parts]
+
+
+def _incompressible(compliance: object) -> bool:
+    return isinstance(compliance, fem.Constant) and float(compliance.value) == 0.0
+
+
+def begin(moving: Moving, v: fem.Function, a: fem.Function, h: float) -> None:
+    """Finds the acceleration, and the pressure where it is exact, of the initial state. Collective.
+
+    Args:
+        moving: The body; its rates are those of the initial state, and so is `assembler.balance`.
+        v: Velocity [m/s].
+        a: Receives the acceleration [m/s^2].
+        h: Step of the differences of what is prescribed [s].
+
+    Raises:
+        ConvergenceError: There is none.
+    """
+    problem = moving.problem
+    held = held_acceleration(problem, h)
+    small = problem.num_dofs <= LAST_DIRECT[problem.body.dim]
+    if not (exactly(problem) and small):
+        initial_acceleration(moving.assembler, held, a)
+        return
+    a.x.array[:] = 0.0
+    problem.prescribed.impose(a.x.array, held)
+    a.x.scatter_forward()
+    saddle = _Saddle(moving, v)
+    try:
+        for count in range(SOLVES):
+            saddle.correct(a, first=count == 0)
+    finally:
+        saddle.destroy()
+
+
+class _Saddle:
+    """[s M + K, B; B^T, -C] [a/s; p] with s M far above K: corrections of both. Collective."""
+
+    def __init__(self, moving: Moving, v: fem.Function) -> None:
+        self._moving, self._a = moving, moving.assembler
+        self._problem, self._v = moving.problem, v.x.array[: len(moving.moves)].copy()
+        self._curved = self._turning()
+        self._x, self._b = self._a.create_vector(), self._a.create_vector()
+        moving.drag.value = 0.0
+        diagonal = self._diagonal()
+        self._pure = diagonal[moving.extras] == 0.0
+        mass = moving.mass.array_r[moving.moves]
+        heavy = mass > 0.0
+        fastest = np.max(np.abs(diagonal[moving.moves][heavy]) / mass[heavy], initial=0.0)
+        self._s = HEAVY * largest(moving.comm, float(fastest))
+        self._tangent(self._s)
+        self._ksp = PETSc.KSP().create(moving.comm)
+        self._ksp.setOptionsPrefix(PREFIX)
+        self._ksp.setOperators(self._a.matrix)
+        options = Options(factorising(self._problem.symmetric), {})
+        with options.in_force():
+            self._ksp.setFromOptions()
+            self._ksp.setUp()
+
+    def _tangent(self, shift: float) -> None:
+        self._moving.shift.value = shift
+        self._a.get(self._x)
+        self._a.forget_tangent()
+        self._a.tangent(self._x, shift, unit=1.0)
+
+    def _diagonal(self) -> Vector:
+        self._tangent(0.0)
+        diagonal = self._a.matrix.getDiagonal()
+        found = np.array(diagonal.array_r)
+        diagonal.destroy()
+        return found
+
+    def _turning(self) -> Vector:
+        """v . g'' v by the second difference of g along the velocity [N/s^2]."""
+        speed = largest(self._moving.comm, float(np.max(np.abs(self._v), initial=0.0)))
+        if self._problem.linear or speed == 0.0:
+            return np.zeros(len(self._moving.extras))
+        step = STRAIN * cell_size(self._problem.body) / speed
+        moves, w = self._moving.moves, self._problem.w.x.array
+        here, rows = w[moves].copy(), []
+        for way in (-1.0, 0.0, 1.0):
+            w[moves] = here + way * step * self._v
+            rows.append(self._rows()[self._moving.extras])
+        w[moves] = here
+        self._told()
+        return np.asarray((rows[0] - 2 * rows[1] + rows[2]) / step**2)
+
+    def _told(self) -> None:
+        self._problem.w.x.scatter_forward()
+        self._problem.unknowns.tell()
+
+    def _rows(self) -> Vector:
+        """The residual, without any boundary condition, of the problem's unknowns."""
+        self._told()
+        self._a.assemble_balance()
+        return self._a.balance.array[: self._a.size].copy()
+
+    def _constraint(self, rows: Vector, *, first: bool) -> Vector:
+        """What is off in the pressure's rows.
+
+        Where p stands in none of its own rows they are left as they are found: an initial shape is
+        what it is, and s would blow its round-off up.  So would it that of the whole volume where
+        C knows but the differences of pressures.  The solve itself meets the derivative at once.
+        """
+        rows = np.where(self._pure, 0.0, rows)
+        if self._problem.unknowns.stabilised and all(
+            map(_incompressible, _compliances(self._problem))
+        ):
+            found = total(self._moving.comm, np.array([rows.sum(), float(len(rows))]))
+            rows = rows - found[0] / found[1]
+        return rows + self._curved / self._s if first else rows
+
+    def correct(self, a: fem.Function, *, first: bool) -> None:
+        """One solve. Collective.
+
+        Args:
+            a: The acceleration [m/s^2], changed.
+            first: It has not met the constraint's second derivative yet.
+        """
+        moves, extras = self._moving.moves, self._moving.extras
+        size = len(moves)
+        self._moving.set_rates(self._v, a.x.array[:size])
+        rows = self._rows()
+        rows[extras] = self._constraint(rows[extras], first=first)
+        self._b.array_w[:] = -rows
+        self._a.hold(self._b)
+        self._ksp.solve(self._b, self._x)
+        self._a.hold(self._x)
+        reason = self._ksp.getConvergedReason()
+        if reason < 0 or not np.isfinite(self._x.norm()):
+            raise ConvergenceError(
+                f"the initial acceleration cannot be found: {ksp_reason(reason)}",
+                advice="is every density positive, and are all initial values finite?",
+            )
+        a.x.array[:size] += self._s * self._x.array_r[moves]
+        a.x.scatter_forward()
+        self._problem.w.x.array[extras] += self._x.array_r[extras]
+        self._told()
+
+    def destroy(self) -> None:
+        """Frees what it owns, and the tangent of what it has put there. Collective."""
+        self._a.forget_tangent()
+        for thing in (self._ksp, self._x, self._b):
+            thing.destroy()
