@@ -68,7 +68,7 @@ LONG = (
 """Tests of one rank's drawings and of many small steps, which take long where ranks share cores."""
 
 
-VARIANTS = {2: 4, 3: 2}
+VARIANTS = {2: 2, 3: 1}
 """How many parameters of each test: all of them run on one rank."""
 
 

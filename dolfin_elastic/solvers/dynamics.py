@@ -159,6 +159,12 @@ class DynamicsSettings(Record):
         return Scheme.generalized_alpha(self.spectral_radius)
 
     @property
+    def damping(self) -> dict[str, float]:
+        """Rayleigh's factors by name; zero without any."""
+        given = self.rayleigh
+        return {"mass": given.mass, "stiffness": given.stiffness} if given else {}
+
+    @property
     def order(self) -> int:
         """Power of the step that the error of one step grows with."""
         first = self.scheme == "implicit-euler" or (self.gamma or 0.5) > 0.5

@@ -67,12 +67,7 @@ class Implicit:
         petsc: Mapping[str, Any],
     ) -> None:
         self.settings, self.problem, self.v = settings, problem, velocity
-        rayleigh = settings.rayleigh
-        self.moving = Moving(
-            problem,
-            mass=rayleigh.mass if rayleigh else 0.0,
-            stiffness=rayleigh.stiffness if rayleigh else 0.0,
-        )
+        self.moving = Moving(problem, **settings.damping)
         self.assembler = self.moving.assembler
         self.a = fem.Function(problem.V, name="acceleration of the scheme")
         choice = choose(problem, linear, moving=True)
