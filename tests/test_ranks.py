@@ -73,7 +73,7 @@ VARIANTS = {2: 2, 3: 1}
 
 
 @pytest.mark.parametrize("ranks", [2, 3])
-@pytest.mark.timeout(1500)
+@pytest.mark.timeout(2400)
 def test_everything_again_on_several_ranks(serial_only, ranks, tmp_path):
     environment = {
         **os.environ,
@@ -103,7 +103,7 @@ def test_everything_again_on_several_ranks(serial_only, ranks, tmp_path):
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=1400,
+        timeout=2300,
         check=False,
     )
     assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-3000:]
