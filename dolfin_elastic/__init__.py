@@ -73,8 +73,8 @@ if TYPE_CHECKING:
     from dolfin_elastic.results.outputs import Summary as Summary
     from dolfin_elastic.results.outputs import Xdmf as Xdmf
     from dolfin_elastic.results.probes import Probe as Probe
-    from dolfin_elastic.run import restart as restart
-    from dolfin_elastic.run import run as run
+    from dolfin_elastic.running import restart as restart
+    from dolfin_elastic.running import run as run
     from dolfin_elastic.solvers.buckling import Buckling as Buckling
     from dolfin_elastic.solvers.dynamics import Dynamics as Dynamics
     from dolfin_elastic.solvers.modal import Modal as Modal
@@ -82,7 +82,7 @@ if TYPE_CHECKING:
 
 _PLACES = {
     "case": ("Case", "read_case"),
-    "run": ("restart", "run"),
+    "running": ("restart", "run"),
     "meshes": ("Body", "Selector", "box_body", "name_parts", "read_body", "rectangle_body"),
     "model.materials": (
         "ArrudaBoyce",
@@ -137,7 +137,5 @@ def __getattr__(name: str) -> Any:
     if name not in _WHERE:
         raise AttributeError(f"module 'dolfin_elastic' has no attribute '{name}'")
     module = import_module(f"dolfin_elastic.{_WHERE[name]}")
-    # `run` is a module, too, which Python puts here when any name of it is asked for: the function
-    # is meant.
-    globals().update({name: getattr(module, name) for name in _PLACES[_WHERE[name]]})
+    globals()[name] = getattr(module, name)
     return globals()[name]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.problem import Problem
+from dolfin_elastic.schema import Idle, refuse_idle
 from dolfin_elastic.solvers.buckling import Buckling
 from dolfin_elastic.solvers.dynamics import Dynamics
 from dolfin_elastic.solvers.modal import Modal
@@ -63,6 +64,37 @@ def check_analyses(case: Case) -> None:
             where=others[0],
             expected="leave it out, or write [statics]",
         )
+    _check_contacts(case)
+    _check_output(case)
+
+
+def _check_contacts(case: Case) -> None:
+    rule = Idle(
+        ["gap_tolerance"],
+        "in motion the penalty decides how far a surface penetrates",
+        "leave it out; a higher `stiffness` makes it less",
+    )
+    for index, contact in enumerate(case.contact if case.dynamics is not None else ()):
+        refuse_idle(contact, [rule], f"contact[{index}]")
+
+
+def _check_output(case: Case) -> None:
+    """Keys of [output] for what the analysis does not give.
+
+    Raises:
+        InputError: There is one.
+    """
+    rules = [Idle(["frames", "amplitude"], f"there are no modes in {case.analysis}")]
+    if case.analysis in ("modal", "buckling"):
+        rules = []
+        if not case.output.checkpoint.off:
+            what = f"a run of [{case.analysis}] has no checkpoints and is not gone on with"
+            rules.append(Idle(["checkpoint"], what))
+        if not case.preloaded:
+            what = "modes without a preload are drawn and listed, but there are no states beside"
+            expected = f"leave it out, or write {case.analysis}.preload"
+            rules.append(Idle(["fields", "every", "probes"], what, expected))
+    refuse_idle(case.output, rules, "output")
 
 
 def solver_of(case: Case, problem: Problem, petsc: Mapping[str, Any] | None) -> Solver:

@@ -144,6 +144,11 @@ class Case(Record):
         return next((key for key in others if getattr(self, key) is not None), "statics")
 
     @property
+    def full(self) -> float:
+        """Load parameter at which statics ends; 1 is the full load."""
+        return self.statics.end if self.statics is not None and self.analysis == "statics" else 1.0
+
+    @property
     def preloaded(self) -> bool:
         """An equilibrium comes before the modes."""
         settings = self.modal or self.buckling
@@ -314,6 +319,8 @@ def located(file: str, key: str = "", *, exact: bool = True) -> Iterator[None]:
     except RestartError:
         raise  # it is not about the case file
     except InputError as error:
+        if file and error.where.startswith(file):
+            raise
         if exact or error.where in ("size", "cells", "origin"):
             where = [file, within(key, error).where]
         else:
@@ -355,14 +362,14 @@ def _contact(row: Any) -> Contact:
 
 @contextmanager
 def _vector(key: str) -> Iterator[None]:
-    """Gives faults of a component, "[2]", the key they belong to."""
+    """Says of a vector that is no list how one is written."""
     try:
         yield
     except InputError as error:
         if error.where == key and error.expected == "expected a list":
             wanted = "expected a list of one number a component, for example [0, 0, 1]"
             raise type(error)(error.what, where=key, expected=wanted) from None
-        raise (within(key, error) if error.where.startswith("[") else error) from None
+        raise
 
 
 # --- materials on the body ---

@@ -103,7 +103,8 @@ def _show_loads(screen: Console, report: Report) -> None:
         time = [f"{load.time:.4g}"] if moving else []
         table.add_row(load.load, load.on, _sum(load.force), _sum(load.moment), *time)
     show_table(screen, table)
-    when = "when it is largest in the motion" if moving else "at load parameter 1"
+    at = f"at load parameter {max((load.time for load in report.loads), default=1.0):g}"
+    when = "when it is largest in the motion" if moving else at
     screen.print(_said(report.loads, when), soft_wrap=True)
 
 

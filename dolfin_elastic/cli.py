@@ -42,8 +42,8 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
 Exit codes:
   0    done
   1    a fault of the program itself
-  2    the case, a mesh or the command line is wrong, or there is nothing to go on from;
-       nothing was written
+  2    the case, a mesh or the command line is wrong, there is nothing to go on from, or a run
+       is still going in that folder; nothing was written
   3    no solution was found; the results so far are complete
   4    results cannot be written
   130  interrupted; the results so far are complete, and `restart` goes on

@@ -58,7 +58,7 @@ def run(
     comm = _begin(quiet)
     read = read_case(case, comm=comm)
     folder = output if output is not None else read.results_folder()
-    from dolfin_elastic.run import run as solved
+    from dolfin_elastic.running import run as solved
 
     stop = Stop(folder)
     states = solved(read, output=folder, petsc=options, asked=stop.wants_checkpoint)
@@ -88,12 +88,11 @@ def restart(
     comm = _begin(quiet)
     found = unfinished(folder, comm=comm)
     logging.getLogger("dolfin_elastic").info("%s", found.told())
-    from dolfin_elastic.run import restart as solved
+    from dolfin_elastic.running import restart as solved
 
     stop = Stop(folder)
     states = solved(found, petsc=options, asked=stop.wants_checkpoint)
-    since = (found.step, found.done)
-    job = _Job(found.case, folder, states, stop, quiet=quiet, profile=profile, since=since)
+    job = _Job(found.case, folder, states, stop, quiet=quiet, profile=profile, since=found.step)
     _compute(job, comm)
 
 
@@ -115,7 +114,7 @@ class _Job:
         stop: Who may stop it.
         quiet: Only problems are shown.
         profile: Where the time went is shown.
-        since: Step and share of the run that it goes on from.
+        since: Step that it goes on from.
     """
 
     case: Case
@@ -124,7 +123,7 @@ class _Job:
     stop: Stop
     quiet: bool
     profile: bool
-    since: tuple[int, float] = (0, 0.0)
+    since: int = 0
 
 
 def _compute(job: _Job, comm: MPI.Comm) -> None:
@@ -151,8 +150,8 @@ def _followed(job: _Job, comm: MPI.Comm, *, loud: bool) -> int:
     from dolfin_elastic.mode_screen import show_modes
     from dolfin_elastic.state import Mode
 
-    motion, (before, done) = job.case.dynamics is not None, job.since
-    meter = _meter(motion, loud, done)
+    motion = job.case.dynamics is not None
+    meter = _meter(motion, loud)
     state, newton, modes = None, 0, []
     try:
         with closing(job.states) as found:
@@ -173,11 +172,13 @@ def _followed(job: _Job, comm: MPI.Comm, *, loud: bool) -> int:
     if loud and modes:
         show_modes(modes, timing.totals())
     elif loud and state is not None:
-        screen.show_end(state, motion=motion, seconds=timing.totals(), newton=newton, since=before)
+        screen.show_end(
+            state, motion=motion, seconds=timing.totals(), newton=newton, since=job.since
+        )
     return 0
 
 
-def _meter(motion: bool, loud: bool, done: float) -> Any:
+def _meter(motion: bool, loud: bool) -> Any:
     from dolfin_elastic import screen
 
     if not loud:
@@ -191,8 +192,8 @@ def _meter(motion: bool, loud: bool, done: float) -> Any:
         None,
     )
     if shared is not None and shared.is_terminal and sys.stdout.isatty():
-        return screen.Bar(motion, shared, done)
-    return screen.Lines(motion, done)
+        return screen.Bar(motion, shared)
+    return screen.Lines(motion)
 
 
 def _show_profile(comm: MPI.Comm) -> None:

@@ -7,11 +7,12 @@ import hashlib
 import os
 import platform
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import IO, Any, TypeVar, cast
 
 import dolfinx
+import numpy as np
 import ufl
 from dolfinx import fem, jit
 from mpi4py import MPI
@@ -59,20 +60,24 @@ def options(comm: MPI.Comm) -> dict[str, Any]:
 
 
 @contextmanager
-def compiling(comm: MPI.Comm, jit_options: dict[str, Any]) -> Iterator[None]:
-    """Everything that may compile happens inside: one run at a time works on a cache.
+def _alone(folder: Path) -> Iterator[None]:
+    """What is compiled into a part of the cache is compiled inside, by one run at a time.
 
-    Collective.  A compilation that was killed leaves a C file that makes every later run wait for
-    its end in vain; while no other run compiles, such files are known to be dead and are removed.
+    A compilation that was killed leaves a C file that makes every later run wait for its end in
+    vain; while no other run compiles there, such files are known to be dead and are removed.  There
+    are several parts lest runs that compile different forms wait for each other.  Not collective.
     """
-    with stage("compile"):
-        lock = _lock(Path(jit_options["cache_dir"])) if comm.rank == 0 else None
-        comm.barrier()
-        try:
-            yield
-        finally:
-            if lock is not None:
-                lock.close()
+    lock = _lock(folder)
+    try:
+        yield
+    finally:
+        if lock is not None:
+            lock.close()
+
+
+def _part(jit_options: dict[str, Any], key: str) -> dict[str, Any]:
+    """The options with the part of the cache that a form belongs to."""
+    return {**jit_options, "cache_dir": Path(jit_options["cache_dir"]) / key[0]}
 
 
 def _lock(folder: Path) -> IO[str] | None:
@@ -109,12 +114,13 @@ def compile_forms(
     Raises:
         Exception: What the form compiler raised on any rank.
     """
-    with compiling(comm, jit_options):
+    parts = [_part(jit_options, form.signature()) for form in forms]
+    with stage("compile"):
         if comm.size > 1:
-            _share_out(comm, forms, jit_options)
+            _share_out(comm, forms, parts)
         return [
-            _together(comm, lambda form=form: fem.form(form, jit_options=jit_options))  # type: ignore[misc]
-            for form in forms
+            _together(comm, part, lambda f=form, p=part: fem.form(f, jit_options=p))  # type: ignore[misc]
+            for form, part in zip(forms, parts, strict=True)
         ]
 
 
@@ -125,33 +131,39 @@ def compile_expression(
     jit_options: dict[str, Any],
 ) -> fem.Expression:
     """Compiles a UFL expression at reference points of a cell. Collective."""
-    with compiling(comm, jit_options):
-        return _together(comm, lambda: fem.Expression(expression, points, jit_options=jit_options))
+    key = f"{expression.ufl_shape}{np.asarray(points).round(9).tolist()}"
+    part = _part(jit_options, hashlib.sha256(key.encode()).hexdigest())
+    with stage("compile"):
+        return _together(comm, part, lambda: fem.Expression(expression, points, jit_options=part))
 
 
-def _together(comm: MPI.Comm, make: Callable[[], T]) -> T:
+def _together(comm: MPI.Comm, part: dict[str, Any], make: Callable[[], T]) -> T:
     """What every rank makes, or the error that one of them met, for example in the cache."""
     error: Exception | None = None
     made: T | None = None
-    try:
-        made = make()
-    except Exception as caught:  # told to all ranks just below
-        error = caught
-    agree(comm, error)
+    # Rank 0 compiles what is not there yet, and the others wait for it.
+    with _alone(part["cache_dir"]) if comm.rank == 0 else nullcontext():
+        try:
+            made = make()
+        except Exception as caught:  # told to all ranks just below
+            error = caught
+        agree(comm, error)
     return cast("T", made)
 
 
-def _share_out(comm: MPI.Comm, forms: Sequence[ufl.Form], jit_options: dict[str, Any]) -> None:
+def _share_out(comm: MPI.Comm, forms: Sequence[ufl.Form], parts: Sequence[dict[str, Any]]) -> None:
     """Each rank compiles its share into the cache; DOLFINx would let rank 0 do it all."""
     error: Exception | None = None
+    mine = slice(comm.rank, None, comm.size)
     try:
-        for form in forms[comm.rank :: comm.size]:
-            jit.ffcx_jit(
-                MPI.COMM_SELF,
-                form,
-                jit_options=jit_options,
-                form_compiler_options={"scalar_type": dolfinx.default_scalar_type},
-            )
+        for form, part in zip(forms[mine], parts[mine], strict=True):
+            with _alone(part["cache_dir"]):
+                jit.ffcx_jit(
+                    MPI.COMM_SELF,
+                    form,
+                    jit_options=part,
+                    form_compiler_options={"scalar_type": dolfinx.default_scalar_type},
+                )
     except Exception as caught:  # told to all ranks just below
         error = caught
     agree(comm, error)

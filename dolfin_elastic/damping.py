@@ -50,6 +50,26 @@ class _Shape:
         return self.law.shape_stress(F)
 
 
+def check_damped(problem: Problem, stiffness: float) -> None:
+    """Materials have a velocity to be damped by.
+
+    Args:
+        problem: The body.
+        stiffness: Rayleigh's factor of the stiffness [s].
+
+    Raises:
+        InputError: They have none.
+    """
+    inside = stiffness or any(part.law.viscosity is not None for part in problem.parts)
+    if not inside or not problem.unknowns.has("stretch"):
+        return
+    raise InputError(
+        "the stretch across a body in plane stress has no velocity: its material cannot be damped",
+        where="dynamics.rayleigh" if stiffness else "materials",
+        expected="plane strain, or rayleigh = [alpha, 0] and no viscosity",
+    )
+
+
 class Damping:
     """Damping of a body by its materials.  Collective to make.
 
@@ -71,17 +91,7 @@ class Damping:
         self._stiffness = problem.constant(stiffness) if stiffness else None
         self.rate = fem.Function(problem.W, name="velocity")
         self._parts = [p for p in problem.parts if p.law.viscosity is not None]
-        self._check()
-
-    def _check(self) -> None:
-        if not self.inside or not self._problem.unknowns.has("stretch"):
-            return
-        raise InputError(
-            "the stretch across a body in plane stress has no velocity: its material cannot be "
-            "damped",
-            where="dynamics.rayleigh" if self._stiffness is not None else "materials",
-            expected="plane strain, or rayleigh = [alpha, 0] and no viscosity",
-        )
+        check_damped(problem, stiffness)
 
     @property
     def inside(self) -> bool:

@@ -6,7 +6,7 @@ ElasticError                      base: `except ElasticError` catches all of the
 │   ├── FormulaError              a formula ("0.1*x*t")
 │   ├── UnitError                 a number with a unit ("10 MPa")
 │   ├── MeshError                 a mesh file, a region or surface name, a geometry selector
-│   └── RestartError              a folder of results from which no run can go on
+│   └── RestartError              a folder of results that no run can go on from, or is going in
 ├── SolveError          exit 3    the input is right, but no solution was found
 │   ├── ConvergenceError          Newton or the load stepping gave up
 │   └── StabilityError            an explicit time step above the stable one
@@ -77,7 +77,7 @@ class MeshError(InputError):
 
 
 class RestartError(InputError):
-    """There is nothing to go on from, or not with this case and this mesh."""
+    """There is nothing to go on from, or not with this case and this mesh; or a run is going."""
 
 
 class SolveError(ElasticError):

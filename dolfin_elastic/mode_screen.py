@@ -13,6 +13,9 @@ from dolfin_elastic.screen import console
 if TYPE_CHECKING:
     from dolfin_elastic.state import Mode
 
+THROUGH = " through "
+"""In the name of a turn before a point of its axis."""
+
 SHOWN = 40
 """Modes that the table shows."""
 
@@ -33,7 +36,23 @@ def show_modes(modes: Sequence[Mode], seconds: Mapping[str, float]) -> None:
     if not buckling:
         sums = {n: sum(m.effective[n] for m in modes) / modes[0].whole[n] for n in directions}
         carried = ", ".join(f"{100 * share:.3g} % in {n}" for n, share in sums.items())
-        screen.print(f"columns: effective mass over that of the whole body; together {carried}")
+        if min(sums.values()) > 1 - 1e-6:
+            carried = "all of it"
+        for line in _places(modes):
+            screen.print(line)
+        screen.print(f"columns: effective mass in % of the whole body's; together {carried}")
+
+
+def _places(modes: Sequence[Mode]) -> list[str]:
+    """The points through which the axes of rigid turns go, which would widen the table."""
+    found: dict[str, list[str]] = {}
+    for mode in modes[:SHOWN]:
+        _, through, place = mode.name.partition(THROUGH)
+        if through:
+            found.setdefault(place, []).append(str(mode.number))
+    return [
+        f"axes of modes {', '.join(numbers)} go through {place}" for place, numbers in found.items()
+    ]
 
 
 def _load_factor(mode: Mode) -> list[str]:
@@ -42,9 +61,10 @@ def _load_factor(mode: Mode) -> list[str]:
 
 def _cells(mode: Mode) -> list[str]:
     shares = [
-        f"{100 * mode.effective[name] / mass:.2f} %"
+        f"{100 * mode.effective[name] / mass:.2f}"
         for name, mass in mode.whole.items()
         if mass > 0.0
     ]
     note = mode.kind if mode.kind != "elastic" else ""
-    return [f"{mode.frequency:.6g}", *shares, f"{note}: {mode.name}" if mode.name else note]
+    name = mode.name.partition(THROUGH)[0]
+    return [f"{mode.frequency:.6g}", *shares, f"{note}: {name}" if name else note]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,11 +12,9 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic.errors import InputError
-from dolfin_elastic.formulas import Formula
 from dolfin_elastic.meshes.body import Body, cell_size
 from dolfin_elastic.model.curves import CONSTANT, Amplitude
 from dolfin_elastic.model.rigid import Rigid
-from dolfin_elastic.model.springs import Spring
 from dolfin_elastic.model.supports import NORMAL, Prescribing, Restraint
 from dolfin_elastic.motions import RigidMotion
 from dolfin_elastic.normals import sheet, tidy
@@ -29,25 +27,6 @@ log = logging.getLogger("dolfin_elastic")
 
 MIRRORED = 0.7
 """Share of a normal that has to lie in a plane of symmetry for the surface to go on beyond it."""
-
-Projections = tuple[Dofs, Floats]
-"""Owned nodes, and projections on the directions held there, of shape (nodes, dim, dim)."""
-
-
-def held_by_spring(spring: Spring, body: Body, V: fem.FunctionSpace) -> Iterator[Projections]:
-    """The nodes at which a spring resists, surface by surface. Collective."""
-    dim, size = body.dim, V.dofmap.index_map.size_local
-    stiff = np.array([isinstance(k, Formula) or k != 0.0 for k in spring.coefficients], float)
-    for name in spring.surfaces:
-        found = sheet(body, V, name)
-        own = found.nodes < size
-        n = found.normals[own]
-        if spring.by_normal:
-            along = n[:, :, None] * n[:, None, :]
-            P = stiff[0] * along + stiff[1] * (np.eye(dim) - along)
-        else:
-            P = np.tile(np.diag(stiff), (len(n), 1, 1))
-        yield found.nodes[own], P
 
 
 class Prescribed:
@@ -270,6 +249,7 @@ class Prescribed:
         self._t, self._default = t, default
         self._evaluate(t, default)
 
+    @np.errstate(all="ignore")  # what has no value is told by `check_finite`
     def _evaluate(self, t: float, default: Amplitude, only: RigidMotion | None = None) -> None:
         for hold, dofs, signs in self._entries:
             if only is not None and hold.support is not only:
@@ -358,6 +338,14 @@ class Prescribed:
             return values
         return np.concatenate([values, self.tilted.target[: self.tilted.count].reshape(-1)])
 
+    def targets_at(self, times: Iterable[float]) -> list[Floats]:
+        """The targets of some times [s], the last of which is the present one then. Local."""
+        found = []
+        for t in times:
+            self.move_to(t)
+            found.append(self.targets)
+        return found
+
     def present(self, array: Floats) -> Floats:
         """What a local vector of the displacement's space has where `targets` are prescribed."""
         values = array[self.owned]
@@ -383,9 +371,23 @@ class Prescribed:
 
     def check_finite(self) -> None:
         """Raises on all ranks when a formula gave no finite number. Collective."""
-        bad = int(total(self._V.mesh.comm, int(~np.isfinite(self.targets).all())))
-        if bad:
-            raise InputError(
-                f"a prescribed displacement is not finite at some nodes at t = {self._t:g}",
-                where="support",
-            )
+        comm = self._V.mesh.comm
+        if not total(comm, int((~np.isfinite(self.targets)).sum())):
+            return
+        found = min((one for part in comm.allgather(self._bad()) for one in part), default=None)
+        where, at = "support", "some nodes"  # held along an oblique direction
+        if found is not None:
+            where, at = f"support '{found[0]}'", f"({', '.join(f'{x:.6g}' for x in found[1])}) m"
+        raise InputError(
+            f"the prescribed displacement is not finite at {at} at t = {self._t:g}", where=where
+        )
+
+    def _bad(self) -> list[tuple[str, tuple[float, ...]]]:
+        """Labels of supports whose entries have no value, each with the lowest place of them."""
+        found = []
+        for label, entries in self.moving.items():
+            nodes = entries[~np.isfinite(self.values.x.array[entries])] // self._bs
+            places = self._x[nodes, : self._bs].round(12) + 0.0
+            if len(places):
+                found.append((label, min(map(tuple, places.tolist()))))
+        return found

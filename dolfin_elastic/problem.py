@@ -36,10 +36,11 @@ from dolfin_elastic.model.supports import Restraint
 from dolfin_elastic.nodal import NodalLoads
 from dolfin_elastic.normals import check_facing
 from dolfin_elastic.parts import WHOLE, Part, checked_geometry, make_parts
-from dolfin_elastic.prescribed import Prescribed, Projections, held_by_spring
+from dolfin_elastic.prescribed import Prescribed
 from dolfin_elastic.rest import rest_states
 from dolfin_elastic.rims import rim_held
 from dolfin_elastic.site import BodySite
+from dolfin_elastic.sprung import Projections, held_by_spring
 from dolfin_elastic.touching import check_contacts, make_touching
 
 UNUSED = 1e-6
@@ -193,13 +194,17 @@ class Problem:
         p = self.unknowns.extra("pressure", self.w)
         if part.compliance is None:
             return -UNUSED / part.shear * p * q * self.volume(part, 2)
-        response = self.response(part, self.w)
-        assert not isinstance(response, Law)
-        terms = q * response.gap(F) * self._internal_volume(part)
+        terms = self.volume_gap(part, F, q)
         if self.unknowns.stabilised:
             off = variance(p, q, ufl.Jacobian(self.body.mesh))
             terms -= off / part.shear * self.volume(part, 0)
         return terms
+
+    def volume_gap(self, part: Part, F: Expr, q: Expr) -> ufl.Form:
+        """Virtual work of a pressure in a part that has one, see `Mixed.gap`."""
+        response = self.response(part, self.w)
+        assert not isinstance(response, Law)
+        return q * response.gap(F) * self._internal_volume(part)
 
     def _internal_volume(self, part: Part) -> Weighted:
         return self.volume(part, self.rule(part))

@@ -27,6 +27,7 @@ from dolfin_elastic.results.checkpoints import (
     newest,
     read_case_text,
 )
+from dolfin_elastic.results.claim import check_free
 from dolfin_elastic.schema import Record
 from dolfin_elastic.toml_text import toml_text
 
@@ -41,11 +42,13 @@ class Unfinished:
         case: What it computes.
         folder: Of its results.
         found: Its newest whole checkpoint.
+        newest: Step of its newest one, be it damaged or not.
     """
 
     case: Case
     folder: Path
     found: Found
+    newest: int | None
 
     @property
     def step(self) -> int:
@@ -62,6 +65,23 @@ class Unfinished:
         content, motion = self.found.content, self.case.dynamics is not None
         place = f"t = {content['t']:.5g} s" if motion else f"load {100 * content['t']:.4g} %"
         return f"going on after step {self.step} ({place}), written {content['written']}"
+
+    def check_newest(self) -> None:
+        """Nobody has gone on since this was found. Collective.
+
+        Raises:
+            RestartError: The run is complete, or the checkpoint is not there any more.
+        """
+        on_root(self.found.comm, self._check_newest)
+
+    def _check_newest(self) -> None:
+        _check_unfinished(self.folder)
+        if last_step(self.folder) != self.newest or not self.found.path.is_file():
+            raise RestartError(
+                "somebody else has gone on with this run meanwhile",
+                where=str(self.folder),
+                expected="restart it again",
+            )
 
     def check(self, about: About) -> None:
         """The mesh is that of the checkpoint. Not collective.
@@ -93,10 +113,11 @@ def unfinished(
         comm: The ranks that shall go on.
 
     Raises:
-        RestartError: There is nothing to go on from, or the case is another one.
+        RestartError: There is nothing to go on from, the case is another one, or it is still going.
     """
     path = Path(folder)
     on_root(comm, lambda: _check_folder(path))
+    latest = on_root(comm, lambda: last_step(path))
     found = newest(comm, path)
     if found is None:
         raise RestartError(
@@ -127,7 +148,7 @@ def unfinished(
         _compare(written, found.content["file"], comm)
     known = case or written
     assert known is not None
-    return Unfinished(known, path, found)
+    return Unfinished(known, path, found, latest)
 
 
 def _check_folder(folder: Path) -> None:
@@ -142,7 +163,12 @@ def _check_folder(folder: Path) -> None:
         others = [p.parent.parent for p in parent.glob(f"*/{FOLDER}/{CASE}")]
         hint = nearest(folder.name, [p.name for p in others]) if others else ""
         raise RestartError("there is no such folder", where=where, expected=hint)
-    status = _status(folder)
+    check_free(folder)
+    _check_unfinished(folder)
+
+
+def _check_unfinished(folder: Path) -> None:
+    where, status = str(folder), _status(folder)
     if status == "completed":
         raise RestartError(
             "this run is complete", where=where, expected="nothing is left to compute"
@@ -157,7 +183,8 @@ def _check_folder(folder: Path) -> None:
         raise RestartError(
             "the run has ended before its first checkpoint",
             where=where,
-            expected="compute the case anew; output.checkpoint says how often there is one",
+            expected="compute the case anew; output.checkpoint says how often there is one, "
+            "modes and buckling have none",
         )
 
 

@@ -8,12 +8,23 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import UnionType
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, Union, cast, get_args, get_origin
 
-from pydantic import AliasChoices, BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    ValidationError,
+    model_validator,
+)
+from pydantic.fields import FieldInfo
 
 from dolfin_elastic.errors import InputError, nearest
+from dolfin_elastic.units import Quantity
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
@@ -28,7 +39,7 @@ class _Raising(ModelMetaclass):
         try:
             return super().__call__(*args, **kwargs)
         except ValidationError as error:
-            raise input_error(error) from None
+            raise input_error(cast(type[BaseModel], cls), error) from None
 
 
 class Record(BaseModel, metaclass=_Raising):
@@ -50,26 +61,63 @@ class Record(BaseModel, metaclass=_Raising):
     @classmethod
     def _refuse_unknown_keys(cls, data: Any) -> Any:
         if isinstance(data, dict):
-            for name in data:
-                if name not in (known := known_keys(cls)):
-                    raise InputError(f"unknown key '{name}'", expected=nearest(str(name), known))
+            fields = {key: f for n, f in cls.model_fields.items() for key in _names(n, f)}
+            for name, value in data.items():
+                if name not in fields:
+                    raise InputError(f"unknown key '{name}'", expected=nearest(str(name), fields))
+                if not _speaks(fields[name].metadata):
+                    _refuse_switch([fields[name].annotation], name, value)
         return data
 
 
-def input_error(error: ValidationError) -> InputError:
-    """The first fault of a pydantic error as one message: dotted key, what, expected."""
-    faults = error.errors()
-    fault = min(faults, key=_rank)
-    path = dotted(fault["loc"])
-    inner = fault.get("ctx", {}).get("error")
-    if isinstance(inner, InputError):
-        return within(path, inner)
+def _refuse_switch(kinds: Sequence[Any], where: str, value: Any) -> None:
+    """Pydantic takes true for 1, which nobody means who writes `steps = true` or `[true, 1]`."""
+    members = [member for kind in kinds for member in _members(kind)]
+    if isinstance(value, list | tuple):
+        inside = [get_args(kind)[0] for kind in members if get_origin(kind) in (list, tuple)]
+        for index, one in enumerate(value):
+            _refuse_switch(inside, f"{where}[{index}]", one)
+    if not isinstance(value, bool) or any(_speaks(get_args(kind)[1:]) for kind in kinds):
+        return
+    numbers = {int: "a whole number", float: "a number"}
+    wanted = [numbers[kind] for kind in members if kind in numbers]
+    if wanted and bool not in members and Any not in members:
+        expected = "expected " + " or ".join(wanted)
+        raise InputError(f"{shown(value)} is wrong", where=where, expected=expected)
+
+
+def _speaks(metadata: Iterable[Any]) -> bool:
+    """A type says itself what it wants."""
+    return any(isinstance(one, Quantity | BeforeValidator) for one in metadata)
+
+
+def input_error(record: type[BaseModel], error: ValidationError) -> InputError:
+    """The first fault of a pydantic error as one message: dotted key, what, expected.
+
+    Args:
+        record: What was to be made.
+        error: Why it could not be.
+    """
+    faults = [(dotted(record, fault["loc"]), fault) for fault in error.errors()]
+    path, fault = min(faults, key=_rank)
+    # Of the members of a union the one that has read furthest was meant.
+    inside = [one for one in faults if path and one[0].startswith((f"{path}.", f"{path}["))]
+    path, fault = min(inside, key=_rank, default=(path, fault))
+    same = [other for place, other in faults if place == path]
+    ours = next((e for f in same if isinstance(e := _inner(f), InputError)), None)
+    if ours is not None and len(same) == 1:
+        return within(path, ours)
     if fault["type"] == "missing":
         return InputError("this key is missing", where=path)
-    if fault["type"] == "value_error":
-        return InputError(str(inner), where=path)
-    same = [other for other in faults if dotted(other["loc"]) == path]
-    return InputError(f"{shown(fault['input'])} is wrong", where=path, expected=_wanted(same))
+    if fault["type"] == "value_error" and ours is None:
+        return InputError(str(_inner(fault)), where=path)
+    told = ours is not None and isinstance(fault["input"], str)
+    what = ours.what if ours is not None and told else f"{shown(fault['input'])} is wrong"
+    return InputError(what, where=path, expected=_wanted(same))
+
+
+def _inner(fault: Any) -> Any:
+    return fault.get("ctx", {}).get("error")
 
 
 def within(path: str, error: InputError) -> InputError:
@@ -78,9 +126,9 @@ def within(path: str, error: InputError) -> InputError:
     return type(error)(error.what, where=path + joint + error.where, expected=error.expected)
 
 
-def _rank(fault: Any) -> int:
+def _rank(found: tuple[str, Any]) -> int:
     # What was written and is wrong comes before what is only missing.
-    return int(fault["type"] == "missing")
+    return int(found[1]["type"] == "missing")
 
 
 LONGEST_SHOWN = 60
@@ -134,34 +182,117 @@ def _phrase(fault: Any) -> str:
         return str(context["expected"])
     if fault["type"] in _WANTED:
         return _WANTED[fault["type"]].format(**context)
+    if isinstance(ours := _inner(fault), InputError):
+        return ours.expected.removeprefix("expected ") or ours.what
     return str(fault["msg"]).removeprefix("Input should be ")
 
 
-_TAGS = ("str", "int", "float", "bool")
+def dotted(record: type[BaseModel], path: Iterable[str | int]) -> str:
+    """``("support", 0, "on")`` as ``support[0].on``.
 
-
-def dotted(path: Iterable[str | int]) -> str:
-    """``("support", 0, "on")`` as ``support[0].on``; names of union members are left out."""
-    parts = list(path)
-    if len(parts) > 1 and parts[-1] in _TAGS:
-        del parts[-1]
-    text = ""
-    for part in parts:
+    Pydantic's names for members of unions and for what its validators do are left out: they are
+    no keys of the record, nor of what its fields hold.
+    """
+    text, kinds = "", [record]
+    for part in path:
+        below = [kind for one in kinds for kind in _below(one, part)]
         if isinstance(part, int):
             text += f"[{part}]"
-        elif not any(mark in part for mark in "[('"):
+        elif below:
             text += f".{part}" if text else part
+        kinds = below or kinds
     return text
+
+
+def _below(kind: Any, part: str | int) -> list[Any]:
+    """What a type holds under a key or index; nothing where that is none."""
+    origin, inside = get_origin(kind), get_args(kind)
+    if isinstance(kind, type) and origin is None and issubclass(kind, BaseModel):
+        field = next((f for n, f in kind.model_fields.items() if part in _names(n, f)), None)
+        return [] if field is None else _members(field.annotation)
+    if isinstance(origin, type) and issubclass(origin, Mapping) and isinstance(part, str):
+        return [] if part.startswith("[") else _members(inside[1])
+    if isinstance(origin, type) and issubclass(origin, list | tuple) and isinstance(part, int):
+        return _members(inside[0])
+    return []
+
+
+def _members(kind: Any) -> list[Any]:
+    """The members of a union, or the type itself."""
+    origin = get_origin(kind)
+    if origin is Annotated:
+        return _members(get_args(kind)[0])
+    if origin is Union or origin is UnionType:
+        return [member for one in get_args(kind) for member in _members(one)]
+    return [kind]
 
 
 def known_keys(model: type[BaseModel]) -> list[str]:
     """Keys that a record's table may have, other spellings included."""
-    keys = []
-    for name, info in model.model_fields.items():
-        alias = info.validation_alias
-        if isinstance(alias, str):  # the attribute has another name, which is no key
-            keys.append(alias)
-            continue
-        others = alias.choices if isinstance(alias, AliasChoices) else ()
-        keys += [name, *(str(other) for other in others if other != name)]
-    return keys
+    return [key for name, field in model.model_fields.items() for key in _names(name, field)]
+
+
+def _names(name: str, field: FieldInfo) -> list[str]:
+    """The key of a field, and its other spellings."""
+    alias = field.validation_alias
+    if isinstance(alias, str):  # the attribute has another name, which is no key
+        return [alias]
+    others = alias.choices if isinstance(alias, AliasChoices) else ()
+    return [name, *(str(other) for other in others if other != name)]
+
+
+# --- keys beside each other ---
+
+
+@dataclass(frozen=True)
+class Idle:
+    """Keys that say nothing as long as another one is as it is.
+
+    Attributes:
+        keys: Whoever writes one of them expects something that does not happen.
+        what: Why, in words.
+        expected: What to do.
+    """
+
+    keys: Sequence[str]
+    what: str
+    expected: str = "leave it out"
+
+
+def given(record: Record, key: str) -> bool:
+    """The user has written this key, and something into it."""
+    value = getattr(record, key)
+    empty = value is None or (isinstance(value, list | dict) and not value)
+    return key in record.model_fields_set and not empty
+
+
+def refuse_idle(record: Record, rules: Iterable[Idle], table: str = "") -> None:
+    """Refuses keys that were written, but have no meaning beside others.
+
+    Args:
+        record: Whose keys they are.
+        rules: Which have none, and why.
+        table: Dotted key of the record, where it is another one that decides.
+
+    Raises:
+        InputError: The first one.
+    """
+    for rule in rules:
+        for key in rule.keys:
+            if given(record, key):
+                where = f"{table}.{key}" if table else key
+                raise InputError(rule.what, where=where, expected=rule.expected)
+
+
+R = TypeVar("R", bound=Record)
+
+
+def settled(kind: type[R], record: R | None, fields: Mapping[str, Any]) -> R:
+    """Settings as a record, or made from keywords, which are its fields.
+
+    Raises:
+        TypeError: Both are given.
+    """
+    if record is not None and fields:
+        raise TypeError(f"give settings or keywords, not both: {', '.join(fields)}")
+    return kind(**fields) if record is None else record

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
+from dolfin_elastic import timing
 from dolfin_elastic.errors import ElasticError, SolveError
 
 if TYPE_CHECKING:
@@ -68,20 +69,42 @@ class Silent:
         """Ends the display."""
 
 
+class Estimate:
+    """Time to the end, by the steps from the first state on.
+
+    What is done once counts for nothing: meshes, and forms that are compiled on the way.
+    """
+
+    def __init__(self) -> None:
+        self._first: tuple[float, float] | None = None
+
+    def left(self, done: float) -> str:
+        """Rough time to the end in words, see `time_left`.
+
+        Args:
+            done: Share of the run that is done.
+        """
+        seconds = timing.totals()
+        once = sum(seconds.get(name, 0.0) for name in ("mesh", "compile"))
+        spent = seconds.get("total", 0.0) - once
+        if self._first is None:
+            self._first = spent, done
+        return time_left(spent - self._first[0], done, self._first[1])
+
+
 class Lines:
     """One line a step, for files and pipes."""
 
-    def __init__(self, motion: bool, done: float = 0.0) -> None:
-        self.motion, self._begin, self._shown, self._count = motion, time.monotonic(), 0.0, 0
-        self._done = done
+    def __init__(self, motion: bool) -> None:
+        self.motion, self._estimate, self._shown, self._count = motion, Estimate(), 0.0, 0
 
     def show(self, state: State) -> None:
         """Takes one step."""
         now = time.monotonic()
+        left = self._estimate.left(state.done)
         due = self._count < FIRST_LINES or now - self._shown > 1.0 or state.done >= 1.0
         if state.step and due:
             self._shown, self._count = now, self._count + 1
-            left = time_left(now - self._begin, state.done, self._done)
             print(f"{step_text(state, motion=self.motion)}  {left}", flush=True)
 
     def close(self) -> None:
@@ -91,8 +114,8 @@ class Lines:
 class Bar:
     """A bar that moves, for terminals."""
 
-    def __init__(self, motion: bool, screen: Console, done: float = 0.0) -> None:
-        self.motion, self._begin, self._done = motion, time.monotonic(), done
+    def __init__(self, motion: bool, screen: Console) -> None:
+        self.motion, self._estimate = motion, Estimate()
         self._progress = Progress(
             BarColumn(bar_width=24),
             TextColumn("{task.percentage:>3.0f} %"),
@@ -104,7 +127,7 @@ class Bar:
 
     def show(self, state: State) -> None:
         """Takes one step."""
-        left = time_left(time.monotonic() - self._begin, state.done, self._done)
+        left = self._estimate.left(state.done)
         text = re.sub("  +", "  ", f"{step_text(state, motion=self.motion)}  {left}")
         self._progress.update(self._task, completed=state.done, description=text)
 
@@ -130,9 +153,9 @@ def time_left(spent: float, done: float, before: float = 0.0) -> str:
     """Rough time to the end, nothing where it cannot be said.
 
     Args:
-        spent: Since the program started [s].
+        spent: Since the first state [s].
         done: Share of the run that is done.
-        before: Share that was done when it started.
+        before: Share that was done then.
     """
     if not before < done < 1.0:
         return ""
@@ -229,11 +252,12 @@ def count(number: int, thing: str) -> str:
 
 
 def _end_rows(state: State, motion: bool) -> list[tuple[str, str]]:
-    rows = [("largest displacement", f"{state.max_displacement:.5g} m")]
-    for name in ("strain", "kinetic", "external", "total"):
+    when = " at the end" if motion else ""
+    rows = [(f"largest displacement{when}", f"{state.max_displacement:.5g} m")]
+    for name in ("strain", "kinetic", "contact", "total", "external"):
         known = math.isfinite(state.energies.get(name, math.nan))
         if known and (motion or name == "strain"):
-            label = "work of the loads" if name == "external" else f"{name} energy"
+            label = "work of loads and supports" if name == "external" else f"{name} energy"
             rows.append((label, f"{state.energies[name]:.5g} J"))
     for name, force in state.reactions.items():
         rows.append((f"reaction of {name}", vector_text(force) + " N"))

@@ -14,6 +14,11 @@ from dolfinx import fem
 Vector = npt.NDArray[np.float64]
 
 
+def plain(t: float) -> float:
+    """A time or load factor as files show it: 12 digits, without round-off at the end."""
+    return float(f"{t:.12g}")
+
+
 @dataclass(frozen=True)
 class Audit:
     """Whether a converged step obeys the laws that any equilibrium or motion obeys.

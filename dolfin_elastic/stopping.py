@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType
@@ -15,6 +16,12 @@ if TYPE_CHECKING:
 INTERRUPTED = 130
 """Exit code of a run that was stopped."""
 
+FILE = "stop"
+"""File in the folder of results that ends a run there."""
+
+SAME = 0.5
+"""Signals so close [s] are one: to a process, to its group, and handed on by a launcher."""
+
 
 class Stop:
     """Notes signals and a file called "stop"; a second signal to stop ends the program at once.
@@ -24,15 +31,18 @@ class Stop:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.asked, self._checkpoint, self._file = False, False, folder / "stop"
+        self.asked, self._checkpoint, self._file = False, False, folder / FILE
+        self._since = 0.0
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2):
             signal.signal(number, self._ask)
         signal.signal(signal.SIGUSR1, self._want)
 
     def _ask(self, number: int, frame: FrameType | None) -> None:
         if self.asked:
-            os._exit(INTERRUPTED)
-        self.asked = True
+            if time.monotonic() - self._since > SAME:
+                os._exit(INTERRUPTED)
+            return
+        self.asked, self._since = True, time.monotonic()
         if launched_rank() == 0:  # not by `print`, which may be interrupted in the midst of one
             os.write(2, b"\nstopping after this step; once more: at once\n")
 
@@ -50,9 +60,15 @@ class Stop:
 
         if comm.rank == 0 and self._file.exists():
             self.asked = True
-            with suppress(OSError):  # somebody else's file: it has done what it is for
-                self._file.unlink()
+            os.write(2, f"stopping: there was a file {self._file}\n".encode())
+            forget(self._file.parent)  # it has done what it is for
         return largest(comm, float(self.asked)) > 0
+
+
+def forget(folder: Path) -> None:
+    """Removes the file that has stopped a run, or was to stop one that has ended."""
+    with suppress(OSError):  # somebody else's file
+        (folder / FILE).unlink(missing_ok=True)
 
 
 def launched_rank() -> int:

@@ -73,6 +73,7 @@ class MeshTable(Record):
         box: A box made on the spot.
         rectangle: A rectangle made on the spot.
         size: Size of the elements, for CAD files only.
+        curved: Whether a CAD file's cells are quadratic and follow curved surfaces.
         unit: Unit of length of the mesh and of bare numbers about it.
         degree: Degree of the displacement in the elements, 1 or 2.
         formulation: "displacement", "mixed" (with a pressure, for nearly incompressible materials)
@@ -86,6 +87,7 @@ class MeshTable(Record):
     box: Box | None = None
     rectangle: Rectangle | None = None
     size: MeshLength | None = None
+    curved: bool = False
     unit: str = "m"
     degree: Literal[1, 2] = 1
     formulation: Formulation = "auto"
@@ -117,6 +119,10 @@ class MeshTable(Record):
                 where="size",
                 expected=f"use {given[0]}.cells",
             )
+        if self.curved and not self.file:
+            raise InputError(
+                f"a {given[0]} has no curved surfaces", where="curved", expected="leave it out"
+            )
         return self
 
     @property
@@ -136,7 +142,9 @@ class MeshTable(Record):
         """Reads or makes the mesh. Collective."""
         if self.file is not None:
             size = None if self.size is None else self._in_unit(self.size)
-            return read_body(folder / self.file, comm=comm, scale=self.scale, size=size)
+            return read_body(
+                folder / self.file, comm=comm, scale=self.scale, size=size, curved=self.curved
+            )
         made = self.box or self.rectangle
         assert made is not None
         make = box_body if self.box else rectangle_body
@@ -231,6 +239,18 @@ class Output(Record):
                     f"unknown field '{name}'", where=f"[{index}]", expected=nearest(name, FIELDS)
                 )
         return names
+
+    @field_validator("pictures")
+    @classmethod
+    def _apart(cls, pictures: list[Picture]) -> list[Picture]:
+        for index, picture in enumerate(pictures):
+            if picture.file in [other.file for other in pictures[:index]]:
+                raise InputError(
+                    f"'{picture.file}' is the file of a picture above",
+                    where=f"[{index}].file",
+                    expected="a file of its own",
+                )
+        return pictures
 
     def check_probes(self, body: Body, scale: float) -> None:
         """Finds the probes' points in the body. Collective.

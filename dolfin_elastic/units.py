@@ -51,7 +51,11 @@ COMMON = {
 }
 """Units that most cases use, so that most cases start without pint's 0.3 s."""
 
-MEANT = {"rad/s": {"Hz": math.tau}, "K": {"degC": 1.0, "°C": 1.0}}
+MEANT = {
+    "Hz": {"rad/s": 1 / math.tau, "rpm": 1 / 60},
+    "rad/s": {"Hz": math.tau},
+    "K": {"degC": 1.0, "°C": 1.0},
+}
 """Units whose sense pint cannot see: turns per second, and changes of temperature."""
 
 
@@ -125,7 +129,16 @@ def _from_text(text: str, unit: str) -> float:
     zero, size = _scale(text, name, unit)
     if zero != 0.0 and unit != "K":  # a number in kelvin is a change of temperature throughout
         raise UnitError(f"'{text}' counts from a zero of its own", expected=_expected(unit))
-    return number * size
+    return number * size * _turned(name, unit)
+
+
+def _turned(name: str, unit: str) -> float:
+    """What a frequency is as an angular one, or the other way round; to pint both are 1/s."""
+    if unit == "Hz" and "radian" in str(_registry().Quantity(1.0, name).to_root_units().units):
+        return 1 / math.tau
+    if unit == "rad/s" and "hertz" in str(_registry().parse_units(name)):
+        return math.tau
+    return 1.0
 
 
 def _scale(text: str, name: str, unit: str | None) -> tuple[float, float]:

@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import (
     BodyForce,
+    Dynamics,
     LinearElastic,
     NeoHookean,
     Problem,
@@ -96,6 +97,24 @@ def test_small_strain_law_at_large_strains(load, far, said):
             in (last.notes[0])
         )
         assert last.verdict == "pass"
+
+
+@pytest.mark.parametrize("scheme", ["generalized-alpha", "central-differences"])
+def test_small_strain_law_at_large_strains_in_motion(scheme, said):
+    """Both corners of u = 0.12 x say so at once, those of 0.09 x do so never."""
+    for size, many in ((0.09, 0), (0.12, 1)):
+        said.clear()
+        problem = Problem(
+            rectangle_body(size=(1.0, 1.0), cells=(2, 2)),
+            LinearElastic(E=E, nu=NU, density=1000.0),
+        )
+        start = {"initial_displacement": [f"{size}*x", 0]}
+        dt = 1e-5 if scheme == "generalized-alpha" else None
+        for state in Dynamics(problem, scheme=scheme, end=5e-5, dt=dt, **start).steps():
+            notes = state.audit.notes if state.audit is not None else ()
+            assert sum("is for small strains" in note for note in notes) in (0, many)
+        told = [line for line in said if f"|grad u| is {size}" in line and "(t = 0 s)" in line]
+        assert COMM.allreduce(len(told)) in ((1, COMM.size) if many else (0,))
 
 
 @pytest.mark.parametrize("law", [LinearElastic, NeoHookean, Textbook])

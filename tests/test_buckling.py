@@ -82,6 +82,17 @@ def test_along_the_path(comm: MPI.Comm) -> None:
     assert mode.kind == "elastic"
 
 
+@pytest.mark.parametrize("preload", [0.9, 1.3, 2.0, 4.4])
+def test_preloads_beyond_the_full_load(preload: float, comm: MPI.Comm) -> None:
+    """A tenth of the load has ten times the factor, at whatever share of it is linearised.
+
+    By 0.2 % of the factor strains change it on the way, see above.
+    """
+    body = rectangle_body(size=[10, 1], cells=(10, 1), comm=comm)
+    found = factors(column(body, load=-EULER / 5), count=1, preload=preload)[0]
+    assert found == pytest.approx(factors(column(body), count=1)[0] * 5, rel=3e-3)
+
+
 def test_preload_is_yielded(comm: MPI.Comm) -> None:
     """States on the way first; modes about the last of them; a state beyond is refused."""
     problem = column(strip(comm, (10, 1)))
@@ -123,6 +134,24 @@ def test_mixed(comm: MPI.Comm) -> None:
         for kind in ("displacement", "mixed")
     ]
     assert both[1] == pytest.approx(both[0], rel=4e-3)
+
+
+def test_strains_that_are_too_large_are_told(comm: MPI.Comm, caplog: Any) -> None:
+    """A bar that is pulled "buckles" where it is strained by a third; a column does at 0.3 %."""
+    told = []
+    for pull in (1e5, -1e5):
+        load = Traction(on="right", value=[pull, 0])
+        caplog.clear()
+        found = factors(
+            Problem(
+                strip(comm, (8, 1)), NeoHookean(**SOFT), supports=[Support(on="left")], loads=[load]
+            ),
+            count=1,
+        )
+        mine = any("strained by" in record.message for record in caplog.records)
+        told.append(comm.bcast(mine))  # rank 0 says it
+        assert found[0] > 0
+    assert told == [True, False]
 
 
 def refused(comm: MPI.Comm, text: str, error: type[Exception] = InputError, **keys: Any) -> None:

@@ -210,8 +210,8 @@ MISTAKES = {
     "components4": (
         'on = "left"\ndisplacement = [0, 0, 0]',
         'on = "left"\ndisplacement = [0, 0, 0, 0]',
-        "support[0]: [0, 0, 0, 0] is not a vector; expected a list of 3 components (2 in "
-        "a plane), for example [0, 0, -1]",
+        "support[0].displacement: [0, 0, 0, 0] is not a vector; expected a list of 3 components "
+        "(2 in a plane), for example [0, 0, -1]",
     ),
     "load comps": (
         '[0, 0, "1 MPa"]',
@@ -436,20 +436,20 @@ MISTAKES = {
         '[[support]]\non = "left"\ndisplacement = [0, 0, 0]\n',
         "",
         "support: there is no support: as a rigid body it can move and turn freely; "
-        "statics needs supports that hold it; [dynamics] does not",
+        "equilibrium needs supports that hold it; [dynamics] does not",
     ),
     "slides": (
         'on = "left"\ndisplacement = [0, 0, 0]',
         'on = "left"\ndisplacement = [0, "free", 0]',
         "support: the supports leave the body free: as a rigid body it can move along y; "
-        "statics needs supports that hold it; [dynamics] does not",
+        "equilibrium needs supports that hold it; [dynamics] does not",
     ),
     "rolls": (
         'on = "left"\ndisplacement = [0, 0, 0]',
         'on = "left"\ndisplacement = [0, "free", "free"]',
         "support: the supports leave the body free: as a rigid body it can move along y, "
-        "move along z, turn about x through (0.001, 0.0005, 0.0005) m; statics needs supports that "
-        "hold it; [dynamics] does not",
+        "move along z, turn about x through (0.001, 0.0005, 0.0005) m; equilibrium needs supports "
+        "that hold it; [dynamics] does not",
     ),
     "toml": (
         "steps = 2",
@@ -467,6 +467,11 @@ MISTAKES = {
         'line 1: the closing quote is missing\n    title = "Block\n                  ^',
     ),
     "title": ('title = "Block"', "title = 3", "title: 3 is wrong; expected a text"),
+    "pictures of one name": (
+        "fields =",
+        'pictures = [{}, {view = "x"}]\nfields =',
+        "output.pictures[1].file: 'picture.png' is the file of a picture above; a file of its own",
+    ),
     "pictures": (
         "fields =",
         'pictures = [{feild = "x"}]\nfields =',
@@ -512,7 +517,12 @@ MOTION = GOOD.replace("nu = 0.3", "nu = 0.3\ndensity = 7850").replace(
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("dt = 0.1\n", "", "dynamics: 'generalized-alpha' needs a time step dt"),
+        (
+            "dt = 0.1\n",
+            "",
+            "dynamics.dt: this key is missing; 'generalized-alpha' needs a time step, for example "
+            '"1 ms"',
+        ),
         (
             "dt = 0.1",
             'dt = "1 mm"',
@@ -551,6 +561,9 @@ def test_good_motion(folder: Path) -> None:
     text = MOTION[: MOTION.index("[[support]]")] + MOTION[MOTION.index("[[load]]") :]
     assert report(case_of(folder, text)).analysis == "dynamics"
     text = text.replace("dt = 0.1", 'scheme = "symplectic-euler"')
+    said = "solver.method: the scheme 'symplectic-euler' solves no equations; leave it out"
+    assert complaint(folder, text) == f"case.toml: {said}"
+    text = text.replace('method = "direct"', 'method = "auto"')
     assert report(case_of(folder, text)).linear_solver == "none: explicit scheme"
 
 

@@ -67,6 +67,23 @@ def meshed(folder: Path, geo: str, **tables: Any) -> Case:
 # --- nothing is compiled ---
 
 
+def test_loads_beyond_the_full_one(comm):
+    """Statics that goes on to twice the load is told of that, and of obstacles that come so far."""
+    tables = {
+        "mesh": {"rectangle": {"size": [1, 1], "cells": [2, 2]}},
+        "materials": {"rubber": {"law": "neo-hookean", "E": 1e6, "nu": 0.3}},
+        "support": [{"on": "bottom"}],
+        "load": [{"kind": "traction", "on": "top", "value": [1e3, 0]}],
+        "contact": [{"on": "top", "plane": {"axis": "-y", "at": 5}, "motion": [0, -1.37]}],
+        "statics": {"end": 3.0},
+    }
+    found = report(Case.from_dict(tables), comm=comm)
+    assert found.loads[0].force == pytest.approx((3e3, 0))
+    assert not any("farther than the body is large" in note for note in found.notes)
+    near = report(Case.from_dict({**tables, "statics": {}}), comm=comm)
+    assert any("farther than the body is large" in note for note in near.notes)
+
+
 def test_compiles_no_form(monkeypatch):
     """The report comes without the form compiler."""
 
@@ -370,7 +387,7 @@ def test_two_bodies(folder: Path):
         report(one)
     assert str(caught.value) == (
         "support: the supports leave bodies free: of 2 bodies that share no nodes, `lid` can move "
-        "and turn freely; statics needs supports that hold each body; [dynamics] does not"
+        "and turn freely; equilibrium needs supports that hold each body; [dynamics] does not"
     )
     # The same before a solver starts.
     problem = one.make_problem(one.read_body())

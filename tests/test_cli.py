@@ -42,13 +42,13 @@ PROGRAM = [sys.executable, "-m", "dolfin_elastic"]
 CRASH = """\
 import sys
 from mpi4py import MPI
-import dolfin_elastic.run, dolfin_elastic.cli
+import dolfin_elastic.running, dolfin_elastic.cli
 def broken(*args, **kwargs):
     if MPI.COMM_WORLD.rank == {rank} or {rank} < 0:
         raise RuntimeError("a fault of ours")
     MPI.COMM_WORLD.barrier()
     yield
-dolfin_elastic.run.run = broken
+dolfin_elastic.running.run = broken
 sys.argv = ["dolfin-elastic", "run", "case.toml"]
 dolfin_elastic.cli.main()
 """
@@ -220,10 +220,10 @@ def test_motion(folder: Path) -> None:
     assert code == 0
     assert re.search(r"^step +1   t 0.00\d+ s +max", out, re.MULTILINE)
     assert "kinetic energy" in out
-    (folder / "case.toml").write_text(text + "dt = 1\n")
+    (folder / "case.toml").write_text(text + 'dt = "40 ms"\n')
     code, _, err = cli("run", "case.toml", folder=folder)
     assert code == 2
-    assert err.startswith("error: case.toml: dynamics.dt: 1 s is above the stable step")
+    assert err.startswith("error: case.toml: dynamics.dt: 0.04 s is above the stable step")
     assert not (folder / "case_results").exists()
 
 

@@ -27,7 +27,7 @@ from dolfin_elastic.case import Case
 from dolfin_elastic.check import report
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.model.curves import RAMP
-from dolfin_elastic.run import run
+from dolfin_elastic.running import run
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.contact import Augmentation
 from dolfin_elastic.solvers.ladder import Ladder
@@ -581,6 +581,22 @@ def test_never_touched(folder, caplog):
     told = [line for line in caplog.messages if "was never touched" in line]
     mine = MPI.COMM_WORLD.rank == 0
     assert told == (["contact 'left' was never touched"] if mine else [])
+
+
+@pytest.mark.parametrize("curve", [None, "constant"])
+def test_an_obstacle_that_has_moved_when_a_motion_begins(curve, comm):
+    """In motion it acts in full from the start, in statics it comes with the load steps."""
+    motion = {"motion": [0, "-0.7 m"]} | ({} if curve is None else {"curve": curve})
+    lid = {"on": "top", "plane": {"axis": "-y", "at": 1.1}} | motion
+    tables = TABLES | {"contact": [lid], "support": [{"on": "bottom"}]}
+    tables["materials"] = {"rubber": TABLES["materials"]["rubber"] | {"density": 1000}}
+    moving = Case.from_dict(tables | {"dynamics": {"end": "10 ms", "dt": "1 ms"}})
+    for use in (lambda: report(moving, comm=comm), lambda: list(run(moving, comm=comm))):
+        with pytest.raises(InputError, match=r"'top' lies 0.6 m deep in the obstacle, at \(0, 1\)"):
+            use()
+    if curve is None:
+        (start,) = report(Case.from_dict(tables), comm=comm).contacts
+        assert start.gap == pytest.approx(0.1)
 
 
 def test_in_a_case(comm):

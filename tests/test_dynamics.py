@@ -6,6 +6,7 @@ Momenta of the free brick are closed-form integrals.  Source of the scheme: Chun
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Mapping
 from typing import Any
 
@@ -329,8 +330,8 @@ def test_free_body_keeps_its_momenta():
     np.testing.assert_allclose(angular[0], [-60.75, 39.3, 228], rtol=1e-12)
     assert total[0] == pytest.approx(790.575, rel=1e-12)
     # The scheme takes its forces at the middle of the step: both momenta are exact to Newton.
-    assert drift(list(linear)) < 1e-9
-    assert drift(list(angular)) < 1e-9
+    assert drift(list(linear)) < 1e-13
+    assert drift(list(angular)) < 1e-12
     # The energy is no invariant of it, but stays.
     assert np.ptp(total) < 2e-2 * total[0]
 
@@ -343,7 +344,7 @@ def test_damping_scheme_keeps_linear_momentum():
             problem, end=0.3, dt=0.01, rtol=1e-12, spectral_radius=0.5, **start
         ).steps()
     ]
-    assert drift(rows) < 1e-9
+    assert drift(rows) < 1e-13
 
 
 # --- a body that bends, and what is refused ---
@@ -417,7 +418,14 @@ def test_adaptive_steps_with_moving_supports():
     assert np.linalg.norm(ends[0] - ends[1]) < 0.05 * np.linalg.norm(ends[1])
 
 
-def test_a_step_without_a_solution_says_so_and_keeps_its_state():
+@pytest.mark.parametrize(
+    ("pushed", "said", "advice"),
+    [
+        ("where(t < 0.015, 0, -2)", "jumps there, by 2 m at (1, 0) m", "that takes some time"),
+        ("-200*t^2/0.015", "", "a smaller dt"),
+    ],
+)
+def test_a_step_without_a_solution_says_so_and_keeps_its_state(pushed, said, advice):
     """A support that pushes through the body: no step, however small, gets past the wall."""
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
     problem = Problem(
@@ -425,17 +433,19 @@ def test_a_step_without_a_solution_says_so_and_keeps_its_state():
         NeoHookean(E=E, nu=NU, density=RHO),
         supports=[
             Support(on="left", displacement=[0, 0]),
-            Support(on="right", displacement=["where(t < 0.015, 0, -2)", 0]),
+            Support(on="right", displacement=[pushed, 0]),
         ],
     )
     reached = []
     with pytest.raises(ConvergenceError) as caught:
         for state in Dynamics(problem, end=0.1, dt=0.01).steps():
             reached.append(state.t)
-    # Ever shorter steps come close to the jump.
-    assert reached[-1] == pytest.approx(0.015, rel=1e-3)
-    assert "no solution for the step from t = 0.015 s: DIVERGED" in str(caught.value)
-    assert "a smaller dt" in str(caught.value)
+    if said:  # ever shorter steps come close to the jump
+        assert reached[-1] == pytest.approx(0.015, rel=1e-3)
+    assert f"no solution for the step from t = {reached[-1]:.6g} s: DIVERGED" in str(caught.value)
+    assert said in str(caught.value)
+    assert ("jumps" in str(caught.value)) == bool(said)
+    assert advice in str(caught.value)
     assert caught.value.state.t == reached[-1]
     assert np.isfinite(caught.value.state.max_displacement)
 
@@ -456,7 +466,7 @@ def test_a_formula_without_a_value_later_on_is_said():
         LinearElastic(E=E, nu=NU, density=RHO),
         supports=[Support(on="left", displacement=["sqrt(0.025 - t)*1e-3", 0])],
     )
-    with pytest.raises(InputError, match=r"support: .* not finite at some nodes at t = 0.03"):
+    with pytest.raises(InputError, match=r"support 'left': .* not finite at .0, 0. m at t = 0.03"):
         _ = [*Dynamics(held, end=0.1, dt=0.01).steps()]
 
 
@@ -488,3 +498,38 @@ def test_a_linear_body_is_assembled_once(monkeypatch):
     problem = oscillator(loads=[Traction(on="bottom", value=[1e4, 0])])
     _ = [*Statics(problem, steps=4).steps()]
     assert len(calls) == 1
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [
+        lambda problem: Dynamics(problem, end=1.0, dt=1e-3),
+        lambda problem: Dynamics(problem, end=1.0, dt=1e-3, scheme="alpha2"),
+        lambda problem: Dynamics(problem, end=1.0, scheme="central-differences"),
+        lambda problem: Statics(problem, steps=200),
+    ],
+    ids=["implicit", "alpha2", "explicit", "statics"],
+)
+def test_steps_leave_no_cycles(solver):
+    """All that a step makes is freed at its end: ranks that collect at other times would differ.
+
+    PETSc's objects in cycles would be freed by the ranks one by one, which they must do together.
+    """
+    body = box_body(size=(1.0, 0.6, 0.3), cells=(2, 1, 1))
+    law = NeoHookean(E=1e5, nu=NU, density=RHO)
+    steps = solver(Problem(body, law, supports=[Support(on="left")], loads=[Gravity()])).steps()
+    _ = [next(steps) for _ in range(3)]
+    automatic, flags = gc.isenabled(), gc.get_debug()
+    gc.collect()
+    gc.disable()
+    try:
+        gc.set_debug(gc.DEBUG_SAVEALL)
+        _ = [next(steps) for _ in range(5)]
+        gc.collect()
+        found = [str(type(thing)) for thing in gc.garbage]
+    finally:
+        gc.set_debug(flags)
+        gc.garbage.clear()
+        if automatic:
+            gc.enable()
+    assert not found

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import signal
+import socket
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +20,12 @@ from test_restart import begun, case, check_same, check_same_frames, history, su
 
 from dolfin_elastic import read_case, run
 from dolfin_elastic.results.checkpoints import FOLDER, last_step
+from dolfin_elastic.results.claim import LOCK, Claim
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
 )
-KILLS = int(os.environ.get("DOLFIN_ELASTIC_KILLS", "6"))
+KILLS = int(os.environ.get("DOLFIN_ELASTIC_KILLS", "20"))
 """How often the run below is killed; by hand rather 100 times."""
 
 
@@ -93,11 +97,40 @@ def test_sigusr1_makes_a_checkpoint(tmp_path: Path) -> None:
         until(lambda: rows_written(tmp_path) > rows, process)
         process.kill()
     step = int(next(path.glob("*.json")).stem.removeprefix("step_"))
-    (tmp_path / "case_results/stop").touch()
-    code, out, err = cli("restart", "case_results", folder=tmp_path)
-    assert code == 130
+    (tmp_path / "case_results/stop").touch()  # meant for the run that was killed
+    rows = rows_written(tmp_path)
+    with started([*PROGRAM, "restart", "case_results"], tmp_path, 1) as process:
+        until(lambda: rows_written(tmp_path) > rows, process)
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
     assert f"step {step + 1:>4}   load" in out
     assert "PETSc option '-ksp_tpye' was not used" in err
+
+
+def test_a_file_that_stopped_another_run_is_forgotten(tmp_path: Path) -> None:
+    write_case(tmp_path, 3)
+    folder = tmp_path / "case_results"
+    folder.mkdir()
+    (folder / "stop").touch()
+    code, out, err = cli("run", "case.toml", folder=tmp_path)
+    assert code == 0, err
+    assert "done: 3 steps" in out
+    assert not (folder / "stop").exists()
+
+
+def test_a_run_that_is_refused_leaves_the_stop_file_of_another(tmp_path: Path) -> None:
+    """Whose run it shall end is going."""
+    write_case(tmp_path, 3)
+    folder = tmp_path / "case_results"
+    folder.mkdir()
+    with closing(Claim(MPI.COMM_SELF, folder)) as claim:
+        claim.take()
+        (folder / "stop").touch()
+        code, _, err = cli("run", "case.toml", folder=tmp_path)
+    assert code == 2
+    assert "a run is still going in this folder" in err
+    assert (folder / "stop").exists()
 
 
 def test_a_changed_case_file_is_told_of(tmp_path: Path) -> None:
@@ -143,3 +176,52 @@ def test_killed_again_and_again(tmp_path: Path) -> None:
 
 def _newest_step(folder: Path) -> int:
     return last_step(folder) or 0
+
+
+# --- one run at a time ---
+
+BUSY = re.compile(
+    r"error: case_results: a run is still going in this folder \(process (\d+) on (\S+), since "
+    r"[-0-9T:+]+\); wait for its end, or stop it: touch case_results/stop\n"
+)
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_a_folder_belongs_to_one_run_at_a_time(tmp_path: Path, ranks: int) -> None:
+    """Neither `run` nor `restart` touches it, on any number of ranks; a killed run frees it."""
+    write_case(tmp_path, 5000, every=1)
+    folder = tmp_path / "case_results"
+    with started([*PROGRAM, "run", "case.toml", "-q"], tmp_path, ranks) as process:
+        until(lambda: _newest_step(folder) > 2, process)
+        for words in (["run", "case.toml"], ["restart", "case_results"]):
+            code, out, err = cli(*words, folder=tmp_path, ranks=3 - ranks)
+            assert (code, out) == (2, ""), err
+            told = BUSY.match(err)  # what mpirun adds comes after
+            assert told, err
+            assert told[2] == socket.gethostname()
+        rows = rows_written(tmp_path)
+        until(lambda: rows_written(tmp_path) > rows, process)
+        for child in [*(_ranks_of(process) if ranks > 1 else []), process.pid]:
+            os.kill(child, signal.SIGKILL)
+        process.communicate(timeout=60)
+    assert (folder / LOCK).exists()
+    rows = rows_written(tmp_path)
+    with started([*PROGRAM, "restart", "case_results", "-q"], tmp_path, 1) as process:
+        until(lambda: rows_written(tmp_path) > rows, process)
+        (folder / "stop").touch()
+        _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (130, "stopping: there was a file case_results/stop\n")
+    assert not (folder / LOCK).exists()
+
+
+def test_two_that_begin_at_once(tmp_path: Path) -> None:
+    """Where there is no folder yet: one of them gets it, and its results are whole."""
+    write_case(tmp_path, 300, every=1)
+    words = [*PROGRAM, "run", "case.toml", "-q"]
+    with started(words, tmp_path, 1) as first, started(words, tmp_path, 1) as second:
+        ends = {p.communicate(timeout=120)[1]: p.returncode for p in (first, second)}
+    assert sorted(ends.values()) == [0, 2]
+    assert ends[""] == 0
+    assert all(BUSY.fullmatch(err) for err in ends if err)
+    assert rows_written(tmp_path) == 301
+    assert summary(tmp_path / "case_results")["status"] == "completed"

@@ -291,6 +291,45 @@ def test_cad_is_meshed_with_a_size(folder: Path, suffix: str) -> None:
         assert fine.surfaces == pytest.approx({"foot": 2e-6})
 
 
+@pytest.mark.parametrize("suffix", [".step", ".geo"])
+def test_cad_with_curved_cells(folder: Path, suffix: str) -> None:
+    """The volume of a ball of some four cells through: straight ones leave 8 % of it out."""
+
+    def draw() -> None:
+        if suffix == ".geo":
+            text = 'SetFactory("OpenCASCADE"); Sphere(1) = {0, 0, 0, 1};\n'
+            (folder / "ball.geo").write_text(text)
+            return
+        with drawing() as gmsh:
+            gmsh.model.occ.addSphere(0, 0, 0, 1)
+            gmsh.model.occ.synchronize()
+            gmsh.write(str(folder / f"ball{suffix}"))
+
+    made(draw)
+    straight, curved = (
+        measures(read_body(folder / f"ball{suffix}", size=0.5, curved=c)) for c in (False, True)
+    )
+    exact = 4 / 3 * np.pi
+    assert straight.cells == curved.cells
+    assert straight.volume == pytest.approx(exact, rel=0.1)
+    assert straight.volume < 0.94 * exact
+    assert curved.volume == pytest.approx(exact, rel=1e-3)
+
+
+def test_curved_cells_of_a_thin_wall_do_not_fold(folder: Path) -> None:
+    """Cells five times as long as the wall is thick: their middles are moved out of the way."""
+
+    def draw() -> None:
+        (folder / "shell.geo").write_text(
+            'SetFactory("OpenCASCADE"); Sphere(1) = {0, 0, 0, 1}; Sphere(2) = {0, 0, 0, 0.9};\n'
+            "BooleanDifference(3) = { Volume{1}; Delete; }{ Volume{2}; Delete; };\n"
+        )
+
+    made(draw)
+    body = read_body(folder / "shell.geo", size=0.5, curved=True)
+    assert measures(body).volume == pytest.approx(4 / 3 * np.pi * (1 - 0.9**3), rel=0.05)
+
+
 def test_xdmf_of_dolfinx_with_tags(folder: Path) -> None:
     from dolfinx.io import XDMFFile
     from dolfinx.mesh import meshtags
@@ -579,6 +618,8 @@ def test_missing_files_and_sizes_out_of_place(folder: Path) -> None:
         read_body(folder / "braket.vtu")
     with pytest.raises(MeshError, match="finished mesh"):
         read_body(folder / "bracket.vtu", size=1.0)
+    with pytest.raises(MeshError, match="finished mesh"):
+        read_body(folder / "bracket.vtu", curved=True)
     with pytest.raises(MeshError, match="folder"):
         read_body(folder)
 

@@ -97,6 +97,41 @@ def test_square_without_pressure(nu: float, comm: MPI.Comm) -> None:
     assert np.sum(np.abs(near) < 1e-2) == 1
 
 
+@pytest.mark.parametrize(
+    ("held", "there"),
+    [
+        (["bottom"], 2 * 20 - 9),
+        # Only differences of pressures matter: one of them takes nothing away.
+        (["bottom", "top", "left", "right"], 2 * 9 - 8),
+    ],
+)
+def test_all_modes_without_change_of_volume(
+    held: list[str], there: int, comm: MPI.Comm, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Each pressure takes away a motion; none of the infinite eigenvalues comes back as a mode."""
+    body = rectangle_body(size=[1, 1], cells=(2, 2), comm=comm)
+
+    def problem(nu: float) -> Problem:
+        law = NeoHookeanSplit(E=1e6, nu=nu, density=1000)
+        supports = [Support(on=name) for name in held]
+        return Problem(body, law, supports=supports, degree=2, formulation="mixed")
+
+    for count in (there - 3, there, there + 9):
+        found = modes(problem(0.5), count=count)
+        assert len(found) == min(count, there)
+    if comm.rank == 0:
+        assert f"{there + 9} modes asked for, there are only {there}" in caplog.text
+    # The rest are those of a body that is nearly so, up to a multiple of 1 - 2 nu.
+    near = [mode.frequency for mode in modes(problem(0.5 - 1e-7), count=there)]
+    assert [mode.frequency for mode in found] == pytest.approx(near, rel=1e-4)
+
+
+def test_nothing_is_free(comm: MPI.Comm) -> None:
+    body = rectangle_body(size=[1, 1], cells=(1, 1), comm=comm)
+    with pytest.raises(InputError, match="supports hold every node"):
+        modes(Problem(body, NeoHookean(**SOFT), supports=[Support(on=["left", "right"])]))
+
+
 def test_unstable(comm: MPI.Comm, caplog: pytest.LogCaptureFixture) -> None:
     """A straight column under twice its load does not vibrate but falls, and that is said.
 

@@ -220,6 +220,21 @@ def test_what_is_refused(probes, message):
         check(case, case.read_body())
 
 
+@pytest.mark.parametrize("name", ["reaction_left", "max", "reaction_left_x"])
+def test_names_of_other_results(name, folder):
+    """Refused before anything is written."""
+    given = [0, 0, 0] if name == "reaction_left" else {"at": [0, 0, 0], "fields": ["von_mises"]}
+    tables = block(probes={name: given})
+    tables["support"] = [{"on": "left", "displacement": [0, 0, 0]}]
+    case = Case.from_dict(tables)
+    if name != "reaction_left":
+        [*_] = run(case, output=folder / "other")  # these differ: reaction_left_x_von_mises
+        return
+    with pytest.raises(InputError, match="two results called 'reaction_left_x'"):
+        next(run(case, output=folder / "out"))
+    assert not (folder / "out").exists()
+
+
 def test_two_numbers_of_one_name(folder):
     probes = {"a": [0, 0, 0], "a_von": {"at": [0, 0, 0], "fields": ["von_mises"]}}
     case = Case.from_dict(block(probes=probes))

@@ -7,7 +7,7 @@ import json
 import logging
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from dolfin_elastic import (
     Case,
     Cavity,
     Contact,
+    Dynamics,
     Energy,
     Gravity,
     LinearElastic,
@@ -436,6 +437,50 @@ def test_a_motion_goes_on(name: str, folder: Path) -> None:
     check_same_results(folder / "a", folder / "whole")
 
 
+def moved(scheme: str, petsc: dict[str, Any]) -> Dynamics:
+    """A square stretched so far that a law for small strains says so at once."""
+    problem = Problem(
+        rectangle_body(size=(1, 1), cells=(2, 2)), LinearElastic(E=E, nu=0.3, density=1e3)
+    )
+    keys: dict[str, Any] = {"end": 1e-3, "dt": 1e-4, "initial_displacement": ["0.2*x", 0]}
+    return Dynamics(problem, scheme=scheme, petsc=petsc, **keys)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "petsc", "forgotten"),
+    [
+        ("alpha2", {}, "'alpha2' keeps its acceleration for itself"),
+        ("generalized-alpha", {"ts_adapt_type": "dsp"}, "'-ts_adapt_type dsp' keeps the errors"),
+        ("generalized-alpha", {}, None),
+        ("central-differences", {}, None),
+    ],
+)
+def test_a_motion_that_goes_on_says_what_is_new(
+    scheme: str, petsc: dict[str, Any], forgotten: str | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What PETSc keeps to itself is told; what was told before is not told again."""
+    motion = moved(scheme, petsc)
+    states = motion.steps()
+    next(states), next(states)
+    kept = motion.kept()
+    values = {name: field.x.array.copy() for name, field in kept.fields.items()}
+    states.close()
+    assert on_root(WORLD, lambda: "is for small strains" in caplog.text)
+    caplog.clear()
+
+    def restore(fields: Mapping[str, Any]) -> Mapping[str, Any]:
+        for name, field in fields.items():
+            field.x.array[:] = values[name]
+        return kept.numbers
+
+    states = moved(scheme, petsc).steps(restore)
+    next(states)
+    states.close()
+    told = on_root(WORLD, lambda: [one.getMessage() for one in caplog.records if one.levelno > 20])
+    assert len(told) == (forgotten is not None), told
+    assert all(forgotten in one for one in told)
+
+
 @PAIR
 def test_what_came_after_the_checkpoint_is_cut_off(folder: Path, whole: Path) -> None:
     """Rows, frames and pictures of steps that were computed but not kept; half a row, too."""
@@ -538,10 +583,10 @@ def test_changed_results_are_refused(folder: Path) -> None:
     """What is lost cannot be made up."""
     begun(case(), folder / "a", 3)
     on_root(WORLD, lambda: os.truncate(folder / "a/history.csv", 40))
-    refused(folder / "a", r"history.csv: all rows at the checkpoint are not in the file any more")
+    refused(folder / "a", r"history.csv: rows that the checkpoint knows of are not there")
     begun(case(), folder / "b", 3)
     on_root(WORLD, (folder / "b/results_data/000001.h5").unlink)
-    refused(folder / "b", r"results.xdmf: all steps at the checkpoint")
+    refused(folder / "b", r"results.xdmf: steps that the checkpoint knows of")
 
 
 @PAIR

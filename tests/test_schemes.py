@@ -14,7 +14,18 @@ import pytest
 from mpi4py import MPI
 from test_dynamics import NU, OMEGA, PERIOD, RHO, STIFF, E, oscillator, swing, tip
 
-from dolfin_elastic import Dynamics, Gravity, NeoHookean, Problem, rectangle_body
+from dolfin_elastic import (
+    BodyForce,
+    Dynamics,
+    Gravity,
+    LinearElastic,
+    NeoHookean,
+    Problem,
+    Support,
+    Traction,
+    rectangle_body,
+)
+from dolfin_elastic.parallel import largest
 from dolfin_elastic.solvers.alpha import Scheme
 
 # --- discrete oracles ---
@@ -195,6 +206,125 @@ def test_the_error_of_a_step_is_what_was_allowed():
             before = now
         # The estimate is the leading term of the error, of accelerations that are off themselves.
         assert 0.3 * tolerance < worst < 2.0 * tolerance
+
+
+@pytest.mark.parametrize("start", ["velocity", "load"])
+def test_the_first_step_is_as_long_as_the_error_allows(start):
+    """From u = 0, where nothing has moved yet that an error could be a share of.
+
+    The estimate of the undamped scheme allows omega h = (12 tolerance)^(1/3) = 0.23 where the
+    acceleration changes most, and at least 0.1 where errors are judged against the first step
+    itself.  Judged against nothing it was 0.016 from a velocity, whatever dt.
+    """
+    loads = [Gravity(value=[9.81, 0])] if start == "load" else []
+    velocity = ["x", 0] if start == "velocity" else []
+    # The load is half the weight of the corner, rho A/3: k u = rho g/6.
+    size = 1 / OMEGA if start == "velocity" else RHO * 9.81 / 6 / (STIFF / 2)
+    for dt in (PERIOD / 5, PERIOD / 60):
+        problem, rows = oscillator(loads=loads), []
+        for state in Dynamics(
+            problem,
+            end=PERIOD,
+            dt=dt,
+            adaptive=True,
+            spectral_radius=1.0,
+            rtol=1e-12,
+            initial_velocity=velocity,
+        ).steps():
+            rows.append((state.t, *tip(problem, state)))
+        t, u, v = np.array(rows).T
+        still = 0.0 if start == "velocity" else size
+        turn = np.exp(-1j * OMEGA * np.diff(t))
+        exact = ((u - still) + 1j * v / OMEGA)[:-1] * turn
+        off = np.abs(exact.real - (u - still)[1:])
+        assert off.max() < 2e-3 * np.abs(u).max()  # twice the tolerance, as above
+        if dt == PERIOD / 60:
+            assert t[1] == dt
+        else:
+            assert 0.15 < OMEGA * t[1] < 0.3
+
+
+def test_a_first_try_that_is_taken_back_says_nothing_of_later_steps():
+    """A free body falls as far in a long try as in half a second: the first step is judged by that.
+
+    The others took a third of the steps when it stayed: an error that is a share of 1.2 m.
+    """
+    counts = []
+    for dt in (0.5, 1e-3):
+        problem = Problem(
+            rectangle_body(size=(0.1, 0.1), cells=(1, 1)),
+            LinearElastic(E=1e5, nu=NU, density=RHO),
+            loads=[Gravity(), Traction(on="right", value=["2000*sin(60*t)", 0])],
+        )
+        *_, state = Dynamics(problem, end=0.5, dt=dt, adaptive=True).steps()
+        counts.append(state.step)
+    assert 0.7 * counts[1] < counts[0] < counts[1]
+
+
+def test_supports_begin_with_their_own_acceleration_whatever_the_step():
+    """Not with that of a first try as long as half a period: 900 m/s^2, 1206 then."""
+    moved = Support(on="left", displacement=["0.01*(1 - cos(300*t))", 0])
+    body = rectangle_body(size=(1, 0.5), cells=(2, 1))
+    problem = Problem(body, LinearElastic(E=E, nu=NU, density=RHO), supports=[moved])
+    motion = Dynamics(problem, end=0.1, dt=0.03, adaptive=True)
+    first = next(motion.steps())
+    most = largest(problem.body.comm, float(np.abs(first.a.x.array).max(initial=0.0)))
+    assert most == pytest.approx(900, rel=1e-3)
+
+
+@pytest.mark.parametrize("begins", ["curve", "formula"])
+def test_a_body_at_rest_does_not_sleep_through_what_begins_later(begins, caplog):
+    """Adaptive steps of a body at rest grow tenfold each: they pass over half a second in three.
+
+    A pulse of 2 ms gives the oscillator the speed p/m, m = rho/12 and the force a third of 1/2
+    times the traction's, whatever the steps; equal steps of 10 ms see nothing, and it is said.
+    """
+    pulse = {
+        "curve": {"curve": [[0, 0], [0.5, 0], [0.501, 1], [0.502, 0]], "value": [100, 0]},
+        "formula": {"value": ["100*heaviside(t - 0.5)", 0]},
+    }[begins]
+    for adaptive in (True, False) if begins == "curve" else (True,):
+        caplog.clear()
+        problem = oscillator(loads=[BodyForce(**pulse)])
+        settings = {"adaptive": True} if adaptive else {}
+        moved = [
+            np.abs(state.u.x.array).max(initial=0.0)
+            for state in Dynamics(problem, end=0.52, dt=0.01, **settings).steps()
+        ]
+        most = largest(problem.body.comm, float(max(moved)))
+        said = any("closer than dt" in record.message for record in caplog.records)
+        said = problem.body.comm.bcast(said)
+        assert said == (not adaptive)
+        if begins == "formula":
+            # A load that comes at once moves twice as far as one that is there: f/k each.
+            still = 100 / 6 / (STIFF / 2)
+            assert most == pytest.approx(2 * still, rel=0.05)
+        elif adaptive:
+            speed = 100 / 6 * 1e-3 / (RHO / 12)
+            assert most == pytest.approx(speed / OMEGA, rel=0.05)
+        else:
+            assert most == 0.0
+
+
+def test_times_that_are_met_make_no_other_step_shorter():
+    """Times a crumb apart: one further step each, and at most one where they cut an interval.
+
+    A step of 1e-5 of the usual one would need five more to grow again.
+    """
+    counts = []
+    pairs = [k * PERIOD / 7 for k in range(1, 14)]
+    for times in ([], [t * (1 + s) for t in pairs for s in (0, 1e-6)]):
+        problem = oscillator()
+        *_, state = Dynamics(
+            problem,
+            end=2 * PERIOD,
+            dt=PERIOD / 40,
+            adaptive=True,
+            times=times,
+            initial_displacement=["1e-3*x", 0],
+        ).steps()
+        counts.append(state.step)
+    assert counts[0] < counts[1] <= counts[0] + 2 * len(pairs)
 
 
 def test_the_audit_sees_energy_that_comes_from_nowhere():

@@ -262,6 +262,19 @@ def test_curves_of_loads(curve, expected):
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize(("curve", "expected"), [(None, [0, 1, 2]), ("ramp", [0, 1, 1])])
+def test_beyond_the_full_load(curve, expected):
+    """What names no curve goes on in proportion, as along an arc length: a load factor is one."""
+    push = Support(on="right", displacement=[FREE, 0.1], curve=curve)
+    problem = bar(loads=(Traction(on="right", value=[1e3, 0], curve=curve),), right=push)
+    found = []
+    for _ in Statics(problem, steps=2, end=2.0).steps():
+        found.append(displacement_at(problem, (1.0, 0.0)) * (E / 1e3, 10))
+    assert np.array(found)[:, 1] == pytest.approx(expected, abs=1e-14)
+    stretched = [row[0] for row in found]
+    assert stretched[2] - stretched[0] == pytest.approx(expected[2] * stretched[1], rel=1e-9)
+
+
 def test_curves_and_formulas_of_supports():
     curved = Support(on="right", displacement=[0.1, FREE], curve=[[0, 0], [0.5, -1], [1, 1]])
     timed = Support(on="right", displacement=["0.1*t^2", FREE])

@@ -468,7 +468,7 @@ def test_turned_block_moves_alike(scheme):
             end=0.04,
             dt=1e-3,
             initial_velocity=list(R @ [0, 0.0, 1.0]),
-            rtol=1e-11,
+            **({"rtol": 1e-11} if scheme == "generalized-alpha" else {}),
         ).steps()
         found.append((rows(problem) @ R, {k: R.T @ f for k, f in state.reactions.items()}, state))
     assert off(problem, found[0][0] @ R.T) < 1e-10
@@ -625,3 +625,15 @@ def test_rows_are_read_written_and_named():
     assert any("a dashpot does nothing in statics" in note for note in check(read, body))
     problem = read.make_problem(body)
     assert set(problem.holding) == {"mount", "top"}
+
+
+def test_a_value_that_is_none_is_told_with_its_support_and_place(comm: MPI.Comm) -> None:
+    """The lowest place of them, on any number of ranks."""
+    body = rectangle_body(size=(1, 1), cells=(2, 3), comm=comm)
+    supports = [Support(on="left"), Support(on="right", displacement=["0.01*log(0.6 - y)", 0])]
+    problem = Problem(body, NeoHookean(E=1e6, nu=0.3), supports=supports)
+    with pytest.raises(InputError) as caught:
+        _ = [*Statics(problem, steps=1).steps()]
+    assert str(caught.value) == (
+        "support 'right': the prescribed displacement is not finite at (1, 0.666667) m at t = 1"
+    )

@@ -169,5 +169,10 @@ def test_units_that_mean_more():
     """A turn is 2 pi, and a change of temperature knows no zero."""
     assert to_si("50 Hz", "rad/s") == pytest.approx(314.1592653589793, rel=1e-15)
     assert to_si("3000 rpm", "rad/s") == pytest.approx(314.1592653589793, rel=1e-15)
+    assert to_si("1 kHz", "rad/s") == pytest.approx(6283.185307179586, rel=1e-15)
+    assert to_si("1000 rad/s", "Hz") == pytest.approx(159.15494309189535, rel=1e-15)
+    assert to_si("360 deg/s", "Hz") == pytest.approx(1.0, rel=1e-15)
+    assert to_si("3000 rpm", "Hz") == pytest.approx(50.0, rel=1e-15)
+    assert to_si("2 kHz", "Hz") == 2000.0
     assert to_si("80 degC", "K") == to_si("80 K", "K") == 80.0
     assert to_si("12 ppm/K", "1/K") == pytest.approx(12e-6, rel=1e-15)

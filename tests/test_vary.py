@@ -44,7 +44,7 @@ from dolfin_elastic.model.varying import Direction
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.extremes import extremes
-from dolfin_elastic.run import run
+from dolfin_elastic.running import run
 from dolfin_elastic.units import Stress
 from dolfin_elastic.varying import Binder
 

@@ -259,15 +259,19 @@ def _check_constants(case: Case, body: Body) -> None:
 
 
 def _notes(case: Case) -> Iterator[str]:
+    timeless = "" if case.dynamics is not None else "statics"
+    if case.modal or case.buckling:
+        timeless = f"[{case.analysis}]"
     for name, material in case.materials.items():
         if material.law.warning:
             yield f"materials.{key_text(name)}: {material.law.warning}"
+        if material.law.viscosity is not None and timeless:
+            yield f"materials.{key_text(name)}: viscosity does nothing in {timeless}"
     moving = any(not support.at_rest for support in case.support)
     moving = moving or any(value != 0.0 for c in case.contact for value in c.values)
     for i, support in enumerate(case.support):
-        if support.kind == "dashpot" and case.dynamics is None:
-            where = f"[{case.analysis}]" if case.modal or case.buckling else "statics"
-            yield f"support[{i}]: a dashpot does nothing in {where}"
+        if support.kind == "dashpot" and timeless:
+            yield f"support[{i}]: a dashpot does nothing in {timeless}"
     if case.modal is not None and not case.preloaded:
         if case.load or moving:
             yield "modal.preload is not set: the modes are those at rest, without the loads"

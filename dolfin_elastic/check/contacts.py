@@ -40,8 +40,9 @@ class ContactGap:
     place: tuple[float, ...]
 
 
-def contact_gaps(problem: Problem) -> tuple[ContactGap, ...]:
+def contact_gaps(case: Case, problem: Problem) -> tuple[ContactGap, ...]:
     """All contacts. Collective."""
+    gaps = first_gaps(problem, moving=case.dynamics is not None)
     return tuple(
         ContactGap(
             f"contact[{i}] '{touch.label}'",
@@ -50,9 +51,7 @@ def contact_gaps(problem: Problem) -> tuple[ContactGap, ...]:
             gap if abs(gap) > _ROUND_OFF * touch.size else 0.0,
             place,
         )
-        for i, (touch, (gap, place)) in enumerate(
-            zip(problem.touching, first_gaps(problem), strict=True)
-        )
+        for i, (touch, (gap, place)) in enumerate(zip(problem.touching, gaps, strict=True))
     )
 
 
@@ -61,8 +60,9 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     if not problem.touching:
         return
     far = span(problem.body)
-    for touch, (gap, _) in zip(problem.touching, first_gaps(problem), strict=True):
-        moved = float(np.linalg.norm([_size(value) for value in touch.contact.values]))
+    gaps = first_gaps(problem, moving=case.dynamics is not None)
+    for touch, (gap, _) in zip(problem.touching, gaps, strict=True):
+        moved = float(np.linalg.norm([_size(value) for value in touch.contact.values])) * case.full
         if abs(gap) > far + moved:
             yield (
                 f"contact '{touch.label}': "

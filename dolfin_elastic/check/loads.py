@@ -13,7 +13,7 @@ from dolfin_elastic.check.sums import Floats, Integrals
 from dolfin_elastic.errors import CaseError
 from dolfin_elastic.meshes.points import Points
 from dolfin_elastic.model.components import depends_on_time, vector_at
-from dolfin_elastic.model.curves import CONSTANT, RAMP
+from dolfin_elastic.model.curves import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.loads import Concentrated, Load, Places
 from dolfin_elastic.model.rigid import Rigid
 from dolfin_elastic.motions import RigidMotion
@@ -35,7 +35,7 @@ class LoadSum:
             axial.  None: this kind of load depends on more than the undeformed body.
         moment: Total moment about the origin [N m], about z in a plane; empty where
             there is none (axisymmetric), None as above.
-        time: Load parameter in statics; in motion the time when the load is largest [s].
+        time: Load parameter at the end in statics; in motion the time when the load is largest [s].
     """
 
     load: str
@@ -66,7 +66,7 @@ def load_sums(case: Case, integrals: Integrals) -> tuple[LoadSum, ...]:
 def _load_sum(case: Case, index: int, load: Load, integrals: Integrals) -> LoadSum:
     name, on = f"load[{index}] ({load.kind})", ", ".join(load.parts) or "(whole body)"
     points = _points(load, integrals)
-    default = RAMP if case.dynamics is None else CONSTANT
+    default = PROPORTIONAL if case.dynamics is None else CONSTANT
     factors = {t: (load.amplitude or default).at(t) for t in _times(case, load)}
     if depends_on_time(load.values):
         found = {t: _resultant(load, t, points, integrals) for t in factors}
@@ -96,7 +96,7 @@ def _rigid_sums(case: Case, problem: Problem) -> Iterator[LoadSum]:
 
 def _pushed(motion: RigidMotion, t: float, case: Case, dim: int) -> Floats:
     """Force and moment about the origin; what was given is about the surface's point."""
-    default = RAMP if case.dynamics is None else CONSTANT
+    default = PROPORTIONAL if case.dynamics is None else CONSTANT
     values = np.array(motion.support.at_time(motion.support.action(dim), t, default))
     both = _both(motion.centre[None, None, :dim], values[None, None, :dim])
     both[dim:] += values[dim:]
@@ -105,7 +105,7 @@ def _pushed(motion: RigidMotion, t: float, case: Case, dim: int) -> Floats:
 
 def _rigid_times(case: Case) -> list[float]:
     if case.dynamics is None:
-        return [1.0]
+        return [case.full]
     return [float(t) for t in np.linspace(0.0, case.dynamics.end, _TIMES)]
 
 
@@ -125,7 +125,7 @@ def _strength(sums: Floats, dim: int) -> float:
 def _times(case: Case, load: Load) -> list[float]:
     """When a load is looked at: at the end in statics, at many times of a motion."""
     if case.dynamics is None:
-        return [1.0]
+        return [case.full]
     if load.amplitude in (None, CONSTANT) and not depends_on_time(load.values):
         return [0.0]
     end = case.dynamics.end

@@ -14,14 +14,16 @@ from dolfin_elastic.check.hints import hints
 from dolfin_elastic.check.loads import LoadSum, load_sums
 from dolfin_elastic.check.memory import Memory, memory
 from dolfin_elastic.check.sizes import PartSize, material_sizes, region_sizes, surface_sizes
+from dolfin_elastic.check.start import start_notes
 from dolfin_elastic.check.sums import Integrals
+from dolfin_elastic.damping import check_damped
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes.body import Body, extent
 from dolfin_elastic.parts import locking_notes
 from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.alpha2 import check_alpha2
 from dolfin_elastic.solvers.buckling import Buckling
-from dolfin_elastic.solvers.contact import check_start
-from dolfin_elastic.solvers.explicit import check_explicit
+from dolfin_elastic.solvers.explicit_limits import check_explicit
 from dolfin_elastic.solvers.linear import Choice, choose
 from dolfin_elastic.solvers.modal import Modal
 from dolfin_elastic.solvers.rigid import FreeBody, check_held, free_bodies
@@ -92,8 +94,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         problem = case.make_problem(body)
         notes = (*notes, *contact_notes(case, problem))
         with located(case.file):
-            _check_start(case, problem)
-            notes = (*notes, *cavity_notes(case, problem))
+            notes = (*notes, *_start(case, problem), *cavity_notes(case, problem))
             return _found(case, body, problem, notes)
     except InputError as error:
         for note in notes:
@@ -101,14 +102,17 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         raise
 
 
-def _check_start(case: Case, problem: Problem) -> None:
-    """What the solver would refuse at its start."""
+def _start(case: Case, problem: Problem) -> tuple[str, ...]:
+    """What the solver would refuse at its start, or warn of."""
     if case.analysis in ("statics", "buckling") or case.preloaded:
         check_held(problem)
     elif case.dynamics is not None and not case.dynamics.implicit:
         check_explicit(problem, case.dynamics.scheme)
-    if case.dynamics is not None:
-        check_start(problem)
+    elif case.dynamics is not None:
+        check_damped(problem, case.dynamics.damping.get("stiffness", 0.0))
+        if case.dynamics.scheme == "alpha2":
+            check_alpha2(problem)
+    return start_notes(problem, case.dynamics) if case.dynamics is not None else ()
 
 
 def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> Report:
@@ -144,8 +148,13 @@ def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> 
         ),
         materials=material_sizes(integrals),
         loads=sums,
-        contacts=contact_gaps(problem),
-        thickness=case.mesh.metres_thick if problem.geometry in PLANE else None,
+        contacts=contact_gaps(case, problem),
+        thickness=_thickness(case, problem),
         bodies=tuple(free_bodies(problem)),
         memory=memory(problem, choice),
     )
+
+
+def _thickness(case: Case, problem: Problem) -> float | None:
+    plane = problem.body.dim == 2 and problem.geometry in PLANE
+    return case.mesh.metres_thick if plane else None

@@ -16,7 +16,7 @@ from dolfin_elastic.meshes.body import Body, Indices, extent
 from dolfin_elastic.meshes.naming import bounding_box
 from dolfin_elastic.meshes.shapes import Floats
 from dolfin_elastic.model.components import Component
-from dolfin_elastic.model.curves import CONSTANT, RAMP
+from dolfin_elastic.model.curves import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.loads import Concentrated, Load
 from dolfin_elastic.model.rigid import Rigid
 from dolfin_elastic.model.supports import NORMAL, Normal, Prescribing, Restraint, Rotation
@@ -229,7 +229,8 @@ def _contradictions(case: Case, body: Body) -> Iterator[str]:
 
 def _moved(case: Case, support: Prescribing, which: int, x: Floats) -> Floats:
     """What a support prescribes at the end [m]."""
-    t, default = (1.0, RAMP) if case.dynamics is None else (case.dynamics.end, CONSTANT)
+    motion = case.dynamics
+    t, default = (case.full, PROPORTIONAL) if motion is None else (motion.end, CONSTANT)
     return np.asarray(np.broadcast_to(support.at(which, x, t, default), len(x)))
 
 

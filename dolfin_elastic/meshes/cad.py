@@ -15,13 +15,14 @@ _SAVED = {"Mesh.MshFileVersion": 4.1, "Mesh.Binary": 1, "Mesh.SaveAll": 1}
 _OPTIONS = (*_SAVED, "Mesh.MeshSizeMax", "Mesh.MeshSizeMin", "General.Terminal")
 
 
-def meshed(path: Path, *, size: float | None, dim: int | None) -> MshFile:
+def meshed(path: Path, *, size: float | None, curved: bool, dim: int | None) -> MshFile:
     """Meshes a CAD file. Local: one rank meshes.
 
     Args:
         path: .geo, .step, .brep or .iges.
         size: Size of the elements, in the file's unit; where the file asks for finer ones, that
             holds.  None: as the file says, or a tenth of its diagonal.
+        curved: Quadratic cells that follow curved surfaces.
         dim: 2 or 3; by default 3 where there are volumes.
 
     Raises:
@@ -47,9 +48,25 @@ def meshed(path: Path, *, size: float | None, dim: int | None) -> MshFile:
             _check_count(gmsh, size, dim, path.name)
         if not len(gmsh.model.mesh.getElements(dim)[0]):  # a .geo file may mesh by itself
             gmsh.model.mesh.generate(dim)
+        if curved:
+            _bend(gmsh, dim)
         found = _saved(gmsh)
     said = "size as in the file" if size is None else f"size {size:g} (mesh.unit)"
+    said += ", cells curved" if curved else ""
     return MshFile(found.points, found.blocks, [*found.notes, f"meshed by Gmsh, {said}"])
+
+
+def _bend(gmsh: Any, dim: int) -> None:
+    """Makes the cells quadratic, on the surfaces they are to mesh.
+
+    Where one would fold over itself, in a thin wall or beside a tight fillet, Gmsh moves the nodes
+    inside, and straightens what is left.
+    """
+    gmsh.model.mesh.setOrder(2)
+    _, tags, _ = gmsh.model.mesh.getElements(dim)
+    cells = [tag for some in tags for tag in some]
+    if min(gmsh.model.mesh.getElementQualities(cells, "minSJ"), default=1.0) <= 0.0:
+        gmsh.model.mesh.optimize("HighOrder")
 
 
 MOST = 5e7

@@ -26,6 +26,7 @@ def read_body(
     comm: MPI.Comm = MPI.COMM_WORLD,
     scale: float = 1.0,
     size: float | None = None,
+    curved: bool = False,
     dim: int | None = None,
 ) -> Body:
     """Reads a mesh, or meshes a CAD file, and gives it the names the file has.
@@ -40,25 +41,27 @@ def read_body(
         comm: The ranks that share the mesh.
         scale: Metres per unit of length of the file.
         size: Size of the elements in the file's unit; only for CAD files.
+        curved: Quadratic cells that follow curved surfaces; only for CAD files, finished meshes
+            are as they are.
         dim: 2 or 3 to choose the elements; by default the highest dimension in the file.
 
     Raises:
         MeshError: The file cannot be read, or the mesh is not fit for use.
     """
     path = Path(path)
-    on_root(comm, lambda: _check_file(path, size))
+    on_root(comm, lambda: _check_file(path, size, curved))
     suffix = path.suffix.lower()
     if suffix in (".xdmf", ".xmf"):
         from dolfin_elastic.meshes.xdmf import read_xdmf
 
         body = read_xdmf(path, comm=comm, scale=scale, dim=dim)
     else:
-        read, permutation = _reader(path, suffix, size, dim)
+        read, permutation = _reader(path, suffix, lambda: _cad(path, size, curved, dim), dim)
         body = build_body(read, comm=comm, scale=scale, source=path.name, permutation=permutation)
     return replace(body, notes=(*body.notes, *inspect(body, scale=scale)))
 
 
-def _check_file(path: Path, size: float | None) -> None:
+def _check_file(path: Path, size: float | None, curved: bool) -> None:
     if not path.exists():
         folder = path.parent if path.parent.is_dir() else Path()
         known = [p.name for p in folder.iterdir() if p.suffix.lower() == path.suffix.lower()]
@@ -79,17 +82,23 @@ def _check_file(path: Path, size: float | None) -> None:
             where=path.name,
             expected=f"size is for {', '.join(CAD)}",
         )
+    if curved and not is_cad:
+        raise MeshError(
+            "cells are to follow curved surfaces, but this file is a finished mesh",
+            where=path.name,
+            expected=f"curved is for {', '.join(CAD)}; a mesh of quadratic cells is curved already",
+        )
     if size is not None and not size > 0:
         raise MeshError(f"the size of the elements must be positive, not {size}", where=path.name)
 
 
 def _reader(
-    path: Path, suffix: str, size: float | None, dim: int | None
+    path: Path, suffix: str, cad: Callable[[], RawMesh], dim: int | None
 ) -> tuple[Callable[[], RawMesh], Permutation]:
     if suffix == ".msh":
         return lambda: _msh(path, dim), cpp.io.perm_gmsh
     if suffix in CAD:
-        return lambda: _cad(path, size, dim), cpp.io.perm_gmsh
+        return cad, cpp.io.perm_gmsh
     if suffix == ".inp":
         return lambda: _abaqus(path, dim), cpp.io.perm_vtk
     return lambda: _meshio(path, dim), cpp.io.perm_vtk
@@ -114,10 +123,10 @@ def _msh(path: Path, dim: int | None) -> RawMesh:
     )
 
 
-def _cad(path: Path, size: float | None, dim: int | None) -> RawMesh:
+def _cad(path: Path, size: float | None, curved: bool, dim: int | None) -> RawMesh:
     from dolfin_elastic.meshes.cad import meshed
 
-    found = meshed(path, size=size, dim=dim)
+    found = meshed(path, size=size, curved=curved, dim=dim)
     return assemble(found.points, found.blocks, source=path.name, dim=dim, notes=found.notes)
 
 

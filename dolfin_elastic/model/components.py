@@ -55,8 +55,16 @@ def misspelt_unit(text: str, names: Collection[str] = COORDINATES) -> bool:
     return word not in names and word.replace("/", "").replace("^", "").isalnum()
 
 
-def components(written: Any, unit: str, *, may_be_free: bool = False) -> tuple[Component, ...]:
+def components(
+    written: Any, unit: str, *, key: str = "", may_be_free: bool = False
+) -> tuple[Component, ...]:
     """Reads a vector of two or three components.
+
+    Args:
+        written: The vector.
+        unit: SI unit of the components.
+        key: Whose value it is, for messages.
+        may_be_free: Whether components may be "free".
 
     Raises:
         InputError: Not a list of two or three, or a component is wrong (its index is named).
@@ -64,6 +72,7 @@ def components(written: Any, unit: str, *, may_be_free: bool = False) -> tuple[C
     if not isinstance(written, list | tuple) or len(written) not in (2, 3):
         raise InputError(
             f"{written!r} is not a vector",
+            where=key,
             expected="expected a list of 3 components (2 in a plane), for example [0, 0, -1]",
         )
     found = []
@@ -71,7 +80,7 @@ def components(written: Any, unit: str, *, may_be_free: bool = False) -> tuple[C
         try:
             found.append(component(item, unit, may_be_free=may_be_free))
         except InputError as error:
-            raise error.at(f"[{index}]") from None
+            raise error.at(f"{key}[{index}]") from None
     return tuple(found)
 
 

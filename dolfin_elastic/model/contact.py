@@ -279,7 +279,7 @@ class Contact(Placed):
     @cached_property
     def values(self) -> tuple[float | Formula, ...]:
         """The motion's components as numbers or formulas; none: the obstacle rests."""
-        return components(self.motion, "m") if self.motion else ()  # type: ignore[return-value]
+        return components(self.motion, "m", key="motion") if self.motion else ()  # type: ignore[return-value]
 
     @property
     def shape(self) -> str:

@@ -41,6 +41,11 @@ class Restraint(Placed):
         return {}
 
     @property
+    def courses(self) -> tuple[tuple[Component, ...], ...]:
+        """All that may be formulas in t."""
+        return tuple(self.vectors.values())
+
+    @property
     def at_rest(self) -> bool:
         """It moves nothing."""
         return True
@@ -107,7 +112,7 @@ class Support(Prescribing):
         """The components as numbers, formulas or None (free); none when all are held at 0."""
         if self.displacement is None:
             return ()
-        return components(self.displacement, "m", may_be_free=True)
+        return components(self.displacement, "m", key="displacement", may_be_free=True)
 
     def values_in(self, dim: int) -> tuple[Component, ...]:
         """The components in a body of 2 or 3 dimensions.
@@ -265,10 +270,7 @@ class Rotation(Prescribing):
     ) -> tuple[Component, ...]:
         if written is None:
             return ()
-        try:
-            found = components(written, "m")
-        except InputError as error:
-            raise (error.at(key + error.where)) from None
+        found = components(written, "m", key=key)
         for item in found:
             if isinstance(item, Formula) and not set(item.names) <= set(allowed):
                 wanted = "numbers or formulas in t" if allowed else "numbers"
@@ -281,10 +283,9 @@ class Rotation(Prescribing):
     def turn(self) -> Component:
         """The angle [rad] as a number or formula."""
         text = self.angle
-        if isinstance(text, str) and not is_quantity(text) and not misspelt_unit(text, ("t",)):
-            return Formula.parse(text, allowed=("t",))
+        formula = isinstance(text, str) and not (is_quantity(text) or misspelt_unit(text, ("t",)))
         try:
-            return to_si(text, "rad")
+            return Formula.parse(text, allowed=("t",)) if formula else to_si(text, "rad")
         except InputError as error:
             raise error.at("angle") from None
 
@@ -305,6 +306,11 @@ class Rotation(Prescribing):
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:
         """See `Restraint`."""
         return {"point": self.centre, "displacement": self.shift}
+
+    @property
+    def courses(self) -> tuple[tuple[Component, ...], ...]:
+        """See `Restraint`."""
+        return (*super().courses, (self.turn,))
 
     @property
     def at_rest(self) -> bool:

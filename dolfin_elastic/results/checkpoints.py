@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -39,7 +39,7 @@ from dolfin_elastic.results.files import make_folder, replace_text, sync, writin
 from dolfin_elastic.results.order import Order
 from dolfin_elastic.results.sums import sum_of
 from dolfin_elastic.results.writer import Every
-from dolfin_elastic.schema import Record
+from dolfin_elastic.schema import Idle, Record, refuse_idle
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 from dolfin_elastic.units import Time
@@ -49,7 +49,7 @@ Array = npt.NDArray[Any]
 log = logging.getLogger("dolfin_elastic")
 
 FOLDER, CASE = "checkpoints", "case.toml"
-FORMAT = 1
+FORMAT = 2
 _NAME = re.compile(r"step_(\d{6,})\.json")
 _UNREADABLE = (OSError, KeyError, RuntimeError, TypeError, ValueError)
 
@@ -80,6 +80,13 @@ class Checkpoint(Record):
                 expected=f'for example "10 min", {{every = {value:g}}} for steps, or false',
             )
         return {"time": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _off(self) -> Self:
+        if self.off:
+            rule = Idle(["time", "every", "keep"], "there are no checkpoints with off = true")
+            refuse_idle(self, [rule])
+        return self
 
 
 @dataclass

@@ -64,7 +64,9 @@ class Drawer:
         code = self._process.wait()
         self._said.seek(0)
         said = (self._said.read().strip().splitlines() or [f"exit code {code}"])[-1]
-        return OutputError(f"cannot draw a picture: {said}; pyvista and Xvfb are needed")
+        # Faults of files, such as a full disk, have numbers.
+        needed = "" if "Errno" in said else "; pyvista and Xvfb are needed"
+        return OutputError(f"cannot draw a picture: {said}{needed}")
 
     def close(self) -> None:
         """Ends the process and the display."""

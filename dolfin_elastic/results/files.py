@@ -76,7 +76,7 @@ def sync(path: Path) -> None:
 def shortened(path: Path, what: str) -> RestartError:
     """The error of results that are not there any more. Not collective."""
     return RestartError(
-        f"{what} at the checkpoint are not in the file any more",
+        f"{what} that the checkpoint knows of are not there",
         where=str(path),
         expected="put the results back as the run has left them, or compute the case anew",
     )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from dolfin_elastic.parallel import on_root
 from dolfin_elastic.results.files import make_folder, shortened, sync, writing
 from dolfin_elastic.results.writer import Numbers
-from dolfin_elastic.state import Audit, State
+from dolfin_elastic.state import Audit, State, plain
 from dolfin_elastic.timing import stage
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class HistoryWriter:
 
     def _reopen(self, size: int) -> None:
         if not self.path.is_file() or self.path.stat().st_size < size:
-            raise shortened(self.path, "all rows")
+            raise shortened(self.path, "rows")
         with writing(self.path):
             self._file = self.path.open("r+b", buffering=0)
             head = self._file.readline() if size else b""
@@ -109,8 +109,8 @@ def row(state: State) -> dict[str, Number | str]:
     """Column to value of one step, in the columns' order."""
     values: dict[str, Number] = {
         "step": state.step,
-        "t": state.t,
-        "load_factor": state.load_factor,
+        "t": plain(state.t),
+        "load_factor": plain(state.load_factor),
         "newton": state.newton,
         "krylov": state.krylov,
         "max_displacement": state.max_displacement,

@@ -23,6 +23,7 @@ from dolfin_elastic.meshes.selectors import MeshLength, metres
 from dolfin_elastic.parallel import total
 from dolfin_elastic.results.averages import NODAL, SurfaceMean, check_surface
 from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.history import row
 from dolfin_elastic.schema import Record
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
@@ -214,7 +215,7 @@ class Probe:
             InputError: A probe's column has the name of another number.
         """
         found = self.numbers(state)
-        if twice := found.keys() & state.numbers.keys():
+        if twice := found.keys() & row(state).keys():
             raise InputError(
                 f"there are two results called '{min(twice)}'",
                 where="output.probes",

@@ -23,7 +23,7 @@ from dolfin_elastic.results.files import make_folder, replace_text
 from dolfin_elastic.results.modes import row
 from dolfin_elastic.results.worst import Worst
 from dolfin_elastic.results.writer import Kept, Numbers
-from dolfin_elastic.state import Mode, State
+from dolfin_elastic.state import Mode, State, plain
 from dolfin_elastic.version import __version__
 
 if TYPE_CHECKING:
@@ -207,8 +207,8 @@ def _numbers(state: State) -> dict[str, Any]:
     return {
         **_NUMBERS,
         "steps": state.step,
-        "t": state.t,
-        "load_factor": state.load_factor,
+        "t": plain(state.t),
+        "load_factor": plain(state.load_factor),
         "max_displacement": state.max_displacement,
         "strain_energy": state.energies.get("strain"),
         "energies": dict(state.energies),

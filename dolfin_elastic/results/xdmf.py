@@ -40,7 +40,7 @@ from dolfin_elastic.results.files import make_folder, replace_text, shortened, s
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.heavy import Rows
 from dolfin_elastic.results.writer import Every, Kept, Numbers
-from dolfin_elastic.state import State
+from dolfin_elastic.state import State, plain
 from dolfin_elastic.timing import stage
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class XdmfWriter:
         meshes = {mesh for frame in frames for mesh in _MESH.findall(frame)}
         needed = meshes | {f"{number:06d}.h5" for number in range(count)}
         if len(frames) < count or any(not (self.data / name).is_file() for name in needed):
-            raise shortened(self.path, "all steps")
+            raise shortened(self.path, "steps")
         if count:
             replace_text(self.path, _light(frames), lasting=True)
         else:
@@ -178,7 +178,7 @@ class XdmfWriter:
         )
         return (
             f'<Grid Name="step {state.step}" GridType="Uniform">\n{self._mesh_xml}'
-            f'<Time Value="{state.t!r}"/>\n{attributes}</Grid>\n'
+            f'<Time Value="{plain(state.t)!r}"/>\n{attributes}</Grid>\n'
         )
 
     def close(self, status: str = "completed", error: object = None) -> None:

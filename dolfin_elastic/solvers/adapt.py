@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 import ctypes
-from functools import lru_cache
 
 from petsc4py import PETSc
 
-
-@lru_cache(maxsize=1)
-def _library() -> ctypes.CDLL:
-    return ctypes.CDLL(PETSc.__file__)
-
-
-def _check(error: int) -> None:
-    if error:
-        raise PETSc.Error(error)
+from dolfin_elastic.solvers.petsc_library import check, library
 
 
 def choose(ts: PETSc.TS, order: int) -> tuple[float, bool]:
     """Asks TSAdapt whether a step was good enough, and for the next one. Collective.
 
-    TS calls back for the solution that the one at hand is compared with, `evaluatestep`.
+    TS calls back for the solution that the one at hand is compared with, `evaluatestep`.  Where
+    steps are cut short, for a time that must be met, is for the caller to say: it would be
+    forgotten how long they might have been.
 
     Args:
         ts: Holds the new solution; its time is still that of the old one.
@@ -30,14 +23,15 @@ def choose(ts: PETSc.TS, order: int) -> tuple[float, bool]:
     Returns:
         The next step [s], and whether the present one is accepted.
     """
-    library = _library()
+    petsc, last = library(), ts.getMaxTime()
+    ts.setMaxTime(float("inf"))
     handle, adapt = ctypes.c_void_p(ts.handle), ctypes.c_void_p()
     integer = ctypes.c_int if PETSc.IntType().itemsize == 4 else ctypes.c_int64
     scheme, accepted, h = integer(), ctypes.c_int(1), ctypes.c_double()
-    _check(library.TSGetAdapt(handle, ctypes.byref(adapt)))
-    _check(library.TSAdaptCandidatesClear(adapt))
-    _check(
-        library.TSAdaptCandidateAdd(
+    check(petsc.TSGetAdapt(handle, ctypes.byref(adapt)))
+    check(petsc.TSAdaptCandidatesClear(adapt))
+    check(
+        petsc.TSAdaptCandidateAdd(
             adapt,
             b"",
             integer(order),
@@ -47,8 +41,8 @@ def choose(ts: PETSc.TS, order: int) -> tuple[float, bool]:
             ctypes.c_int(1),
         )
     )
-    _check(
-        library.TSAdaptChoose(
+    check(
+        petsc.TSAdaptChoose(
             adapt,
             handle,
             ctypes.c_double(ts.getTimeStep()),
@@ -57,4 +51,5 @@ def choose(ts: PETSc.TS, order: int) -> tuple[float, bool]:
             ctypes.byref(accepted),
         )
     )
+    ts.setMaxTime(last)
     return h.value, bool(accepted.value)

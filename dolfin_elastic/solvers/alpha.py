@@ -74,9 +74,9 @@ class Scheme:
         """Backward Euler: u1 = u0 + h v1, v1 = v0 + h a1; of first order, damps strongly."""
         return cls(0.0, 0.0, 1.0, 1.0, 0.0)
 
-    def acceleration(self, du: Vector, v0: Vector, a0: Vector, h: float) -> Vector:
-        """a1 from du = u1 - u0."""
-        return np.asarray(((du / h - v0) / h - self.start * a0) / self.beta)
+    def acceleration(self, off: Vector, a0: Vector, h: float) -> Vector:
+        """a1 from how far u1 is off what was `predicted`."""
+        return np.asarray(a0 + off / (self.beta * h * h))
 
     def velocity(self, v0: Vector, a0: Vector, a1: Vector, h: float) -> Vector:
         """v1 from both accelerations."""
@@ -113,6 +113,24 @@ class Scheme:
         """
         first = h * h * ((self.start - 1 / 3) * a[0] + (self.beta - 1 / 6) * a[1])
         lag = self.gamma - 0.5 - self.alpha_f + self.alpha_m
-        if abs(self.beta - 1 / 6) < 1e-3 and abs(lag) < 1e-12:
-            first = h * h / 12 * (a[1] - a[0])  # what the linear acceleration itself leaves
         return np.asarray(first + lag * h * h * (a[1] - a[0]))
+
+
+def newmark(beta: float | None, gamma: float | None) -> tuple[float, float]:
+    """Beta and gamma, where they are not given those that damp most: gamma = 1/2 damps nothing."""
+    gamma = gamma or 0.5
+    return beta or 0.25 * (gamma + 0.5) ** 2, gamma
+
+
+def limit(beta: float, gamma: float) -> str:
+    """Why Newmark's method with these is not stable with any step; nothing where it is.
+
+    Source: T. J. R. Hughes, The Finite Element Method (2000), section 9.1.
+    """
+    if 2 * beta >= gamma:
+        return ""
+    most = (gamma / 2 - beta) ** -0.5
+    return (
+        f"with beta below gamma/2 newmark is stable for omega dt up to {most:.3g} only, "
+        "omega that of the stiffest motion of the mesh"
+    )

@@ -12,11 +12,28 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.errors import InputError
-from dolfin_elastic.solvers.moving import Moving
+from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.moving import Forces, Moving
 from dolfin_elastic.solvers.newton import Newton
+from dolfin_elastic.solvers.saddle import exactly
 from dolfin_elastic.solvers.stepper import FAILURES, Done
 
 Vector = npt.NDArray[np.float64]
+
+
+def check_alpha2(problem: Problem) -> None:
+    """What the scheme cannot follow. Not collective.
+
+    Raises:
+        InputError: A material cannot be compressed.
+    """
+    if exactly(problem):
+        raise InputError(
+            "PETSc's 'alpha2' asks for volumes at its stages: the pressure of what cannot be "
+            "compressed swings the more, the smaller dt is",
+            where="dynamics.scheme",
+            expected="generalized-alpha, which asks for them at the ends of steps",
+        )
 
 
 class Alpha2:
@@ -80,12 +97,29 @@ class Alpha2:
         if len(extras):
             U.array_w[extras] = self.problem.w.x.array[extras]
         self.assembler.put(U)
-        v = V.array_r[moves]
-        self.at_end.x.array[:size] = (v - self.v.x.array[:size]) / h
+        before, v = self.v.x.array[:size].copy(), V.array_r[moves].copy()
+        self.at_end.x.array[:size] = (v - before) / h
         self.at_end.x.scatter_forward()
         self.v.x.array[:size] = v
         self.v.x.scatter_forward()
-        self.done = forces, forces, self.problem.w.x.array[moves] - self._w[moves]
+        self.done = forces, *self._in_the_middle(before, v, self._start + h)
+
+    def start(self, t: float) -> None:
+        """Lets `assembler.balance` hold the forces of the first state. Collective."""
+        size = len(self.moving.moves)
+        self.moving.forces_at(t, self.v.x.array[:size], self.at_end.x.array[:size])
+
+    def _in_the_middle(self, before: Vector, after: Vector, t: float) -> tuple[Forces, Vector]:
+        """Mean of the forces at both ends of the step, with its mean acceleration, and its way."""
+        w, size = self.problem.w.x, self.assembler.size
+        a, ends = self.at_end.x.array[: len(before)], []
+        there = w.array[:size].copy()
+        for place, v, time in ((self._w, before, self._start), (there, after, t)):
+            w.array[:size] = place
+            w.scatter_forward()
+            self.problem.unknowns.tell()
+            ends.append(self.moving.forces_at(time, v, a))
+        return ends[0].mean(ends[1]), there[self.moving.moves] - self._w[self.moving.moves]
 
     def _function(
         self, ts: PETSc.TS, t: float, U: PETSc.Vec, V: PETSc.Vec, A: PETSc.Vec, F: PETSc.Vec

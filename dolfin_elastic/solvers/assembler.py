@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +51,8 @@ class Assembler:
         cell: Macroscopic stress of a periodic cell, or None.
         tilted: Owned entries of the components at tilted nodes, of shape (nodes, dim).
         gap: Largest |x - g| over prescribed entries at the last residual [m].
+        origin: What vectors of unknowns are counted from: zeros, or what is known of a step of a
+            motion, for accelerations are differences of places and would lose their digits far out.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class Assembler:
         self._map, self._bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
         self._dim = problem.body.dim
         self.size = self._map.size_local * self._bs
+        self.origin: Vector = np.zeros(self.size)
         self.balance, self._lift = self._vector(), self._vector()
         held, places = problem.prescribed, problem.unknowns.places
         self._held, self.fixed = held.owned, places(held.owned)
@@ -127,11 +130,11 @@ class Assembler:
 
     def get(self, x: PETSc.Vec) -> None:
         """Copies the problem's unknowns into a vector."""
-        x.array_w[:] = self.problem.w.x.array[: self.size]
+        x.array_w[:] = self.problem.w.x.array[: self.size] - self.origin
 
     def put(self, x: PETSc.Vec) -> None:
         """Copies a vector into the problem's unknowns, ghosts included."""
-        self.problem.w.x.array[: self.size] = x.array_r
+        self.problem.w.x.array[: self.size] = self.origin + x.array_r
         self.problem.w.x.scatter_forward()
         self.problem.unknowns.tell()
 
@@ -352,10 +355,10 @@ class Assembler:
         nodal = self.nodal(form)[self.moves].reshape(-1, self._dim)
         return np.asarray(self.comm.allreduce(nodal.sum(axis=0), op=MPI.SUM))
 
-    def holding_forces(self) -> Vector:
-        """Nodal forces of all that holds by forces, at the present state, owned entries [N]."""
+    def holding_forces(self, known: Collection[str] = ()) -> Vector:
+        """Nodal forces of all that holds by forces, but for labels that are known, owned [N]."""
         forces = np.zeros(self.size)
-        for form in self._holding.values():
+        for form in (form for label, form in self._holding.items() if label not in known):
             forces += self.nodal(form)
         return forces
 
@@ -367,8 +370,8 @@ class Assembler:
         return float(self.comm.allreduce(float(np.max(lengths, initial=0.0)), op=MPI.MAX))
 
     def max_unknown(self) -> float:
-        """Largest entry of all unknowns [m]."""
-        own = self.problem.w.x.array[: self.size]
+        """Largest entry of all unknowns, from `origin` [m]."""
+        own = self.problem.w.x.array[: self.size] - self.origin
         return float(self.comm.allreduce(float(np.max(np.abs(own), initial=0.0)), op=MPI.MAX))
 
     def largest_unbalance(self) -> tuple[float, Vector]:

@@ -23,6 +23,8 @@ from dolfin_elastic.solvers.contact import off_obstacle
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.jump import SMALL, round_off
 from dolfin_elastic.solvers.macroscopic import Macroscopic
+from dolfin_elastic.solvers.small_strains import SmallStrains
+from dolfin_elastic.solvers.words import coordinates
 from dolfin_elastic.state import Audit
 
 log = logging.getLogger("dolfin_elastic")
@@ -34,10 +36,6 @@ its default tolerance."""
 
 STORED = 1e-6
 """Share of work and energy that is let pass beyond the bound of the trapezoidal rule."""
-
-SMALL_STRAINS = 0.1
-"""|grad u| up to which laws for small strains may be trusted: they leave out terms of its square,
-one percent."""
 
 
 @dataclass
@@ -55,6 +53,16 @@ class _Last:
     forces: Floats
     energy: float
     change: float
+
+
+@dataclass
+class Found:
+    """What was measured of a step, see `Audit`."""
+
+    force: float
+    moment: float
+    work: float
+    energy: float
 
 
 class Auditor:
@@ -75,7 +83,7 @@ class Auditor:
         self._work = self._stored = self._blur = 0.0
         self._unbalanced = False  # the last state was no equilibrium
         self._warned: dict[str, str] = {}
-        self._far = ""
+        self._strains = SmallStrains(problem, watch)
 
     def of(self, t: float, energy: float) -> Audit:
         """The audit of the step that the problem and the assembler are in. Collective.
@@ -101,18 +109,23 @@ class Auditor:
             self._follow(forces, u, energy, energy_noise, reasons)
         else:
             reasons["energy"] = "the strain energy has no finite value"
+        stored = self._stored if np.isfinite(energy) else np.nan
+        found = Found(force, moment, self._work, stored)
+        self._strains.look(self._when(t))
+        return self._verdict(t, reasons, found, self._notes(energy))
+
+    def _verdict(
+        self, t: float, reasons: dict[str, str], found: Found, notes: tuple[str, ...]
+    ) -> Audit:
+        """The audit, once det F has been looked at and reasons have been told. Collective."""
         low, high = self._watch.extremes()
         if not low[0] > 0.0:
             reasons["jacobian"] = (
-                f"a cell is inside out: det F = {low[0]:.3g} at {in_words(low[1])} m"
+                f"a cell is inside out: det F = {low[0]:.3g} at {coordinates(low[1])} m"
             )
         self._warn(t, reasons)
-        self._watch_strains(t)
         return Audit(
-            force=force,
-            moment=moment,
-            work=self._work,
-            energy=self._stored if np.isfinite(energy) else np.nan,
+            **vars(found),
             min_jacobian=low[0],
             max_jacobian=high[0],
             min_place=tuple(float(x) for x in low[1][: self._dim]),
@@ -120,21 +133,8 @@ class Auditor:
             verdict="warn" if reasons else "pass",
             reasons=tuple(reasons.values()),
             so_far=tuple(self._warned.values()),
-            notes=self._notes(energy),
+            notes=notes,
         )
-
-    def _watch_strains(self, t: float) -> None:
-        """Says once that a law for small strains is used outside of them. Collective."""
-        steepest, place = self._watch.steepest()
-        if steepest <= SMALL_STRAINS or self._far:
-            return
-        names = ", ".join(sorted({p.law.name() for p in self._problem.parts if p.law.linear}))
-        self._far = (
-            f"the law {names} is for small strains and rotations, but |grad u| is {steepest:.2g} "
-            f"at {in_words(place[: self._dim])} m (load factor {t:.6g}): st-venant-kirchhoff or "
-            "neo-hookean follow large ones"
-        )
-        log.warning("%s", self._far)
 
     def kept(self) -> dict[str, Any]:
         """What the next audit needs of those before, but for what the state itself tells."""
@@ -146,7 +146,7 @@ class Auditor:
             "energy": last.energy if last else 0.0,
             "change": last.change if last else 0.0,
             "unbalanced": self._unbalanced,
-            "far": self._far,
+            "far": self._strains.note,
         }
 
     def go_on(self, kept: Mapping[str, Any]) -> None:
@@ -156,7 +156,7 @@ class Auditor:
             forces = self._inside(forces.shape)
         self._last = _Last(u, forces, kept["energy"], kept["change"])
         self._work, self._stored = kept["work"], kept["stored"]
-        self._warned, self._far = dict(kept["warned"]), kept["far"]
+        self._warned, self._strains.note = dict(kept["warned"]), kept["far"]
 
     def _present(self) -> tuple[list[Floats], Floats, Floats]:
         """Nodal forces by origin (none of a cell), their sum, and what they move. Collective."""
@@ -168,7 +168,7 @@ class Auditor:
         return outside, forces, u
 
     def _notes(self, energy: float) -> tuple[str, ...]:
-        notes = [self._far] if self._far else []
+        notes = [self._strains.note] if self._strains.note else []
         if self._problem.cell is not None:
             notes.append("no balance of forces and moments: its neighbours hold a periodic cell")
         elif self._problem.geometry == "axisymmetric":
@@ -335,8 +335,3 @@ def _cross(x: Floats, force: Floats) -> Floats:
     if x.shape[1] == 2:
         return np.asarray(x[:, :1] * force[:, 1:] - x[:, 1:] * force[:, :1])
     return np.asarray(np.cross(x, force))
-
-
-def in_words(place: Floats) -> str:
-    """A place [m]."""
-    return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 from pydantic import Field
@@ -35,15 +36,16 @@ from dolfin_elastic.model.components import depends_on_time
 from dolfin_elastic.model.curves import Amplitude
 from dolfin_elastic.parallel import largest
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.schema import Record
-from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.schema import Record, settled
+from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.critical import Critical
 from dolfin_elastic.solvers.eigen import DIRECT_LIMIT, Pair, prefixed
 from dolfin_elastic.solvers.linear import Choice, LinearSettings, factorising
+from dolfin_elastic.solvers.preloaded import Preloaded
 from dolfin_elastic.solvers.rigid import check_held
-from dolfin_elastic.solvers.shapes import at_rest, refuse, shape, shared
+from dolfin_elastic.solvers.shapes import at_rest, refuse, shape
 from dolfin_elastic.solvers.stability import Stability
-from dolfin_elastic.solvers.statics import Statics, StaticsSettings
+from dolfin_elastic.solvers.statics import StaticsSettings
 from dolfin_elastic.state import Mode, State
 from dolfin_elastic.timing import stage
 
@@ -56,6 +58,9 @@ STRAIN = 1e-3
 The strain is smaller still: at 1e-4 the error of the central difference is about 1e-8, and
 round-off 1e-12, of the stiffness per unit strain.
 """
+
+LARGE = 0.05
+"""Mean strain from which a linearised state is far from the one at the load factor."""
 
 SHARE = 1e-3
 """Difference of the load over which its forces are differentiated, which are linear in it."""
@@ -77,7 +82,7 @@ class BucklingSettings(Record):
     tolerance: float = Field(default=1e-9, gt=0, lt=1)
 
 
-class Buckling:
+class Buckling(Preloaded):
     """Finds the load factors at which a problem buckles, and the modes.
 
     Args:
@@ -98,11 +103,9 @@ class Buckling:
         petsc: Mapping[str, Any] | None = None,
         **fields: Any,
     ) -> None:
-        if settings is not None and fields:
-            raise TypeError(f"give settings or keywords, not both: {', '.join(fields)}")
-        self.problem, self.settings = problem, settings or BucklingSettings(**fields)
-        self.statics, self.linear = statics or StaticsSettings(), linear or LinearSettings()
-        self.petsc = {**self.linear.petsc, **(petsc or {})}
+        super().__init__(problem, statics, linear, petsc)
+        self.settings = settled(BucklingSettings, settings, fields)
+        self._check_way("buckling.preload", self.settings.preload)
         refuse(problem, "buckling", loaded=True)
         _check_laws(problem)
         _check_proportional(problem)
@@ -128,15 +131,10 @@ class Buckling:
         check_held(self.problem)
         share = self.settings.preload
         if share > 0.0:
-            settings = self.statics.model_copy(update={"end": share})
-            yield from Statics(self.problem, settings, linear=self.linear, petsc=self.petsc).steps()
+            yield from self._load(self.statics.model_copy(update={"end": share}))
         else:
             at_rest(self.problem)
         yield from self.about_this_state()
-
-    def modes(self) -> Iterator[Mode]:
-        """Yields the modes only. Collective."""
-        yield from (found for found in self.steps() if isinstance(found, Mode))
 
     def about_this_state(self) -> Iterator[Mode]:
         """Yields the modes about the present state of the problem. Collective."""
@@ -146,6 +144,7 @@ class Buckling:
             pairs = self._pairs(path)
         finally:
             path.destroy()
+        self._warn_of_strains(pairs, path.straining)
         base = fem.Function(self.problem.V, name="displacement")
         base.x.array[:] = self.problem.u.x.array
         for k, pair in enumerate(pairs, start=1):
@@ -156,6 +155,19 @@ class Buckling:
                 base=base,
                 eigenvalue=pair.value,
                 done=k / len(pairs),
+            )
+
+    def _warn_of_strains(self, pairs: list[Pair], straining: float) -> None:
+        """Says where what is linearised is far from what it is used for."""
+        away = min((p.value for p in pairs), key=lambda v: abs(v - self.settings.preload))
+        strain = abs(away - self.settings.preload) * straining
+        if strain > LARGE:
+            log.warning(
+                "on the way to load factor %.6g the body is strained by %.2g %% (mean), too "
+                "much for a linearised state: a buckling.preload a little below it, or a path with "
+                'statics.method = "arc-length"',
+                away,
+                100 * strain,
             )
 
     def _pairs(self, path: _Path) -> list[Pair]:
@@ -169,7 +181,7 @@ class Buckling:
                 path.rate,
                 sign=sign,
                 choice=self.choice,
-                users=shared(self.petsc)[1] if self.settings.preload else self.petsc,
+                users=self.of_modes(loaded=self.settings.preload > 0.0),
                 tolerance=self.settings.tolerance,
             )
             pairs = critical.lowest(wanted)
@@ -199,6 +211,7 @@ class _Path:
     Attributes:
         stiffness: K(s0), ones on the diagonal where displacements are prescribed.
         rate: dK/ds, zero there.
+        straining: Rate of the strain along the path, root of its mean square.
     """
 
     def __init__(self, problem: Problem, share: float) -> None:
@@ -221,6 +234,7 @@ class _Path:
             raise InputError(
                 "no load deforms the body", where="load", expected="at least one that does"
             )
+        self.straining = self._straining(along)
         step = STRAIN * cell_size(problem.body) / top
         self.rate: PETSc.Mat = self._tangent(kept + step * along, self._share + step).copy()
         before = self._tangent(kept - step * along, self._share - step)
@@ -269,6 +283,18 @@ class _Path:
             thing.destroy()
         return np.array(along.x.array)
 
+    def _straining(self, along: Vector) -> float:
+        """Root of the mean square of dE/ds = sym(F^T dF/ds), E = (F^T F - I)/2."""
+        problem, w = self._problem, fem.Function(self._problem.W)
+        w.x.array[:] = along
+        rate = ufl.sym(problem.F(problem.w).T * (problem.F(w) - ufl.Identity(3)))
+        forms = [ufl.inner(rate, rate), problem.constant(1.0)]
+        volume = problem.volume(None, 2)
+        square, whole = (
+            integral(problem, form) for form in compiled(problem, [f * volume for f in forms])
+        )
+        return float(np.sqrt(square / whole))
+
     def _residual(self, values: Vector, share: float) -> Vector:
         self._put(values, share)
         assembler = self._assembler
@@ -299,10 +325,16 @@ def _check_laws(problem: Problem) -> None:
 
 
 def _check_proportional(problem: Problem) -> None:
-    """One factor multiplies all."""
+    """There is something to multiply, and one factor multiplies all."""
+    if not problem.loads and all(support.at_rest for support in problem.supports):
+        raise InputError(
+            "no load deforms the body",
+            where="load",
+            expected="at least one, or a support that moves",
+        )
     own = {"load": [load.amplitude is not None for load in problem.loads], "support": []}
     for support in problem.supports:
-        timed = any(depends_on_time(values) for values in support.vectors.values())
+        timed = any(depends_on_time(course) for course in support.courses)
         timed = timed or getattr(support, "curve", None) is not None
         own["support"].append(timed and not support.at_rest)
     for key, rows in own.items():

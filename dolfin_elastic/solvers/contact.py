@@ -12,15 +12,17 @@ from dolfinx import fem
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes.body import Indices, span
-from dolfin_elastic.model.curves import RAMP
+from dolfin_elastic.model.curves import CONSTANT, PROPORTIONAL
 from dolfin_elastic.parallel import largest, smallest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.progress import Progress
+from dolfin_elastic.solvers.words import coordinates
 from dolfin_elastic.state import Mode, State
 from dolfin_elastic.touching import Touching
 
 Floats = npt.NDArray[np.float64]
+Gap = tuple[float, tuple[float, ...]]
 States = Generator[State | Mode, None, None]
 log = logging.getLogger("dolfin_elastic")
 
@@ -180,42 +182,63 @@ def nearest_gap(touch: Touching) -> float:
     return smallest(touch.comm, float(np.min(touch.gaps()[0], initial=np.inf)))
 
 
-def begin_motion(problem: Problem) -> None:
+def begin_motion(problem: Problem, *, tell: bool) -> None:
     """Motion has penalties alone, and softer ones. Collective.
+
+    Args:
+        problem: What moves, where it begins.
+        tell: Say what begins in an obstacle.
 
     Raises:
         InputError: See `check_start`.
     """
-    check_start(problem)
-    for touch in problem.touching:
+    for touch, (gap, place) in zip(
+        problem.touching, check_start(problem, moving=True), strict=True
+    ):
+        if tell and gap < -touch.tolerance:
+            log.warning(
+                "at the start '%s' lies %.3g m deep in its obstacle, at %s m: what the penalty "
+                "stores there throws it off",
+                touch.label,
+                -gap,
+                coordinates(place),
+            )
         touch.soften(SOFT)
         touch.lam.x.array[:] = 0.0
 
 
-def check_start(problem: Problem) -> None:
-    """No surface begins deep inside its obstacle. Collective.
+def check_start(problem: Problem, *, moving: bool) -> list[Gap]:
+    """No surface begins deep inside its obstacle; returns `first_gaps`. Collective.
+
+    Args:
+        problem: What may touch.
+        moving: See `first_gaps`.
 
     Raises:
         InputError: With place and depth.
     """
-    for index, (touch, (gap, place)) in enumerate(
-        zip(problem.touching, first_gaps(problem), strict=True)
-    ):
+    gaps = first_gaps(problem, moving=moving)
+    for index, (touch, (gap, place)) in enumerate(zip(problem.touching, gaps, strict=True)):
         if gap < -touch.size:
-            text = ", ".join(f"{x:.4g}" for x in place)
             raise InputError(
                 f"at the start '{touch.label}' lies {-gap:.3g} m deep in the obstacle, "
-                f"at ({text}) m",
+                f"at {coordinates(place)} m",
                 where=f"contact[{index}].{touch.contact.shape}",
                 expected=f"at most a cell deep, {touch.size:.3g} m; "
                 "does the normal point to the free side?",
             )
+    return gaps
 
 
-def first_gaps(problem: Problem) -> list[tuple[float, tuple[float, ...]]]:
-    """Smallest gap of each contact at the start [m], and where [m]. Collective."""
+def first_gaps(problem: Problem, *, moving: bool) -> list[Gap]:
+    """Smallest gap of each contact at the start [m], and where [m]. Collective.
+
+    Args:
+        problem: What may touch.
+        moving: In motion, where what names no curve acts in full from the start.
+    """
     if problem.touching:
-        problem.set_time(0.0, default=RAMP)
+        problem.set_time(0.0, default=CONSTANT if moving else PROPORTIONAL)
     found = []
     for touch in problem.touching:
         gaps = touch.gaps()[0]

@@ -26,11 +26,12 @@ from dolfin_elastic.parallel import largest
 from dolfin_elastic.solvers import modes, words
 from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.contact import none_touching, pulled_off
-from dolfin_elastic.solvers.evidence import Cells, Fault, not_finite, text_of
+from dolfin_elastic.solvers.evidence import Cells, Fault, not_finite
 from dolfin_elastic.solvers.guard import PATIENCE
 from dolfin_elastic.solvers.pieces import loose
 from dolfin_elastic.solvers.progress import ANOTHER, BEYOND, UNSTABLE, Progress
 from dolfin_elastic.solvers.stability import LIMIT
+from dolfin_elastic.solvers.words import coordinates
 from dolfin_elastic.timing import stage
 
 Array = npt.NDArray[np.float64]
@@ -170,7 +171,7 @@ class _Doctor:
             start, advice = "the load pulls it off its obstacles, and then ", words.LIFTED
         if found is None:
             return None
-        what = "the body" if found.whole else f"a piece of it about {text_of(found.place)} m"
+        what = "the body" if found.whole else f"a piece of it about {coordinates(found.place)} m"
         what += f" ({found.name})" if found.name and not found.whole else ""
         text = f"{start}nothing holds {what}: as a rigid body it can {', '.join(found.motions)}"
         return self._make("rigid-motion", text, advice, found.place)
@@ -218,7 +219,7 @@ class _Doctor:
         worst = self.worst[0]
         J, place = (bad.jacobian, bad.place) if bad.place else (worst.jacobian, worst.place)
         place = place[: self.problem.body.dim]
-        text = f"{start}a cell turned inside out (det F = {J:.3g}, at {text_of(place)} m)"
+        text = f"{start}a cell turned inside out (det F = {J:.3g}, at {coordinates(place)} m)"
         if count:
             text += f"; the last iterate has {words.count(count, 'such cell')} in {self._names()}"
         return self._make("inverted", text, words.SMALLER, place)

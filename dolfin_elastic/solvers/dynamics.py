@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from dolfinx import fem
 from petsc4py import PETSc
-from pydantic import Field, model_validator
+from pydantic import Field, field_serializer, field_validator, model_validator
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.kept import Kept, Restore
 from dolfin_elastic.model.components import Component, components, depends_on_time
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.schema import Record
-from dolfin_elastic.solvers.alpha import Scheme
+from dolfin_elastic.schema import Idle, Record, refuse_idle, settled, shown
+from dolfin_elastic.solvers.alpha import Scheme, limit, newmark
+from dolfin_elastic.solvers.alpha2 import check_alpha2
 from dolfin_elastic.solvers.contact import begin_motion
 from dolfin_elastic.solvers.explicit import SCHEMES as EXPLICIT
 from dolfin_elastic.solvers.explicit import Explicit
@@ -23,8 +26,11 @@ from dolfin_elastic.solvers.implicit import Implicit
 from dolfin_elastic.solvers.initial import set_initial
 from dolfin_elastic.solvers.linear import LinearSettings
 from dolfin_elastic.solvers.scalars import refuse_scalars
+from dolfin_elastic.solvers.schedule import refuse_beyond
 from dolfin_elastic.state import State
 from dolfin_elastic.units import Force, Rate, Time
+
+log = logging.getLogger("dolfin_elastic")
 
 
 class Rayleigh(Record):
@@ -44,9 +50,14 @@ class Rayleigh(Record):
     @classmethod
     def _short(cls, value: Any) -> Any:
         """Two numbers stand for both."""
-        if isinstance(value, list | tuple) and len(value) == 2:
-            return {"mass": value[0], "stiffness": value[1]}
-        return value
+        if not isinstance(value, list | tuple):
+            return value
+        if len(value) != 2:
+            raise InputError(
+                f"{len(value)} factors given",
+                expected="expected two, [a, b], or {mass = a, stiffness = b}",
+            )
+        return {"mass": value[0], "stiffness": value[1]}
 
 
 class DynamicsSettings(Record):
@@ -60,12 +71,12 @@ class DynamicsSettings(Record):
         end: When it ends [s]; it starts at 0.
         dt: Time step [s].  Implicit: needed; the first step if adaptive.  Explicit: the stable
             step times `safety` if not given; a larger one than the stable one is refused.
-        adaptive: Let the error estimate choose the implicit step.
+        adaptive: Let the error estimate choose the implicit step (not that of "alpha2").
         tolerance: Error a step may make in the displacement of any node, over the largest
-            displacement so far, if adaptive.
+            displacement so far (in the first step, of a step of dt, too), if adaptive.
         spectral_radius: Of the generalized-alpha scheme at infinite frequency: 1 keeps the
             energy of a linear body, less damps what the step cannot resolve.
-        beta: Of Newmark's method; 1/4 by default.
+        beta: Of Newmark's method; (gamma + 1/2)^2/4 by default.
         gamma: Of Newmark's method; 1/2 by default, more damps.
         rayleigh: Damping of the whole body (implicit schemes).
         initial_displacement: Components [m] or formulas in x, y, z.
@@ -73,7 +84,8 @@ class DynamicsSettings(Record):
         rtol: Newton's tolerance, relative to the forces of the step.
         atol: Free residual that always is small enough [N].
         max_iterations: Newton iterations after which a step is made smaller.
-        safety: Share of the stable step that the explicit scheme takes.
+        safety: Share of the stable step that the explicit scheme takes; at most 0.6 of it where
+            there are obstacles, see `stable.RESONANCE`.
         every: Steps from one yielded state to the next, if not given 1, of explicit schemes about
             200 states in all; or, with a unit, the time between states, which is met exactly
             (implicit schemes).
@@ -105,41 +117,66 @@ class DynamicsSettings(Record):
     every: Annotated[int, Field(ge=1)] | Annotated[Time, Field(gt=0)] = 0
     times: list[Annotated[Time, Field(gt=0)]] = Field(default=[])
 
+    @field_validator("every", mode="before")
+    @classmethod
+    def _refuse_bare(cls, value: Any) -> Any:
+        """A time says so by its unit; 2.0 might be either."""
+        bare = isinstance(value, float)
+        if isinstance(value, str):
+            with suppress(ValueError):
+                float(value)
+                bare = True
+        if bare:
+            raise InputError(
+                f"{shown(value)} is wrong",
+                expected="expected a whole number of steps, or a time with a unit",
+            )
+        return value
+
+    @field_serializer("every")
+    def _with_unit(self, every: float) -> int | str:
+        return every if isinstance(every, int) else f"{every!r} s"
+
     @model_validator(mode="after")
     def _read(self) -> DynamicsSettings:
         _ = self.displacement, self.velocity
+        refuse_idle(self, _idle(self))
         if self.dt is None and self.implicit:
-            raise ValueError(f"'{self.scheme}' needs a time step dt")
-        if self.adaptive and not self.implicit:
-            raise ValueError("an adaptive step needs an implicit scheme")
+            raise InputError(
+                "this key is missing",
+                where="dt",
+                expected=f"'{self.scheme}' needs a time step, for example \"1 ms\"",
+            )
+        if self.dt is not None and self.dt > self.end * (1 + 1e-9):
+            raise InputError(
+                f"{self.dt:g} s is longer than the motion",
+                where="dt",
+                expected=f"at most dynamics.end = {self.end:g} s",
+            )
+        if self.adaptive and self.scheme == "alpha2":
+            raise InputError(
+                "PETSc's 'alpha2' judges the error of velocities by what is allowed for "
+                "displacements, and takes thousands of steps for it",
+                where="adaptive",
+                expected="leave it out, or take 'generalized-alpha': the same scheme with an "
+                "estimate of its own",
+            )
+        if self.adaptive and self.limited:
+            raise InputError(
+                f"{self.limited}: steps that follow the error only may be too long",
+                where="adaptive",
+                expected="leave it out, or beta and gamma",
+            )
         if self.implicit:  # an explicit scheme knows only later how many steps it takes
             self.__dict__["every"] = self.every or 1
-        self._check_keys()
-        for index, time in enumerate(self.times):
-            if time > self.end:
-                raise InputError(
-                    f"{time:g} s lies beyond the end",
-                    where=f"times[{index}]",
-                    expected=f"at most dynamics.end = {self.end:g} s",
-                )
-        return self
-
-    def _check_keys(self) -> None:
-        """Keys that the scheme does not know."""
-        wrong = {
-            "beta": self.beta is not None and self.scheme != "newmark",
-            "gamma": self.gamma is not None and self.scheme != "newmark",
-            "rayleigh": self.rayleigh is not None and not self.implicit,
-            "times": bool(self.times) and not self.implicit,
-            "every": not isinstance(self.every, int) and not self.implicit,
-        }
-        for key in (key for key, is_wrong in wrong.items() if is_wrong):
-            what = "counts steps" if key == "every" else f"has no {key}"
+        if isinstance(self.every, float) and self.every > self.end:
             raise InputError(
-                f"the scheme '{self.scheme}' {what}",
-                where=key,
-                expected="a whole number" if key == "every" else "leave it out",
+                f"{self.every:g} s lies beyond the end",
+                where="every",
+                expected=f"at most dynamics.end = {self.end:g} s",
             )
+        refuse_beyond(self.times, self.end, "dynamics.end", "s")
+        return self
 
     @property
     def implicit(self) -> bool:
@@ -151,12 +188,17 @@ class DynamicsSettings(Record):
         """Of an implicit scheme of our own; None: PETSc's."""
         match self.scheme:
             case "newmark":
-                return Scheme.newmark(self.beta or 0.25, self.gamma or 0.5)
+                return Scheme.newmark(*newmark(self.beta, self.gamma))
             case "implicit-euler":
                 return Scheme.implicit_euler()
             case "alpha2":
                 return None
         return Scheme.generalized_alpha(self.spectral_radius)
+
+    @property
+    def limited(self) -> str:
+        """Why Newmark's method is not stable with any step, if it is not."""
+        return limit(*newmark(self.beta, self.gamma)) if self.scheme == "newmark" else ""
 
     @property
     def damping(self) -> dict[str, float]:
@@ -176,6 +218,11 @@ class DynamicsSettings(Record):
         radius = self.spectral_radius
         return self.order == 2 or (self.scheme != "newmark" and radius < 0.5)
 
+    @property
+    def dissipates(self) -> bool:
+        """The scheme has a spectral radius, and a larger one would damp less."""
+        return self.scheme in ("generalized-alpha", "alpha2") and self.spectral_radius < 1.0
+
     @cached_property
     def displacement(self) -> tuple[Component, ...]:
         """Initial displacement as numbers and formulas."""
@@ -189,7 +236,7 @@ class DynamicsSettings(Record):
 
 def _still(key: str, written: list[Any], unit: str) -> tuple[Component, ...]:
     """A vector at the start, where there is no time yet."""
-    found = components(written, unit) if written else ()
+    found = components(written, unit, key=key) if written else ()
     if depends_on_time(found):
         raise InputError(
             "what holds at the start does not depend on t",
@@ -197,6 +244,56 @@ def _still(key: str, written: list[Any], unit: str) -> tuple[Component, ...]:
             expected="a formula in x, y, z",
         )
     return found
+
+
+def _idle(s: DynamicsSettings) -> Iterator[Idle]:
+    """Keys that the scheme, or steps of this kind, do not know."""
+    scheme, leave = f"the scheme '{s.scheme}'", "leave it out, or scheme = "
+    if s.scheme not in ("generalized-alpha", "alpha2"):
+        yield Idle(
+            ["spectral_radius"], f"{scheme} has no spectral radius", f'{leave}"generalized-alpha"'
+        )
+    if s.scheme != "newmark":
+        for key in ("beta", "gamma"):
+            yield Idle([key], f"{scheme} has no {key}", f'{leave}"newmark"')
+    yield from _idle_implicit(s, scheme) if s.implicit else _idle_explicit(s, scheme, leave)
+
+
+def _idle_implicit(s: DynamicsSettings, scheme: str) -> Iterator[Idle]:
+    explicit = " and ".join(f'"{name}"' for name in EXPLICIT)
+    yield Idle(
+        ["safety"],
+        f"{scheme} takes no share of a stable step",
+        f"leave it out; it is for {explicit}",
+    )
+    if not s.adaptive:
+        yield Idle(
+            ["tolerance"],
+            "all steps are dt: their error is not judged",
+            "leave it out, or adaptive = true; rtol is Newton's tolerance",
+        )
+
+
+def _idle_explicit(s: DynamicsSettings, scheme: str, leave: str) -> Iterator[Idle]:
+    leave += '"generalized-alpha"'
+    if s.adaptive:
+        yield Idle(
+            ["adaptive"],
+            f"{scheme} has no estimate of its error",
+            f"{leave}; without dt the stable step is followed",
+        )
+    yield Idle(["tolerance"], f"{scheme} has no estimate of its error", "leave it out")
+    yield Idle(["rtol", "atol", "max_iterations"], f"{scheme} solves no equations", leave)
+    yield Idle(["rayleigh"], f"{scheme} has no rayleigh damping", leave)
+    yield Idle(["times"], f"{scheme} meets no times exactly", leave)
+    if not isinstance(s.every, int):
+        yield Idle(["every"], f"{scheme} counts steps", "a whole number")
+    if s.dt is not None:
+        yield Idle(
+            ["safety"],
+            f"all steps are dt = {s.dt:g} s, and no share of the stable one",
+            "leave one of them out",
+        )
 
 
 class Dynamics:
@@ -220,10 +317,12 @@ class Dynamics:
     ) -> None:
         refuse_scalars(problem)
         self.problem = problem
-        if settings is not None and fields:
-            raise TypeError(f"give settings or keywords, not both: {', '.join(fields)}")
-        self.settings = settings or DynamicsSettings(**fields)
+        self.settings = settled(DynamicsSettings, settings, fields)
         self.linear = linear or LinearSettings()
+        if not self.settings.implicit:
+            self._refuse_linear()
+        if self.settings.scheme == "alpha2":
+            check_alpha2(problem)
         self.petsc = {**self.linear.petsc, **(petsc or {})}
         self.velocity = fem.Function(problem.V, name="velocity")
         self._march: Explicit | Implicit | None = None
@@ -246,8 +345,11 @@ class Dynamics:
                 expected="leave it out, or use [statics]",
             )
         s = self.settings
-        set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
-        begin_motion(self.problem)
+        shocks = set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
+        notes = [s.limited] if s.limited else []
+        for note in [*notes, *shocks] if restore is None else ():
+            log.warning("%s", note)
+        begin_motion(self.problem, tell=restore is None)
         yield from self._implicit(restore) if s.implicit else self._explicit(restore)
 
     @property
@@ -266,15 +368,16 @@ class Dynamics:
             raise RuntimeError("there is nothing to keep: the motion has not begun, or has ended")
         return self._march.kept()
 
+    def _refuse_linear(self) -> None:
+        """Keys of [solver], where there is nothing to solve."""
+        what = f"the scheme '{self.settings.scheme}' solves no equations"
+        keys = ["petsc"] if self.linear.method == "auto" else ["method", "petsc"]
+        refuse_idle(self.linear, [Idle(keys, what)], "solver")
+
     def _explicit(self, restore: Restore | None) -> Iterator[State]:
         s = self.settings
-        for part in self.problem.parts:
-            if part.law.viscosity is not None:
-                raise InputError(
-                    f"the scheme '{s.scheme}' knows no viscosity",
-                    where=f"materials.{part.name}.viscosity",
-                    expected='leave it out, or dynamics.scheme = "generalized-alpha"',
-                )
+        for name in self.petsc:
+            log.warning("PETSc option '-%s' was not used: '%s' solves no equations", name, s.scheme)
         assert isinstance(s.every, int)
         march = EXPLICIT[s.scheme](
             self.problem, self.velocity, end=s.end, dt=s.dt, safety=s.safety, every=s.every

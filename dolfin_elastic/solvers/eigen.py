@@ -47,6 +47,10 @@ serves some fifty solutions."""
 ROOM = 15
 """Krylov vectors beyond those that are asked for, at least."""
 
+ENDLESS = 1e13
+"""Distance from the shift, over that of the nearest eigenvalue, from which one is infinite: what
+more pressures than motions leave beside round-off."""
+
 
 @dataclass(frozen=True)
 class Pair:
@@ -221,7 +225,7 @@ class Spectrum:
                 preconditioned = self._prepare(eps.getST(), shift)
                 eps.solve()
                 self.options.report_unused()
-            return self._pairs(eps, count)
+            return self._pairs(eps, shift, count)
         finally:
             for thing in (eps, *spaces, preconditioned, self._multigrid):
                 if thing is not None:
@@ -259,7 +263,7 @@ class Spectrum:
             ksp.getPC().setPythonContext(self._multigrid)
         return matrix
 
-    def _pairs(self, eps: Any, count: int) -> list[Pair]:
+    def _pairs(self, eps: Any, shift: float, count: int) -> list[Pair]:
         found = int(eps.getConverged())
         if found < count:
             raise ConvergenceError(
@@ -273,7 +277,8 @@ class Spectrum:
             norm = float(vector.norm())
             pairs.append(Pair(value, vector.array_r / norm))
         vector.destroy()
-        return sorted(pairs, key=lambda pair: pair.value)
+        far = ENDLESS * min(abs(pair.value - shift) for pair in pairs)
+        return sorted((p for p in pairs if abs(p.value - shift) < far), key=lambda p: p.value)
 
     def _vector(self, values: Vector | None) -> PETSc.Vec:
         vector = self.A.createVecRight()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import basix
@@ -19,6 +18,7 @@ from dolfin_elastic.parallel import largest, smallest, total
 from dolfin_elastic.parts import Part
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler, compiled
+from dolfin_elastic.solvers.words import coordinates
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -154,7 +154,7 @@ def _of_material(cells: Cells, part: Part) -> Fault | None:
     low = smallest(cells.comm, float(np.min(J, initial=np.inf)))
     inverted = not upright and not np.isnan(low)
     why = f"det F falls to {low:.3g}" if inverted else why
-    text = f"material '{part.name}': {why}, in {_count(count, 'cell')} near {text_of(place)} m"
+    text = f"material '{part.name}': {why}, in {_count(count, 'cell')} near {coordinates(place)} m"
     return Fault(text, place, inverted=inverted)
 
 
@@ -180,16 +180,11 @@ def _of_term(problem: Problem, name: str, work: ufl.Form) -> Fault | None:
         return None
     places = problem.V.tabulate_dof_coordinates()[: len(bad), : problem.body.dim][bad]
     place = _lowest(problem.body.comm.allgather([_numbers(x) for x in places][:10_000]))
-    at = f"at {_count(count, 'node')} near {text_of(place)} m"
+    at = f"at {_count(count, 'node')} near {coordinates(place)} m"
     return Fault(f"{name} is not finite {at}", place, load=True)
 
 
 # --- words ---
-
-
-def text_of(place: Iterable[float]) -> str:
-    """Coordinates with four digits."""
-    return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"
 
 
 def _on(parts: tuple[str, ...]) -> str:

@@ -13,6 +13,7 @@ Elements for Continua and Structures, 2nd ed., Wiley 2014, section 6.2 (box 6.1)
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from math import ceil
 from time import perf_counter
@@ -23,21 +24,21 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic import timing
-from dolfin_elastic.errors import InputError, StabilityError
+from dolfin_elastic.errors import FormulaError
 from dolfin_elastic.kept import Kept, Restore
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.contact import Measured
+from dolfin_elastic.solvers.explicit_limits import changes, check_explicit
 from dolfin_elastic.solvers.forces import Forces
+from dolfin_elastic.solvers.lookout import Lookout
 from dolfin_elastic.solvers.motion import LumpedMass, Strain, lumped
+from dolfin_elastic.solvers.scalars import Scalars
 from dolfin_elastic.solvers.stable import StepSize
 from dolfin_elastic.solvers.worklog import WorkLog, supports_move
 from dolfin_elastic.state import State
 
 Vector = npt.NDArray[np.float64]
-
-DRIFT = 0.1
-"""Share of the energy that may come from nowhere before the stable step is looked at again."""
 
 STATES = 200
 """About as many states are yielded if nothing else is said."""
@@ -46,7 +47,7 @@ END = 1 - 1e-12
 """Share of the duration at which the end is reached."""
 
 
-class Explicit:
+class Explicit(ABC):
     """An explicit scheme on one problem. Collective.
 
     Args:
@@ -88,20 +89,22 @@ class Explicit:
         problem, v, a = self.problem, self.v, self.assembler
         problem.set_time(0.0)  # what is packed below are the loads of motion
         self.strain, self._measured = Strain(problem), Measured(problem, moving=True)
-        self.mass = lumped(problem, a)
+        self._lookout, self.mass = Lookout(problem, a), lumped(problem, a)
+        self._scalars = Scalars(a)
         self.measure = LumpedMass(problem, v, self.mass)
         self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety)
         self.work = WorkLog(problem, a, self.mass, v)
         self._forces = Forces(problem, a.form, a.balance, points=-1.0)
         self._leads, self._timed = supports_move(problem), changes(problem)
         self._tilts = problem.prescribed.tilted is not None
-        self._out = a.balance.array[: a.size]
-        self._u, self._v = problem.u.x.array[: a.size], v.x.array[: a.size]
-        self._pull = self._mobility()
+        arrays = problem.u.x.array, v.x.array, a.balance.array
+        self._u, self._v, self._out = (array[: a.size] for array in arrays)
+        self._pull, self._free = self._mobility(), np.ones(a.size)
+        self._free[problem.prescribed.owned] = 0.0
         self._change, self._du = np.zeros(a.size), np.zeros(a.size)
-        self._dt_done, self._initial = 1.0, 0.0
-        self._t, self._step = 0.0, 0
+        self._t, self._step, self._chosen = 0.0, 0, dt
         self.size.begin(self.end)
+        self._dt_done = min(self.size.dt, self.end)
         self.every = self.every or max(1, ceil(self.end / self.size.dt / STATES))
 
     def _mobility(self) -> Vector:
@@ -122,13 +125,25 @@ class Explicit:
 
     # --- what the schemes differ in ---
 
+    @abstractmethod
     def _kick(self, dt: float) -> float:
         """For how long the present forces push, before a step of dt [s]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _meet(self) -> None:
         """Brings the velocity to the time of the place, and finds the acceleration. Collective."""
-        raise NotImplementedError
+
+    @abstractmethod
+    def _start(self) -> None:
+        """Finds the acceleration that the motion begins with. Collective."""
+
+    @abstractmethod
+    def _quiver(self) -> float:
+        """What the scheme's own energy has beyond that of a state, this rank's part [J].
+
+        Of linear problems U + m v- . v+ / 2 is conserved exactly, with the velocities before and
+        after the place of U; the energy of one time swings about it, up to all of it.
+        """
 
     # --- the loop ---
 
@@ -146,8 +161,9 @@ class Explicit:
                 self._tell_dashpots()
                 self._balance()
                 self.work.begin()
+                self._start()
                 first = self._state()
-                self._initial = first.energies["total"]
+                self._lookout.drifts(first.energies, self._quiver(), 0.0)
                 yield first
             else:
                 self._restore(restore)
@@ -163,18 +179,9 @@ class Explicit:
             if self._step % self.every == 0 or self._t >= self.end * END:
                 self._meet()
                 state = self._state()
-                if self._drifts(state.energies):
+                if self._lookout.drifts(state.energies, self._quiver(), self._t):
                     self.size.doubt(self._step)
                 yield state
-
-    def _drifts(self, energies: Mapping[str, float]) -> bool:
-        """Energy that no load has given appears or is lost: the sign of a step too long."""
-        gained = energies["total"] - energies["external"]
-        scale = max(energies["kinetic"], energies["strain"], abs(energies["external"]))
-        drifts = abs(gained - self._initial) > DRIFT * scale
-        if drifts:
-            self._initial = gained  # looked into once
-        return drifts
 
     def _advance(self, dt: float) -> None:
         """One step; `balance` holds the forces at its start before and at its end afterwards."""
@@ -182,7 +189,8 @@ class Explicit:
         v, change, du = self._v, self._change, self._du
         np.multiply(self._out, self._pull, out=change)
         change *= self._kick(dt)
-        self._t, self._step = self._t + dt, self._step + 1
+        self._step += 1
+        self._t = self._reached(self._t + dt)
         if self._timed:
             self.problem.set_time(self._t)
         if self._leads or self._tilts:
@@ -199,6 +207,12 @@ class Explicit:
         if self.work.shares:
             self.work.step(du)
         timing.add("assemble", perf_counter() - middle)
+
+    def _reached(self, t: float) -> float:
+        """A time without the round-off of a sum: of equal steps, and the end."""
+        even = t if self._chosen is None else self._step * self._chosen
+        meant = self.end if t >= self.end * END else even
+        return meant if abs(meant - t) < 1e-9 * self.size.dt else t
 
     def _hold(self, dt: float) -> None:
         """Makes the change of velocity one that takes supports where they are to be."""
@@ -221,17 +235,47 @@ class Explicit:
             self.work.renew()
         self._forces.assemble()
 
+    def _mean(self, interval: float) -> None:
+        """Forces over mass, and the mean acceleration of supports in the next step.
+
+        Args:
+            interval: From the time of the velocity to the middle of the velocity's next step [s].
+        """
+        np.multiply(self._out, self._pull, out=self._change)
+        if self._leads or self._tilts:
+            self.problem.prescribed.impose(self._change, self._driven(interval))
+        self.a.x.array[: len(self._v)] = self._change + 0.0  # no -0
+        self.a.x.scatter_forward()
+
+    def _driven(self, interval: float) -> Vector:
+        """The mean acceleration of supports in the next step, or the last where they end."""
+        held, dt, t = self.problem.prescribed, self._dt_done, self._t
+        here, now = held.present(self.problem.u.x.array), held.present(self.v.x.array)
+
+        def targets(time: float) -> Vector:
+            try:
+                return np.asarray(held.targets_at((time,))[0])
+            except FormulaError:  # of a curve or an angle: on all ranks
+                return np.full_like(here, np.nan)
+
+        found: npt.NDArray[Any] = ((targets(t + dt) - here) / dt - now) / interval
+        if not np.all(np.isfinite(found)):
+            back: npt.NDArray[Any] = np.zeros_like(here)
+            if t > 1.5 * dt:
+                back = (here - 2 * targets(t - dt) + targets(max(t - 2 * dt, 0.0))) / dt**2
+            found = np.where(np.isfinite(found), found, back)
+        self.problem.set_time(t)
+        return np.asarray(found, dtype=np.float64)
+
     # --- what is seen of it ---
 
     def _state(self) -> State:
         kinetic, linear, angular = self.measure.measure()
         if not np.isfinite(kinetic):
-            raise StabilityError(
-                f"the motion has no finite velocity at t = {self._t:.6g} s",
-                advice="a smaller dt or safety",
-            )
+            raise self._lookout.lost(self._t)
+        self._lookout.look(self._t, last=self._t >= self.end * END)
         strain, more = self.strain.energy(), self._measured.energies()
-        inertia = self.assembler.constraint_forces(self.mass * self.a.x.array[: len(self._v)])
+        inertia = self.mass * self.a.x.array[: len(self._v)]
         energies = {
             "strain": strain,
             "kinetic": kinetic,
@@ -248,10 +292,10 @@ class Explicit:
             a=self.a,
             reason="explicit",
             energies=energies,
-            reactions=self.assembler.reactions(inertia),
+            reactions=self.assembler.reactions(self.assembler.constraint_forces(inertia)),
             momenta={"linear": linear, "angular": angular},
             max_displacement=self.assembler.max_displacement(),
-            numbers=self._measured.numbers(),
+            numbers={**self._measured.numbers(), **self._scalars.numbers(inertia)},
             done=self._t / self.end,
         )
 
@@ -263,18 +307,14 @@ class Explicit:
             "t": self._t,
             "step": self._step,
             "every": self.every,
-            "initial": self._initial,
             "work": self.work.sum,
+            "lookout": self._lookout.kept(),
             **self.size.kept(),
         }
         return Kept(self._fields(), numbers)
 
     def _fields(self) -> dict[str, fem.Function]:
-        fields = {
-            "displacement": self.problem.u,
-            "velocity": self.v,
-            "rates": self.size.field,
-        }
+        fields = {"displacement": self.problem.u, "velocity": self.v, "rates": self.size.field}
         if self.problem.dashpots:  # they have seen that of half a step before
             fields["dashpots"] = self.problem.site.velocity
         return fields
@@ -282,7 +322,8 @@ class Explicit:
     def _restore(self, restore: Restore) -> None:
         numbers: Mapping[str, Any] = restore(self._fields())
         self._t, self._step = float(numbers["t"]), int(numbers["step"])
-        self.every, self._initial = int(numbers["every"]), float(numbers["initial"])
+        self.every = int(numbers["every"])
+        self._lookout.restore(numbers["lookout"])
         self.size.restore(numbers)
         self.problem.set_time(self._t)
         self._balance()
@@ -290,7 +331,10 @@ class Explicit:
 
 
 class SymplecticEuler(Explicit):
-    """v += dt f/m, then u += dt v; see `Explicit`.  The acceleration is the mean of the step."""
+    """v += dt f/m, then u += dt v; see `Explicit`.
+
+    The acceleration is the mean of the step before, that of the first state of the step after.
+    """
 
     name = "symplectic-euler"
 
@@ -301,6 +345,14 @@ class SymplecticEuler(Explicit):
         self.a.x.array[: len(self._v)] = self._change / self._dt_done
         self.a.x.scatter_forward()
         self.v.x.scatter_forward()
+
+    def _start(self) -> None:
+        self._mean(self._dt_done)
+
+    def _quiver(self) -> float:
+        # Supports' nodes have no force but that of the body.
+        kick = self._v * self._out * self._free
+        return -0.5 * self.size.dt * float(np.sum(kick))
 
 
 class CentralDifferences(Explicit):
@@ -321,58 +373,20 @@ class CentralDifferences(Explicit):
         return kick
 
     def _meet(self) -> None:
-        n = len(self._v)
-        np.multiply(self._out, self._pull, out=self._change)
-        if self._leads or self._tilts:
-            self._ahead()
-        self.a.x.array[:n] = self._change
-        self.a.x.scatter_forward()
+        self._mean(self._dt_done / 2 + self._owed)
         self._change *= self._owed
         self._v += self._change
         self.v.x.scatter_forward()
         self._owed = 0.0
 
-    def _ahead(self) -> None:
-        """The acceleration of supports, from where they will be as much later."""
-        held, dt = self.problem.prescribed, self._dt_done
-        self.problem.set_time(self._t + dt)
-        goal = (held.targets - held.present(self.problem.u.x.array)) / dt
-        self.problem.set_time(self._t)
-        now = held.present(self.v.x.array)
-        held.impose(self._change, (goal - now) / dt)
+    def _start(self) -> None:
+        self._meet()
+
+    def _quiver(self) -> float:
+        a = self.a.x.array[: len(self._v)]
+        return -(self.size.dt**2) / 8 * float(np.sum(self.mass * a**2 * self._free))
 
 
 SCHEMES: dict[str, type[Explicit]] = {
     scheme.name: scheme for scheme in (SymplecticEuler, CentralDifferences)
 }
-
-
-def changes(problem: Problem) -> bool:
-    """Something depends on time: loads, supports, springs or obstacles."""
-    return (
-        (bool(problem.loads) and problem.loads_change)
-        or any(not support.at_rest for support in problem.supports)
-        or any(touch.contact.values for touch in problem.touching)
-    )
-
-
-def check_explicit(problem: Problem, scheme: str = SymplecticEuler.name) -> None:
-    """The schemes need a lumped mass, and displacements as the only unknowns.
-
-    Raises:
-        InputError: They cannot compute this problem.
-    """
-    if problem.degree != 1:
-        raise InputError(
-            f"'{scheme}' needs linear elements: quadratic ones have no positive lumped mass",
-            where="mesh.degree",
-            expected="degree = 1",
-        )
-    if problem.w is not problem.u:
-        stretch = problem.unknowns.has("stretch")
-        raise InputError(
-            f"'{scheme}' solves for displacements only",
-            where="mesh.geometry" if stretch else "mesh.formulation",
-            expected=f"{'not plane stress' if stretch else 'displacement'}, or the scheme "
-            "'generalized-alpha'",
-        )

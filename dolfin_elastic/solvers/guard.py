@@ -55,7 +55,7 @@ class InversionGuard:
         step = y.array_r[:size].copy()
         share = 1.0
         for _ in range(HALVINGS + 1):
-            w.array[:size] = x.array_r[:size] - share * step
+            w.array[:size] = self._assembler.origin + (x.array_r[:size] - share * step)
             w.scatter_forward()
             self._move_scalars(x, y, share)
             found = self.watch.smallest()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +15,6 @@ from petsc4py import PETSc
 
 from dolfin_elastic.errors import ConvergenceError
 from dolfin_elastic.kept import Kept, Restore
-from dolfin_elastic.parallel import largest
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.alpha import Scheme
 from dolfin_elastic.solvers.alpha2 import Alpha2
@@ -23,7 +24,7 @@ from dolfin_elastic.solvers.extras import Extras
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.ledger import Ledger
 from dolfin_elastic.solvers.linear import LinearSettings, choose
-from dolfin_elastic.solvers.memory import remembered, remind
+from dolfin_elastic.solvers.memory import remembered, remind, tell_forgotten
 from dolfin_elastic.solvers.motion import ConsistentMass, Strain
 from dolfin_elastic.solvers.motion_audit import MotionAuditor
 from dolfin_elastic.solvers.moving import Moving
@@ -31,9 +32,13 @@ from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.options import PREFIX, ts_reason
 from dolfin_elastic.solvers.progress import Tolerance
 from dolfin_elastic.solvers.saddle import begin
+from dolfin_elastic.solvers.scalars import Scalars
 from dolfin_elastic.solvers.settle import settle
+from dolfin_elastic.solvers.shock import jump
+from dolfin_elastic.solvers.stepcontrol import StepControl
 from dolfin_elastic.solvers.stepper import Stepper
-from dolfin_elastic.solvers.steptimes import StepTimes
+from dolfin_elastic.solvers.strikes import Strikes
+from dolfin_elastic.solvers.words import JUMP, coordinates
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
@@ -43,8 +48,9 @@ if TYPE_CHECKING:
 Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
-UNJUDGED = 1e100
-"""Error that scalar fields, which follow from the displacement, may have in a step [m]."""
+AHEAD = 1e-4
+"""Share of the whole motion over which supports are looked at for their first acceleration, at
+most: an adaptive step's first try may be as long as anything."""
 
 
 class Implicit:
@@ -67,43 +73,65 @@ class Implicit:
         petsc: Mapping[str, Any],
     ) -> None:
         self.settings, self.problem, self.v = settings, problem, velocity
+        self._owned = ExitStack()
+        try:
+            self._prepare(linear, petsc)
+        except Exception:  # the same on all ranks: nobody else can free what is there already
+            self.destroy()
+            raise
+
+    def _prepare(self, linear: LinearSettings, petsc: Mapping[str, Any]) -> None:
+        problem, settings = self.problem, self.settings
         self.moving = Moving(problem, **settings.damping)
+        self._owned.callback(self.moving.destroy)
         self.assembler = self.moving.assembler
         self.a = fem.Function(problem.V, name="acceleration of the scheme")
         choice = choose(problem, linear, moving=True)
         log.info("%s", choice.why)
         self.ts = PETSc.TS().create(problem.body.comm)
+        self._owned.callback(self.ts.destroy)
         self.ts.setOptionsPrefix(PREFIX)
         scheme = settings.parameters
         if scheme and self.moving.damping.inside and settings.scheme == "generalized-alpha":
             scheme = scheme.without_overshoot()
         self.stepper: Stepper | Alpha2 = self._stepper(scheme)
-        s = settings
         self.newton = self.stepper.newton = Newton(
             self.assembler,
             choice,
-            Tolerance(s.rtol, s.atol, s.max_iterations),
+            Tolerance(settings.rtol, settings.atol, settings.max_iterations),
             defaults={"snes_linesearch_type": "basic"},
             users=petsc,
             snes=self.ts.getSNES(),
             moving=True,
         )
+        self._owned.callback(self.newton.destroy)
         self.newton.mass = self.moving.mass
+        self.control = StepControl(self.ts, settings, self.moving, self.newton.span)
+        self.times = self.control.times
+        if isinstance(self.stepper, Stepper):
+            self._join(self.stepper)
         self.options = self.newton.options
         self.options.change(self._defaults())
-        self._U, self._V = self.assembler.create_vector(), self.assembler.create_vector()
-        self._f = self.assembler.create_vector()
+        self._U, self._V, self._f = (self.assembler.create_vector() for _ in range(3))
+        for vector in (self._U, self._V, self._f):
+            self._owned.callback(vector.destroy)
         self._configure()
         self.measure, self.strain = ConsistentMass(problem, self.v), Strain(problem)
         self._measured = Measured(problem, moving=True)
-        self.ledger = Ledger(self.moving)
+        self._scalars = Scalars(self.assembler)
+        self.ledger = Ledger(self.moving, self.v)
         watch = getattr(self.stepper, "watch", None) or JacobianWatch(problem)
-        self.auditor = MotionAuditor(problem, self.moving, watch, damps=settings.damps)
+        self.auditor = MotionAuditor(problem, self.moving, watch, settings)
         self.extras = Extras(problem)
-        self.times = StepTimes(s.end, s.times, s.every)
         self._newton = self._krylov = 0
-        self._usual = self._scale = 0.0
-        self._nominal = float(s.dt or 0.0)
+        self._usual = 0.0
+
+    def _join(self, stepper: Stepper) -> None:
+        """Lets the scheme and the control of its steps know of each other."""
+        stepper.reached, stepper.weigh = self.control.meant, self.control.weigh
+        # With alpha_f = 0 the stage is the end of the step: nothing there is unseen.
+        if self.settings.adaptive and self.problem.touching and stepper.scheme.alpha_f > 0:
+            stepper.strikes = Strikes(self.moving, stepper.scheme.alpha_f)
 
     # --- TS ---
 
@@ -111,23 +139,19 @@ class Implicit:
         """The scheme, registered with TS."""
         if scheme is None:
             petsc = Alpha2(self.moving, self.v)
+            self._owned.callback(petsc.destroy)
             petsc.set_up(self.ts)
             return petsc
         own = Stepper(self.moving, self.v, self.a, scheme, self.settings.order)
         self.ts.setType("python")
         self.ts.setPythonContext(own)
-        own.reached = self._meant
         return own
 
     def _defaults(self) -> dict[str, Any]:
-        s = self.settings
-        adapt: dict[str, Any] = {"ts_adapt_type": "basic" if s.adaptive else "none"}
-        if s.adaptive:
-            # The error is that of the worst node, so that it does not depend on the mesh.
-            adapt |= {"ts_adapt_dt_min": 1e-9 * s.end, "ts_adapt_wnormtype": "infinity"}
+        more: dict[str, Any] = {"snes_linesearch_type": "basic", **self.newton.choice.options}
         if isinstance(self.stepper, Alpha2):
-            adapt["ts_alpha_radius"] = s.spectral_radius
-        return {**adapt, "snes_linesearch_type": "basic", **self.newton.choice.options}
+            more["ts_alpha_radius"] = self.settings.spectral_radius
+        return {**self.control.options, **more}
 
     def _configure(self) -> None:
         ts = self.ts
@@ -148,24 +172,8 @@ class Implicit:
         ts.setPostStep(self._after_step)
         self.newton.judge()
 
-    def _meant(self, t: float) -> float:
-        """A time that is asked for, or of equal steps, without the round-off of a sum."""
-        slack = 1e-9 * float(self.ts.getTimeStep())
-        goal = self.times.next(float(self.ts.getTime()))
-        if abs(t - goal) < slack:
-            return goal
-        even = round(t / self._nominal) * self._nominal
-        return even if abs(t - even) < slack and not self.settings.adaptive else t
-
     def _before_step(self, ts: PETSc.TS) -> None:
-        t = float(ts.getTime())
-        goal = self.times.next(t)
-        ts.setMaxTime(goal)
-        step = float(ts.getTimeStep()) if self.settings.adaptive else self._nominal
-        remaining = goal - t
-        # A step that ends there but for round-off stays as it is, and so does its factorisation.
-        ts.setTimeStep(remaining if remaining < step * (1 - 1e-9) else step)
-        self._set_tolerance()
+        self.control.before()
         if isinstance(self.stepper, Alpha2):
             self.stepper.begin(ts)
 
@@ -175,28 +183,20 @@ class Implicit:
             return  # TS comes here after a step that it has given up, too
         if isinstance(self.stepper, Alpha2):
             self.stepper.accept(ts)
+            self.problem.set_time(float(ts.getTime()))
+            self._stop_at_goals()
+        self.control.after()
         assert self.stepper.done is not None
         at_stage, in_the_middle, du = self.stepper.done
         self.ledger.add(in_the_middle, du)
         self.auditor.look(at_stage)
 
-    def _set_tolerance(self) -> None:
-        """Lets errors be judged against the largest displacement so far."""
-        if not self.settings.adaptive:
-            return
-        local = float(np.max(np.abs(self.problem.u.x.array), initial=0.0))
-        smallest = 1e-6 * self.newton.span
-        self._scale = max(self._scale, largest(self.problem.body.comm, local), smallest)
-        atol: Any = self.settings.tolerance * self._scale
-        extras = self.moving.extras
-        several = bool(self.problem.unknowns.extras)
-        if several:
-            value, atol = atol, self.assembler.create_vector()
-            atol.set(value)
-            atol.array_w[extras] = UNJUDGED
-        self.ts.setTolerances(rtol=0.0, atol=atol)
-        if several:
-            atol.destroy()
+    def _stop_at_goals(self) -> None:
+        """Ends the march at a time that PETSc's scheme has met but for the round-off of a sum."""
+        ts = self.ts
+        ts.setTime(self.control.meant(float(ts.getTime())))
+        if self.times.shown(int(ts.getStepNumber()), float(ts.getTime())):
+            ts.setConvergedReason(PETSc.TS.ConvergedReason.CONVERGED_TIME)
 
     # --- the loop ---
 
@@ -219,17 +219,20 @@ class Implicit:
 
     def _begin(self) -> None:
         """Forces and acceleration of the initial state."""
+        self.control.tell()
         with stage("assemble"):
             self.problem.set_time(0.0)
             size = len(self.moving.moves)
             self.moving.set_rates(self.v.x.array[:size], np.zeros(size))
             self.assembler.assemble_balance()
         settle(self.problem, self.assembler)
-        if isinstance(self.stepper, Stepper):
-            with stage("solve"):
-                begin(self.moving, self.v, self.a, self._nominal / 8)
-            self.stepper.at_end.x.array[:] = self.a.x.array
-            self.stepper.begin(0.0)
+        with stage("solve"):
+            h = min(self.control.nominal / 8, AHEAD * self.settings.end)
+            begin(self.moving, self.v, self.a, h)
+        self.stepper.at_end.x.array[:] = self.a.x.array
+        self.stepper.start(0.0)
+        self.problem.set_time(0.0)
+        self.ledger.begin()
         self._tell_ts()
 
     def _tell_ts(self) -> None:
@@ -291,15 +294,16 @@ class Implicit:
     def _failure(self) -> ConvergenceError:
         t = float(self.ts.getTime())
         force, place = self.assembler.largest_unbalance()
-        where = ", ".join(f"{x:.4g}" for x in place)
         reason = ts_reason(self.ts.getConvergedReason())
         last = self.problem.w.x.array.copy()
         if isinstance(self.stepper, Alpha2):
             self.newton.finish()
         found = diagnose(self.assembler, self.newton.progress, good=last, failed=last, moving=True)
+        if sudden := jump(self.problem, t, self.control.nominal):
+            found = replace(found, text=f"{sudden}; {found.text}", advice=JUMP)
         return ConvergenceError(
             f"no solution for the step from t = {t:.6g} s: {reason}; {found.text}\n  at the end: "
-            f"the largest force out of balance, {force:.3g} N, is at ({where}) m",
+            f"the largest force out of balance, {force:.3g} N, is at {coordinates(place)} m",
             advice=found.advice,
             state=self._state(failed=True),
             diagnosis=found,
@@ -310,7 +314,7 @@ class Implicit:
     def _reactions(self, t: float) -> dict[str, Vector]:
         """Of the state at the end of the step, its inertia included. Collective.
 
-        PETSc's scheme does not tell its acceleration: its reactions are those of the stage.
+        PETSc's scheme does not tell its acceleration: they are those with its mean one.
         """
         if isinstance(self.stepper, Stepper):
             self.stepper.look_at_end(t)
@@ -326,7 +330,7 @@ class Implicit:
             "strain": strain,
             "kinetic": kinetic,
             "total": strain + kinetic + sum(contact.values()),
-            **self.ledger.energies(kinetic, strain),
+            **self.ledger.energies(kinetic, strain + sum(contact.values())),
             **self.strain.springs(),
             **contact,
         }
@@ -345,8 +349,8 @@ class Implicit:
             reactions=reactions,
             momenta={"linear": linear, "angular": angular},
             max_displacement=self.assembler.max_displacement(),
-            numbers=self._measured.numbers(),
-            audit=None if failed else self.auditor.judge(t, self.ledger.off(energies), energies),
+            numbers={**self._measured.numbers(), **self._scalars.numbers()},
+            audit=None if failed else self.auditor.judge(t, self.ledger, energies),
             done=t / self.settings.end,
         )
 
@@ -366,7 +370,7 @@ class Implicit:
             "t": float(self.ts.getTime()),
             "step": int(self.ts.getStepNumber()),
             "dt": float(self.ts.getTimeStep()),
-            "scale": self._scale,
+            "scale": self.control.scale,
             "usual": self._usual,
             "ledger": self.ledger.kept(),
             "audit": self.auditor.kept(),
@@ -376,24 +380,20 @@ class Implicit:
 
     def _take(self, numbers: Mapping[str, Any]) -> None:
         """Goes on from what was kept; the fields hold it already."""
+        tell_forgotten(self.settings.scheme, self.options.users)
         self.extras.give()
         self.ts.setTime(numbers["t"])
         self.ts.setStepNumber(numbers["step"])
         self.ts.setTimeStep(numbers["dt"])
-        self._scale, self._usual = numbers["scale"], numbers["usual"]
+        self.control.scale, self._usual = numbers["scale"], numbers["usual"]
+        self.problem.set_time(numbers["t"])
         self.ledger.restore(numbers["ledger"])
         self.auditor.restore(numbers["audit"])
         if isinstance(self.stepper, Stepper):
-            self.stepper.begin(numbers["t"])
+            self.stepper.start(numbers["t"])
         self._tell_ts()
         remind(self.newton, numbers["newton"])
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""
-        self.newton.destroy()
-        self.ts.destroy()
-        if isinstance(self.stepper, Alpha2):
-            self.stepper.destroy()
-        self.moving.destroy()
-        for vector in (self._f, self._U, self._V):
-            vector.destroy()
+        self._owned.close()

@@ -31,10 +31,10 @@ def negative_eigenvalues(newton: Newton) -> int | None:
     pc = newton.ksp.getPC()
     if pc.getType() != "cholesky":
         return None
-    if not newton.progress.newton or newton.shift > 0.0:
-        newton.factorise()
     if pc.getFactorSolverType() != "mumps":
         return None
+    if newton.shift > 0.0 or not (newton.progress.newton or newton.factorised):
+        newton.factorise()
     below = pc.getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS)
     scalars = 0 if newton.bordered is None else newton.bordered.negative()
     return int(below) - newton.assembler.pressures + scalars

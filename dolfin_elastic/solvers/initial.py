@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -9,10 +11,14 @@ from dolfinx import fem
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.model.components import Component
-from dolfin_elastic.parallel import agree, total
+from dolfin_elastic.parallel import agree, largest, total
 from dolfin_elastic.problem import Problem
+from dolfin_elastic.solvers.inversion import JacobianWatch
+from dolfin_elastic.solvers.shock import SMALL, Misfit, misfits, reach
+from dolfin_elastic.solvers.words import coordinates
 
 Vector = npt.NDArray[np.float64]
+EPS = float(np.finfo(float).eps)
 
 
 def nodal(V: fem.FunctionSpace, values: tuple[Component, ...], where: str) -> Vector:
@@ -24,10 +30,15 @@ def nodal(V: fem.FunctionSpace, values: tuple[Component, ...], where: str) -> Ve
     bs = V.dofmap.index_map_bs
     if len(values) != bs:
         raise InputError(f"{len(values)} components given, the body has {bs}", where=where)
-    x, y, z = V.tabulate_dof_coordinates().T
+    places = V.tabulate_dof_coordinates()
+    # DOLFINx finds them in the cells, to round-off; 1/x is to be infinite at x = 0.
+    places[np.abs(places) < 64 * EPS * np.max(np.abs(places), initial=0.0)] = 0.0
+    x, y, z = places.T
     out = np.empty((len(x), bs))
-    for i, value in enumerate(values):
-        out[:, i] = value.evaluate(x=x, y=y, z=z, t=0.0) if isinstance(value, Formula) else value
+    with np.errstate(all="ignore"):  # what is not finite is told by who asks
+        for i, value in enumerate(values):
+            formula = value if isinstance(value, Formula) else None
+            out[:, i] = formula.evaluate(x=x, y=y, z=z, t=0.0) if formula else value
     return out.reshape(-1)
 
 
@@ -37,7 +48,7 @@ def set_initial(
     displacement: tuple[Component, ...],
     velocity: tuple[Component, ...],
     span: float,
-) -> None:
+) -> list[Misfit]:
     """Puts a problem into its initial state. Collective.
 
     Prescribed entries start where, and as fast as, their supports say.
@@ -48,6 +59,9 @@ def set_initial(
         displacement: Components or formulas in x, y, z; none: at rest where it is.
         velocity: The same for the velocity.
         span: Duration of the motion [s]: a part of it serves to differentiate supports.
+
+    Returns:
+        Where supports and what was asked for differ.
     """
     u, held = problem.u, problem.prescribed
     if displacement:
@@ -55,18 +69,54 @@ def set_initial(
     v.x.array[:] = 0.0
     if velocity:
         _put(problem, v, velocity, "dynamics.initial_velocity")
-    moment = 1e-7 * span
-    problem.set_time(moment)
-    later = held.targets
+    with np.errstate(all="ignore"):  # what is not finite at the start is told below
+        far = reach(problem, span)
+        speeds, unsure = _speeds(problem, 1e-7 * span)
     problem.set_time(0.0)
     held.check_finite()
-    held.impose(u.x.array, held.targets)
-    held.impose(v.x.array, (later - held.targets) / moment)
+    found = [
+        *_imposed(problem, u, "displacement", held.targets, SMALL * far),
+        *_imposed(problem, v, "velocity", speeds, SMALL * far / span + unsure),
+    ]
     u.x.scatter_forward()
     v.x.scatter_forward()
     problem.unknowns.take()
-    _check_finite(problem, "displacement", u)
-    _check_finite(problem, "velocity", v)
+    _check_finite(problem, v, "dynamics.initial_velocity")
+    if displacement and not problem.linear:
+        _check_upright(problem)
+    return found
+
+
+def _check_upright(problem: Problem) -> None:
+    J, place = JacobianWatch(problem).smallest()
+    if not J > 0.0:
+        raise InputError(
+            f"it turns cells inside out: det F = {J:.3g} at {coordinates(place)} m",
+            where="dynamics.initial_displacement",
+            expected="det F > 0 everywhere",
+        )
+
+
+def _speeds(problem: Problem, moment: float) -> tuple[Vector, float]:
+    """Velocities of prescribed entries at time 0, and how far round-off lets them be off [m/s].
+
+    By a one-sided difference of second order over a moment [s]. Collective.
+    """
+    start, half, whole = problem.prescribed.targets_at((0.0, moment / 2, moment))
+    size = largest(problem.body.comm, float(np.max(np.abs(whole), initial=0.0)))
+    speeds = np.asarray((4 * (half - start) - (whole - start)) / moment, dtype=np.float64)
+    return speeds, 64 * EPS * size / moment
+
+
+def _imposed(
+    problem: Problem, field: fem.Function, what: str, values: Vector, least: float
+) -> Iterator[Misfit]:
+    """Makes prescribed entries what supports say; tells where they were not. Collective."""
+    size = problem.V.dofmap.index_map.size_local * problem.V.dofmap.index_map_bs
+    before = field.x.array[:size].copy()
+    problem.prescribed.impose(field.x.array, values)
+    scale = largest(problem.body.comm, float(np.max(np.abs(before), initial=0.0)))
+    yield from misfits(problem, what, field.x.array[:size] - before, least + SMALL * scale)
 
 
 def _put(problem: Problem, field: fem.Function, values: tuple[Component, ...], where: str) -> None:
@@ -77,11 +127,10 @@ def _put(problem: Problem, field: fem.Function, values: tuple[Component, ...], w
     except InputError as caught:
         error = caught
     agree(problem.body.comm, error)
+    _check_finite(problem, field, where)  # held nodes too, though supports overrule it there
 
 
-def _check_finite(problem: Problem, what: str, field: fem.Function) -> None:
+def _check_finite(problem: Problem, field: fem.Function, where: str) -> None:
     bad = int(total(problem.body.comm, int(~np.isfinite(field.x.array).all())))
     if bad:
-        raise InputError(
-            "the formula is not finite at some nodes", where=f"dynamics.initial_{what}"
-        )
+        raise InputError("the formula is not finite at some nodes", where=where)

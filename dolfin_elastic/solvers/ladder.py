@@ -20,6 +20,7 @@ import numpy.typing as npt
 from dolfin_elastic.solvers.contact import Augmentation
 from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.progress import Progress
+from dolfin_elastic.solvers.words import coordinates
 
 Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
@@ -131,8 +132,9 @@ class Ladder:
             return
         value, place = guard.watch.smallest()
         if value <= 0.0:
-            where = ", ".join(f"{x:.4g}" for x in place)
             progress.converged = False
             progress.rejected += 1
             progress.worst = value, tuple(map(float, place))
-            progress.reason = f"a cell turned inside out (det F = {value:.3g}, at ({where}) m)"
+            progress.reason = (
+                f"a cell turned inside out (det F = {value:.3g}, at {coordinates(place)} m)"
+            )

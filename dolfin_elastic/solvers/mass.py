@@ -85,10 +85,7 @@ def held_acceleration(problem: Problem, h: float) -> Vector:
         problem: Its time is 0 afterwards.
         h: Step of the differences [s].
     """
-    values = []
-    for k in range(4):
-        problem.set_time(k * h)
-        values.append(problem.prescribed.targets)
+    values = problem.prescribed.targets_at(k * h for k in range(4))
     problem.set_time(0.0)
     found = (2 * values[0] - 5 * values[1] + 4 * values[2] - values[3]) / h**2
     return np.asarray(np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0))
@@ -100,7 +97,7 @@ def held_rates(problem: Problem, t: float, h: float) -> tuple[Vector, Vector]:
     By central differences: the velocity over h/4, the acceleration as the difference of velocities
     half a step before and after, so that over all steps it sums up to the change of velocity,
     kinks of curves included.  Where there is no value any more after t it is taken as unchanged.
-    Changes the problem's time.  Not collective.
+    Changes the time of what is prescribed.  Not collective.
 
     Args:
         problem: Whose supports.
@@ -109,11 +106,9 @@ def held_rates(problem: Problem, t: float, h: float) -> tuple[Vector, Vector]:
     """
 
     def velocity(at: float) -> Vector:
-        values = []
-        for time in (at - h / 8, at + h / 8):
-            problem.set_time(max(time, 0.0))
-            values.append(problem.prescribed.targets)
-        return np.asarray((values[1] - values[0]) * 4 / h)
+        times = (max(time, 0.0) for time in (at - h / 8, at + h / 8))
+        before, after = problem.prescribed.targets_at(times)
+        return np.asarray((after - before) * 4 / h)
 
     before, now, after = (velocity(at) for at in (t - h / 2, t, t + h / 2))
     now, after = (np.where(np.isfinite(v), v, before) for v in (now, after))

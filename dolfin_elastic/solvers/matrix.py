@@ -8,7 +8,7 @@ a PETSc AIJ matrix of the same pattern.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 from petsc4py import PETSc
 
+from dolfin_elastic.solvers.petsc_library import check, library
 from dolfin_elastic.solvers.projection import Projection
 
 Values = npt.NDArray[np.float64]
@@ -116,10 +117,6 @@ class TangentMatrix:
         self.petsc.destroy()
 
 
-def _library() -> ctypes.CDLL:
-    return ctypes.CDLL(PETSc.__file__)
-
-
 def _fill(matrix: PETSc.Mat, own: Values, others: Values) -> None:
     """Overwrites all values of an AIJ matrix: the block of its own columns, then the rest."""
     if matrix.getType() == "seqaij":
@@ -133,8 +130,8 @@ def _fill(matrix: PETSc.Mat, own: Values, others: Values) -> None:
 
 def _off_diagonal(matrix: PETSc.Mat) -> int:
     own, others = ctypes.c_void_p(), ctypes.c_void_p()
-    _check(
-        _library().MatMPIAIJGetSeqAIJ(
+    check(
+        library().MatMPIAIJGetSeqAIJ(
             ctypes.c_void_p(matrix.handle), ctypes.byref(own), ctypes.byref(others), None
         )
     )
@@ -143,15 +140,9 @@ def _off_diagonal(matrix: PETSc.Mat) -> int:
 
 
 def _write(handle: int, values: Values) -> None:
-    """Copies values into a sequential AIJ matrix, through MatSeqAIJGetArray."""
-    library, pointer = _library(), ctypes.POINTER(ctypes.c_double)()
-    get: Callable[..., int] = library.MatSeqAIJGetArray
-    _check(get(ctypes.c_void_p(handle), ctypes.byref(pointer)))
+    """Copies contiguous values into a sequential AIJ matrix, through MatSeqAIJGetArray."""
+    matrix, pointer = ctypes.c_void_p(handle), ctypes.c_void_p()
+    check(library().MatSeqAIJGetArray(matrix, ctypes.byref(pointer)))
     if len(values):
-        np.ctypeslib.as_array(pointer, (len(values),))[:] = values
-    _check(library.MatSeqAIJRestoreArray(ctypes.c_void_p(handle), ctypes.byref(pointer)))
-
-
-def _check(error: int) -> None:
-    if error:
-        raise PETSc.Error(error)
+        ctypes.memmove(pointer, values.ctypes.data, values.nbytes)
+    check(library().MatSeqAIJRestoreArray(matrix, ctypes.byref(pointer)))

@@ -21,13 +21,16 @@ from dolfin_elastic.errors import ConvergenceError, InputError
 from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.schema import Record
+from dolfin_elastic.schema import Record, settled
 from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.constraints import constrain
 from dolfin_elastic.solvers.eigen import Pair, Spectrum, choose_eigen, uneven
 from dolfin_elastic.solvers.linear import LinearSettings
-from dolfin_elastic.solvers.modal_mass import Frame, Mass, RigidMode, rigid_modes, times
-from dolfin_elastic.solvers.shapes import at_rest, complete, refuse, shape, shared
-from dolfin_elastic.solvers.statics import Statics, StaticsSettings
+from dolfin_elastic.solvers.modal_mass import Frame, Mass, RigidMode, rigid_modes
+from dolfin_elastic.solvers.nullspace import times
+from dolfin_elastic.solvers.preloaded import Preloaded
+from dolfin_elastic.solvers.shapes import at_rest, complete, refuse, shape, undetermined
+from dolfin_elastic.solvers.statics import StaticsSettings
 from dolfin_elastic.state import Mode, State
 from dolfin_elastic.timing import stage
 from dolfin_elastic.units import Frequency
@@ -70,7 +73,7 @@ class ModalSettings(Record):
         return self
 
 
-class Modal:
+class Modal(Preloaded):
     """Finds the modes of vibration of a problem.
 
     Args:
@@ -91,15 +94,19 @@ class Modal:
         petsc: Mapping[str, Any] | None = None,
         **fields: Any,
     ) -> None:
-        if settings is not None and fields:
-            raise TypeError(f"give settings or keywords, not both: {', '.join(fields)}")
-        self.problem, self.settings = problem, settings or ModalSettings(**fields)
-        self.statics, self.linear = statics or StaticsSettings(), linear or LinearSettings()
-        self.petsc = {**self.linear.petsc, **(petsc or {})}
+        super().__init__(problem, statics, linear, petsc)
+        self.settings = settled(ModalSettings, settings, fields)
+        self._check_way("modal.preload", 1.0 if self.settings.preload else 0.0)
         refuse(problem, "modal", loaded=self.settings.preload)
         for part in problem.parts:
             problem.site.density(part)  # says where there is none
         self.choice = choose_eigen(problem, self.linear)
+        if self.settings.below is not None and not self.choice.direct:
+            raise InputError(
+                "modes are counted by factors",
+                where="modal.below",
+                expected='count, or solver.method = "direct"',
+            )
 
     def steps(self) -> Iterator[State | Mode]:
         """Yields the states of the preload, if there is one, and then the modes. Collective.
@@ -111,16 +118,10 @@ class Modal:
         if self.settings.preload:
             if self.problem.site.linear:
                 log.warning("small-strain laws know no preload: the frequencies are those at rest")
-            of_statics, _ = shared(self.petsc)
-            linear = self.linear.model_copy(update={"petsc": {}})
-            yield from Statics(self.problem, self.statics, linear=linear, petsc=of_statics).steps()
+            yield from self._load(self.statics)
         else:
             at_rest(self.problem)
         yield from self.about_this_state()
-
-    def modes(self) -> Iterator[Mode]:
-        """Yields the modes only. Collective."""
-        yield from (found for found in self.steps() if isinstance(found, Mode))
 
     def about_this_state(self) -> Iterator[Mode]:
         """Yields the modes about the present state of the problem. Collective."""
@@ -170,15 +171,22 @@ class Vibration:
             self.whole = Frame(problem, self.mass, everywhere)
             self.rigid = rigid_modes(self.assembler, self.mass)
             self.mass.constrain()
+            self.room = self._room() - constrain(self.assembler) - len(self.rigid)
+        if self.room <= 0 and not self.rigid:
+            raise InputError(
+                "nothing can vibrate: supports hold every node, or all but what volumes that "
+                "cannot change allow",
+                where="support",
+                expected="some nodes that are free to move: a finer mesh, or fewer supports",
+            )
         self.spectrum = Spectrum(
             problem,
             self.assembler.matrix,
             self.mass.matrix,
             choice=modal.choice,
-            users=shared(modal.petsc)[1] if modal.settings.preload else modal.petsc,
+            users=modal.of_modes(loaded=self.settings.preload),
             tolerance=self.settings.tolerance,
         )
-        self.room = self._room() - len(self.rigid)
         self.smooth = self._smooth()
 
     def _room(self) -> int:
@@ -210,12 +218,6 @@ class Vibration:
             if count > self.room:
                 log.warning("%d modes asked for, there are only %d", count, self.room)
             return shift, min(count, self.room)
-        if not self.spectrum.counted:
-            raise InputError(
-                "modes are counted by factors",
-                where="modal.below",
-                expected='count, or solver.method = "direct"',
-            )
         top = (2 * np.pi * self.settings.below) ** 2
         number = self.spectrum.below(top) or self.spectrum.below(top * (1 + 1e-9)) or 0
         count = number - len(self.rigid)
@@ -235,11 +237,14 @@ class Vibration:
         """
         if not self.rigid and (not self.spectrum.counted or self.spectrum.below(0.0) == 0):
             return 0.0
-        shift = -SOFT * self.smooth
+        shift, counts = -SOFT * self.smooth, set[int | None]()
         for _ in range(40):
-            if not self.spectrum.counted or self.spectrum.below(shift) == 0:
+            if not self.spectrum.counted or (below := self.spectrum.below(shift)) == 0:
                 return shift
+            counts.add(below)
             shift *= 10.0
+        if counts == {None}:
+            raise undetermined()
         raise ConvergenceError(
             "the loaded state has eigenvalues without bound below zero",
             advice="check the materials and the loads",

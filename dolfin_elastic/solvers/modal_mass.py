@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import ufl
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.parallel import largest, total
@@ -15,6 +14,7 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler, compiled
 from dolfin_elastic.solvers.bodies import Bodies
 from dolfin_elastic.solvers.matrix import TangentMatrix
+from dolfin_elastic.solvers.nullspace import times, unresisted
 from dolfin_elastic.solvers.rigid import rigid_motions
 from dolfin_elastic.solvers.rigid_words import motions_in_words
 
@@ -69,19 +69,6 @@ class Mass:
     def destroy(self) -> None:
         """Frees the matrix. Collective."""
         self._filled.destroy()
-
-
-def times(matrix: PETSc.Mat, columns: Vector) -> Vector:
-    """A matrix times columns of owned entries, shape (entries, n). Collective."""
-    x, y = matrix.createVecs()
-    images = np.zeros_like(columns)
-    for k in range(columns.shape[1]):
-        x.array_w[:] = columns[:, k]
-        matrix.mult(x, y)
-        images[:, k] = y.array_r
-    x.destroy()
-    y.destroy()
-    return images
 
 
 class Frame:
@@ -184,15 +171,7 @@ def _free(assembler: Assembler, frame: Frame) -> list[RigidMode]:
     comm, problem = assembler.comm, assembler.problem
     lengths = np.sqrt(total(comm, (frame.columns**2).sum(axis=0)))
     columns = frame.columns / lengths
-    images = times(assembler.matrix, columns)
-    diagonal = assembler.matrix.getDiagonal()
-    free = np.ones(assembler.size, dtype=bool)
-    free[assembler.fixed] = False
-    scale = largest(comm, float(np.max(np.abs(diagonal.array_r[free]), initial=0.0))) or 1.0
-    diagonal.destroy()
-    images /= scale
-    images[assembler.fixed] = columns[assembler.fixed]  # rows that were replaced by ones
-    null = _null(comm, images)
+    null = unresisted(assembler, columns, FREE)
     gram = total(comm, columns.T @ (frame.images / lengths))
     modes = []
     for mix in _orthogonal(null, gram):
@@ -202,17 +181,6 @@ def _free(assembler: Assembler, frame: Frame) -> list[RigidMode]:
             (name,) = motions_in_words(frame.scaled(mix / lengths), frame.centre, frame.size)
         modes.append(RigidMode(columns @ mix, name))
     return modes
-
-
-def _null(comm: MPI.Comm, images: Vector) -> Vector:
-    """Orthonormal combinations of columns that are nothing, shape (columns, found). Collective.
-
-    By the triangles of each rank's rows: products of columns would be right to half the digits.
-    """
-    rows = np.vstack([images, np.zeros((images.shape[1],) * 2)])
-    triangles = np.vstack(comm.allgather(np.linalg.qr(rows, mode="r")))
-    _, sizes, mixes = np.linalg.svd(triangles, full_matrices=False)
-    return np.asarray(mixes[sizes <= FREE].T)
 
 
 def _orthogonal(null: Vector, gram: Vector) -> list[Vector]:

@@ -15,8 +15,9 @@ from dolfin_elastic.parallel import largest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers import words
 from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.evidence import Cells, text_of
+from dolfin_elastic.solvers.evidence import Cells
 from dolfin_elastic.solvers.stability import LIMIT, Mode, Stability, curvature
+from dolfin_elastic.solvers.words import coordinates
 
 Array = npt.NDArray[np.float64]
 Put = Callable[[Array], None]
@@ -202,7 +203,9 @@ def _told(
     if mode is None:
         return Finding(text, words.BUCKLING)
     if (place := _material_fails(assembler)) is not None:
-        text += f"; the material itself is unstable there (not elliptic) near {text_of(place)} m"
+        text += (
+            f"; the material itself is unstable there (not elliptic) near {coordinates(place)} m"
+        )
         return Finding(f"material instability: {text}", words.MATERIAL, place)
     place, direction, names = _largest_motion(assembler.problem, mode.motion)
     strain = _largest_strain(assembler)
@@ -210,9 +213,8 @@ def _told(
         kind, advice = f"the material is strained by {100 * strain:.2g} %", words.HUGE
     else:
         kind, advice = _kind(assembler, mode.motion)
-    text += (
-        f"; {kind}; the motion is largest at {text_of(place)} m{names}, along {text_of(direction)}"
-    )
+    along = coordinates(direction)
+    text += f"; {kind}; the motion is largest at {coordinates(place)} m{names}, along {along}"
     return Finding(text, advice, place)
 
 

@@ -75,11 +75,7 @@ class ConsistentMass:
     def measure(self) -> tuple[float, Vector, Vector]:
         """Kinetic energy [J], linear [kg m/s] and angular [kg m^2/s] momentum. Collective."""
         local = np.array([fem.assemble_scalar(form) for form in self._forms])
-        sums = self._problem.body.comm.allreduce(local, op=MPI.SUM)
-        dim = self._problem.body.dim
-        if self._problem.geometry == "axisymmetric":  # what a section has is not the ring's
-            sums[1], sums[1 + dim :] = 0.0, 0.0
-        return float(sums[0]), sums[1 : 1 + dim], sums[1 + dim :]
+        return _summed(self._problem, local)
 
 
 class LumpedMass:
@@ -109,8 +105,15 @@ class LumpedMass:
             else (np.array([np.sum(x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0])]))
         )
         local = np.concatenate([[0.5 * np.sum(p * v)], p.sum(axis=0), spin])
-        sums = self._problem.body.comm.allreduce(local, op=MPI.SUM)
-        return float(sums[0]), sums[1 : 1 + shape[1]], sums[1 + shape[1] :]
+        return _summed(self._problem, local)
+
+
+def _summed(problem: Problem, local: Vector) -> tuple[float, Vector, Vector]:
+    """Energy, linear and angular momentum of all ranks. Collective."""
+    sums, dim = problem.body.comm.allreduce(local, op=MPI.SUM), problem.body.dim
+    if problem.geometry == "axisymmetric":  # what a section has is not the ring's
+        sums[1], sums[1 + dim :] = 0.0, 0.0
+    return float(sums[0]), sums[1 : 1 + dim], sums[1 + dim :]
 
 
 def lumped(problem: Problem, assembler: Assembler) -> Vector:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.solvers.audit import Auditor, in_words
+from dolfin_elastic.solvers.audit import Auditor, Found
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.jump import round_off
+from dolfin_elastic.solvers.ledger import Ledger
 from dolfin_elastic.solvers.moving import Forces, Moving
 from dolfin_elastic.state import Audit
+
+if TYPE_CHECKING:
+    from dolfin_elastic.solvers.dynamics import DynamicsSettings
 
 Floats = npt.NDArray[np.float64]
 
@@ -24,6 +28,14 @@ nonlinear body to the second order of the step only."""
 LOST = 0.1
 """Share of the largest energy that a scheme may damp away before it is said."""
 
+GROWS = 2.0
+"""While the largest energy grows by more from one state to the next its shares say little: of a
+motion that has just begun, or of a support that has just been set going, whose work comes a step
+later than its speed, everything may be off."""
+
+MOST = 0.5
+"""Share of the largest energy that is most of it."""
+
 
 class MotionAuditor(Auditor):
     """Judges one step of a motion after another. Collective.
@@ -32,17 +44,18 @@ class MotionAuditor(Auditor):
         problem: What moves.
         moving: Its forces.
         watch: Of det F.
-        damps: The scheme is meant to damp.
+        settings: Of the motion: whether its scheme is meant to damp.
     """
 
     def __init__(
-        self, problem: Problem, moving: Moving, watch: JacobianWatch, *, damps: bool
+        self, problem: Problem, moving: Moving, watch: JacobianWatch, settings: DynamicsSettings
     ) -> None:
         super().__init__(problem, moving.assembler, watch)
-        self._moving, self._damps = moving, damps
+        self._moving, self._settings = moving, settings
         self._forces: Forces | None = None
         self._worst = [0.0, 0.0]
         self._reasons: dict[str, str] = {}
+        self._off = self._scale = 0.0
 
     def look(self, forces: Forces) -> None:
         """Takes in the forces of a step's stage, at the places of the stage. Collective."""
@@ -65,50 +78,50 @@ class MotionAuditor(Auditor):
         assert self._forces is not None
         return self._forces.u
 
-    def judge(self, t: float, off: float, energies: Mapping[str, float]) -> Audit:
+    def judge(self, t: float, ledger: Ledger, energies: Mapping[str, float]) -> Audit:
         """The audit of all steps since the last one. Collective.
 
         Args:
             t: Time [s].
-            off: Energy that came from nowhere, over the largest energy.
+            ledger: What energy has come from.
             energies: Of the state [J].
         """
         reasons = dict(self._reasons)
-        low, high = self._watch.extremes()
-        if not low[0] > 0.0:
-            reasons["jacobian"] = (
-                f"a cell is inside out: det F = {low[0]:.3g} at {in_words(low[1])} m"
-            )
         stabilised = self._problem.unknowns.stabilised
         if not (stabilised or self._problem.rest):
-            reasons.update(self._energy(off))
-        self._warn(t, reasons)
+            off = ledger.off(energies)
+            reasons.update(self._lasting(self._energy(off), off, ledger.scale, t))
         force, moment = self._worst
+        if self._places == "none":  # not judged, as in statics
+            moment = np.nan
         self._reasons, self._worst = {}, [0.0, 0.0]
         strain = energies["strain"]
-        return Audit(
-            force=force,
-            moment=moment,
-            work=energies["external"],
-            energy=strain + energies["kinetic"],
-            min_jacobian=low[0],
-            max_jacobian=high[0],
-            min_place=tuple(float(x) for x in low[1][: self._dim]),
-            max_place=tuple(float(x) for x in high[1][: self._dim]),
-            verdict="warn" if reasons else "pass",
-            reasons=tuple(reasons.values()),
-            so_far=tuple(self._warned.values()),
-            notes=self._notes(strain),
-        )
+        found = Found(force, moment, energies["external"], energies["total"])
+        self._strains.look(self._when(t))
+        return self._verdict(t, reasons, found, self._notes(strain))
+
+    def _lasting(
+        self, reasons: dict[str, str], off: float, scale: float, t: float
+    ) -> dict[str, str]:
+        """Reasons that hold in two states running, or in the last one.
+
+        While the energy still grows fast they hold if most of it is off: then that is why.
+        """
+        before, settled = self._off, scale <= GROWS * self._scale
+        self._off, self._scale = abs(off) if reasons else 0.0, scale
+        last = t >= self._settings.end * (1 - 1e-9)
+        again = before > 0.0 and (settled or min(before, self._off) > MOST)
+        return reasons if last or again else {}
 
     def _energy(self, off: float) -> dict[str, str]:
         if off > GAINED:
-            what = f"{100 * off:.2g} % of the energy have come from nowhere: a smaller dt is needed"
+            what = f"{100 * off:.3g} % of the energy has come from nowhere: a smaller dt is needed"
             return {"energy": what}
-        if off < -LOST and not self._damps:
+        if off < -LOST and not self._settings.damps:
+            radius = ", or a larger spectral_radius," if self._settings.dissipates else ""
             what = (
-                f"the scheme has damped {-100 * off:.2g} % of the energy away: a smaller dt, or a "
-                "larger spectral_radius, keeps it"
+                f"the scheme has damped {-100 * off:.3g} % of the energy away: a smaller dt"
+                f"{radius} keeps it"
             )
             return {"energy": what}
         return {}
@@ -120,9 +133,18 @@ class MotionAuditor(Auditor):
 
     def kept(self) -> dict[str, Any]:
         """All that it has to know later on."""
-        return {"warned": dict(self._warned), "worst": self._worst, "reasons": dict(self._reasons)}
+        return {
+            "warned": dict(self._warned),
+            "worst": self._worst,
+            "reasons": dict(self._reasons),
+            "far": self._strains.note,
+            "off": self._off,
+            "scale": self._scale,
+        }
 
     def restore(self, numbers: Mapping[str, Any]) -> None:
         """Goes on from there."""
         self._warned, self._reasons = dict(numbers["warned"]), dict(numbers["reasons"])
         self._worst = [float(value) for value in numbers["worst"]]
+        self._strains.note = str(numbers.get("far", ""))
+        self._off, self._scale = float(numbers["off"]), float(numbers["scale"])

@@ -15,6 +15,7 @@ from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler, compiled
 from dolfin_elastic.solvers.mass import mass_diagonal
 from dolfin_elastic.solvers.motion import lumped
+from dolfin_elastic.timing import stage
 
 Vector = npt.NDArray[np.float64]
 
@@ -29,6 +30,8 @@ class Forces:
         reactions: By which supports hold what is prescribed.
         holding: Of springs, dashpots and obstacles.
         dashpots: Those of them that dashpots exert.
+        obstacles: Those of them that obstacles exert.
+        pushes: Force of each contact on the body, this rank's share, shape (contacts, dim).
         inertia: M a.
         damping: By which the materials resist the velocity.
         drag: The part of them that a rigid motion feels, too.
@@ -39,6 +42,8 @@ class Forces:
     reactions: Vector
     holding: Vector
     dashpots: Vector
+    obstacles: Vector
+    pushes: Vector
     inertia: Vector
     damping: Vector
     drag: Vector
@@ -89,6 +94,12 @@ class Moving:
         }
         named = {name: form for name, form in forms.items() if form is not None}
         self._forms = dict(zip(named, compiled(problem, list(named.values())), strict=True))
+        works = [touch.work for touch in problem.touching]
+        self._touching = compiled(problem, works) if works else []
+        # Obstacles whose forces are not one with those of springs under the same label.
+        springs = {spring.label for spring in (*problem.springs, *problem.dashpots)}
+        self._alone = [touch.label not in springs for touch in problem.touching]
+        self._bare = {touch.label for touch in problem.touching} - springs
         self._mass = np.abs(lumped(problem, self.assembler))
         self.mass = mass_diagonal(self.assembler)
 
@@ -117,22 +128,58 @@ class Moving:
         if not self.damping.none:
             self.damping.tell(v)
 
+    def momentum(self, v: Vector) -> Vector:
+        """M v of owned entries of a velocity, at owned entries of all unknowns. Collective."""
+        a = self._a.x.array
+        kept = a.copy()
+        a[: len(v)] = v
+        self._a.x.scatter_forward()
+        found = self.assembler.nodal(self._forms["inertia"]).copy()
+        a[:] = kept
+        return found
+
     def inertia_norm(self, a: Vector) -> float:
         """Size of the forces of inertia at an acceleration, from lumped masses [N]. Collective."""
         with np.errstate(over="ignore", invalid="ignore"):
             return float(np.sqrt(total(self.comm, np.sum((self._mass * a) ** 2))))
+
+    def pushes(self) -> list[Vector]:
+        """Nodal forces of each contact at the present state, owned entries [N]. Collective."""
+        return [self.assembler.nodal(form)[self.moves] for form in self._touching]
+
+    def forces_at(self, t: float, v: Vector, a: Vector) -> Forces:
+        """The forces at the present place; `assembler.balance` holds them then. Collective.
+
+        Args:
+            t: Time [s]; it is the problem's afterwards.
+            v: Velocity, owned entries [m/s].
+            a: Acceleration [m/s^2].
+        """
+        with stage("assemble"):
+            self.problem.set_time(t)
+            self.set_rates(v, a)
+            self.assembler.assemble_balance()
+            return self.forces()
 
     def forces(self) -> Forces:
         """The forces at the state that `assembler.balance` was assembled at. Collective."""
         a = self.assembler
         nothing = np.zeros(a.size)
         found = {name: a.nodal(form).copy() for name, form in self._forms.items()}
+        pushes = self.pushes()
+        dim = self.problem.body.dim
+        obstacles, holding = nothing.copy(), a.holding_forces(self._bare)
+        for push, alone in zip(pushes, self._alone, strict=True):
+            obstacles[self.moves] += push
+            holding[self.moves] += push if alone else 0.0
         return Forces(
             u=self.problem.w.x.array[self.moves],
             loads=a.external_forces(),
             reactions=a.constraint_forces(a.balance.array[: a.size]),
-            holding=a.holding_forces() if self.problem.holding else nothing,
+            holding=holding,
             dashpots=found.get("dashpots", nothing),
+            obstacles=obstacles,
+            pushes=np.array([p.reshape(-1, dim).sum(axis=0) for p in pushes]),
             inertia=found["inertia"],
             damping=found.get("damping", nothing),
             drag=found.get("drag", nothing),

@@ -63,6 +63,7 @@ class Newton:
         ksp: The linear solver of the fields, looked after by `linear`.
         bordered: The system with scalar unknowns, if there are any.
         round_off: Of the last tangent.
+        factorised: The factors are those of where the last solve has ended.
         shift: Share of its diagonal that was added to the last tangent.
         inertia: Norm of the forces of inertia at the present iterate [N], in motion.
         mass: Diagonal of the mass [kg], in motion; `mass_factor` [1/s^2] stands before it.
@@ -82,7 +83,7 @@ class Newton:
     ) -> None:
         self.assembler, self.choice, self.tolerance = assembler, choice, tolerance
         self.progress, self._moving = Progress(), moving
-        self.shift = 0.0
+        self.shift, self.factorised = 0.0, False
         self._flow: Callable[[float, float], float] | None = None
         self.inertia, self.mass_factor, self.mass = 0.0, 0.0, None
         self._external = 0.0
@@ -106,7 +107,11 @@ class Newton:
         if self._owns:
             self.snes.setFunction(self._residual, self._f)
             self.snes.setJacobian(self._tangent, self._source.matrix)
-        self._configure()
+        try:
+            self._configure()
+        except Exception:  # the same on all ranks: nobody else can free what is there already
+            self.destroy()
+            raise
 
     def _configure(self) -> None:
         self.snes.setOptionsPrefix(PREFIX)
@@ -175,7 +180,7 @@ class Newton:
         Raises:
             InputError: A load has no finite value now.
         """
-        self.progress = Progress(reference=reference)
+        self.progress, self.factorised = Progress(reference=reference), False
         self._external = self.assembler.external_norm()
         if not np.isfinite(self._external):
             t = float(self.assembler.problem.t.value)
@@ -245,6 +250,10 @@ class Newton:
             self.bordered.border.put(unknowns[len(fields) :])
         problem.unknowns.tell()
 
+    def found(self) -> Vector:
+        """Owned entries of where the last solve ended, from `assembler.origin`."""
+        return np.asarray(self._x.array_r[: self.assembler.size].copy())
+
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
         self._source.residual(x, f)
 
@@ -262,7 +271,7 @@ class Newton:
 
     def factorise(self) -> None:
         """Assembles and factorises the tangent where the problem is. Collective."""
-        self._flow = None
+        self._flow, self.factorised = None, True
         self._source.get(self._x)
         with stage("solve"), self.options.in_force():
             self._tangent(self.snes, self._x, self._source.matrix, self._source.matrix)
@@ -276,11 +285,11 @@ class Newton:
         a = self.assembler
         self.round_off.renew(P)
         self._floor = self.round_off.norm
-        if self.mass is not None:  # round-off of the stress is that of F, of inertia that of u
+        if self.mass is not None:  # round-off of the stress is that of F, of inertia that of x
             diagonal = P.getDiagonal()
             diagonal.axpy(-self.mass_factor, self.mass)
             heavy = self.mass_factor * float(self.mass.norm()) * a.max_unknown()
-            stiff = float(diagonal.norm()) * self.cell_size
+            stiff = float(diagonal.norm()) * max(self.cell_size, a.max_displacement())
             self._floor = SAFETY * np.finfo(float).eps * (stiff + heavy)
             diagonal.destroy()
         if not self.direct and "ksp_rtol" not in self.options.users:

@@ -11,9 +11,19 @@ from typing import Any
 from petsc4py import PETSc
 
 from dolfin_elastic.errors import InputError
+from dolfin_elastic.solvers.petsc_library import library
 
 PREFIX = "elastic_"
 log = logging.getLogger("dolfin_elastic")
+
+OURS = {
+    "ts_type": "dynamics.scheme",
+    "ts_dt": "dynamics.dt",
+    "ts_time_step": "dynamics.dt",
+    "ts_max_time": "dynamics.end",
+    "ts_max_steps": "dynamics.end",
+}
+"""Options of what a case says, and its keys."""
 
 
 class Options:
@@ -25,10 +35,20 @@ class Options:
     Args:
         defaults: Option to value; True and None stand for options without a value.
         users: The same, from the user, with or without the prefix; they win.
+
+    Raises:
+        InputError: One of the user's is for what the case says.
     """
 
     def __init__(self, defaults: Mapping[str, Any], users: Mapping[str, Any]) -> None:
         self.users = {name.lstrip("-").removeprefix(PREFIX): value for name, value in users.items()}
+        for name in self.users:
+            if name in OURS:
+                raise InputError(
+                    f"the PETSc option -{name} has no effect here",
+                    where="solver.petsc",
+                    expected=f"leave it out; {OURS[name]} says it",
+                )
         self._all = {**defaults, **self.users}
         self._reported = False
         self._used: set[str] = set()
@@ -82,7 +102,7 @@ class Options:
 def _was_used(name: str) -> bool:
     """PetscOptionsUsed (name without dash), which petsc4py lacks; True where it cannot ask."""
     try:
-        ask = ctypes.CDLL(PETSc.__file__).PetscOptionsUsed
+        ask = library().PetscOptionsUsed
     except (OSError, AttributeError):
         return True
     used = ctypes.c_int(1)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from dolfinx import la
-from petsc4py import PETSc
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfin_elastic.parallel import largest, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.solvers.nullspace import unresisted
 from dolfin_elastic.solvers.rigid import rigid_motions
 from dolfin_elastic.solvers.rigid_words import motions_in_words
 
@@ -99,43 +99,16 @@ def _motions(
     modes = rigid_motions((now - centre) / (radius or 1.0)) * inside[:, None, None]
     if problem.geometry == "axisymmetric":
         modes = modes[:, :, 1:2]
-    columns = modes.reshape(own * dim, modes.shape[-1])
-    columns = columns / np.sqrt(total(comm, (columns**2).sum(axis=0)))
-    null = _null(assembler, columns)
+    columns = np.zeros((assembler.size, modes.shape[-1]))
+    columns[assembler.moves] = modes.reshape(own * dim, modes.shape[-1])
+    columns /= np.sqrt(total(comm, (columns**2).sum(axis=0)))
+    null = unresisted(assembler, columns, FREE)
     if not null.shape[1]:
         return None
     place = tuple(float(c) for c in mine[1 : 1 + dim] / mine[0])
     if problem.geometry == "axisymmetric":
         return ["move along y"], place
     return motions_in_words(null, centre, radius), place
-
-
-def _null(assembler: Assembler, columns: Array) -> Array:
-    """Combinations of columns that the tangent maps to nothing, of shape (columns, found)."""
-    matrix, comm = assembler.matrix, assembler.comm
-    x, y = assembler.create_vector(), assembler.create_vector()
-    diagonal = matrix.getDiagonal()
-    free = np.ones(assembler.size, dtype=bool)
-    free[assembler.fixed] = False
-    scale = largest(comm, float(np.max(np.abs(diagonal.array_r[free]), initial=0.0)))
-    images = np.zeros((assembler.size, columns.shape[1]))
-    for k in range(columns.shape[1]):
-        x.set(0.0)
-        x.array_w[assembler.moves] = columns[:, k]
-        matrix.mult(x, y)
-        images[:, k] = y.array_r / (scale or 1.0)
-        # Rows and columns of what is prescribed were replaced by ones.
-        images[assembler.fixed, k] = x.array_r[assembler.fixed]
-    for thing in (x, y, diagonal):
-        thing.destroy()
-    _, vectors = np.linalg.eigh(_gram(comm, images))
-    # Eigenvalues of the squares are exact to 1e-8 only, once roots are taken; vectors are better.
-    sizes = np.sqrt(total(comm, ((images @ vectors) ** 2).sum(axis=0)))
-    return np.asarray(vectors[:, sizes <= FREE])
-
-
-def _gram(comm: PETSc.Comm, images: Array) -> Array:
-    return np.asarray(total(comm, images.T @ images))
 
 
 def _name(problem: Problem, inside: npt.NDArray[np.bool_]) -> str:

@@ -61,7 +61,7 @@ def check_held(problem: Problem) -> None:
         InputError: One is not.
     """
     if problem.touching:
-        check_start(problem)
+        check_start(problem, moving=False)
     bodies = free_bodies(problem)
     free = [body for body in bodies if body.motions]
     if not free:
@@ -86,7 +86,7 @@ def check_held(problem: Problem) -> None:
     raise InputError(
         f"{what}: {said}",
         where="support",
-        expected="statics needs supports that hold "
+        expected="equilibrium needs supports that hold "
         f"{'each body' if len(bodies) > 1 else 'it'}; [dynamics] does not",
     )
 
@@ -101,7 +101,7 @@ def _say_what_is_away(problem: Problem, free: list[FreeBody]) -> None:
         f"no obstacle holds the body yet ({said or 'they touch elsewhere'}): as a rigid body it "
         f"can {', '.join(free[0].motions)}",
         where="contact",
-        expected="statics needs supports that hold it, or an obstacle that touches from the "
+        expected="equilibrium needs supports that hold it, or an obstacle that touches from the "
         "start; [dynamics] does not",
     )
 

@@ -1,12 +1,17 @@
 """The beginning of a motion of exactly incompressible bodies: acceleration and pressure together.
 
 The pressure of such a body is no function of its shape: it is what keeps the acceleration from
-changing the volume.  With the constraint g(u) = 0, B its gradient, M a + B p = f and
-B^T a = -v . g'' v: its second derivative in time.  Source: E. Hairer & G. Wanner, Solving Ordinary
-Differential Equations II (1996), section VII.1, consistent values of systems of index 3.
+changing the volume.  With the constraint g(u, t) = 0, on t where the material grows or is heated,
+and B its gradient, M a + B p = f and -B^T a = d^2/dt^2 g(u + t v, t): its second derivative in
+time.  Its first one, B^T v + dg/dt = 0, says which velocities there are; one that is not is brought
+to the nearest one in the norm of the kinetic energy, by M dv + B q = 0: an impulse of pressure.
+Source: E. Hairer & G. Wanner, Solving Ordinary Differential Equations II (1996), sections VII.1,
+consistent values of systems of index 3, and VII.2, projection.
 """
 
 from __future__ import annotations
+
+import logging
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +28,7 @@ from dolfin_elastic.solvers.moving import Moving
 from dolfin_elastic.solvers.options import PREFIX, Options, ksp_reason
 
 Vector = npt.NDArray[np.float64]
+log = logging.getLogger("dolfin_elastic")
 
 HEAVY = 1e6
 """Inertia over stiffness in the matrix; each solve leaves an error of its inverse."""
@@ -31,8 +37,15 @@ SOLVES = 3
 """With one factorisation: their errors fall to those of rounding."""
 
 STRAIN = 1e-3
-"""To which the body is moved along its velocity: its square is far above round-off, and g as good
-as quadratic."""
+"""To which the body is moved along its velocity: its square is far above round-off, and what is
+left of g, a cubic polynomial of the place, is exact in differences of four points."""
+
+FIRST, SECOND = (-11 / 6, 3.0, -3 / 2, 1 / 3), (2.0, -5.0, 4.0, -1.0)
+"""Weights of derivatives at the first of four points one apart, looking ahead: formulas in t and
+curves need have no past."""
+
+UNSAID, SMALL = 1e-6, 0.01
+"""Changes of a velocity, over its largest, that nobody is told of, and that nobody is warned of."""
 
 
 def exactly(problem: Problem) -> bool:
@@ -40,14 +53,15 @@ def exactly(problem: Problem) -> bool:
 
     Out of a plane that is free the body gives way: there it does.
     """
-    return not problem.unknowns.has("stretch") and any(map(_incompressible, _compliances(problem)))
+    return not problem.unknowns.has("stretch") and any(map(incompressible, _compliances(problem)))
 
 
 def _compliances(problem: Problem) -> list[object]:
     return [part.compliance for part in problem.parts]
 
 
-def _incompressible(compliance: object) -> bool:
+def incompressible(compliance: object) -> bool:
+    """A part's compliance is none: its volume cannot change. Not collective."""
     return isinstance(compliance, fem.Constant) and float(compliance.value) == 0.0
 
 
@@ -56,7 +70,7 @@ def begin(moving: Moving, v: fem.Function, a: fem.Function, h: float) -> None:
 
     Args:
         moving: The body; its rates are those of the initial state, and so is `assembler.balance`.
-        v: Velocity [m/s].
+        v: Velocity [m/s]; changed where what is incompressible cannot have it.
         a: Receives the acceleration [m/s^2].
         h: Step of the differences of what is prescribed [s].
 
@@ -66,14 +80,21 @@ def begin(moving: Moving, v: fem.Function, a: fem.Function, h: float) -> None:
     problem = moving.problem
     held = held_acceleration(problem, h)
     small = problem.num_dofs <= LAST_DIRECT[problem.body.dim]
+    if exactly(problem) and not small:
+        log.warning(
+            "with so many unknowns the first acceleration and pressure of what cannot be "
+            "compressed are not found: the motion begins without, and swings unless the scheme "
+            "damps (generalized-alpha with a spectral_radius of 0.5)"
+        )
     if not (exactly(problem) and small):
         initial_acceleration(moving.assembler, held, a)
         return
     a.x.array[:] = 0.0
     problem.prescribed.impose(a.x.array, held)
     a.x.scatter_forward()
-    saddle = _Saddle(moving, v)
+    saddle = _Saddle(moving, v, h)
     try:
+        saddle.project(v)
         for count in range(SOLVES):
             saddle.correct(a, first=count == 0)
     finally:
@@ -83,10 +104,9 @@ def begin(moving: Moving, v: fem.Function, a: fem.Function, h: float) -> None:
 class _Saddle:
     """[s M + K, B; B^T, -C] [a/s; p] with s M far above K: corrections of both. Collective."""
 
-    def __init__(self, moving: Moving, v: fem.Function) -> None:
-        self._moving, self._a = moving, moving.assembler
+    def __init__(self, moving: Moving, v: fem.Function, h: float) -> None:
+        self._moving, self._a, self._h = moving, moving.assembler, h
         self._problem, self._v = moving.problem, v.x.array[: len(moving.moves)].copy()
-        self._curved = self._turning()
         self._x, self._b = self._a.create_vector(), self._a.create_vector()
         moving.drag.value = 0.0
         diagonal = self._diagonal()
@@ -117,20 +137,60 @@ class _Saddle:
         diagonal.destroy()
         return found
 
-    def _turning(self) -> Vector:
-        """v . g'' v by the second difference of g along the velocity [N/s^2]."""
-        speed = largest(self._moving.comm, float(np.max(np.abs(self._v), initial=0.0)))
-        if self._problem.linear or speed == 0.0:
-            return np.zeros(len(self._moving.extras))
-        step = STRAIN * cell_size(self._problem.body) / speed
+    def project(self, v: fem.Function) -> None:
+        """Brings the velocity to one that changes no volume, and finds v . g'' v. Collective.
+
+        Stabilised pressures let volumes change, and how much goes with a rate that is not known.
+        """
+        speed = self._largest(self._v)
+        step = self._step(speed)
+        if step > 0.0 and not self._problem.unknowns.stabilised:
+            rate = self._derivative(FIRST, step) / step
+            self._b.set(0.0)
+            self._b.array_w[self._moving.extras] = np.where(self._pure, -rate, 0.0)
+            self._solve("initial velocity")
+            change = self._x.array_r[self._moving.moves].copy()
+            self._v += change
+            v.x.array[: len(change)] = self._v
+            v.x.scatter_forward()
+            self._tell(self._largest(change), speed)
+            step = self._step(self._largest(self._v))
+        self._curved: Vector = np.zeros(len(self._moving.extras))
+        if step > 0.0 and (self._problem.rest or not self._problem.linear):
+            self._curved = np.asarray(self._derivative(SECOND, step) / step**2)
+
+    def _step(self, speed: float) -> float:
+        """Step of differences in time [s]; 0 where nothing changes."""
+        small = STRAIN * cell_size(self._problem.body) / speed if speed > 0.0 else np.inf
+        if self._problem.rest:
+            small = min(small, self._h)
+        return small if small < np.inf else 0.0
+
+    def _largest(self, values: Vector) -> float:
+        return largest(self._moving.comm, float(np.max(np.abs(values), initial=0.0)))
+
+    def _tell(self, change: float, speed: float) -> None:
+        if change > UNSAID * speed:
+            log.log(
+                logging.WARNING if change > SMALL * speed > 0.0 else logging.INFO,
+                "the velocity at the start, of body and supports up to %.4g m/s, does not fit "
+                "volumes that cannot change: changed by up to %.3g m/s",
+                speed,
+                change,
+            )
+
+    def _derivative(self, weights: tuple[float, ...], step: float) -> Vector:
+        """Sum of the pressure's rows on the way along the velocity, a step apart [N]."""
         moves, w = self._moving.moves, self._problem.w.x.array
-        here, rows = w[moves].copy(), []
-        for way in (-1.0, 0.0, 1.0):
-            w[moves] = here + way * step * self._v
-            rows.append(self._rows()[self._moving.extras])
+        here, found = w[moves].copy(), np.zeros(len(self._moving.extras))
+        for k, weight in enumerate(weights):
+            w[moves] = here + k * step * self._v
+            self._problem.set_time(k * step)
+            found += weight * self._rows()[self._moving.extras]
         w[moves] = here
+        self._problem.set_time(0.0)
         self._told()
-        return np.asarray((rows[0] - 2 * rows[1] + rows[2]) / step**2)
+        return found
 
     def _told(self) -> None:
         self._problem.w.x.scatter_forward()
@@ -151,7 +211,7 @@ class _Saddle:
         """
         rows = np.where(self._pure, 0.0, rows)
         if self._problem.unknowns.stabilised and all(
-            map(_incompressible, _compliances(self._problem))
+            map(incompressible, _compliances(self._problem))
         ):
             found = total(self._moving.comm, np.array([rows.sum(), float(len(rows))]))
             rows = rows - found[0] / found[1]
@@ -170,19 +230,22 @@ class _Saddle:
         rows = self._rows()
         rows[extras] = self._constraint(rows[extras], first=first)
         self._b.array_w[:] = -rows
+        self._solve("initial acceleration")
+        a.x.array[:size] += self._s * self._x.array_r[moves]
+        a.x.scatter_forward()
+        self._problem.w.x.array[extras] += self._x.array_r[extras]
+        self._told()
+
+    def _solve(self, what: str) -> None:
         self._a.hold(self._b)
         self._ksp.solve(self._b, self._x)
         self._a.hold(self._x)
         reason = self._ksp.getConvergedReason()
         if reason < 0 or not np.isfinite(self._x.norm()):
             raise ConvergenceError(
-                f"the initial acceleration cannot be found: {ksp_reason(reason)}",
+                f"the {what} cannot be found: {ksp_reason(reason)}",
                 advice="is every density positive, and are all initial values finite?",
             )
-        a.x.array[:size] += self._s * self._x.array_r[moves]
-        a.x.scatter_forward()
-        self._problem.w.x.array[extras] += self._x.array_r[extras]
-        self._told()
 
     def destroy(self) -> None:
         """Frees what it owns, and the tangent of what it has put there. Collective."""

@@ -61,10 +61,13 @@ class Scalars:
         """All scalar unknowns."""
         return [] if self.border is None else [float(value) for value in self.border.get()]
 
-    def numbers(self) -> dict[str, float]:
+    def numbers(self, inertia: Vector | None = None) -> dict[str, float]:
         """What is told of cavities, rigid surfaces and periodic cells [SI]. Collective.
 
         Forces are up to date.
+
+        Args:
+            inertia: Forces of it at the owned displacements, if it is not among those [N].
         """
         cell = self._assembler.cell
         found = {} if cell is None else cell.numbers()
@@ -77,6 +80,8 @@ class Scalars:
             for name, value in zip(motion.names, values, strict=True):
                 found[f"{motion.label}_{name}"] = float(value)
             forces = self._assembler.balance.array[self._assembler.moves]
+            if inertia is not None:
+                forces = forces + inertia
             u = self._assembler.problem.u.x.array
             moment = self._prescribed.moment(motion, forces, u)
             for name in motion.names:

@@ -1,13 +1,14 @@
-"""What steps must not pass over: corners of curves, and obstacles that move by their own size."""
+"""What steps must not pass over: times asked for, corners of curves, obstacles that move far."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from dolfin_elastic.errors import InputError
 from dolfin_elastic.model.components import depends_on_time
-from dolfin_elastic.model.curves import RAMP, Amplitude
+from dolfin_elastic.model.curves import PROPORTIONAL, Amplitude
 from dolfin_elastic.problem import Problem
 
 STRIDE = 0.5
@@ -15,6 +16,28 @@ STRIDE = 0.5
 
 HALVINGS = 30
 """Of a step in which an obstacle moves too far."""
+
+
+def refuse_beyond(times: Sequence[float], end: float, key: str, unit: str = "") -> None:
+    """Times that would never be met.
+
+    Args:
+        times: Those that are to be met exactly.
+        end: Where the run ends.
+        key: Dotted key of the end.
+        unit: Of all of them.
+
+    Raises:
+        InputError: The first one beyond the end.
+    """
+    unit = f" {unit}" if unit else ""
+    for index, time in enumerate(times):
+        if time > end:
+            raise InputError(
+                f"{time:g}{unit} lies beyond the end",
+                where=f"times[{index}]",
+                expected=f"at most {key} = {end:g}{unit}",
+            )
 
 
 def corners(problem: Problem) -> list[float]:
@@ -25,7 +48,7 @@ def corners(problem: Problem) -> list[float]:
 def winds(problem: Problem) -> bool:
     """A formula in t says how something changes: it may turn around at any time."""
     formulas = [load.values for load in problem.loads]
-    formulas += [vector for s in problem.supports for vector in s.vectors.values()]
+    formulas += [course for support in problem.supports for course in support.courses]
     formulas += [touch.contact.values for touch in problem.touching]
     curves = any(curve.winding for curve in _curves(problem))
     return curves or any(depends_on_time(vector) for vector in formulas)
@@ -51,9 +74,9 @@ def gentle(problem: Problem, t: float, goal: float) -> float:
     for contact in (touch.contact for touch in problem.touching):
         if not (contact.values and np.isfinite(stride := STRIDE * contact.obstacle.thickness)):
             continue
-        start = np.array(contact.moved(t, RAMP, dim))
+        start = np.array(contact.moved(t, PROPORTIONAL, dim))
         for _ in range(HALVINGS):
-            if np.linalg.norm(np.array(contact.moved(goal, RAMP, dim)) - start) <= stride:
+            if np.linalg.norm(np.array(contact.moved(goal, PROPORTIONAL, dim)) - start) <= stride:
                 break
             goal = t + (goal - t) / 2
     return goal

@@ -162,10 +162,7 @@ def complete(
         vectors = [*known, *(pair.vector for pair in pairs)]
         left = room - len(pairs)
         if spectrum.counted:
-            below = spectrum.below(top)
-            while below is None:  # another mode, just there
-                top *= 1 + GAP / 10
-                below = spectrum.below(top)
+            below = _counted(spectrum, top)
             missing = below - found - zeros
             if missing < 0:
                 raise ConvergenceError(
@@ -185,6 +182,26 @@ def complete(
             pairs += more
         pairs.sort(key=lambda pair: pair.value)
     raise ConvergenceError("modes are still missing after five searches", advice="fewer modes")
+
+
+def _counted(spectrum: Pencil, top: float) -> int:
+    """How many eigenvalues lie below a number, or just above it if there is one. Collective."""
+    for _ in range(10):
+        below = spectrum.below(top)
+        if below is not None:
+            return below
+        top *= 1 + GAP / 10
+    raise undetermined()
+
+
+def undetermined() -> ConvergenceError:
+    """A matrix that is singular with any shift."""
+    return ConvergenceError(
+        "modes cannot be counted: the stiffness is singular whatever is added of the mass, for an "
+        "unknown beside the displacement is left undetermined",
+        advice="of several bodies that cannot be compressed, does one have no free surface? A nu "
+        "a little below 0.5 there",
+    )
 
 
 def _gap(values: Vector, count: int) -> tuple[float, int]:

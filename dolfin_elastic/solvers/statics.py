@@ -14,14 +14,14 @@ from pydantic import Field, model_validator
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.kept import Kept, Restore
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.schema import Record
+from dolfin_elastic.schema import Idle, Record, refuse_idle, settled
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.linear import LinearSettings, choose
 from dolfin_elastic.solvers.newton import Newton
 from dolfin_elastic.solvers.progress import Tolerance
 from dolfin_elastic.solvers.rigid import check_held
 from dolfin_elastic.solvers.scalars import Scalars
-from dolfin_elastic.solvers.schedule import corners, winds
+from dolfin_elastic.solvers.schedule import corners, refuse_beyond, winds
 from dolfin_elastic.solvers.stepping import Stepping
 from dolfin_elastic.solvers.steps import StepSizes
 from dolfin_elastic.state import State
@@ -77,20 +77,32 @@ class StaticsSettings(Record):
                 "steps and first_step given together",
                 expected="steps are equal; leave one of them out",
             )
-        for index, time in enumerate(self.times):
-            if time > self.end:
-                raise InputError(
-                    f"{time:g} lies beyond the end",
-                    where=f"times[{index}]",
-                    expected=f"at most statics.end = {self.end:g}",
-                )
-        if self.times and self.method == "arc-length":
+        refuse_idle(self, _idle(self))
+        if (self.first_step or 0.0) > self.max_step:
             raise InputError(
-                "a path that is followed by its length meets no load on purpose",
-                where="times",
-                expected='leave it out, or method = "load"',
+                f"{self.first_step:g} is more than any step may be",
+                where="first_step",
+                expected=f"at most statics.max_step = {self.max_step:g}",
             )
+        refuse_beyond(self.times, self.end, "statics.end")
         return self
+
+
+def _idle(s: StaticsSettings) -> Iterator[Idle]:
+    """Keys that steps of this kind do not know."""
+    if s.steps is not None:
+        yield Idle(["max_step"], "steps are equal where `steps` is given", "leave one of them out")
+    if s.method == "arc-length":
+        by_load = 'leave it out, or method = "load"'
+        yield Idle(
+            ["times"], "a path that is followed by its length meets no load on purpose", by_load
+        )
+        yield Idle(
+            ["steps", "max_step"],
+            "steps along a path are measured by its length, not by the load",
+            "leave it out; first_step is the share of the load in the first one",
+        )
+        yield Idle(["snap"], "a path that is followed by its length is never left", by_load)
 
 
 class Statics:
@@ -113,9 +125,7 @@ class Statics:
         **fields: Any,
     ) -> None:
         self.problem = problem
-        if settings is not None and fields:
-            raise TypeError(f"give settings or keywords, not both: {', '.join(fields)}")
-        self.settings = settings or StaticsSettings(**fields)
+        self.settings = settled(StaticsSettings, settings, fields)
         self.linear = linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
         self.choice = choose(problem, self.linear)
@@ -178,7 +188,7 @@ class Statics:
         s = self.settings
         if s.steps is not None:
             first = s.end / s.steps
-            stops = [first * i for i in range(1, s.steps)]
+            stops = [s.end * i / s.steps for i in range(1, s.steps)]
             largest = first
         else:
             winding = winds(self.problem)

@@ -23,6 +23,8 @@ from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.mass import free, held_rates
 from dolfin_elastic.solvers.moving import Forces, Moving
 from dolfin_elastic.solvers.newton import Newton
+from dolfin_elastic.solvers.strikes import Strikes
+from dolfin_elastic.solvers.volumes import Volumes
 from dolfin_elastic.timing import stage
 
 Vector = npt.NDArray[np.float64]
@@ -69,6 +71,8 @@ class Stepper:
         done: Of the last step the forces of its stage, those of its middle, and the change of the
             displacement; nothing counts before TS has accepted it for good.
         reached: From a time to the one that was meant, without the round-off of a sum.
+        weigh: Tells TS, at the end of a step, what errors are judged against.
+        strikes: Of obstacles, where errors count.
         error: A fault of the input that a step has met; PETSc would lose it.
         newton_iterations, krylov_iterations: Of all solves so far.
     """
@@ -81,21 +85,25 @@ class Stepper:
         self.newton: Newton
         self.done: Done | None = None
         self.reached: Callable[[float], float] = lambda t: t
+        self.weigh: Callable[[], None] = lambda: None
+        self.strikes: Strikes | None = None
         self.error: InputError | None = None
         self.newton_iterations = self.krylov_iterations = 0
         self.at_end = fem.Function(self.problem.V, name="acceleration")
         linear = self.problem.linear
         self.watch: JacobianWatch | None = None if linear else JacobianWatch(self.problem)
+        volumes = Volumes.needed(self.problem, scheme.alpha_f)
+        self._volumes = Volumes(self.assembler, scheme.alpha_f) if volumes else None
         self._before: Kept | None = None
         self._ends: Forces | None = None
         self._old_ends: Forces | None = None
         nothing: Vector = np.empty(0)
-        self._goal = self._end_values = self._held_stage = nothing
+        self._goal = self._end_values = self._held_stage = self._ahead = self._off = nothing
         self._held_rates = nothing, nothing
         self._h = 0.0
         self._hat: Vector | None = None
 
-    def begin(self, t: float) -> None:
+    def start(self, t: float) -> None:
         """Looks at the state that the next step begins with."""
         if self.scheme.alpha_f != 0.5:
             self._ends = self.look(t)
@@ -108,45 +116,46 @@ class Stepper:
     def look(self, t: float) -> Forces:
         """The forces at the present state, at a time; `assembler.balance` holds them then."""
         size = len(self.moving.moves)
-        with stage("assemble"):
-            self.problem.set_time(t)
-            self.moving.set_rates(self.v.x.array[:size], self.at_end.x.array[:size])
-            self.assembler.assemble_balance()
-            return self.moving.forces()
+        return self.moving.forces_at(t, self.v.x.array[:size], self.at_end.x.array[:size])
 
-    # --- what SNES asks for: the unknown is the displacement of the stage ---
+    # --- what SNES asks for: how far the stage is off what was predicted ---
 
     def residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
         """Out-of-balance forces of the stage, with inertia."""
         v, a = self._rates(x.array_r[self.moving.moves])
         self.moving.set_rates(v, a)
         self.newton.inertia = self.moving.inertia_norm(a)
-        self.assembler.residual(x, f, target=self._goal)
+        with stage("assemble"):
+            self.assembler.put(x)
+            self.assembler.assemble_balance()
+            if self._volumes is not None:
+                self._volumes.complete()
+        self.assembler.constrain(f, target=self._goal)
 
     def tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         """Derivative of the residual by the stage's displacement."""
         self.assembler.tangent(x, self.newton.mass_factor)
         self.newton.note_tangent(P)
 
-    def _rates(self, place: Vector) -> tuple[Vector, Vector]:
-        """Velocity and acceleration of the stage from its displacement."""
+    def _rates(self, off: Vector) -> tuple[Vector, Vector]:
+        """Velocity and acceleration of the stage from how far it is off what was predicted."""
         assert self._before is not None
         s, old = self.scheme, self._before
-        v1, a1 = self._rates_at_end(np.asarray((place - old.u) / (1 - s.alpha_f)))
+        v1, a1 = self._rates_at_end(np.asarray(off / (1 - s.alpha_f)))
         v = (1 - s.alpha_f) * v1 + s.alpha_f * old.v
         a = (1 - s.alpha_m) * a1 + s.alpha_m * old.a
         self.problem.prescribed.impose(a, self._held_stage)
         return v, a
 
-    def _rates_at_end(self, du: Vector) -> tuple[Vector, Vector]:
-        """Velocity and acceleration at the end of the step from the change of the displacement.
+    def _rates_at_end(self, off: Vector) -> tuple[Vector, Vector]:
+        """Velocity and acceleration at the end of the step, from how far its place is off.
 
         Those of prescribed motion are its own: by the formulas of the scheme an error of them, at
         a kink of a curve, would hardly ever die out, and grow as steps become smaller.
         """
         assert self._before is not None
         s, old, held = self.scheme, self._before, self.problem.prescribed
-        a = s.acceleration(du, old.v, old.a, self._h)
+        a = s.acceleration(off, old.a, self._h)
         v = s.velocity(old.v, old.a, a, self._h)
         held.impose(v, self._held_rates[0])
         held.impose(a, self._held_rates[1])
@@ -167,11 +176,16 @@ class Stepper:
         """Takes one step; whether there was one, however small."""
         U, V = ts.getSolution2()
         self._before = self._here(float(ts.getTime()))
+        if self._volumes is not None:
+            self._volumes.begin(self._before.t)
+        if self.strikes is not None:
+            self.strikes.begin(self._before.t)
         crushed = self._crushed()
         for failure in range(FAILURES + 1):
             while self._solved(float(ts.getTimeStep())):
                 if not self._advance(U, V) and not crushed:
                     break
+                self.weigh()
                 h, good = choose(ts, self._order)
                 if good:
                     self._accept(ts, h)
@@ -237,17 +251,28 @@ class Stepper:
         self._end_values = goal
         self._goal = s.alpha_f * held + (1 - s.alpha_f) * goal
         self.problem.set_time(old.t + (1 - s.alpha_f) * h)
-        for start in self._starts():
+        self._ahead = s.predicted(old.v, old.a, h)
+        if self._volumes is not None:
+            self._volumes.end = old.t + h
+        origin = self.assembler.origin
+        origin[:] = old.w
+        origin[self.moving.moves] += (1 - s.alpha_f) * self._ahead
+        try:
+            return any(self._solved_from(start) for start in self._starts())
+        finally:
+            origin[:] = 0.0
+
+    def _solved_from(self, start: Vector) -> bool:
+        self._put_unknowns(start)
+        progress = self.newton.solve(self.newton.ladder()[0])
+        while "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
             self._put_unknowns(start)
             progress = self.newton.solve(self.newton.ladder()[0])
-            while "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
-                self._put_unknowns(start)
-                progress = self.newton.solve(self.newton.ladder()[0])
-            self.newton_iterations += progress.newton
-            self.krylov_iterations += progress.krylov
-            if progress.converged:
-                return True
-        return False
+        self.newton_iterations += progress.newton
+        self.krylov_iterations += progress.krylov
+        off = self.newton.found()[self.moving.moves]
+        self._off = np.asarray(off / (1 - self.scheme.alpha_f))
+        return progress.converged
 
     def _prescribed_at(self, t: float) -> Vector:
         """Prescribed values at the end of the step, where loads, too, must have values."""
@@ -261,9 +286,8 @@ class Stepper:
         """Where Newton's method may begin, the better one first: on the way, or at rest."""
         old = self._before
         assert old is not None
-        further = old.w.copy()
-        du = self.scheme.predicted(old.v, old.a, self._h)
-        moved = old.u + (1 - self.scheme.alpha_f) * du
+        further = self.assembler.origin.copy()
+        moved = further[self.moving.moves]
         self.problem.prescribed.impose(moved, self._goal)
         further[self.moving.moves] = moved
         if self.problem.linear:
@@ -300,11 +324,13 @@ class Stepper:
         old, s, h = self._before, self.scheme, self._h
         assert old is not None
         self._forces = self.moving.forces()
+        if self.strikes is not None:
+            self.strikes.at_stage(self._forces)
         moves, size = self.moving.moves, len(self.moving.moves)
         w = self.problem.w.x.array[: self.assembler.size].copy()
-        u = old.u + (w[moves] - old.u) / (1 - s.alpha_f)
+        u = old.u + (self._ahead + self._off)
         self.problem.prescribed.impose(u, self._end_values)
-        v, a = self._rates_at_end(u - old.u)
+        v, a = self._rates_at_end(self._off)
         w[moves] = u
         self._put_unknowns(w)
         at_end = s.at_end(old.a, a)
@@ -313,9 +339,12 @@ class Stepper:
             field.x.array[:size] = values
             field.x.scatter_forward()
         self._tell(U, V)
-        # What is prescribed has no error, whatever its acceleration does.
-        self._hat = u - free(self.problem, s.error((old.v, v), (old.a, a), h))
         self.problem.set_time(old.t + h)
+        error = s.error((old.v, v), (old.a, a), h)
+        if self.strikes is not None:
+            error += self.strikes.error(h)
+        # What is prescribed has no error, whatever its acceleration does.
+        self._hat = u - free(self.problem, error)
         return self._whole()
 
     def _whole(self) -> bool:

@@ -12,7 +12,7 @@ from dolfinx import fem
 
 from dolfin_elastic.errors import ConvergenceError
 from dolfin_elastic.kept import Kept, Restore
-from dolfin_elastic.model.curves import PROPORTIONAL, RAMP
+from dolfin_elastic.model.curves import PROPORTIONAL
 from dolfin_elastic.solvers.arclength import ArcLength
 from dolfin_elastic.solvers.audit import Auditor
 from dolfin_elastic.solvers.contact import Augmentation, Measured
@@ -27,6 +27,7 @@ from dolfin_elastic.solvers.progress import ANOTHER, BEYOND, UNSTABLE, Progress
 from dolfin_elastic.solvers.relaxation import flow_away
 from dolfin_elastic.solvers.scalars import Scalars
 from dolfin_elastic.solvers.schedule import corners, gentle
+from dolfin_elastic.solvers.words import coordinates
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
 
@@ -72,7 +73,7 @@ class Stepping:
             if self.settings.method == "arc-length":
                 self._make_arc()
             if restore is None:
-                self.problem.set_time(0.0, default=RAMP)
+                self.problem.set_time(0.0, default=PROPORTIONAL)
                 self._arrive()
                 yield self._state(0.0, Progress(reason="initial state"))
             else:
@@ -123,7 +124,7 @@ class Stepping:
         others = {name: fem.Function(self.problem.W) for name in names}
         restore({"unknowns": self.problem.w, **multipliers, **others})
         self._t, self._count = numbers["t"], numbers["count"]
-        self.problem.set_time(self._t, default=PROPORTIONAL if self._arc else RAMP)
+        self.problem.set_time(self._t, default=PROPORTIONAL)
         if self._scalars.border is not None:
             self._scalars.border.put(np.array(numbers["scalars"]))
         self.problem.unknowns.tell()
@@ -143,13 +144,9 @@ class Stepping:
 
     def _arrive_again(self, numbers: Mapping[str, Any]) -> None:
         """Evaluates the state that was restored, as the last step has left it. Collective."""
-        x = self.assembler.create_vector()
-        self.assembler.get(x)
-        self.assembler.tangent(x)
-        x.destroy()
+        remind(self.newton, numbers["newton"])
         self._arrive()
         self._auditor.go_on(numbers["audit"])
-        remind(self.newton, numbers["newton"])
 
     def _multipliers(self) -> dict[str, fem.Function]:
         return {f"contact_{i}": touch.lam for i, touch in enumerate(self.problem.touching)}
@@ -226,7 +223,7 @@ class Stepping:
             found = flow_away(self.ladder, settled=progress.converged)
             if not found.converged and self._fallback is not None and self._fallback[0] > t:
                 goal, there = self._fallback
-                self.problem.set_time(goal, default=RAMP)
+                self.problem.set_time(goal, default=PROPORTIONAL)
                 found = self.ladder.solve([("", there)])
                 if found.converged and (negative_eigenvalues(self.newton) or 0) > 0:
                     found = flow_away(self.ladder, settled=True)
@@ -257,7 +254,7 @@ class Stepping:
 
     def _attempt(self, t: float, goal: float) -> Progress:
         """Tries to go to a load factor; the displacement is put back if that fails."""
-        self.problem.set_time(goal, default=RAMP)
+        self.problem.set_time(goal, default=PROPORTIONAL)
         self.problem.prescribed.check_finite()
         now = self.newton.present()
         starts = [("", now)]
@@ -283,7 +280,7 @@ class Stepping:
         return ConvergenceError(
             f"no equilibrium beyond load factor {t:.6g}: {found.text}\n  at the end: "
             f"{progress.reason}, Newton iterations: {progress.newton}; the largest force out of "
-            f"balance, {force:.3g} N, is at {_text(place)} m",
+            f"balance, {force:.3g} N, is at {coordinates(place)} m",
             advice=found.advice,
             state=self._state(goal, progress),
             diagnosis=found,
@@ -341,7 +338,3 @@ class Stepping:
             audit=self._auditor.of(t, energies["strain"]) if judged else None,
             done=t / self.settings.end,
         )
-
-
-def _text(place: Any) -> str:
-    return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from dolfin_elastic.problem import Problem
 
@@ -37,7 +37,10 @@ MATERIAL = (
     "smaller load; a finer mesh does not help"
 )
 STALLED = "more load steps or a smaller load; beyond a limit point no static equilibrium exists"
-SMALLER_STEP = "a smaller dt, or a spectral_radius below 1"
+JUMP = "a curve or a formula of the support that takes some time from one place to the other"
+SMALLER_STEP = (
+    "a smaller dt, or a scheme that damps more (a smaller spectral_radius, implicit-euler)"
+)
 
 _KSP = {
     "DIVERGED_MAX_IT": (
@@ -63,6 +66,11 @@ _KSP = {
         "is every piece of the body held? Otherwise more load steps",
     ),
 }
+
+
+def coordinates(place: Iterable[float]) -> str:
+    """A place or a direction, with four digits; no zero has a sign."""
+    return "(" + ", ".join(f"{x + 0.0:.4g}" for x in place) + ")"
 
 
 def ahead(fault: str) -> str:

@@ -154,7 +154,7 @@ class Load(Record):
     @cached_property
     def values(self) -> tuple[Component, ...]:
         """The components as numbers or formulas."""
-        return components(self.value, self.unit)
+        return components(self.value, self.unit, key="value")
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:

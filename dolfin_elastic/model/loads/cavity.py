@@ -111,10 +111,7 @@ class Cavity(Load):
         """The origin as numbers; nothing where it is zero."""
         if self.origin is None:
             return ()
-        try:
-            found = components(self.origin, "m")
-        except InputError as error:
-            raise error.at("origin" + error.where) from None
+        found = components(self.origin, "m", key="origin")
         if any(isinstance(item, Formula) for item in found):
             raise InputError("a point does not move", where="origin", expected="numbers")
         return found

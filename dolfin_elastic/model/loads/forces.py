@@ -49,9 +49,8 @@ class Traction(Load):
     def values(self) -> tuple[Component, ...]:
         """The components, per area or in total."""
         if self.force is None:
-            return components(self.value, self.unit) if self.value else ()
-        with keyed("force"):
-            return components(self.force, "N")
+            return components(self.value, self.unit, key="value") if self.value else ()
+        return components(self.force, "N", key="force")
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:
@@ -105,7 +104,7 @@ class Gravity(Load):
     @cached_property
     def values(self) -> tuple[Component, ...]:
         """The components; none stands for the standard weight."""
-        return components(self.value, self.unit) if self.value else ()
+        return components(self.value, self.unit, key="value") if self.value else ()
 
     def acceleration(self, dim: int) -> tuple[Component, ...]:
         """Its components [m/s^2] in 2 or 3 dimensions."""

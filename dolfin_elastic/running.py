@@ -23,10 +23,12 @@ from dolfin_elastic.opening import opened
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.restarts import Unfinished, about, unfinished
 from dolfin_elastic.results.checkpoints import Checkpoints
+from dolfin_elastic.results.claim import Claim
 from dolfin_elastic.results.sums import fingerprint
 from dolfin_elastic.results.writer import ModeWriter, Writer
 from dolfin_elastic.solvers.contact import tell_untouched
 from dolfin_elastic.state import Mode, State
+from dolfin_elastic.stopping import forget
 
 log = logging.getLogger("dolfin_elastic")
 States = Generator[State | Mode, None, None]
@@ -52,7 +54,8 @@ def run(
         asked: Called after each state; true on a rank: a checkpoint is written there and then.
 
     Raises:
-        InputError: The case is wrong; nothing has been written.
+        InputError: The case is wrong, or a run is still going in that folder; nothing has been
+            written.
         SolveError: No solution was found; the results so far are complete.
         OutputError: Results cannot be written.
     """
@@ -81,7 +84,8 @@ def restart(
         asked: See `run`.
 
     Raises:
-        RestartError: There is nothing to go on from, or case or mesh have changed.
+        RestartError: There is nothing to go on from, case or mesh have changed, or a run is still
+            going there.
         InputError: The mesh is gone, or the case is wrong.
         SolveError: No solution was found; the results so far are complete.
         OutputError: Results cannot be written.
@@ -103,7 +107,20 @@ class _Run:
     comm: MPI.Comm
     asked: Callable[[], bool] | None
 
+    def __post_init__(self) -> None:
+        self.claim = Claim(self.comm, self.folder)
+
     def states(self, before: Unfinished | None = None) -> States:
+        """All states and modes, in a folder that no other run writes into meanwhile."""
+        with closing(self.claim):
+            self.claim.take()  # before anything is computed; where there is no folder yet, later
+            if before is not None:
+                before.check_newest()
+            if self.comm.rank == 0:  # only now: until it is claimed it may be another run's
+                forget(self.folder)
+            yield from self._states(before)
+
+    def _states(self, before: Unfinished | None) -> States:
         timing.begin()
         with timing.stage("mesh"):
             body = self.case.read_body(self.comm)
@@ -134,13 +151,14 @@ class _Run:
         """The states, each with all outputs, and a checkpoint now and then."""
         output = self.case.output
         # A fault at the start leaves no folder behind; where one goes on, it is there already.
-        first = [] if before else list(islice(steps, 1))
         probe = output.probe(problem, self.case.mesh.scale)
+        probed = (probe.onto(step) if isinstance(step, State) else step for step in steps)
+        first = [] if before else list(islice(probed, 1))
+        self.claim.take(make=True)
         keeper.begin(new=before is None)
         kept = None if before is None else before.found.content["outputs"]
         with opened(self.case.files(), problem, self.folder, kept) as writers:
-            for step in chain(first, steps):
-                found = probe.onto(step) if isinstance(step, State) else step
+            for found in chain(first, probed):
                 for writer in writers:
                     _write(writer, found)
                 keeper.look(found, writers, asked=self.asked is not None and self.asked())
