@@ -320,6 +320,19 @@ def test_load_that_is_not_finite():
         report(case(load=loads))
 
 
+@pytest.mark.parametrize(
+    ("analysis", "t"), [({"dynamics": {"dt": 0.1, "end": 2.0}}, 1.85), ({"statics": {}}, 0.95)]
+)
+def test_a_support_must_have_values_all_the_way(analysis, t):
+    """Looked at at 41 times: the first one of them that has none."""
+    pulled = {"on": "top", "displacement": [0, 0, f"0.01*t*sqrt({t - 0.01:g} - t)"]}
+    tables = {"support": [{"on": "bottom"}, pulled], **analysis}
+    with pytest.raises(InputError, match=rf"support 'top': .* not finite at .* at t = {t:g}$"):
+        report(case(**tables))
+    pulled["displacement"] = [0, 0, f"0.01*t*sqrt({t + 1.2:g} - t)"]
+    report(case(**tables))
+
+
 def test_intensity_of_pressure_like_loads():
     """Normals are there for whoever needs them."""
 

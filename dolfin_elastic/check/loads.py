@@ -9,6 +9,7 @@ import numpy as np
 
 from dolfin_elastic.case import Case
 from dolfin_elastic.check.case import acts_on_surfaces
+from dolfin_elastic.check.start import TIMES
 from dolfin_elastic.check.sums import Floats, Integrals
 from dolfin_elastic.errors import CaseError
 from dolfin_elastic.meshes.points import Points
@@ -19,9 +20,6 @@ from dolfin_elastic.model.rigid import Rigid
 from dolfin_elastic.motions import RigidMotion
 from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
-
-_TIMES = 41
-"""Times of a motion at which its loads are looked at, beside the corners of their curves."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +104,7 @@ def _pushed(motion: RigidMotion, t: float, case: Case, dim: int) -> Floats:
 def _rigid_times(case: Case) -> list[float]:
     if case.dynamics is None:
         return [case.full]
-    return [float(t) for t in np.linspace(0.0, case.dynamics.end, _TIMES)]
+    return [float(t) for t in np.linspace(0.0, case.dynamics.end, TIMES)]
 
 
 def _points(load: Load, integrals: Integrals) -> Points | None:
@@ -129,7 +127,7 @@ def _times(case: Case, load: Load) -> list[float]:
     if load.amplitude in (None, CONSTANT) and not depends_on_time(load.values):
         return [0.0]
     end = case.dynamics.end
-    times = {float(t) for t in np.linspace(0.0, end, _TIMES)}
+    times = {float(t) for t in np.linspace(0.0, end, TIMES)}
     if load.curve is not None:
         times.update(t for t, _ in load.curve.table if 0 <= t <= end)
     return sorted(times)

@@ -14,7 +14,7 @@ from dolfin_elastic.check.hints import hints
 from dolfin_elastic.check.loads import LoadSum, load_sums
 from dolfin_elastic.check.memory import Memory, memory
 from dolfin_elastic.check.sizes import PartSize, material_sizes, region_sizes, surface_sizes
-from dolfin_elastic.check.start import start_notes
+from dolfin_elastic.check.start import check_supports, start_notes
 from dolfin_elastic.check.sums import Integrals
 from dolfin_elastic.damping import check_damped
 from dolfin_elastic.errors import InputError
@@ -112,7 +112,10 @@ def _start(case: Case, problem: Problem) -> tuple[str, ...]:
         check_damped(problem, case.dynamics.damping.get("stiffness", 0.0))
         if case.dynamics.scheme == "alpha2":
             check_alpha2(problem)
-    return start_notes(problem, case.dynamics) if case.dynamics is not None else ()
+    notes = start_notes(problem, case.dynamics) if case.dynamics is not None else ()
+    if case.analysis in ("statics", "dynamics") or case.preloaded:
+        check_supports(case, problem)
+    return notes
 
 
 def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> Report:

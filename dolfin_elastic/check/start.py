@@ -1,13 +1,35 @@
-"""What a motion begins with, and what looks wrong about it."""
+"""What a run begins with and where its supports go, and what looks wrong about it."""
 
 from __future__ import annotations
 
+import numpy as np
 from dolfinx import fem
 
+from dolfin_elastic.case import Case
+from dolfin_elastic.model.curves import CONSTANT, PROPORTIONAL
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.contact import check_start
 from dolfin_elastic.solvers.dynamics import DynamicsSettings
 from dolfin_elastic.solvers.initial import set_initial
+
+TIMES = 41
+"""Times of a motion, or of statics, at which supports and loads are looked at."""
+
+
+def check_supports(case: Case, problem: Problem) -> None:
+    """Looks whether supports have values all the way; ends as at the start. Collective.
+
+    Raises:
+        InputError: A formula gives no finite number somewhere.
+    """
+    if all(support.at_rest for support in problem.supports):
+        return
+    end, default = (case.dynamics.end, CONSTANT) if case.dynamics else (case.full, PROPORTIONAL)
+    held = problem.prescribed
+    for t in np.linspace(0.0, end, TIMES):
+        held.move_to(float(t), default)
+        held.check_finite()
+    held.move_to(0.0, default)
 
 
 def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]:
