@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TypeVar, cast
 
 from mpi4py import MPI
@@ -84,3 +84,9 @@ def largest(comm: MPI.Comm, value: float) -> float:
 def smallest(comm: MPI.Comm, value: float) -> float:
     """The smallest value of all ranks. Collective."""
     return float(comm.allreduce(value, op=MPI.MIN))
+
+
+def first_of(comm: MPI.Comm, mine: Iterable[T]) -> T | None:
+    """The least of all ranks' things that can be compared, None without any. Collective."""
+    own = min(mine, default=None)  # type: ignore[type-var]
+    return min((one for one in comm.allgather(own) if one is not None), default=None)

@@ -18,7 +18,7 @@ from dolfin_elastic.model.rigid import Rigid
 from dolfin_elastic.model.supports import NORMAL, Prescribing, Restraint
 from dolfin_elastic.motions import RigidMotion
 from dolfin_elastic.normals import sheet, tidy
-from dolfin_elastic.parallel import total
+from dolfin_elastic.parallel import first_of, total
 from dolfin_elastic.tilted import Hold, Tilted
 
 Dofs = npt.NDArray[np.int32]
@@ -374,7 +374,7 @@ class Prescribed:
         comm = self._V.mesh.comm
         if not total(comm, int((~np.isfinite(self.targets)).sum())):
             return
-        found = min((one for part in comm.allgather(self._bad()) for one in part), default=None)
+        found = first_of(comm, self._bad())
         where, at = "support", "some nodes"  # held along an oblique direction
         if found is not None:
             where, at = f"support '{found[0]}'", f"({', '.join(f'{x:.6g}' for x in found[1])}) m"

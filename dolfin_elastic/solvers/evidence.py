@@ -14,11 +14,11 @@ from dolfin_elastic.bench.checks import finite_twin
 from dolfin_elastic.bench.domain import outside
 from dolfin_elastic.compiler import compile_expression
 from dolfin_elastic.errors import BadCell
-from dolfin_elastic.parallel import largest, smallest, total
+from dolfin_elastic.parallel import first_of, largest, smallest, total
 from dolfin_elastic.parts import Part
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler, compiled
-from dolfin_elastic.solvers.words import coordinates
+from dolfin_elastic.solvers.words import coordinates, count
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -112,7 +112,7 @@ class Cells:
 
     def first(self, where: Mask) -> tuple[float, ...]:
         """Middle of a marked cell, on any number of ranks the same one. Collective."""
-        return _lowest(self.comm.allgather([_numbers(x) for x in self.middles[where]][:10_000]))
+        return first_of(self.comm, map(_numbers, self.middles[where])) or ()
 
 
 # --- terms without a finite value ---
@@ -142,8 +142,8 @@ def _of_material(cells: Cells, part: Part) -> Fault | None:
         values = kernel.eval(problem.body.mesh, part.cells).reshape(len(part.cells), -1)
     bad = np.zeros(len(cells.own), dtype=bool)
     bad[part.cells] = ~np.isfinite(values).all(axis=1)
-    count = int(total(cells.comm, int(bad.sum())))
-    if not count:
+    bad_ones = int(total(cells.comm, int(bad.sum())))
+    if not bad_ones:
         return None
     F = cells.gradients()[bad].reshape(-1, 3, 3)
     with np.errstate(all="ignore"):
@@ -154,7 +154,9 @@ def _of_material(cells: Cells, part: Part) -> Fault | None:
     low = smallest(cells.comm, float(np.min(J, initial=np.inf)))
     inverted = not upright and not np.isnan(low)
     why = f"det F falls to {low:.3g}" if inverted else why
-    text = f"material '{part.name}': {why}, in {_count(count, 'cell')} near {coordinates(place)} m"
+    text = (
+        f"material '{part.name}': {why}, in {count(bad_ones, 'cell')} near {coordinates(place)} m"
+    )
     return Fault(text, place, inverted=inverted)
 
 
@@ -175,12 +177,12 @@ def _of_term(problem: Problem, name: str, work: ufl.Form) -> Fault | None:
     size = problem.V.dofmap.index_map.size_local * problem.body.dim
     entries = problem.unknowns.places(np.arange(size, dtype=np.int32))
     bad = ~np.isfinite(force.array[entries].reshape(-1, problem.body.dim)).all(axis=1)
-    count = int(total(problem.body.comm, int(bad.sum())))
-    if not count:
+    bad_ones = int(total(problem.body.comm, int(bad.sum())))
+    if not bad_ones:
         return None
     places = problem.V.tabulate_dof_coordinates()[: len(bad), : problem.body.dim][bad]
-    place = _lowest(problem.body.comm.allgather([_numbers(x) for x in places][:10_000]))
-    at = f"at {_count(count, 'node')} near {coordinates(place)} m"
+    place = first_of(problem.body.comm, map(_numbers, places)) or ()
+    at = f"at {count(bad_ones, 'node')} near {coordinates(place)} m"
     return Fault(f"{name} is not finite {at}", place, load=True)
 
 
@@ -189,10 +191,6 @@ def _of_term(problem: Problem, name: str, work: ufl.Form) -> Fault | None:
 
 def _on(parts: tuple[str, ...]) -> str:
     return f" on '{', '.join(parts)}'" if parts else ""
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}" + ("" if number == 1 else "s")
 
 
 def _flat(tensor: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
@@ -205,7 +203,3 @@ def _numbers(place: Array) -> tuple[float, ...]:
 
 def _rounded(value: float) -> float:
     return float(f"{value:.6e}")
-
-
-def _lowest(found: list[list[tuple[float, ...]]]) -> tuple[float, ...]:
-    return min((place for part in found for place in part), default=())

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfin_elastic.errors import InputError, StabilityError
+from dolfin_elastic.errors import StabilityError
 from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.small_strains import SmallStrains
-from dolfin_elastic.solvers.words import coordinates
+from dolfin_elastic.solvers.words import coordinates, worthless
 
 Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
@@ -121,7 +121,7 @@ class Lookout:
         forces = self._assembler.external_forces()
         u[:] = kept
         if total(problem.body.comm, int(np.sum(~np.isfinite(forces)))):
-            raise InputError(f"a load has no finite value at t = {t:g}", where="load")
+            raise worthless(t)
         why = f": {self._inside_out}" if self._inside_out else ""
         return StabilityError(
             f"the motion has no finite velocity at t = {t:.6g} s{why}",

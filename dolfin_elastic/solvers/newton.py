@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes.body import cell_size, span
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.border import Border, Bordered, python_solver
@@ -24,6 +23,7 @@ from dolfin_elastic.solvers.linear import Choice
 from dolfin_elastic.solvers.options import PREFIX, Options, ksp_reason, snes_reason
 from dolfin_elastic.solvers.progress import Progress, Tolerance
 from dolfin_elastic.solvers.round_off import SAFETY, RoundOff
+from dolfin_elastic.solvers.words import worthless
 from dolfin_elastic.timing import stage
 
 Vector = npt.NDArray[np.float64]
@@ -183,8 +183,7 @@ class Newton:
         self.progress, self.factorised = Progress(reference=reference), False
         self._external = self.assembler.external_norm()
         if not np.isfinite(self._external):
-            t = float(self.assembler.problem.t.value)
-            raise InputError(f"a load has no finite value at t = {t:g}", where="load")
+            raise worthless(float(self.assembler.problem.t.value))
 
     def ladder(self) -> tuple[str, ...]:
         """Line searches to try in turn, by PETSc's names.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dolfin_elastic.parallel import largest
+from dolfin_elastic.parallel import first_of, largest
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.words import coordinates
 
@@ -107,9 +107,9 @@ def misfits(problem: Problem, what: str, change: Vector, least: float) -> Iterat
             continue
         # Nodes that differ equally: the same one on any number of ranks.
         alike = x[: len(sizes)][sizes >= most * (1 - 1e-9)]
-        mine = min((tuple(place.round(12).tolist()) for place in alike), default=None)
-        places = [place for place in problem.body.comm.allgather(mine) if place is not None]
-        yield Misfit(label, what, most, min(places)[:dim])
+        place = first_of(problem.body.comm, map(tuple, alike.round(12).tolist()))
+        assert place is not None  # some rank has the largest
+        yield Misfit(label, what, most, place[:dim])
 
 
 def _shares(problem: Problem, change: Vector) -> Iterator[tuple[str, Vector]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from dolfin_elastic.errors import InputError
 from dolfin_elastic.problem import Problem
 
 HOLD = (
@@ -83,6 +84,11 @@ def linear(reason: str) -> tuple[str, str]:
     name = reason.partition("(")[2].rstrip(")") or reason
     said, advice = _KSP.get(name, ("it did not converge", 'solver.method = "direct"'))
     return f"{said} ({name})", advice
+
+
+def worthless(t: float) -> InputError:
+    """What is wrong where a load is not finite at a time [s]."""
+    return InputError(f"a load has no finite value at t = {t:g}", where="load")
 
 
 def count(number: int, thing: str) -> str:
