@@ -53,12 +53,19 @@ def main():
                 split_sharp_edges=True,
                 show_scalar_bar=False,
             )
-        plot.add_text(
-            f"mode {number}:\n{WORDS[number]}",
-            position=(0.305 + 0.158 * k, 0.02),
-            viewport=True,
-            font_size=17,
-            color="black",
+        x, y, z = surface.points.T
+        foot = [(x.min() + x.max()) / 2 + k * APART, y.min() - 0.004, (z.min() + z.max()) / 2]
+        plot.add_point_labels(
+            [foot],
+            [f"mode {number}:\n{WORDS[number]}"],
+            show_points=False,
+            shape=None,
+            always_visible=True,
+            justification_horizontal="center",
+            justification_vertical="top",
+            bold=False,
+            font_size=34,
+            text_color="black",
         )
     plot.view_vector([0.35, 0.0, 1.0], viewup=[0, 1, 0])
     plot.enable_parallel_projection()
