@@ -22,6 +22,7 @@ from dolfin_elastic import (
     Gravity,
     LinearElastic,
     NeoHookean,
+    NeoHookeanSplit,
     Problem,
     Selector,
     Statics,
@@ -167,6 +168,22 @@ def test_a_jump_along_facets_is_two_regions(degree: int) -> None:
     _, state = pulled(bar(4), law, degree)
     stiffness = AREA / (0.5 / ONE + 0.5 / OTHER)
     assert state.reactions["right"][0] == pytest.approx(stiffness * BY, rel=1e-10)
+
+
+def test_what_varies_is_on_one_rank_only() -> None:
+    """Two bars in series, the short one of two cells: ranks without a cell of it go the same way."""
+    short = Selector(box=((0.875, 0, 0), (1, 0.1, 0.1)))
+    rest = Selector(box=((0, 0, 0), (0.875, 0.1, 0.1)))
+    body = name_parts(bar(8, dim=2), regions={"short": short, "rest": rest})
+    laws = {
+        "short": NeoHookeanSplit(mu="1e9 + 0*x", nu="0.3 + 0*x"),
+        "rest": LinearElastic(E="1e9 + 0*x", nu="0.3 + 0*x"),
+    }
+    by = 1e-7  # small enough for Hooke's law
+    _, state = pulled(body, laws, by=by)
+    tip = 1e9 * 2 * 0.7 / 0.4  # lambda + 2 mu
+    stiffness = 0.1 / (0.125 / tip + 0.875 / ONE)
+    assert state.reactions["right"][0] == pytest.approx(stiffness * by, rel=1e-6)
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the folder ../shared/meshes is absent")

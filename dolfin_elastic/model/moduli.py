@@ -106,9 +106,12 @@ def check_given(given: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def is_half(nu: Any) -> bool:
-    """Poisson's ratio is the number 0.5, or a UFL constant of that value."""
+    """Poisson's ratio is the number 0.5, or a UFL constant of that value; a table never is.
+
+    A table may be empty on a rank, or differ from rank to rank, which must all take one way.
+    """
     value = getattr(nu, "value", nu)
-    return isinstance(value, float | np.ndarray) and bool(np.all(np.asarray(value) == 0.5))
+    return isinstance(value, float | np.ndarray) and np.ndim(value) == 0 and bool(value == 0.5)
 
 
 def symbolic(given: Mapping[str, Any]) -> dict[str, Any]:
