@@ -171,7 +171,7 @@ def test_a_jump_along_facets_is_two_regions(degree: int) -> None:
 
 
 def test_what_varies_is_on_one_rank_only() -> None:
-    """Two bars in series, the short one of two cells: ranks without a cell of it go the same way."""
+    """Two bars in series, the short one of two cells: ranks without one go the same way."""
     short = Selector(box=((0.875, 0, 0), (1, 0.1, 0.1)))
     rest = Selector(box=((0, 0, 0), (0.875, 0.1, 0.1)))
     body = name_parts(bar(8, dim=2), regions={"short": short, "rest": rest})
