@@ -19,6 +19,7 @@ from test_arclength import FULL, RISE, arch
 from test_checkpoints import SIZES, on_ranks, saved
 
 from dolfin_elastic import (
+    Body,
     Case,
     Cavity,
     Contact,
@@ -437,11 +438,9 @@ def test_a_motion_goes_on(name: str, folder: Path) -> None:
     check_same_results(folder / "a", folder / "whole")
 
 
-def moved(scheme: str, petsc: dict[str, Any]) -> Dynamics:
+def moved(body: Body, scheme: str, petsc: dict[str, Any]) -> Dynamics:
     """A square stretched so far that a law for small strains says so at once."""
-    problem = Problem(
-        rectangle_body(size=(1, 1), cells=(2, 2)), LinearElastic(E=E, nu=0.3, density=1e3)
-    )
+    problem = Problem(body, LinearElastic(E=E, nu=0.3, density=1e3))
     keys: dict[str, Any] = {"end": 1e-3, "dt": 1e-4, "initial_displacement": ["0.2*x", 0]}
     return Dynamics(problem, scheme=scheme, petsc=petsc, **keys)
 
@@ -459,7 +458,8 @@ def test_a_motion_that_goes_on_says_what_is_new(
     scheme: str, petsc: dict[str, Any], forgotten: str | None, caplog: pytest.LogCaptureFixture
 ) -> None:
     """What PETSc keeps to itself is told; what was told before is not told again."""
-    motion = moved(scheme, petsc)
+    body = rectangle_body(size=(1, 1), cells=(2, 2))
+    motion = moved(body, scheme, petsc)
     states = motion.steps()
     next(states), next(states)
     kept = motion.kept()
@@ -473,7 +473,7 @@ def test_a_motion_that_goes_on_says_what_is_new(
             field.x.array[:] = values[name]
         return kept.numbers
 
-    states = moved(scheme, petsc).steps(restore)
+    states = moved(body, scheme, petsc).steps(restore)
     next(states)
     states.close()
     told = on_root(WORLD, lambda: [one.getMessage() for one in caplog.records if one.levelno > 20])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 
 import basix.ufl
@@ -88,6 +89,14 @@ def _distribute(
     return make_mesh(comm, cells, x, order)
 
 
+def before_parting(comm: MPI.Comm) -> None:
+    """What must be done before DOLFINx distributes a mesh. Collective."""
+    # PT-Scotch's threads race: the same body was parted in two ways, 10 of 1500 times.
+    os.environ.setdefault("SCOTCH_PTHREAD_NUMBER", "1")
+    # DOLFINx 0.9 may mix up messages of two meshes made in a row (fixed in 0.10, #3512).
+    comm.barrier()
+
+
 def make_mesh(
     comm: MPI.Comm, cells: npt.NDArray[np.int64], x: npt.NDArray[np.float64], order: int
 ) -> Mesh:
@@ -102,8 +111,7 @@ def make_mesh(
     dim = x.shape[1]
     kind = "tetrahedron" if dim == 3 else "triangle"
     element = basix.ufl.element("Lagrange", kind, order, shape=(dim,))
-    # DOLFINx 0.9 may mix up messages of two meshes made in a row (fixed in 0.10, #3512).
-    comm.barrier()
+    before_parting(comm)
     mesh = create_mesh(
         comm, cells=cells, x=x, e=element, partitioner=create_cell_partitioner(GhostMode.none)
     )

@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.errors import MeshError
 from dolfin_elastic.meshes.body import Body, Indices
+from dolfin_elastic.meshes.build import before_parting
 from dolfin_elastic.meshes.shapes import Floats, boundary_facets, facet_corners
 
 _SIDES = {
@@ -45,7 +46,7 @@ def box_body(
     low = np.array([*origin, 0.0][:dim], dtype=float) * scale
     high = low + np.asarray(size, dtype=float) * scale
     count = [int(n) for n in cells]
-    comm.barrier()  # see build.py
+    before_parting(comm)
     if dim == 3:
         mesh = create_box(comm, [low, high], count, CellType.tetrahedron, ghost_mode=GhostMode.none)
     else:
