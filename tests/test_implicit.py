@@ -31,6 +31,7 @@ from dolfin_elastic import (
     NeoHookean,
     Problem,
     Spring,
+    StVenantKirchhoff,
     Support,
     Traction,
     box_body,
@@ -408,6 +409,50 @@ def record(state: Any) -> dict[str, Any]:
         "v": state.v.x.array.copy(),
         "a": state.a.x.array.copy(),
     }
+
+
+@pytest.mark.parametrize(
+    ("scheme", "turns", "says"),
+    [
+        ("generalized-alpha", 0.03, True),
+        ("generalized-alpha", 0.001, False),
+        ("alpha2", 0.03, True),
+        ("newmark", 0.03, False),
+        ("implicit-euler", 0.03, False),
+    ],
+)
+def test_chords_of_a_stiff_body_that_turns_are_told(scheme, turns, says):
+    """A free square of steel at 300 rad/s, strained by 1e-5 in truth.
+
+    Steps of 0.03 rad have a chord of 0.03^2/8 = 1.1e-4: the stage is right, the ends too large.
+    """
+    problem = Problem(
+        rectangle_body(size=(0.1, 0.1), cells=(2, 2), origin=(-0.05, -0.05)),
+        StVenantKirchhoff(E=2e11, nu=NU, density=7850),
+    )
+    dt = turns / 300
+    settings = {"end": 60 * dt, "dt": dt, "initial_velocity": ["-300*y", "300*x"]}
+    *_, state = Dynamics(problem, scheme=scheme, **settings).steps()
+    told = [reason for reason in state.audit.reasons if "chord" in reason]
+    assert bool(told) == says
+    if says:
+        assert told[0].startswith("the body turns by 1.7 degrees a step, whose chord strains it by")
+        assert "scheme = 'newmark'" in told[0]
+
+
+def test_little_energy_is_judged_like_much():
+    """A short steel bar under its weight, steps much too long: the same words at any load."""
+    said = []
+    for g in (9.81, 9810.0):
+        problem = Problem(
+            rectangle_body(size=(0.1, 0.02), cells=(6, 2)),
+            LinearElastic(E=2.1e11, nu=NU, density=7850),
+            supports=[Support(on="left", displacement=[0, 0])],
+            loads=[Gravity(value=[0, -g])],
+        )
+        *_, state = Dynamics(problem, end=0.1, dt=2e-3).steps()
+        said.append([reason[:21] for reason in state.audit.so_far])
+    assert said[0] == said[1] == ["the scheme has damped"]
 
 
 def test_a_motion_goes_on_as_if_it_had_never_stopped():

@@ -189,7 +189,7 @@ class Implicit:
         assert self.stepper.done is not None
         at_stage, in_the_middle, du = self.stepper.done
         self.ledger.add(in_the_middle, du)
-        self.auditor.look(at_stage)
+        self.auditor.look(at_stage, du)
 
     def _stop_at_goals(self) -> None:
         """Ends the march at a time that PETSc's scheme has met but for the round-off of a sum."""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.audit import Auditor, Found
+from dolfin_elastic.solvers.chords import Chords
 from dolfin_elastic.solvers.inversion import JacobianWatch
 from dolfin_elastic.solvers.jump import round_off
 from dolfin_elastic.solvers.ledger import Ledger
@@ -53,13 +54,20 @@ class MotionAuditor(Auditor):
         super().__init__(problem, moving.assembler, watch)
         self._moving, self._settings = moving, settings
         self._forces: Forces | None = None
+        self._chords = Chords(problem, settings)
+        self._du: Floats = np.empty(0)
         self._worst = [0.0, 0.0]
         self._reasons: dict[str, str] = {}
         self._off = self._scale = 0.0
 
-    def look(self, forces: Forces) -> None:
-        """Takes in the forces of a step's stage, at the places of the stage. Collective."""
-        self._forces = forces
+    def look(self, forces: Forces, du: Floats) -> None:
+        """Takes in a step. Collective.
+
+        Args:
+            forces: Of its stage, at the places of the stage.
+            du: Change of the displacement, owned entries [m].
+        """
+        self._forces, self._du = forces, du
         noise, _ = round_off(self._assembler)
         outside = self._outside()
         found = (
@@ -91,6 +99,8 @@ class MotionAuditor(Auditor):
         if not (stabilised or self._problem.rest):
             off = ledger.off(energies)
             reasons.update(self._lasting(self._energy(off), off, ledger.scale, t))
+        if self._forces is not None and (chords := self._chords.reason(self._du)):
+            reasons["chords"] = chords
         force, moment = self._worst
         if self._places == "none":  # not judged, as in statics
             moment = np.nan
@@ -140,6 +150,7 @@ class MotionAuditor(Auditor):
             "far": self._strains.note,
             "off": self._off,
             "scale": self._scale,
+            "chords": self._chords.kept(),
         }
 
     def restore(self, numbers: Mapping[str, Any]) -> None:
@@ -148,3 +159,4 @@ class MotionAuditor(Auditor):
         self._worst = [float(value) for value in numbers["worst"]]
         self._strains.note = str(numbers.get("far", ""))
         self._off, self._scale = float(numbers["off"]), float(numbers["scale"])
+        self._chords.restore(numbers["chords"])
