@@ -6,6 +6,7 @@ import sys
 from typing import Any
 
 from dolfin_elastic.errors import CaseError
+from dolfin_elastic.petsc_names import check_ours
 
 OF_PETSC = (
     "log_view",
@@ -45,6 +46,7 @@ def petsc_options(words: list[str]) -> tuple[dict[str, Any], list[str]]:
                 where="command line",
                 expected="after -- write for example -ksp_type gmres",
             )
+    check_ours(options, "command line")
     own = [name for name in options if name in OF_PETSC]
     started = [text for name in own for text in (f"-{name}", options.pop(name)) if text]
     return options, started

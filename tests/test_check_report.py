@@ -333,6 +333,42 @@ def test_a_support_must_have_values_all_the_way(analysis, t):
     report(case(**tables))
 
 
+@pytest.mark.parametrize(
+    ("tables", "where", "text"),
+    [
+        (
+            {"solver": {"petsc": {"ts_type": "bdf"}}, "dynamics": {"dt": 1, "end": 2}},
+            "solver.petsc",
+            "-ts_type has no effect here.*dynamics.scheme",
+        ),
+        (
+            {"output": {"probes": {"reaction_bottom": [0, 0, 0]}}},
+            "output.probes",
+            "two results called 'reaction_bottom_x'",
+        ),
+        (
+            {"output": {"probes": {"momentum": [0, 0, 0]}}, "dynamics": {"dt": 1, "end": 2}},
+            "output.probes",
+            "two results called 'momentum_x'",
+        ),
+    ],
+)
+def test_what_a_run_would_refuse(tables, where, text):
+    with pytest.raises(InputError, match=f"{where}: .*{text}"):
+        report(case(**tables))
+
+
+def test_what_a_run_would_warn_of():
+    """Obstacles that a motion begins in, and a preload that small strains do not know."""
+    floor = {"on": "top", "plane": {"axis": "-z", "at": 2.9}}
+    (note,) = report(case(contact=[floor], dynamics={"dt": 0.1, "end": 1})).notes
+    assert note.startswith("at the start 'top' lies 0.1 m deep in its obstacle, at (")
+    soft = {"rubber": {"law": "linear-elastic", "E": E, "nu": 0.3, "density": 1000}}
+    push = [{"kind": "traction", "on": "top", "value": [0, 0, -1]}]
+    tables = {"materials": soft, "load": push, "modal": {"preload": True}}
+    assert "small-strain laws know no preload" in report(case(**tables)).notes[-1]
+
+
 def test_intensity_of_pressure_like_loads():
     """Normals are there for whoever needs them."""
 

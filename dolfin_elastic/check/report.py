@@ -14,18 +14,19 @@ from dolfin_elastic.check.hints import hints
 from dolfin_elastic.check.loads import LoadSum, load_sums
 from dolfin_elastic.check.memory import Memory, memory
 from dolfin_elastic.check.sizes import PartSize, material_sizes, region_sizes, surface_sizes
-from dolfin_elastic.check.start import check_supports, start_notes
+from dolfin_elastic.check.start import check_probes, check_supports, start_notes
 from dolfin_elastic.check.sums import Integrals
 from dolfin_elastic.damping import check_damped
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes.body import Body, extent
 from dolfin_elastic.parts import locking_notes
+from dolfin_elastic.petsc_names import check_ours
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.alpha2 import check_alpha2
 from dolfin_elastic.solvers.buckling import Buckling
 from dolfin_elastic.solvers.explicit_limits import check_explicit
 from dolfin_elastic.solvers.linear import Choice, choose
-from dolfin_elastic.solvers.modal import Modal
+from dolfin_elastic.solvers.modal import UNMOVED, Modal
 from dolfin_elastic.solvers.rigid import FreeBody, check_held, free_bodies
 
 PLANE = ("plane-strain", "plane-stress")
@@ -104,6 +105,8 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
 
 def _start(case: Case, problem: Problem) -> tuple[str, ...]:
     """What the solver would refuse at its start, or warn of."""
+    check_ours(case.solver.petsc, "solver.petsc")
+    check_probes(case, problem)
     if case.analysis in ("statics", "buckling") or case.preloaded:
         check_held(problem)
     elif case.dynamics is not None and not case.dynamics.implicit:
@@ -115,6 +118,8 @@ def _start(case: Case, problem: Problem) -> tuple[str, ...]:
     notes = start_notes(problem, case.dynamics) if case.dynamics is not None else ()
     if case.analysis in ("statics", "dynamics") or case.preloaded:
         check_supports(case, problem)
+    if case.modal is not None and case.preloaded and problem.site.linear:
+        notes = (*notes, UNMOVED)
     return notes
 
 

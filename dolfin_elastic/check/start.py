@@ -8,12 +8,27 @@ from dolfinx import fem
 from dolfin_elastic.case import Case
 from dolfin_elastic.model.curves import CONSTANT, PROPORTIONAL
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.solvers.contact import check_start
+from dolfin_elastic.results.probes import named_twice
+from dolfin_elastic.solvers.contact import buried, check_start
 from dolfin_elastic.solvers.dynamics import DynamicsSettings
 from dolfin_elastic.solvers.initial import set_initial
 
 TIMES = 41
 """Times of a motion, or of statics, at which supports and loads are looked at."""
+
+
+def check_probes(case: Case, problem: Problem) -> None:
+    """No probe has the column of a reaction or a momentum. Not collective.
+
+    Raises:
+        InputError: One has.
+    """
+    taken = {f"reaction_{support.label}" for support in problem.supports}
+    taken |= {f"reaction_{touch.label}" for touch in problem.touching}
+    if case.dynamics is not None:
+        taken |= {"momentum", "angular_momentum"}
+    if twice := taken & case.output.probes.keys():
+        raise named_twice(f"{min(twice)}_x")
 
 
 def check_supports(case: Case, problem: Problem) -> None:
@@ -33,14 +48,15 @@ def check_supports(case: Case, problem: Problem) -> None:
 
 
 def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]:
-    """Supports that the body does not begin with; leaves the body at rest. Collective.
+    """Supports and obstacles that the body does not begin with; leaves it at rest. Collective.
 
     Raises:
         InputError: It cannot begin so: a formula is not finite, or it lies deep in an obstacle.
     """
     v, s = fem.Function(problem.V), settings
     shocks = set_initial(problem, v, s.displacement, s.velocity, s.end)
-    check_start(problem, moving=True)
+    gaps = zip(problem.touching, check_start(problem, moving=True), strict=True)
+    deep = [buried(touch, gap, at) for touch, (gap, at) in gaps if gap < -touch.tolerance]
     problem.u.x.array[:] = 0.0
     problem.unknowns.take()
-    return (*([s.limited] if s.limited else []), *(str(shock) for shock in shocks))
+    return (*([s.limited] if s.limited else []), *(str(shock) for shock in shocks), *deep)

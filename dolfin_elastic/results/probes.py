@@ -216,12 +216,17 @@ class Probe:
         """
         found = self.numbers(state)
         if twice := found.keys() & row(state).keys():
-            raise InputError(
-                f"there are two results called '{min(twice)}'",
-                where="output.probes",
-                expected="give the probe another name",
-            )
+            raise named_twice(min(twice))
         return replace(state, numbers={**state.numbers, **found})
+
+
+def named_twice(column: str) -> InputError:
+    """What is wrong where a probe's column has the name of another number."""
+    return InputError(
+        f"there are two results called '{column}'",
+        where="output.probes",
+        expected="give the probe another name",
+    )
 
 
 def _materials(problem: Problem) -> npt.NDArray[np.int32]:

@@ -196,15 +196,17 @@ def begin_motion(problem: Problem, *, tell: bool) -> None:
         problem.touching, check_start(problem, moving=True), strict=True
     ):
         if tell and gap < -touch.tolerance:
-            log.warning(
-                "at the start '%s' lies %.3g m deep in its obstacle, at %s m: what the penalty "
-                "stores there throws it off",
-                touch.label,
-                -gap,
-                coordinates(place),
-            )
+            log.warning("%s", buried(touch, gap, place))
         touch.soften(SOFT)
         touch.lam.x.array[:] = 0.0
+
+
+def buried(touch: Touching, gap: float, place: tuple[float, ...]) -> str:
+    """What a motion begins with that begins in an obstacle."""
+    return (
+        f"at the start '{touch.label}' lies {-gap:.3g} m deep in its obstacle, at "
+        f"{coordinates(place)} m: what the penalty stores there throws it off"
+    )
 
 
 def check_start(problem: Problem, *, moving: bool) -> list[Gap]:

@@ -18,10 +18,11 @@ from typing import Any
 from petsc4py import PETSc
 from slepc4py import SLEPc
 
+from dolfin_elastic.petsc_names import PREFIX
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.eigen import Pair, Vector, failing, negative, uneven
 from dolfin_elastic.solvers.linear import Choice
-from dolfin_elastic.solvers.options import PREFIX, Options
+from dolfin_elastic.solvers.options import Options
 from dolfin_elastic.solvers.shapes import SPARE, complete
 from dolfin_elastic.timing import stage
 

@@ -25,6 +25,7 @@ from slepc4py import SLEPc
 
 from dolfin_elastic.errors import ConvergenceError
 from dolfin_elastic.parallel import largest
+from dolfin_elastic.petsc_names import PREFIX
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.linear import (
     GAMG,
@@ -35,7 +36,7 @@ from dolfin_elastic.solvers.linear import (
     factorising,
     rigid_body_modes,
 )
-from dolfin_elastic.solvers.options import PREFIX, Options
+from dolfin_elastic.solvers.options import Options
 from dolfin_elastic.timing import stage
 
 Vector = npt.NDArray[np.float64]

@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.errors import ConvergenceError
 from dolfin_elastic.kept import Kept, Restore
+from dolfin_elastic.petsc_names import PREFIX
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.alpha import Scheme
 from dolfin_elastic.solvers.alpha2 import Alpha2
@@ -29,7 +30,7 @@ from dolfin_elastic.solvers.motion import ConsistentMass, Strain
 from dolfin_elastic.solvers.motion_audit import MotionAuditor
 from dolfin_elastic.solvers.moving import Moving
 from dolfin_elastic.solvers.newton import Newton
-from dolfin_elastic.solvers.options import PREFIX, ts_reason
+from dolfin_elastic.solvers.options import ts_reason
 from dolfin_elastic.solvers.progress import Tolerance
 from dolfin_elastic.solvers.saddle import begin
 from dolfin_elastic.solvers.scalars import Scalars

@@ -38,6 +38,8 @@ from dolfin_elastic.units import Frequency
 Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
+UNMOVED = "small-strain laws know no preload: the frequencies are those at rest"
+
 MOST = 500
 """Modes that are looked for by frequency, at most."""
 
@@ -117,7 +119,7 @@ class Modal(Preloaded):
         """
         if self.settings.preload:
             if self.problem.site.linear:
-                log.warning("small-strain laws know no preload: the frequencies are those at rest")
+                log.warning(UNMOVED)
             yield from self._load(self.statics)
         else:
             at_rest(self.problem)

@@ -15,12 +15,13 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from dolfin_elastic.meshes.body import cell_size, span
+from dolfin_elastic.petsc_names import PREFIX
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.border import Border, Bordered, python_solver
 from dolfin_elastic.solvers.guard import PATIENCE, InversionGuard
 from dolfin_elastic.solvers.inner import LinearSolver
 from dolfin_elastic.solvers.linear import Choice
-from dolfin_elastic.solvers.options import PREFIX, Options, ksp_reason, snes_reason
+from dolfin_elastic.solvers.options import Options, ksp_reason, snes_reason
 from dolfin_elastic.solvers.progress import Progress, Tolerance
 from dolfin_elastic.solvers.round_off import SAFETY, RoundOff
 from dolfin_elastic.solvers.words import worthless

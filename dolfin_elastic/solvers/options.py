@@ -11,19 +11,10 @@ from typing import Any
 from petsc4py import PETSc
 
 from dolfin_elastic.errors import InputError
+from dolfin_elastic.petsc_names import PREFIX, check_ours
 from dolfin_elastic.solvers.petsc_library import library
 
-PREFIX = "elastic_"
 log = logging.getLogger("dolfin_elastic")
-
-OURS = {
-    "ts_type": "dynamics.scheme",
-    "ts_dt": "dynamics.dt",
-    "ts_time_step": "dynamics.dt",
-    "ts_max_time": "dynamics.end",
-    "ts_max_steps": "dynamics.end",
-}
-"""Options of what a case says, and its keys."""
 
 
 class Options:
@@ -42,13 +33,7 @@ class Options:
 
     def __init__(self, defaults: Mapping[str, Any], users: Mapping[str, Any]) -> None:
         self.users = {name.lstrip("-").removeprefix(PREFIX): value for name, value in users.items()}
-        for name in self.users:
-            if name in OURS:
-                raise InputError(
-                    f"the PETSc option -{name} has no effect here",
-                    where="solver.petsc",
-                    expected=f"leave it out; {OURS[name]} says it",
-                )
+        check_ours(self.users, "solver.petsc")
         self._all = {**defaults, **self.users}
         self._reported = False
         self._used: set[str] = set()

@@ -21,11 +21,12 @@ from petsc4py import PETSc
 from dolfin_elastic.errors import ConvergenceError
 from dolfin_elastic.meshes.body import cell_size
 from dolfin_elastic.parallel import largest, total
+from dolfin_elastic.petsc_names import PREFIX
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.linear import LAST_DIRECT, factorising
 from dolfin_elastic.solvers.mass import held_acceleration, initial_acceleration
 from dolfin_elastic.solvers.moving import Moving
-from dolfin_elastic.solvers.options import PREFIX, Options, ksp_reason
+from dolfin_elastic.solvers.options import Options, ksp_reason
 
 Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")

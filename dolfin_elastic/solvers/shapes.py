@@ -13,9 +13,9 @@ from dolfinx import fem
 from dolfin_elastic.errors import ConvergenceError, InputError
 from dolfin_elastic.model.curves import RAMP
 from dolfin_elastic.parallel import largest, total
+from dolfin_elastic.petsc_names import PREFIX
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.eigen import Pair, uneven
-from dolfin_elastic.solvers.options import PREFIX
 from dolfin_elastic.solvers.scalars import refuse_scalars
 
 Vector = npt.NDArray[np.float64]
