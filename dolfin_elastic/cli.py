@@ -20,6 +20,7 @@ from click.exceptions import ClickException
 from dolfin_elastic.cli_materials import material, materials
 from dolfin_elastic.cli_run import log_to_screen, restart, run
 from dolfin_elastic.errors import CaseError, ElasticError
+from dolfin_elastic.pipes import go_on_without_readers
 from dolfin_elastic.stopping import INTERRUPTED, launched_rank
 from dolfin_elastic.version import __version__
 
@@ -163,6 +164,7 @@ def info() -> None:
 
 def main() -> None:
     """The console script."""
+    go_on_without_readers()
     if launched_rank():
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.exit(guarded())
@@ -185,9 +187,6 @@ def guarded() -> int:
         return _told(error)
     except KeyboardInterrupt:
         return INTERRUPTED
-    except BrokenPipeError:
-        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-        return 0
     except Exception:
         _crash()
         raise

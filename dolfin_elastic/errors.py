@@ -9,7 +9,7 @@ ElasticError                      base: `except ElasticError` catches all of the
 │   └── RestartError              a folder of results that no run can go on from, or is going in
 ├── SolveError          exit 3    the input is right, but no solution was found
 │   ├── ConvergenceError          Newton or the load stepping gave up
-│   └── StabilityError            an explicit time step above the stable one
+│   └── StabilityError            an explicit motion was lost, or its step is above the stable one
 └── OutputError         exit 4    results cannot be written
 """
 
@@ -87,23 +87,33 @@ class SolveError(ElasticError):
         what: The cause in plain words.
         advice: What to try.
         state: The `State` that was reached without being a solution, to be looked at.
+        diagnosis: Why, where, and what to try, as data.
     """
 
     exit_code = 3
 
-    def __init__(self, what: str, *, advice: str = "", state: object | None = None) -> None:
-        self.what, self.advice, self.state = what, advice, state
+    def __init__(
+        self,
+        what: str,
+        *,
+        advice: str = "",
+        state: object | None = None,
+        diagnosis: Diagnosis | None = None,
+    ) -> None:
+        self.what, self.advice, self.state, self.diagnosis = what, advice, state, diagnosis
         super().__init__(what, advice)
 
     def __str__(self) -> str:
         return f"{self.what}\n  try: {self.advice}" if self.advice else self.what
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild_solve, (type(self), self.what, self.advice)
+        return _rebuild_solve, (type(self), self.what, self.advice, self.diagnosis)
 
 
-def _rebuild_solve(kind: type[SolveError], what: str, advice: str) -> SolveError:
-    return kind(what, advice=advice)
+def _rebuild_solve(
+    kind: type[SolveError], what: str, advice: str, diagnosis: Diagnosis | None
+) -> SolveError:
+    return kind(what, advice=advice, diagnosis=diagnosis)
 
 
 @dataclass(frozen=True)
@@ -131,11 +141,13 @@ class Diagnosis:
 
     Attributes:
         cause: One of "nan", "inverted", "rigid-motion", "unstable", "linear-solver", "round-off",
-            "stalled" and "iterations".
+            "stalled" and "iterations"; of explicit motion "nan", "inverted", "unbounded" and
+            "step".
         text: One or two sentences with names, places and numbers, without a final stop.
         advice: What to try.
         place: Where the trouble is, in the reference configuration [m]; empty if nowhere.
-        cells: The worst cells of the last iterate, at most ten, the worst first.
+        cells: The worst cells of the last iterate, or of the first place without a finite force, at
+            most ten, the worst first.
     """
 
     cause: str
@@ -146,38 +158,11 @@ class Diagnosis:
 
 
 class ConvergenceError(SolveError):
-    """Newton's method or the load stepping gave up.
-
-    Args:
-        what: The cause in plain words.
-        advice: What to try.
-        state: See `SolveError`.
-        diagnosis: Why, where, and what to try, as data.
-    """
-
-    def __init__(
-        self,
-        what: str,
-        *,
-        advice: str = "",
-        state: object | None = None,
-        diagnosis: Diagnosis | None = None,
-    ) -> None:
-        self.diagnosis = diagnosis
-        super().__init__(what, advice=advice, state=state)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild_convergence, (type(self), self.what, self.advice, self.diagnosis)
-
-
-def _rebuild_convergence(
-    kind: type[ConvergenceError], what: str, advice: str, diagnosis: Diagnosis | None
-) -> ConvergenceError:
-    return kind(what, advice=advice, diagnosis=diagnosis)
+    """Newton's method or the load stepping gave up."""
 
 
 class StabilityError(SolveError):
-    """An explicit time step is above the stable one."""
+    """An explicit motion was lost, or its time step is above the stable one."""
 
 
 class OutputError(ElasticError):

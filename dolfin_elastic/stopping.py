@@ -44,7 +44,8 @@ class Stop:
             return
         self.asked, self._since = True, time.monotonic()
         if launched_rank() == 0:  # not by `print`, which may be interrupted in the midst of one
-            os.write(2, b"\nstopping after this step; once more: at once\n")
+            with suppress(OSError):  # nobody reads it any more
+                os.write(2, b"\nstopping after this step; once more: at once\n")
 
     def _want(self, number: int, frame: FrameType | None) -> None:
         self._checkpoint = True
@@ -60,7 +61,8 @@ class Stop:
 
         if comm.rank == 0 and self._file.exists():
             self.asked = True
-            os.write(2, f"stopping: there was a file {self._file}\n".encode())
+            with suppress(OSError):  # nobody reads it any more
+                os.write(2, f"stopping: there was a file {self._file}\n".encode())
             forget(self._file.parent)  # it has done what it is for
         return largest(comm, float(self.asked)) > 0
 

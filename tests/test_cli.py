@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -282,6 +283,33 @@ def test_interrupted(folder: Path, ranks: int) -> None:
     assert 0 < float(rows[-1]["load_factor"]) < 1
     assert json.loads((folder / "case_results/summary.json").read_text())["status"] == "stopped"
     assert "results in case_results" in out
+
+
+def piped(end: str, folder: Path) -> tuple[str, str]:
+    """What a run shows at the end of a pipe, with its exit code in the last line."""
+    line = f"{shlex.join([*PROGRAM, 'run', 'case.toml'])} {end}; echo ${{PIPESTATUS[0]}}"
+    with started(["bash", "-c", line], folder, 1) as process:
+        out, err = process.communicate(timeout=240)
+    return out, err
+
+
+@pytest.mark.parametrize("redirect", ["", "2>&1"])
+def test_nobody_reads_on(folder: Path, redirect: str) -> None:
+    """Where a pipe is closed, as `head` does, the run goes on to its own end, silently."""
+    (folder / "case.toml").write_text(CASE.replace("steps = 2", "steps = 40"))
+    out, err = piped(f"{redirect} | head -1", folder)
+    assert out.splitlines()[1:] == ["0"]
+    assert not re.search("PETSC|Abort|Traceback|BrokenPipe", err + out)
+    assert json.loads((folder / "case_results/summary.json").read_text())["status"] == "completed"
+    rows = list(csv.DictReader((folder / "case_results/history.csv").read_text().splitlines()))
+    assert float(rows[-1]["load_factor"]) == 1.0
+
+
+@pytest.mark.parametrize("redirect", ["", "2>&1"])
+def test_errors_that_nobody_reads(folder: Path, redirect: str) -> None:
+    """The exit code is the run's own."""
+    (folder / "case.toml").write_text(CASE.replace("10 kPa", "-1e4 MPa"))
+    assert piped(f"{redirect} | true", folder)[0] == "3\n"
 
 
 def _ranks_of(launcher: subprocess.Popen[str]) -> list[int]:

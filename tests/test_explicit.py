@@ -252,6 +252,12 @@ def test_a_step_that_becomes_too_long_is_noticed():
         _ = [*Dynamics(problem, scheme=SCHEME, end=300 * dt, dt=dt).steps()]
     assert "stable step has fallen to" in str(caught.value)
     assert "leave dt out" in str(caught.value)
+    found, state = caught.value.diagnosis, caught.value.state
+    assert found is not None
+    assert (found.cause, len(found.place)) == ("step", 2)
+    assert "m ask for it" in str(caught.value)
+    assert np.isfinite(state.v.x.array).all()
+    assert np.isfinite(state.energies["total"])
 
 
 def test_a_chosen_step_follows_a_body_that_stiffens():

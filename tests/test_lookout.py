@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +14,9 @@ from mpi4py import MPI
 from dolfin_elastic import (
     Corotated,
     Dynamics,
+    Gent,
     Gravity,
+    LinearElastic,
     NeoHookean,
     Problem,
     Rotation,
@@ -20,10 +25,14 @@ from dolfin_elastic import (
     Thermal,
     Traction,
     box_body,
+    read_case,
     rectangle_body,
 )
-from dolfin_elastic.errors import InputError, StabilityError
+from dolfin_elastic import run as run_case
+from dolfin_elastic.errors import Diagnosis, InputError, StabilityError
 from dolfin_elastic.model.law import Law
+from dolfin_elastic.parallel import on_root
+from dolfin_elastic.solvers import lookout
 from dolfin_elastic.solvers.assembler import Assembler
 from dolfin_elastic.solvers.lookout import Lookout
 from dolfin_elastic.state import State
@@ -63,8 +72,144 @@ def test_cells_inside_out_are_told_of_once(
 
 
 def test_what_is_lost_by_them_is_told_with_the_place(comm: MPI.Comm) -> None:
-    with pytest.raises(StabilityError, match=r"no finite velocity at .* inside out by t = .* at"):
+    with pytest.raises(StabilityError, match=r"no finite motion after .* inside out by t = .* at"):
         run(pressed(StVenantKirchhoff(**SOFT), 1e6, comm), scheme=CENTRAL, end=0.15, every=5)
+
+
+# --- what is said of a motion that is lost ---
+
+
+def struck(comm: MPI.Comm) -> Problem:
+    """Pressed so hard at once that the step is too long for it."""
+    body = box_body(size=(1, 1, 1), cells=(2, 2, 2), comm=comm)
+    load = Traction(on="top", value=[9e4, 6e4, -3e5])
+    return Problem(body, NeoHookean(**SOFT), supports=[Support(on="bottom")], loads=[load])
+
+
+def lost(problem: Problem, **settings: Any) -> tuple[StabilityError, Diagnosis, State]:
+    """The error of a motion, the same on all ranks; all that it yields before is finite."""
+    with pytest.raises(StabilityError) as caught:
+        for state in Dynamics(problem, **settings).steps():
+            assert np.isfinite(list(state.energies.values())).all()
+            assert np.isfinite(np.concatenate([*state.reactions.values()])).all()
+    error, comm = caught.value, problem.body.comm
+    found, last = error.diagnosis, error.state
+    assert found is not None
+    assert isinstance(last, State)
+    assert last.v is not None
+    assert last.a is not None
+    for field in (last.u, last.v, last.a):
+        assert comm.allreduce(bool(np.isfinite(field.x.array).all()), op=MPI.LAND)
+    assert np.isfinite(list(last.energies.values())).all()
+    assert comm.allgather((str(error), found)) == [(str(error), found)] * comm.size
+    assert found.text in str(error)
+    assert f"\n  try: {found.advice}" in str(error)
+    return error, found, last
+
+
+@BOTH
+def test_the_step_that_turns_cells_is_found(
+    scheme: str, comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However many steps there are from one state to the next; the logarithm ends there at once."""
+    monkeypatch.setattr(lookout, "DRIFT", np.inf)  # else states with doubts shorten the steps
+    found = [lost(struck(comm), scheme=scheme, end=0.2, every=every) for every in (1, 4, 1000)]
+    error, diagnosis, last = found[0]
+    for other, other_diagnosis, other_last in found[1:]:
+        assert str(other) == str(error)
+        assert other_diagnosis.place == pytest.approx(diagnosis.place)
+        assert (other_last.step, other_last.t) == pytest.approx((last.step, last.t))
+        assert other_last.energies == pytest.approx(dict(last.energies))
+    assert diagnosis.cause == "inverted"
+    said = r"turned inside out in the step to t = .* \(det F = -.*, at \(.*\) m\)"
+    assert re.search(said, diagnosis.text)
+    assert "a smaller dt or safety" in diagnosis.advice
+    assert f"after t = {last.t:.6g} s" in str(error)
+    assert len(diagnosis.place) == 3
+    assert diagnosis.cells[0].jacobian < 0.0
+    assert last.step == 6
+
+
+@BOTH
+def test_a_law_that_lets_cells_turn(scheme: str, comm: MPI.Comm) -> None:
+    """Its forces end later, when all has flown apart; what can be looked at is how it began."""
+    problem = pressed(StVenantKirchhoff(**SOFT), 1e6, comm)
+    error, found, last = lost(problem, scheme=scheme, end=0.15, every=200)
+    assert found.cause == "inverted"
+    assert "such as neo-hookean" in found.advice
+    assert f"in the step to t = {last.t:.6g} s" in str(error)
+    assert last.max_displacement < 2.0
+
+
+def test_a_formula_without_a_value(comm: MPI.Comm) -> None:
+    """No cell has turned, but the material is stretched beyond its limit."""
+    body = box_body(size=(1, 1, 1), cells=(2, 2, 2), comm=comm)
+    pull = Traction(on="top", value=[0, 0, 3e5])
+    law = Gent(mu=1e5, limit=0.5, nu=0.4, density=1000.0)
+    problem = Problem(body, law, supports=[Support(on="bottom")], loads=[pull])
+    error, found, _ = lost(problem, scheme=CENTRAL, end=0.3, every=9)
+    assert found.cause == "nan"
+    assert "the formula of its energy takes the ln of a negative number" in str(error)
+    assert "cannot be strained further" in found.advice
+
+
+@BOTH
+def test_a_motion_without_bounds(scheme: str, comm: MPI.Comm) -> None:
+    """What is linear has no cells inside out; a support runs away until energies overflow."""
+    body = rectangle_body(size=(1, 1), cells=(2, 2), comm=comm)
+    away = Support(on="right", displacement=["1e-9*(exp(4000*t) - 1)", 0])
+    problem = Problem(body, LinearElastic(**SOFT), supports=[Support(on="left"), away])
+    _, found, last = lost(problem, scheme=scheme, end=0.2, every=1000)
+    assert found.cause == "unbounded"
+    assert "grown beyond all bounds in the step to t = " in found.text
+    assert found.place[0] > 0.4
+    assert last.max_displacement < 1e7
+
+
+CASE = """
+[mesh]
+box = {size = [1, 1, 1], cells = [2, 2, 2]}
+[materials.rubber]
+law = "neo-hookean"
+E = "1 MPa"
+nu = 0.3
+density = 1000
+[[support]]
+on = "bottom"
+[[load]]
+kind = "traction"
+on = "top"
+value = ["90 kPa", "60 kPa", "-300 kPa"]
+[dynamics]
+scheme = "symplectic-euler"
+end = 0.2
+every = 4
+"""
+
+
+def test_results_of_a_motion_that_is_lost(folder: Path, comm: MPI.Comm) -> None:
+    """The diagnosis, the last state, and a history that ends before it."""
+    path = folder / "case.toml"
+    on_root(comm, lambda: path.write_text(CASE) and None)
+    with pytest.raises(StabilityError) as caught:
+        _ = [*run_case(read_case(path), output=folder / "out")]
+    found = caught.value.diagnosis
+    assert found is not None
+    assert any("failed_state.xdmf" in note for note in caught.value.__notes__)
+    told = on_root(comm, lambda: json.loads((folder / "out/summary.json").read_text()))
+    assert told["status"] == "failed"
+    for name in ("cause", "text", "advice"):
+        assert told["diagnosis"][name] == getattr(found, name)
+    assert told["diagnosis"]["place"] == pytest.approx(list(found.place))
+    assert told["diagnosis"]["cells"][0]["material"] == "rubber"
+    text = on_root(comm, (folder / "out/failed_state.xdmf").read_text)
+    for name in ("displacement", "jacobian", "energy_density", "von_mises"):
+        assert f'Name="{name}"' in text
+    history = on_root(comm, (folder / "out/history.csv").read_text)
+    assert len(history.splitlines()) > 2
+    assert "nan" not in history
+    assert "inf" not in history
+    assert not [key for key, energy in told["energies"].items() if energy is None]
 
 
 @BOTH
@@ -163,13 +308,13 @@ def test_energy_that_creeps_in_beside_swings(
     """A 25th a state is told of at the third, however much the energy of one time swings."""
     problem = pressed(NeoHookean(**SOFT), 1.0, comm)
     assembler = Assembler(problem)
-    lookout = Lookout(problem, assembler)
+    looking = Lookout(problem, assembler)
     doubts = []
     for k in range(4):
         kept = 1.0 + 0.04 * k
         off = swing * (-1) ** k
         energies = {"kinetic": 1.0, "strain": 1.0, "total": kept + off, "external": 0.0}
-        doubts.append(lookout.drifts(energies, -off / comm.size, float(k)))
+        doubts.append(looking.drifts(energies, -off / comm.size, float(k)))
         assert bool(told(comm, caplog, "nowhere")) == (k > 2)
     assert doubts == ([False, True, True, True] if swing else [False, False, False, True])
     assembler.destroy()

@@ -24,15 +24,17 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic import timing
-from dolfin_elastic.errors import FormulaError
+from dolfin_elastic.errors import StabilityError
 from dolfin_elastic.kept import Kept, Restore
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.contact import Measured
+from dolfin_elastic.solvers.energies import Energies, Measures
 from dolfin_elastic.solvers.explicit_limits import changes, check_explicit
 from dolfin_elastic.solvers.forces import Forces
+from dolfin_elastic.solvers.leading import mean_acceleration
 from dolfin_elastic.solvers.lookout import Lookout
-from dolfin_elastic.solvers.motion import LumpedMass, Strain, lumped
+from dolfin_elastic.solvers.motion import lumped
+from dolfin_elastic.solvers.rerun import LastState, Rerun
 from dolfin_elastic.solvers.scalars import Scalars
 from dolfin_elastic.solvers.stable import StepSize
 from dolfin_elastic.solvers.worklog import WorkLog, supports_move
@@ -88,12 +90,11 @@ class Explicit(ABC):
     def _prepare(self, dt: float | None, safety: float) -> None:
         problem, v, a = self.problem, self.v, self.assembler
         problem.set_time(0.0)  # what is packed below are the loads of motion
-        self.strain, self._measured = Strain(problem), Measured(problem, moving=True)
         self._lookout, self.mass = Lookout(problem, a), lumped(problem, a)
-        self._scalars = Scalars(a)
-        self.measure = LumpedMass(problem, v, self.mass)
+        self._scalars, self._last = Scalars(a), LastState()
         self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety)
         self.work = WorkLog(problem, a, self.mass, v)
+        self._energies = Energies(problem, v, self.mass, self.work)
         self._forces = Forces(problem, a.form, a.balance, points=-1.0)
         self._leads, self._timed = supports_move(problem), changes(problem)
         self._tilts = problem.prescribed.tilted is not None
@@ -166,22 +167,32 @@ class Explicit(ABC):
                 self._lookout.drifts(first.energies, self._quiver(), 0.0)
                 yield first
             else:
-                self._restore(restore)
+                self.restore(restore)
             yield from self._march()
         finally:
             self.assembler.destroy()
 
     def _march(self) -> Iterator[State]:
+        self._last.keep(self.kept())
         while self._t < self.end * END:
-            if self._step == self.size.due:
-                self.size.look(self._step, self._t)
-            self._advance(min(self.size.dt, self.end - self._t))
+            try:
+                self.forward()
+            except StabilityError as error:  # of a collective look: on all ranks
+                raise Rerun(self, self._lookout, self._last).refused(error) from None
             if self._step % self.every == 0 or self._t >= self.end * END:
                 self._meet()
                 state = self._state()
                 if self._lookout.drifts(state.energies, self._quiver(), self._t):
                     self.size.doubt(self._step)
+                self._last.keep(self.kept())
                 yield state
+
+    @np.errstate(all="ignore")  # what is lost is told of when it is found
+    def forward(self) -> None:
+        """One step, with a look at the stable one before it where that is due. Collective."""
+        if self._step == self.size.due:
+            self.size.look(self._step, self._t)
+        self._advance(min(self.size.dt, self.end - self._t))
 
     def _advance(self, dt: float) -> None:
         """One step; `balance` holds the forces at its start before and at its end afterwards."""
@@ -235,6 +246,7 @@ class Explicit(ABC):
             self.work.renew()
         self._forces.assemble()
 
+    @np.errstate(all="ignore")
     def _mean(self, interval: float) -> None:
         """Forces over mass, and the mean acceleration of supports in the next step.
 
@@ -243,47 +255,37 @@ class Explicit(ABC):
         """
         np.multiply(self._out, self._pull, out=self._change)
         if self._leads or self._tilts:
-            self.problem.prescribed.impose(self._change, self._driven(interval))
+            driven = mean_acceleration(self.problem, self.v, self._t, self._dt_done, interval)
+            self.problem.prescribed.impose(self._change, driven)
         self.a.x.array[: len(self._v)] = self._change + 0.0  # no -0
         self.a.x.scatter_forward()
 
-    def _driven(self, interval: float) -> Vector:
-        """The mean acceleration of supports in the next step, or the last where they end."""
-        held, dt, t = self.problem.prescribed, self._dt_done, self._t
-        here, now = held.present(self.problem.u.x.array), held.present(self.v.x.array)
-
-        def targets(time: float) -> Vector:
-            try:
-                return np.asarray(held.targets_at((time,))[0])
-            except FormulaError:  # of a curve or an angle: on all ranks
-                return np.full_like(here, np.nan)
-
-        found: npt.NDArray[Any] = ((targets(t + dt) - here) / dt - now) / interval
-        if not np.all(np.isfinite(found)):
-            back: npt.NDArray[Any] = np.zeros_like(here)
-            if t > 1.5 * dt:
-                back = (here - 2 * targets(t - dt) + targets(max(t - 2 * dt, 0.0))) / dt**2
-            found = np.where(np.isfinite(found), found, back)
-        self.problem.set_time(t)
-        return np.asarray(found, dtype=np.float64)
-
     # --- what is seen of it ---
 
+    @property
+    def now(self) -> tuple[int, float]:
+        """Steps done, and the time [s]."""
+        return self._step, self._t
+
+    def finite(self) -> bool:
+        """Whether energies and forces are. Collective."""
+        return self._energies.finite(self._energies.take()[0], self._out)
+
+    def reached(self, *, moved: bool) -> State:
+        """The present state, which a step has led to since it was restored or not. Collective."""
+        (self._meet if moved else self._start)()
+        return self._seen(self._energies.take())
+
     def _state(self) -> State:
-        kinetic, linear, angular = self.measure.measure()
-        if not np.isfinite(kinetic):
-            raise self._lookout.lost(self._t)
+        measures = self._energies.take()
+        if not self._energies.finite(measures[0], self._out):
+            raise Rerun(self, self._lookout, self._last).lost()
         self._lookout.look(self._t, last=self._t >= self.end * END)
-        strain, more = self.strain.energy(), self._measured.energies()
+        return self._seen(measures)
+
+    def _seen(self, measures: Measures) -> State:
+        energies, momenta = measures
         inertia = self.mass * self.a.x.array[: len(self._v)]
-        energies = {
-            "strain": strain,
-            "kinetic": kinetic,
-            "total": strain + kinetic + sum(more.values()),
-            "external": self.work.close(),
-            **self.strain.springs(),
-            **more,
-        }
         return State(
             step=self._step,
             t=self._t,
@@ -293,9 +295,9 @@ class Explicit(ABC):
             reason="explicit",
             energies=energies,
             reactions=self.assembler.reactions(self.assembler.constraint_forces(inertia)),
-            momenta={"linear": linear, "angular": angular},
+            momenta=momenta,
             max_displacement=self.assembler.max_displacement(),
-            numbers={**self._measured.numbers(), **self._scalars.numbers(inertia)},
+            numbers={**self._energies.numbers(), **self._scalars.numbers(inertia)},
             done=self._t / self.end,
         )
 
@@ -319,7 +321,8 @@ class Explicit(ABC):
             fields["dashpots"] = self.problem.site.velocity
         return fields
 
-    def _restore(self, restore: Restore) -> None:
+    def restore(self, restore: Restore) -> None:
+        """Brings back what `kept` gave. Collective."""
         numbers: Mapping[str, Any] = restore(self._fields())
         self._t, self._step = float(numbers["t"]), int(numbers["step"])
         self.every = int(numbers["every"])
@@ -381,6 +384,11 @@ class CentralDifferences(Explicit):
 
     def _start(self) -> None:
         self._meet()
+
+    def restore(self, restore: Restore) -> None:
+        """See `Explicit`; states owe nothing. Collective."""
+        self._owed = 0.0
+        super().restore(restore)
 
     def _quiver(self) -> float:
         a = self.a.x.array[: len(self._v)]

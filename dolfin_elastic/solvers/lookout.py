@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfin_elastic.errors import StabilityError
 from dolfin_elastic.parallel import total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers.assembler import Assembler
@@ -35,14 +34,21 @@ class Lookout:
     Args:
         problem: What moves.
         assembler: Of this problem.
+
+    Attributes:
+        watch: Of det F.
+        nonlinear: A law has a det F to speak of.
+        inside_out: What has been said of cells inside out; nothing at first.
+        place: Of them [m].
     """
 
     def __init__(self, problem: Problem, assembler: Assembler) -> None:
         self._problem, self._assembler = problem, assembler
-        self._watch = JacobianWatch(problem)
-        self._small = SmallStrains(problem, self._watch)
-        self._nonlinear = any(not part.law.linear for part in problem.parts)
-        self._states, self._inside_out, self._told = 0, "", False
+        self.watch = JacobianWatch(problem)
+        self._small = SmallStrains(problem, self.watch)
+        self.nonlinear = any(not part.law.linear for part in problem.parts)
+        self._states, self.inside_out, self._told = 0, "", False
+        self.place: tuple[float, ...] = ()
         self._first: Vector | None = None
         self._most = 0.0
 
@@ -62,17 +68,17 @@ class Lookout:
         self._states += 1
 
     def _look_at_volumes(self, t: float) -> None:
-        if self._inside_out or not self._nonlinear:
+        if self.inside_out or not self.nonlinear:
             return
-        J, place = self._watch.smallest()
+        J, place = self.watch.smallest()
         if J > 0.0:
             return
-        at = coordinates(place[: self._problem.body.dim])
-        what = f"det F = {J:.3g} at {at} m"
-        self._inside_out = f"cells had turned inside out by t = {t:.6g} s, {what}"
+        self.place = tuple(float(x) for x in place[: self._problem.body.dim])
+        what = f"det F = {J:.3g} at {coordinates(self.place)} m"
+        self.inside_out = f"cells had turned inside out by t = {t:.6g} s, {what}"
         log.warning(
             "%s: the law lets them, but no body does so: %s",
-            self._inside_out,
+            self.inside_out,
             RESISTS,
         )
 
@@ -99,7 +105,7 @@ class Lookout:
         if seems or drifts:
             self._first = np.where([seems, drifts], now, self._first)  # looked into once
             self._look_at_volumes(t)  # then that is why
-        if drifts and not (self._told or self._inside_out):
+        if drifts and not (self._told or self.inside_out):
             self._told = True
             log.warning(
                 "more than a tenth of the energy has come from nowhere, or got lost, by "
@@ -108,11 +114,11 @@ class Lookout:
             )
         return bool(seems or drifts)
 
-    def lost(self, t: float) -> StabilityError:
-        """Why there is no finite velocity. Collective.
+    def check_given(self, t: float) -> None:
+        """Raises if it is a support or a load that has no finite value. Collective.
 
         Raises:
-            InputError: Because a support or a load has no finite value.
+            InputError: It is.
         """
         problem, u = self._problem, self._problem.u.x.array
         problem.prescribed.check_finite()
@@ -122,11 +128,6 @@ class Lookout:
         u[:] = kept
         if total(problem.body.comm, int(np.sum(~np.isfinite(forces)))):
             raise worthless(t)
-        why = f": {self._inside_out}" if self._inside_out else ""
-        return StabilityError(
-            f"the motion has no finite velocity at t = {t:.6g} s{why}",
-            advice=RESISTS if self._inside_out else "a smaller dt or safety",
-        )
 
     # --- from one run to the next ---
 
@@ -134,7 +135,8 @@ class Lookout:
         """All that has been seen."""
         return {
             "far": self._small.note,
-            "inside_out": self._inside_out,
+            "inside_out": self.inside_out,
+            "place": list(self.place),
             "told": self._told,
             "states": self._states,
             "first": [] if self._first is None else self._first.tolist(),
@@ -143,7 +145,8 @@ class Lookout:
 
     def restore(self, numbers: Mapping[str, Any]) -> None:
         """Goes on with what `kept` gave. Not collective."""
-        self._small.note, self._inside_out = numbers["far"], numbers["inside_out"]
+        self._small.note, self.inside_out = numbers["far"], numbers["inside_out"]
+        self.place = tuple(numbers["place"])
         self._told, self._most = numbers["told"], numbers["most"]
         self._states = int(numbers["states"])
         self._first = np.array(numbers["first"]) if numbers["first"] else None

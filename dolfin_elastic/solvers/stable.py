@@ -196,8 +196,12 @@ class StepSize:
         shaken = "; obstacles may be hit" if self._shaken and self._safety == RESONANCE else ""
         if self.rates is None or not self._square:
             return shaken
-        place = ", ".join(f"{x:.3g}" for x in self.rates.place(self.rates.now()))
+        place = ", ".join(f"{x:.3g}" for x in self.place())
         return f"{shaken}; cells at ({place}) m ask for it"
+
+    def place(self) -> tuple[float, ...]:
+        """Where cells ask for the shortest step [m]; empty where it is not known. Collective."""
+        return () if self.rates is None else self.rates.place(self.rates.now())
 
     def doubt(self, step: int) -> None:
         """Energy is wrong: looks before the next step, with Lanczos' method."""
