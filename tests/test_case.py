@@ -546,6 +546,18 @@ MOTION = GOOD.replace("nu = 0.3", "nu = 0.3\ndensity = 7850").replace(
             "mesh.degree: symplectic-euler has a lumped mass, for linear elements only; "
             "use degree = 1 or generalized-alpha",
         ),
+        *(
+            (
+                "[surfaces]",
+                f'{more}[dynamics]\nscheme = "central-differences"\nend = 1\n'
+                '[materials.gel]\nlaw = "neo-hookean"\nE = 1e6\nnu = 0.5\ndensity = 1e3\n'
+                'on = "core"\n[surfaces]',
+                "materials.gel.nu: 'central-differences' solves for displacements only, and an "
+                "incompressible material needs a pressure beside them; a nu below 0.5, such as "
+                '0.49, or dynamics.scheme = "generalized-alpha" with mesh.formulation = "mixed"',
+            )
+            for more in ("", "degree = 2\n", 'formulation = "mixed"\n')
+        ),
     ],
 )
 def test_mistake_in_motion(folder: Path, old: str, new: str, message: str) -> None:

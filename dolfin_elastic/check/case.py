@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 
@@ -12,7 +13,9 @@ from dolfin_elastic.bench.gate import gate
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.check.slips import slips
 from dolfin_elastic.errors import CaseError, MeshError, nearest
+from dolfin_elastic.formulation import volume_modulus
 from dolfin_elastic.meshes.body import Body, Indices
+from dolfin_elastic.model.law import SplitLaw
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.parallel import total
 from dolfin_elastic.results.fields import FIELDS
@@ -41,19 +44,38 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_constants(case, body)
         _check_fields(case)
         case.output.check_probes(body, case.mesh.scale)
-        if explicit(case) and case.mesh.degree > 1:
-            assert case.dynamics is not None
-            raise CaseError(
-                f"{case.dynamics.scheme} has a lumped mass, for linear elements only",
-                where="mesh.degree",
-                expected="use degree = 1 or generalized-alpha",
-            )
+        if explicit(case):
+            _check_explicit(case)
     return (*_notes(case), *slips(case, body))
 
 
 def explicit(case: Case) -> bool:
     """The scheme solves no equations."""
     return case.dynamics is not None and not case.dynamics.implicit
+
+
+def _check_explicit(case: Case) -> None:
+    """Nothing that only a solver of equations can do.
+
+    A material comes first: what it needs elsewhere, a pressure, is refused of the mesh.
+    """
+    assert case.dynamics is not None
+    scheme = case.dynamics.scheme
+    for name, material in case.materials.items():
+        if isinstance(material.law, SplitLaw) and math.isinf(volume_modulus(material.law)):
+            raise CaseError(
+                f"'{scheme}' solves for displacements only, and an incompressible material needs "
+                "a pressure beside them",
+                where=f"materials.{key_text(name)}.nu",
+                expected='a nu below 0.5, such as 0.49, or dynamics.scheme = "generalized-alpha" '
+                'with mesh.formulation = "mixed"',
+            )
+    if case.mesh.degree > 1:
+        raise CaseError(
+            f"{scheme} has a lumped mass, for linear elements only",
+            where="mesh.degree",
+            expected="use degree = 1 or generalized-alpha",
+        )
 
 
 # --- names ---
