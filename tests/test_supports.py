@@ -346,6 +346,19 @@ def test_half_a_turn(dim):
         assert abs(state.energies["strain"]) < 1e-9 * E
 
 
+def test_axes_with_names():
+    """x, y and z stand for their directions, as in obstacles and selectors."""
+    for name, row in zip("xyz", np.eye(3), strict=True):
+        by_name, by_row = (
+            Rotation(on="left", point=[0, 0, 0], axis=axis, angle=1) for axis in (name, list(row))
+        )
+        assert by_name.direction == by_row.direction == tuple(row)
+    plane = Rotation(on="left", point=[0, 0], axis="z", angle=1)
+    assert plane.held(2) == (0, 1)
+    with pytest.raises(InputError, match="a plane body turns about z only"):
+        Rotation(on="left", point=[0, 0], axis="x", angle=1).held(2)
+
+
 # --- springs ---
 
 
