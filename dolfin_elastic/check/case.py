@@ -30,7 +30,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
     Collective.
 
     Returns:
-        What a user should know although nothing is wrong.
+        What a user should know although nothing is wrong, but for what a run says itself.
 
     Raises:
         InputError: The first thing that is wrong, with file and key, on every rank.
@@ -280,20 +280,29 @@ def _check_constants(case: Case, body: Body) -> None:
 # --- notes ---
 
 
-def _notes(case: Case) -> Iterator[str]:
-    timeless = "" if case.dynamics is not None else "statics"
-    if case.modal or case.buckling:
-        timeless = f"[{case.analysis}]"
+def later_notes(case: Case) -> Iterator[str]:
+    """What a run says itself, in Python too: where its problem is made, and where it is solved."""
     for name, material in case.materials.items():
         if material.law.warning:
             yield f"materials.{key_text(name)}: {material.law.warning}"
-        if material.law.viscosity is not None and timeless:
+    for i, support in enumerate(case.support):
+        if support.kind == "dashpot" and (timeless := _timeless(case)):
+            yield f"support[{i}]: a dashpot does nothing in {timeless}"
+
+
+def _timeless(case: Case) -> str:
+    """The analysis, if nothing has a velocity in it."""
+    if case.dynamics is not None:
+        return ""
+    return f"[{case.analysis}]" if case.modal or case.buckling else "statics"
+
+
+def _notes(case: Case) -> Iterator[str]:
+    for name, material in case.materials.items():
+        if material.law.viscosity is not None and (timeless := _timeless(case)):
             yield f"materials.{key_text(name)}: viscosity does nothing in {timeless}"
     moving = any(not support.at_rest for support in case.support)
     moving = moving or any(value != 0.0 for c in case.contact for value in c.values)
-    for i, support in enumerate(case.support):
-        if support.kind == "dashpot" and timeless:
-            yield f"support[{i}]: a dashpot does nothing in {timeless}"
     if case.modal is not None and not case.preloaded:
         if case.load or moving:
             yield "modal.preload is not set: the modes are those at rest, without the loads"

@@ -136,6 +136,7 @@ class Buckling(Preloaded):
             ConvergenceError: No equilibrium was found, it is unstable, or not all modes were.
         """
         check_held(self.problem)
+        self._tell_dashpots("load factors")
         at_rest(self.problem)
         share, opposite = self.settings.preload, list[_Buckled]()
         if share > 0.0:
