@@ -149,3 +149,8 @@ def shear_modulus(law: Law) -> float:
         stiffness = voigt(Trial(law).rest)
     mu = float(np.mean(np.diag(stiffness)[3:]))
     return mu if np.isfinite(mu) and mu > 0 else 1.0
+
+
+def young(law: Law) -> float:
+    """Young's modulus at small strains, of anisotropic laws about [Pa]."""
+    return 2 * (1 + poisson(law)) * shear_modulus(law)

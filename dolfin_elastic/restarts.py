@@ -196,14 +196,25 @@ def _status(folder: Path) -> str:
         return ""
 
 
-def about(case: Case, mesh: Mapping[str, Any], petsc: Mapping[str, Any]) -> About:
-    """What checkpoints of a run say of it. Not collective."""
+def about(
+    case: Case, mesh: Mapping[str, Any], petsc: Mapping[str, Any], before: Unfinished | None = None
+) -> About:
+    """What checkpoints of a run say of it. Not collective.
+
+    Args:
+        case: What it computes.
+        mesh: See `sums.fingerprint`.
+        petsc: PETSc options from outside the case.
+        before: What it goes on with, whose case file stays the one that people edit.
+    """
     try:
         tables = portable(case)
         text = toml_text(tables)
     except TypeError:  # a function in Python is no text
         text = ""
     file = str(Path(case.file).resolve()) if case.file else ""
+    if before is not None:
+        file = before.found.content["file"] or file
     return About(text, file, mesh, petsc)
 
 
@@ -230,11 +241,18 @@ def _with_table(row: Record) -> Record:
 
 def _compare(written: Case, file: str, comm: MPI.Comm) -> None:
     """Warns where the case file has been changed since the run began. Collective."""
+    if not file or not on_root(comm, Path(file).is_file):
+        return  # it is gone, as on another machine
     try:
-        now = read_case(file, comm=comm) if file else None
-    except InputError:
-        return  # it is gone, or about to become another case
-    if now is not None and _tables(now) != _tables(written):
+        now = read_case(file, comm=comm)
+    except InputError as error:
+        log.warning(
+            "the case file cannot be compared with the case as it was, with which the run goes on: "
+            "%s",
+            error,
+        )
+        return
+    if _tables(now) != _tables(written):
         log.warning(
             "%s has been changed (%s); the run goes on with the case as it was",
             file,

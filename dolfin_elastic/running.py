@@ -124,7 +124,7 @@ class _Run:
         timing.begin()
         with timing.stage("mesh"):
             body = self.case.read_body(self.comm)
-            told = about(self.case, fingerprint(body), self.petsc)
+            told = about(self.case, fingerprint(body), self.petsc, before)
         if before is not None:
             before.check(told)
         for note in body.notes:

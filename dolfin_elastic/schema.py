@@ -67,6 +67,7 @@ class Record(BaseModel, metaclass=_Raising):
                     raise InputError(f"unknown key '{name}'", expected=nearest(str(name), fields))
                 if not _speaks(fields[name].metadata):
                     _refuse_switch([fields[name].annotation], name, value)
+                _refuse_word(fields[name].annotation, name, value)
         return data
 
 
@@ -84,6 +85,16 @@ def _refuse_switch(kinds: Sequence[Any], where: str, value: Any) -> None:
     if wanted and bool not in members and Any not in members:
         expected = "expected " + " or ".join(wanted)
         raise InputError(f"{shown(value)} is wrong", where=where, expected=expected)
+
+
+def _refuse_word(kind: Any, where: str, value: Any) -> None:
+    """Pydantic takes "no", "off" and 0 for false; a case file has a word for that."""
+    if (
+        _members(kind) == [bool]
+        and not isinstance(value, bool)
+        and isinstance(value, str | int | float)
+    ):
+        raise InputError(f"{shown(value)} is wrong", where=where, expected="expected true or false")
 
 
 def _speaks(metadata: Iterable[Any]) -> bool:

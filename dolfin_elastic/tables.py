@@ -27,6 +27,7 @@ from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, ModePicture, Modes, Picture, Summary, Xdmf
 from dolfin_elastic.results.outputs import Output as File
 from dolfin_elastic.results.probes import Probe, ProbePoint, check_places
+from dolfin_elastic.results.writer import Steps
 from dolfin_elastic.schema import Record, known_keys, shown, within
 from dolfin_elastic.toml_text import key_text
 from dolfin_elastic.units import to_si
@@ -223,7 +224,7 @@ class Output(Record):
 
     folder: str | None = None
     fields: tuple[str, ...] | None = None
-    every: Count | None = None
+    every: Steps | None = None
     pictures: list[Picture] = Field(default=[])
     probes: dict[str, ProbePoint] = Field(default={})
     checkpoint: Checkpoint = Checkpoint()

@@ -112,6 +112,24 @@ def test_reversed(comm: MPI.Comm) -> None:
     assert pulled[0] > 100  # where the material itself gives way, if at all
 
 
+@pytest.mark.parametrize("preload", [0.9, 0.98])
+def test_reversed_is_linearised_at_rest(preload: float, comm: MPI.Comm) -> None:
+    """Whatever the preload: about it the stiffness vanishes elsewhere, too, and that says nothing.
+
+    About 0.98 of its load the column would "buckle" at less of it, where it has been stable.
+    """
+    problem = column(strip(comm, (10, 1)))
+    pushed, pulled = factors(problem, count=1, negative=True)
+    share = preload * pushed
+    steps = StaticsSettings(steps=1)
+    modes = list(Buckling(problem, count=1, negative=True, preload=share, statics=steps).modes())
+    assert [mode.load_factor for mode in modes] == pytest.approx([pushed, pulled], rel=3e-3)
+    assert modes[1].load_factor == pytest.approx(pulled, rel=1e-7)
+    tops = [comm.allreduce(np.abs(m.base.x.array).max(initial=0.0), op=MPI.MAX) for m in modes]
+    assert tops[0] > 0  # about the pressed column
+    assert tops[1] == 0  # about the one at rest
+
+
 def test_pressed_by_displacement(comm: MPI.Comm) -> None:
     """A prescribed shortening is a load, too: strain at the same force as a free column's."""
     supports = [
@@ -152,6 +170,22 @@ def test_strains_that_are_too_large_are_told(comm: MPI.Comm, caplog: Any) -> Non
         told.append(comm.bcast(mine))  # rank 0 says it
         assert found[0] > 0
     assert told == [True, False]
+
+
+def test_strains_are_told_of_either_way(comm: MPI.Comm, caplog: Any) -> None:
+    """That the reversed loads buckle the body sooner says nothing of these."""
+    problem = Problem(
+        strip(comm, (8, 1)),
+        NeoHookean(**SOFT),
+        supports=[Support(on="left")],
+        loads=[Traction(on="right", value=[1e5, 0])],
+    )
+    found = factors(problem, count=1, negative=True)
+    assert abs(found[1]) < 0.1 * found[0]
+    mine = [r.message for r in caplog.records if "strained by" in r.message]
+    told = comm.bcast(mine)
+    assert len(told) == 1
+    assert f"load factor {found[0]:.6g} " in told[0]
 
 
 def refused(comm: MPI.Comm, text: str, error: type[Exception] = InputError, **keys: Any) -> None:

@@ -15,7 +15,7 @@ import pytest
 from mpi4py import MPI
 
 from dolfin_elastic.case import Case, read_case
-from dolfin_elastic.check import report
+from dolfin_elastic.check import check, report
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.model.materials import MATERIALS
 from dolfin_elastic.solvers.rigid import free_motions
@@ -546,6 +546,18 @@ MOTION = GOOD.replace("nu = 0.3", "nu = 0.3\ndensity = 7850").replace(
             "mesh.degree: symplectic-euler has a lumped mass, for linear elements only; "
             "use degree = 1 or generalized-alpha",
         ),
+        *(
+            (
+                "[surfaces]",
+                f'{more}[dynamics]\nscheme = "central-differences"\nend = 1\n'
+                '[materials.gel]\nlaw = "neo-hookean"\nE = 1e6\nnu = 0.5\ndensity = 1e3\n'
+                'on = "core"\n[surfaces]',
+                "materials.gel.nu: 'central-differences' solves for displacements only, and an "
+                "incompressible material needs a pressure beside them; a nu below 0.5, such as "
+                '0.49, or dynamics.scheme = "generalized-alpha" with mesh.formulation = "mixed"',
+            )
+            for more in ("", "degree = 2\n", 'formulation = "mixed"\n')
+        ),
     ],
 )
 def test_mistake_in_motion(folder: Path, old: str, new: str, message: str) -> None:
@@ -673,6 +685,16 @@ def test_notes(folder: Path) -> None:
     assert report(case_of(folder, text)).notes == (
         "there is no load and every support is at rest: nothing will move",
     )
+
+
+def test_a_warning_of_a_law_is_given_once(folder: Path, caplog: Any) -> None:
+    """By the problem, so that it is given in Python, too; a run does not repeat it."""
+    read = case_of(folder, GOOD.replace("linear-elastic", "textbook"))
+    body = read.read_body()
+    assert check(read, body) == ()
+    read.make_problem(body)
+    told = [r.getMessage() for r in caplog.records if "has no energy" in r.getMessage()]
+    assert len(MPI.COMM_WORLD.bcast(told)) == 1
 
 
 def test_round_trip(folder: Path) -> None:

@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import compiler
 from dolfin_elastic.case import Case
-from dolfin_elastic.check import PartSize, report
+from dolfin_elastic.check import PartSize, check, report
 from dolfin_elastic.check.hints import cell_notes, part_notes
 from dolfin_elastic.check.memory import per_unknown
 from dolfin_elastic.check.sums import Integrals
@@ -531,6 +531,11 @@ THICK = {"law": "linear-elastic", "E": E, "nu": 0.3}
         ),
         ({"materials": {"rubber": {**RUBBER, "density": 1e-6}}}, "materials.rubber.density: 1e-06"),
         (
+            {"materials": {"rubber": {**THICK, "E": "210 GPa", "density": 7.85}}},
+            "materials.rubber.density: 7.85 kg/m^3 with a Young's modulus of 2.1e+11 Pa has waves "
+            'of 164 km/s, faster than in any solid (diamond: 17): is it "7.85 g/cm^3"?',
+        ),
+        (
             {
                 "materials": {"rubber": {**RUBBER, "expansion": 12}},
                 "load": [{"kind": "thermal", "value": 80}],
@@ -560,6 +565,27 @@ def test_slips_of_the_pen(tables, start):
     notes = report(case(**with_load)).notes
     assert [note for note in notes if note.startswith(start)], notes
     assert report(case(load=[{"kind": "body-force", "value": [0, 0, 1]}])).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("E", "nu", "density", "told"),
+    [
+        ("1050 GPa", 0.1, 3515, ""),  # diamond
+        ("10 MPa", 0.4999999, 1100, ""),  # waves in the bulk have 96 km/s
+        ("10 MPa", 0.5, 1100, ""),
+        ("210 GPa", 0.3, "7.85 g/cm^3", ""),
+        ("210000 GPa", 0.3, 7850, "is a unit of one of them wrong?"),
+        ("210 GPa", 0.3, 78.5, "is a unit of one of them wrong?"),
+        ("70 GPa", 0.3, 2.7, 'is it "2.7 g/cm^3"?'),
+    ],
+)
+def test_waves_faster_than_in_any_solid(E, nu, density, told):
+    """Density and stiffness are at odds; rubber that keeps its volume is none of this."""
+    rubber = {"law": "neo-hookean", "E": E, "nu": nu, "density": density}
+    box = {"size": [2, 1, 3], "cells": [2, 1, 3]}
+    read = case(mesh={"box": box, "degree": 2}, materials={"rubber": rubber})
+    said = [note for note in check(read, read.read_body()) if "any solid" in note]
+    assert [note.endswith(told) for note in said] == [True] * bool(told)
 
 
 def test_parts_that_no_cell_carries():

@@ -37,6 +37,7 @@ from dolfin_elastic import (
     Support,
     Traction,
     box_body,
+    read_case,
     rectangle_body,
     restart,
     run,
@@ -601,6 +602,42 @@ def test_a_changed_case_is_refused(folder: Path) -> None:
     copy = folder / "a" / FOLDER / "case.toml"
     on_root(WORLD, lambda: [copy.write_text(copy.read_text().replace("0.3", "0.4")), None][1])
     refused(folder / "a", r"case.toml: this is not the case of the checkpoint any more")
+
+
+@PAIR
+def test_a_changed_case_file_is_told_of_each_time(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Also by a restart of a restart, and where the file is no case any more."""
+    file, text = folder / "strip.toml", case(statics={"max_step": 0.1}).to_toml()
+
+    def write(change: tuple[str, str]) -> None:
+        assert change[0] in text
+        file.write_text(text.replace(*change))
+
+    def told(step: int) -> list[str]:
+        caplog.clear()
+        states = restart(folder / "a")
+        while next(states).step < step:
+            pass
+        kill(states)
+        said = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+        return [one for one in WORLD.bcast(said) if "case" in one]
+
+    on_root(WORLD, lambda: write(("", "")))
+    begun(read_case(file), folder / "a", 2)
+    assert told(3) == []
+    on_root(WORLD, lambda: write(("nu = 0.3", "nu = 0.4")))
+    changed = f"{file.resolve()} has been changed (materials.rubber.nu); the run goes on with"
+    for step in (4, 5):
+        (message,) = told(step)
+        assert message.startswith(changed)
+    on_root(WORLD, lambda: write(("nu = 0.3", "nu = 0.7")))
+    (message,) = told(6)
+    assert message.startswith("the case file cannot be compared with the case as it was")
+    assert f"{file.resolve()}: materials.rubber.nu: 0.7 is not a possible" in message
+    on_root(WORLD, file.unlink)
+    assert told(7) == []
 
 
 @PAIR

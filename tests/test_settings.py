@@ -116,15 +116,25 @@ PLACES: list[tuple[dict[str, Any], str]] = [
     ({"every": [1]}, r"dynamics.every: \[1\] is wrong; expected a whole number or a number in s"),
     (
         {"every": 2.0},
-        "dynamics.every: 2.0 is wrong; expected a whole number of steps, or a time wi",
+        "dynamics.every: 2.0 is wrong; expected a whole number of steps, at least",
     ),
     (
         {"every": "7"},
-        'dynamics.every: "7" is wrong; expected a whole number of steps, or a time wi',
+        'dynamics.every: "7" is wrong; expected a whole number of steps, at least',
     ),
     ({"every": "2 s"}, "dynamics.every: 2 s lies beyond the end; at most dynamics.end = 1 s"),
-    ({"every": -1}, "dynamics.every: -1 is wrong; expected a number of at least 1 or a number abo"),
-    ({"every": True}, "dynamics.every: true is wrong; expected a whole number or a number"),
+    (
+        {"every": -1},
+        "dynamics.every: -1 is wrong; expected a whole number of steps, at least 1, or",
+    ),
+    (
+        {"every": 0},
+        "dynamics.every: 0 is wrong; expected a whole number of steps, at least 1, or "
+        r'\(implicit schemes\) a time above 0 with a unit, for example "10 ms"',
+    ),
+    ({"every": "0 s"}, "dynamics.every: 0 s is wrong; expected a whole number of steps, at least"),
+    ({"every": "-2 ms"}, "dynamics.every: -0.002 s is wrong; expected a whole number of steps, at"),
+    ({"every": True}, "dynamics.every: true is wrong; expected a whole number of steps, at least"),
     ({"times": ["x"]}, r"dynamics.times\[0\]: 'x' is not a number; expected a number in s"),
     ({"rayleigh": [1]}, r"dynamics.rayleigh: 1 factors given; expected two, \[a, b\], or"),
     ({"rayleigh": [1, "2 m"]}, "dynamics.rayleigh.stiffness: '2 m' has the wrong unit; expected"),
@@ -157,6 +167,22 @@ OTHERS: list[tuple[dict[str, Any], str]] = [
     ),
     ({"output": {"checkpoint": "5 mum"}}, "output.checkpoint.time: '5 mum' has the wrong unit"),
     ({"output": {"probes": {"tip": {"at": 3}}}}, "output.probes.tip.at: "),
+    (
+        {"output": {"every": 0}},
+        "output.every: 0 is wrong; expected a whole number of steps, at least",
+    ),
+    (
+        {"output": {"checkpoint": {"every": 0}}},
+        "output.checkpoint.every: 0 is wrong; expected a whole number of steps, at least 1",
+    ),
+    ({"modal": {"preload": "yes"}}, 'modal.preload: "yes" is wrong; expected true or false'),
+    ({"modal": {"preload": "no"}}, 'modal.preload: "no" is wrong; expected true or false'),
+    ({"modal": {"preload": 1}}, "modal.preload: 1 is wrong; expected true or false"),
+    ({"buckling": {"negative": "on"}}, 'buckling.negative: "on" is wrong; expected true or false'),
+    (
+        {"support": [{"kind": "rotation", "on": "left", "point": [0, 0], "angle": 1, "axis": "w"}]},
+        r"support\[0\].axis: \"w\" is wrong; ",
+    ),
     ({"output": {"fields": [3]}}, r"output.fields\[0\]: 3 is wrong; expected a text"),
     ({"solver": {"petsc": {"ksp_type": []}}}, r"solver.petsc.ksp_type: \[\] is wrong; expected t"),
     ({"load": [{"kind": "pressure", "on": [3], "value": 1}]}, r"load\[0\].on\[0\]: 3 is wrong"),

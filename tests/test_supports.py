@@ -28,9 +28,10 @@ from dolfin_elastic import (
     Traction,
     box_body,
     rectangle_body,
+    run,
 )
 from dolfin_elastic.case import Case
-from dolfin_elastic.check import check
+from dolfin_elastic.check import check, report
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.meshes import Body
 from dolfin_elastic.meshes.build import make_mesh
@@ -346,6 +347,56 @@ def test_half_a_turn(dim):
         assert abs(state.energies["strain"]) < 1e-9 * E
 
 
+@pytest.mark.parametrize(
+    ("tables", "said"),
+    [
+        ({}, "in statics"),
+        ({"modal": {"count": 1}}, "to undamped modes"),
+        ({"modal": {"count": 1, "preload": True}}, "to undamped modes"),
+        ({"buckling": {"count": 1}}, "to load factors"),
+        ({"buckling": {"count": 1, "preload": 0.1}}, "to load factors"),
+    ],
+)
+def test_a_dashpot_that_does_nothing_is_told_of_once(tables, said, folder, caplog):
+    """By `check`, by a run, and by a solver in Python; also where a preload comes first."""
+    read = Case.from_dict(
+        {
+            "mesh": {"rectangle": {"size": [4, 1], "cells": [8, 2]}},
+            "materials": {"gel": {"law": "neo-hookean", "E": 1e6, "nu": 0.3, "density": 1000}},
+            "support": [
+                {"on": "left"},
+                {"kind": "dashpot", "on": "top", "viscosity": [0, 1], "name": "damper"},
+            ],
+            "load": [{"kind": "traction", "on": "right", "value": [-1e3, 0]}],
+            **tables,
+        }
+    )
+    (note,) = (n for n in report(read).notes if "dashpot" in n)
+    assert note.startswith("support[1]: a dashpot does nothing in ")
+    for steps in (
+        read.make_solver(read.make_problem(read.read_body())).steps(),
+        run(read, output=folder / "a"),
+    ):
+        caplog.clear()
+        for _ in steps:
+            pass
+        told = [r.getMessage() for r in caplog.records if "dashpot" in r.getMessage()]
+        assert MPI.COMM_WORLD.bcast(told) == [f"the dashpot 'damper' does nothing {said}"]
+
+
+def test_axes_with_names():
+    """x, y and z stand for their directions, as in obstacles and selectors."""
+    for name, row in zip("xyz", np.eye(3), strict=True):
+        by_name, by_row = (
+            Rotation(on="left", point=[0, 0, 0], axis=axis, angle=1) for axis in (name, list(row))
+        )
+        assert by_name.direction == by_row.direction == tuple(row)
+    plane = Rotation(on="left", point=[0, 0], axis="z", angle=1)
+    assert plane.held(2) == (0, 1)
+    with pytest.raises(InputError, match="a plane body turns about z only"):
+        Rotation(on="left", point=[0, 0], axis="x", angle=1).held(2)
+
+
 # --- springs ---
 
 
@@ -640,7 +691,9 @@ def test_rows_are_read_written_and_named():
         "dashpot",
     ]
     body = read.read_body()
-    assert any("a dashpot does nothing in statics" in note for note in check(read, body))
+    assert [n for n in report(read).notes if "dashpot" in n] == [
+        "support[6]: a dashpot does nothing in statics"
+    ]
     problem = read.make_problem(body)
     assert set(problem.holding) == {"mount", "top"}
 

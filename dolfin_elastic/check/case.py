@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 
@@ -12,7 +13,9 @@ from dolfin_elastic.bench.gate import gate
 from dolfin_elastic.case import Case, located
 from dolfin_elastic.check.slips import slips
 from dolfin_elastic.errors import CaseError, MeshError, nearest
+from dolfin_elastic.formulation import volume_modulus
 from dolfin_elastic.meshes.body import Body, Indices
+from dolfin_elastic.model.law import SplitLaw
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.parallel import total
 from dolfin_elastic.results.fields import FIELDS
@@ -27,7 +30,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
     Collective.
 
     Returns:
-        What a user should know although nothing is wrong.
+        What a user should know although nothing is wrong, but for what a run says itself.
 
     Raises:
         InputError: The first thing that is wrong, with file and key, on every rank.
@@ -41,19 +44,38 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_constants(case, body)
         _check_fields(case)
         case.output.check_probes(body, case.mesh.scale)
-        if explicit(case) and case.mesh.degree > 1:
-            assert case.dynamics is not None
-            raise CaseError(
-                f"{case.dynamics.scheme} has a lumped mass, for linear elements only",
-                where="mesh.degree",
-                expected="use degree = 1 or generalized-alpha",
-            )
+        if explicit(case):
+            _check_explicit(case)
     return (*_notes(case), *slips(case, body))
 
 
 def explicit(case: Case) -> bool:
     """The scheme solves no equations."""
     return case.dynamics is not None and not case.dynamics.implicit
+
+
+def _check_explicit(case: Case) -> None:
+    """Nothing that only a solver of equations can do.
+
+    A material comes first: what it needs elsewhere, a pressure, is refused of the mesh.
+    """
+    assert case.dynamics is not None
+    scheme = case.dynamics.scheme
+    for name, material in case.materials.items():
+        if isinstance(material.law, SplitLaw) and math.isinf(volume_modulus(material.law)):
+            raise CaseError(
+                f"'{scheme}' solves for displacements only, and an incompressible material needs "
+                "a pressure beside them",
+                where=f"materials.{key_text(name)}.nu",
+                expected='a nu below 0.5, such as 0.49, or dynamics.scheme = "generalized-alpha" '
+                'with mesh.formulation = "mixed"',
+            )
+    if case.mesh.degree > 1:
+        raise CaseError(
+            f"{scheme} has a lumped mass, for linear elements only",
+            where="mesh.degree",
+            expected="use degree = 1 or generalized-alpha",
+        )
 
 
 # --- names ---
@@ -258,20 +280,29 @@ def _check_constants(case: Case, body: Body) -> None:
 # --- notes ---
 
 
-def _notes(case: Case) -> Iterator[str]:
-    timeless = "" if case.dynamics is not None else "statics"
-    if case.modal or case.buckling:
-        timeless = f"[{case.analysis}]"
+def later_notes(case: Case) -> Iterator[str]:
+    """What a run says itself, in Python too: where its problem is made, and where it is solved."""
     for name, material in case.materials.items():
         if material.law.warning:
             yield f"materials.{key_text(name)}: {material.law.warning}"
-        if material.law.viscosity is not None and timeless:
+    for i, support in enumerate(case.support):
+        if support.kind == "dashpot" and (timeless := _timeless(case)):
+            yield f"support[{i}]: a dashpot does nothing in {timeless}"
+
+
+def _timeless(case: Case) -> str:
+    """The analysis, if nothing has a velocity in it."""
+    if case.dynamics is not None:
+        return ""
+    return f"[{case.analysis}]" if case.modal or case.buckling else "statics"
+
+
+def _notes(case: Case) -> Iterator[str]:
+    for name, material in case.materials.items():
+        if material.law.viscosity is not None and (timeless := _timeless(case)):
             yield f"materials.{key_text(name)}: viscosity does nothing in {timeless}"
     moving = any(not support.at_rest for support in case.support)
     moving = moving or any(value != 0.0 for c in case.contact for value in c.values)
-    for i, support in enumerate(case.support):
-        if support.kind == "dashpot" and timeless:
-            yield f"support[{i}]: a dashpot does nothing in {timeless}"
     if case.modal is not None and not case.preloaded:
         if case.load or moving:
             yield "modal.preload is not set: the modes are those at rest, without the loads"

@@ -10,11 +10,10 @@ from dolfinx.mesh import exterior_facet_indices
 from dolfin_elastic.case import Case
 from dolfin_elastic.check.loads import LoadSum
 from dolfin_elastic.check.sums import Integrals
-from dolfin_elastic.formulation import poisson, shear_modulus
+from dolfin_elastic.formulation import young
 from dolfin_elastic.meshes.body import Body
 from dolfin_elastic.meshes.quality import worst_cells
 from dolfin_elastic.meshes.shapes import cell_corners, prepare_facets, qualities
-from dolfin_elastic.model.law import Law
 from dolfin_elastic.parallel import total
 
 THIN = 0.05
@@ -38,11 +37,6 @@ def stress_hint(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) -> 
             f"Young's modulus of '{weakest.name}' is {young(weakest.typical):.3g} Pa: was "
             "mesh.unit, or a unit of a load or modulus, forgotten?"
         )
-
-
-def young(law: Law) -> float:
-    """Young's modulus at small strains, of anisotropic laws about [Pa]."""
-    return 2 * (1 + poisson(law)) * shear_modulus(law)
 
 
 def part_notes(body: Body) -> Iterator[str]:

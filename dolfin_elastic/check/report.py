@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 from dolfin_elastic.case import Case, located
-from dolfin_elastic.check.case import check, explicit
+from dolfin_elastic.check.case import check, explicit, later_notes
 from dolfin_elastic.check.cavities import cavity_notes
 from dolfin_elastic.check.contacts import ContactGap, contact_gaps, contact_notes
 from dolfin_elastic.check.hints import hints
@@ -90,7 +90,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         InputError: Something is wrong.
     """
     body = case.read_body(comm)
-    notes = check(case, body)
+    notes = (*later_notes(case), *check(case, body))
     try:
         problem = case.make_problem(body)
         notes = (*notes, *contact_notes(case, problem))

@@ -12,11 +12,13 @@ from itertools import combinations
 import numpy as np
 
 from dolfin_elastic.case import Case
+from dolfin_elastic.formulation import young
 from dolfin_elastic.meshes.body import Body, Indices, extent
 from dolfin_elastic.meshes.naming import bounding_box
 from dolfin_elastic.meshes.shapes import Floats
 from dolfin_elastic.model.components import Component
 from dolfin_elastic.model.curves import CONSTANT, PROPORTIONAL
+from dolfin_elastic.model.law import Law
 from dolfin_elastic.model.loads import Concentrated, Load
 from dolfin_elastic.model.rigid import Rigid
 from dolfin_elastic.model.supports import NORMAL, Normal, Prescribing, Restraint, Rotation
@@ -28,6 +30,13 @@ _UNITLESS = 20.0
 """Length [m] from which a mesh without a unit looks like one in millimetres."""
 _DENSITIES = 1.0, 30e3
 """Foams are above, osmium is below [kg/m^3]."""
+_FAST = 25e3
+"""Speed of waves along a bar that no solid reaches: diamond's is 17 km/s [m/s].
+
+That of waves in the bulk would be without bound in a rubber that keeps its volume.
+"""
+_GRAMS = 1000.0
+"""A gram per cubic centimetre [kg/m^3]."""
 _BESIDE = 0.01
 """Distance over the body's diagonal that still counts as in the body."""
 _BARE_ANGLE = 1.0
@@ -141,15 +150,9 @@ def _angles(support: Restraint) -> Iterator[tuple[str, object, float]]:
 
 
 def _material_notes(case: Case, body: Body) -> Iterator[str]:
-    low, high = _DENSITIES
     for name, material in case.materials.items():
-        where, rho = f"materials.{key_text(name)}", material.law.density
-        if isinstance(rho, int | float) and not low <= rho <= high:
-            yield (
-                f"{where}.density: {rho:.3g} kg/m^3 is "
-                f"{'less than a gas' if rho < low else 'more than any metal'} weighs: is a unit "
-                "missing or wrong?"
-            )
+        where = f"materials.{key_text(name)}"
+        yield from _density_notes(where, material.law)
         if not material.regions and not _left_over(case, body):
             yield f"{where} fills no cell: the others leave none"
         for i, load in enumerate(case.load):
@@ -159,6 +162,31 @@ def _material_notes(case: Case, body: Body) -> Iterator[str]:
                     f"load[{i}].value: it makes '{name}' {strain:.3g} times as long again: is a "
                     f"unit of it or of {where}.expansion missing?"
                 )
+
+
+def _density_notes(where: str, law: Law) -> Iterator[str]:
+    """A density that no solid has, or none that is as stiff."""
+    (low, high), rho = _DENSITIES, law.density
+    if not isinstance(rho, int | float):
+        return
+    if not low <= rho <= high:
+        yield (
+            f"{where}.density: {rho:.3g} kg/m^3 is "
+            f"{'less than a gas' if rho < low else 'more than any metal'} weighs: is a unit "
+            "missing or wrong?"
+        )
+        return
+    if law.deferred():  # what varies in space has no value yet
+        return
+    modulus = young(law)
+    if modulus > _FAST**2 * rho:
+        speed = math.sqrt(modulus / rho)
+        fits = _GRAMS * rho <= high and speed < _FAST * math.sqrt(_GRAMS)
+        wanted = f'is it "{rho:.4g} g/cm^3"?' if fits else "is a unit of one of them wrong?"
+        yield (
+            f"{where}.density: {rho:.4g} kg/m^3 with a Young's modulus of {modulus:.3g} Pa has "
+            f"waves of {speed / 1e3:.3g} km/s, faster than in any solid (diamond: 17): {wanted}"
+        )
 
 
 def _left_over(case: Case, body: Body) -> int:

@@ -6,10 +6,17 @@ In a record a direction is a list of three components (two in a plane).  A law r
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import ufl
 from ufl.core.expr import Expr
+
+Axis = Literal["x", "y", "z"]
+
+
+def along(axis: Any) -> Any:
+    """The three components of an axis that has a name; anything else as it is."""
+    return [float(name == axis) for name in "xyz"] if isinstance(axis, str) else axis
 
 
 def numbers(value: Any) -> list[float] | None:

@@ -21,6 +21,7 @@ from dolfin_elastic.model.components import (
     misspelt_unit,
 )
 from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.directions import Axis, along
 from dolfin_elastic.model.placed import Placed
 from dolfin_elastic.units import is_quantity, to_si
 
@@ -237,7 +238,7 @@ class Rotation(Prescribing):
 
     Attributes:
         point: A point c on the axis, in the reference configuration [m].
-        axis: Direction of the axis; in a plane body z.
+        axis: x, y, z or a direction; in a plane body z.
         angle: "90 deg", a number in rad, or a formula in t; right-handed about the axis.
         displacement: Translation d [m]: numbers, texts with units, or formulas in t.
         curve: Amplitude of angle and translation over time, see `Prescribing`.
@@ -245,7 +246,7 @@ class Rotation(Prescribing):
 
     kind: Literal["rotation"] = "rotation"
     point: list[Any]
-    axis: list[float] | None = None
+    axis: Axis | list[float] | None = None
     angle: Any
     displacement: list[Any] | None = None
     curve: Curve | None = None
@@ -292,13 +293,13 @@ class Rotation(Prescribing):
     @cached_property
     def direction(self) -> tuple[float, ...]:
         """Unit vector of the axis."""
-        axis = np.array([0.0, 0.0, 1.0] if self.axis is None else self.axis)
+        axis = np.array(along("z" if self.axis is None else self.axis))
         length = float(np.linalg.norm(axis))
         if axis.shape != (3,) or not np.isfinite(length) or length == 0.0:
             raise InputError(
                 f"{self.axis!r} is not an axis",
                 where="axis",
-                expected="a direction of 3 components, for example [0, 0, 1]",
+                expected='"x", "y", "z" or a direction of 3 components, for example [0, 0, 1]',
             )
         return tuple(float(item) for item in axis / length)
 
@@ -325,7 +326,7 @@ class Rotation(Prescribing):
         """
         where = f"support '{self.label}'.axis"
         if dim == 3 and self.axis is None:
-            raise InputError("this key is missing", where=where, expected="for example [0, 0, 1]")
+            raise InputError("this key is missing", where=where, expected='for example "z"')
         if dim == 2 and any(self.direction[:2]):
             raise InputError(
                 "a plane body turns about z only", where=where, expected="leave it out"

@@ -38,7 +38,7 @@ from dolfin_elastic.results import heavy
 from dolfin_elastic.results.files import make_folder, replace_text, sync, writing
 from dolfin_elastic.results.order import Order
 from dolfin_elastic.results.sums import sum_of
-from dolfin_elastic.results.writer import Every
+from dolfin_elastic.results.writer import Every, Steps
 from dolfin_elastic.schema import Idle, Record, refuse_idle
 from dolfin_elastic.state import State
 from dolfin_elastic.timing import stage
@@ -65,7 +65,7 @@ class Checkpoint(Record):
     """
 
     time: Time = Field(default=900.0, gt=0)
-    every: int | None = Field(default=None, ge=1)
+    every: Steps | None = None
     keep: int = Field(default=2, ge=1)
     off: bool = False
 

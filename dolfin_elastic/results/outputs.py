@@ -20,7 +20,7 @@ from dolfin_elastic.results.modes import ModesWriter
 from dolfin_elastic.results.modes import listing as animations
 from dolfin_elastic.results.pictures import PictureWriter, View, drawable, own_files
 from dolfin_elastic.results.summary import SummaryWriter
-from dolfin_elastic.results.writer import Numbers, Writer
+from dolfin_elastic.results.writer import Numbers, Steps, Writer
 from dolfin_elastic.results.xdmf import XdmfWriter
 from dolfin_elastic.schema import Record
 
@@ -83,7 +83,7 @@ class Xdmf(Output):
 
     file: str = "results.xdmf"
     fields: tuple[str, ...] | None = None
-    every: int = Field(default=1, ge=1)
+    every: Steps = 1
     frames: int | None = Field(default=None, ge=1)
 
     _check_file = field_validator("file")(lambda file: _suffix(file, ".xdmf"))

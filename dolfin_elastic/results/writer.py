@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 from dolfinx import fem
+from pydantic import AfterValidator
 
+from dolfin_elastic.errors import InputError
 from dolfin_elastic.state import Mode, State
 
 Numbers = Mapping[str, Any]
@@ -39,6 +41,18 @@ class ModeWriter(Protocol):
 
     def write_mode(self, mode: Mode) -> None:
         """Takes one mode. Collective."""
+
+
+def _some(steps: int) -> int:
+    if steps < 1:
+        raise InputError(
+            f"{steps} is wrong", expected="expected a whole number of steps, at least 1"
+        )
+    return steps
+
+
+Steps = Annotated[int, AfterValidator(_some)]
+"""How many steps there are from one to the next."""
 
 
 class Every:

@@ -12,6 +12,10 @@ buckling about the undeformed body; the nearer s0 is to the factor, the less is 
 linearisation leaves out.  Before, the body must be stable: then K is positive, and the eigenvalues
 1/(factor - s0) of -dK/ds u = value K u are real.
 
+Of a linearisation about s0 > 0 only the factors beyond s0 are taken.  Those between 0 and s0 are
+none: there the way to s0 has led past, and the body was stable.  Those below 0 are farther from s0
+than from the state at rest, so reversed loads are linearised at rest, whatever s0 is.
+
 Sources: R. Cook et al., Concepts and Applications of Finite Element Analysis (2002), section 18.2;
 C. Felippa, Nonlinear Finite Element Methods, chapter 28 (linearised prebuckling); dK/ds by central
 differences along the path.
@@ -20,7 +24,7 @@ differences along the path.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -65,13 +69,16 @@ LARGE = 0.05
 SHARE = 1e-3
 """Difference of the load over which its forces are differentiated, which are linear in it."""
 
+_Buckled = tuple[Pair, fem.Function]
+"""Load factor and mode, and the displacement of the state about which they were found."""
+
 
 class BucklingSettings(Record):
     """Which buckling modes are looked for.
 
     Attributes:
         count: How many, from the smallest load factor on.
-        negative: As many with the loads reversed, too.
+        negative: As many with the loads reversed, too, always linearised at rest.
         preload: Share of the loads at whose equilibrium the problem is linearised; 0: at rest.
         tolerance: Relative error of load factors.
     """
@@ -129,76 +136,97 @@ class Buckling(Preloaded):
             ConvergenceError: No equilibrium was found, it is unstable, or not all modes were.
         """
         check_held(self.problem)
-        share = self.settings.preload
+        self._tell_dashpots("load factors")
+        at_rest(self.problem)
+        share, opposite = self.settings.preload, list[_Buckled]()
         if share > 0.0:
+            if self.settings.negative:
+                log.info("reversed loads are linearised at rest, which is nearer to them")
+                opposite = self._linearised(0.0, [-1])
             yield from self._load(self.statics.model_copy(update={"end": share}))
-        else:
-            at_rest(self.problem)
-        yield from self.about_this_state()
+        yield from self.about_this_state(opposite)
 
-    def about_this_state(self) -> Iterator[Mode]:
-        """Yields the modes about the present state of the problem. Collective."""
-        log.info("%s", self.choice.why)
-        path = _Path(self.problem, self.settings.preload)
-        try:
-            pairs = self._pairs(path)
-        finally:
-            path.destroy()
-        self._warn_of_strains(pairs, path.straining)
-        base = fem.Function(self.problem.V, name="displacement")
-        base.x.array[:] = self.problem.u.x.array
-        for k, pair in enumerate(pairs, start=1):
+    def about_this_state(self, opposite: Sequence[_Buckled] = ()) -> Iterator[Mode]:
+        """Yields the modes about the present state of the problem. Collective.
+
+        Args:
+            opposite: What was found for the reversed loads, if it was looked for elsewhere.
+        """
+        share = self.settings.preload
+        both = self.settings.negative and share == 0.0
+        found = [*self._linearised(share, [1, -1] if both else [1]), *opposite]
+        if not found:
+            raise ConvergenceError(
+                "the body does not buckle: the loads make it only stiffer",
+                advice="buckling.negative = true for the reversed loads",
+            )
+        for k, (pair, base) in enumerate(found, start=1):
             yield Mode(
                 number=k,
                 kind="buckling",
                 u=shape(self.problem, pair.vector)[0],
                 base=base,
                 eigenvalue=pair.value,
-                done=k / len(pairs),
+                done=k / len(found),
             )
 
-    def _warn_of_strains(self, pairs: list[Pair], straining: float) -> None:
-        """Says where what is linearised is far from what it is used for."""
-        away = min((p.value for p in pairs), key=lambda v: abs(v - self.settings.preload))
-        strain = abs(away - self.settings.preload) * straining
-        if strain > LARGE:
-            log.warning(
-                "on the way to load factor %.6g the body is strained by %.2g %% (mean), too "
-                "much for a linearised state: a buckling.preload a little below it, or a path with "
-                'statics.method = "arc-length"',
-                away,
-                100 * strain,
-            )
+    def _linearised(self, share: float, signs: Sequence[int]) -> list[_Buckled]:
+        """Load factors about the present state, and the modes. Collective.
 
-    def _pairs(self, path: _Path) -> list[Pair]:
-        """Load factors and modes, those of the loads as they are first."""
-        found: list[Pair] = []
-        wanted = self.settings.count
-        for sign, name in ((1, "these"), (-1, "the reversed"))[: 1 + self.settings.negative]:
-            critical = Critical(
-                self.problem,
-                path.stiffness,
-                path.rate,
-                sign=sign,
-                choice=self.choice,
-                users=self.of_modes(loaded=self.settings.preload > 0.0),
-                tolerance=self.settings.tolerance,
-            )
-            pairs = critical.lowest(wanted)
-            if len(pairs) < wanted:
-                log.warning(
-                    "%d buckling modes asked for under %s loads, there are only %d",
-                    wanted,
-                    name,
-                    len(pairs),
-                )
-            found += [Pair(self.settings.preload + sign * p.value, p.vector) for p in pairs]
-        if not found:
-            raise ConvergenceError(
-                "the body does not buckle: the loads make it only stiffer",
-                advice="buckling.negative = true for the reversed loads",
-            )
+        Args:
+            share: Of the loads, in this state.
+            signs: 1 for the loads as they are, -1 for the reversed ones.
+        """
+        log.info("%s", self.choice.why)
+        base = fem.Function(self.problem.V, name="displacement")
+        base.x.array[:] = self.problem.u.x.array
+        path, found = _Path(self.problem, share), list[_Buckled]()
+        try:
+            for sign in signs:
+                pairs = self._pairs(path, share, sign)
+                _warn_of_strains(pairs, path.straining, share)
+                found += [(pair, base) for pair in pairs]
+        finally:
+            path.destroy()
         return found
+
+    def _pairs(self, path: _Path, share: float, sign: int) -> list[Pair]:
+        """Load factors and modes, beginning with the nearest."""
+        wanted = self.settings.count
+        critical = Critical(
+            self.problem,
+            path.stiffness,
+            path.rate,
+            sign=sign,
+            choice=self.choice,
+            users=self.of_modes(loaded=self.settings.preload > 0.0),
+            tolerance=self.settings.tolerance,
+        )
+        pairs = critical.lowest(wanted)
+        if len(pairs) < wanted:
+            log.warning(
+                "%d buckling modes asked for under %s loads, there are only %d",
+                wanted,
+                "these" if sign > 0 else "the reversed",
+                len(pairs),
+            )
+        return [Pair(share + sign * p.value, p.vector) for p in pairs]
+
+
+def _warn_of_strains(pairs: Sequence[Pair], straining: float, share: float) -> None:
+    """Says where what is linearised is far from what it is used for, on one side of it."""
+    away = min((p.value for p in pairs), key=lambda value: abs(value - share), default=share)
+    strain = abs(away - share) * straining
+    if strain > LARGE:
+        log.warning(
+            "on the way to load factor %.6g the body is strained by %.2g %% (mean), too "
+            "much for a linearised state: %sa buckling.preload a little below %.6g, or a path with "
+            'statics.method = "arc-length"',
+            away,
+            100 * strain,
+            "" if away > 0 else "with the loads reversed in the case ",
+            abs(away),
+        )
 
 
 class _Path:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from dolfinx import fem
 from petsc4py import PETSc
-from pydantic import Field, field_serializer, field_validator, model_validator
+from pydantic import Field, field_serializer, model_validator
 
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.kept import Kept, Restore
 from dolfin_elastic.model.components import Component, components, depends_on_time
 from dolfin_elastic.problem import Problem
-from dolfin_elastic.schema import Idle, Record, refuse_idle, settled, shown
+from dolfin_elastic.schema import Idle, Record, refuse_idle, settled
 from dolfin_elastic.solvers.alpha import Scheme, limit, newmark
 from dolfin_elastic.solvers.alpha2 import check_alpha2
 from dolfin_elastic.solvers.contact import begin_motion
@@ -27,6 +26,7 @@ from dolfin_elastic.solvers.initial import set_initial
 from dolfin_elastic.solvers.linear import LinearSettings
 from dolfin_elastic.solvers.scalars import refuse_scalars
 from dolfin_elastic.solvers.schedule import refuse_beyond
+from dolfin_elastic.solvers.steptimes import Interval
 from dolfin_elastic.state import State
 from dolfin_elastic.units import Force, Rate, Time
 
@@ -114,24 +114,8 @@ class DynamicsSettings(Record):
     atol: Force = Field(default=0.0, ge=0)
     max_iterations: int = Field(default=20, ge=1)
     safety: float = Field(default=0.9, gt=0, le=1)
-    every: Annotated[int, Field(ge=1)] | Annotated[Time, Field(gt=0)] = 0
+    every: Interval = 0
     times: list[Annotated[Time, Field(gt=0)]] = Field(default=[])
-
-    @field_validator("every", mode="before")
-    @classmethod
-    def _refuse_bare(cls, value: Any) -> Any:
-        """A time says so by its unit; 2.0 might be either."""
-        bare = isinstance(value, float)
-        if isinstance(value, str):
-            with suppress(ValueError):
-                float(value)
-                bare = True
-        if bare:
-            raise InputError(
-                f"{shown(value)} is wrong",
-                expected="expected a whole number of steps, or a time with a unit",
-            )
-        return value
 
     @field_serializer("every")
     def _with_unit(self, every: float) -> int | str:

@@ -117,6 +117,7 @@ class Modal(Preloaded):
             InputError: The supports do not hold a body that is loaded.
             ConvergenceError: No equilibrium was found, or not all modes.
         """
+        self._tell_dashpots("undamped modes")
         if self.settings.preload:
             if self.problem.site.linear:
                 log.warning(UNMOVED)
@@ -128,8 +129,6 @@ class Modal(Preloaded):
     def about_this_state(self) -> Iterator[Mode]:
         """Yields the modes about the present state of the problem. Collective."""
         log.info("%s", self.choice.why)
-        for dashpot in self.problem.dashpots:
-            log.warning("the dashpot '%s' does nothing to undamped modes", dashpot.label)
         vibration = Vibration(self)
         try:
             yield from vibration.modes()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -14,6 +15,8 @@ from dolfin_elastic.solvers.schedule import refuse_beyond
 from dolfin_elastic.solvers.shapes import shared
 from dolfin_elastic.solvers.statics import Statics, StaticsSettings
 from dolfin_elastic.state import Mode, State
+
+log = logging.getLogger("dolfin_elastic")
 
 
 class Preloaded(ABC):
@@ -75,6 +78,11 @@ class Preloaded(ABC):
         """
         return shared(self.petsc)[1] if loaded else self.petsc
 
+    def _tell_dashpots(self, found: str) -> None:
+        """Warns of each that is there for nothing."""
+        for dashpot in self.problem.dashpots:
+            log.warning("the dashpot '%s' does nothing to %s", dashpot.label, found)
+
     def _load(self, settings: StaticsSettings) -> Iterator[State]:
         """Yields the states on the way to the loaded one. Collective.
 
@@ -84,7 +92,9 @@ class Preloaded(ABC):
         of_statics, _ = shared(self.petsc)
         linear = self.linear.model_copy(update={"petsc": {}})
         state = None
-        for state in Statics(self.problem, settings, linear=linear, petsc=of_statics).steps():
+        way = Statics(self.problem, settings, linear=linear, petsc=of_statics)
+        way.alone = False
+        for state in way.steps():
             yield state
         if state is not None and state.done < 1.0 - 1e-9:
             raise ConvergenceError(

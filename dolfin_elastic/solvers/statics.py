@@ -113,6 +113,9 @@ class Statics:
         settings: See `StaticsSettings`; keyword arguments are its fields.
         linear: How linear systems are solved.
         petsc: PETSc options, which win over everything.
+
+    Attributes:
+        alone: It is all that is done; else whoever goes on from here says what does nothing.
     """
 
     def __init__(
@@ -124,7 +127,7 @@ class Statics:
         petsc: Mapping[str, Any] | None = None,
         **fields: Any,
     ) -> None:
-        self.problem = problem
+        self.problem, self.alone = problem, True
         self.settings = settled(StaticsSettings, settings, fields)
         self.linear = linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
@@ -144,7 +147,7 @@ class Statics:
         """
         check_held(self.problem)
         self._check_path()
-        for dashpot in self.problem.dashpots:
+        for dashpot in self.problem.dashpots if self.alone else ():
             log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
         with ExitStack() as owned:

@@ -3,9 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator
+
+from dolfin_elastic.errors import InputError
+from dolfin_elastic.schema import shown
+from dolfin_elastic.units import Time
 
 SAME = 1e-9
 """Share of an interval that two times may differ by and still be one."""
+
+_EXPECTED = (
+    "expected a whole number of steps, at least 1, or (implicit schemes) a time above 0 with a "
+    'unit, for example "10 ms"'
+)
+
+
+def _not_bare(value: Any) -> Any:
+    """A time says so by its unit; 2.0 might be either."""
+    bare = isinstance(value, bool | float)
+    if isinstance(value, str):
+        with suppress(ValueError):
+            float(value)
+            bare = True
+    if bare:
+        raise InputError(f"{shown(value)} is wrong", expected=_EXPECTED)
+    return value
+
+
+def _above_zero(value: float) -> float:
+    if value <= 0:
+        written = str(value) if isinstance(value, int) else f"{value:g} s"
+        raise InputError(f"{written} is wrong", expected=_EXPECTED)
+    return value
+
+
+Interval = Annotated[int | Time, BeforeValidator(_not_bare), AfterValidator(_above_zero)]
+"""Steps from one state to the next, or the time between them [s]."""
 
 
 class StepTimes:

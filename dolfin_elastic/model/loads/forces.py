@@ -13,6 +13,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.errors import InputError
 from dolfin_elastic.formulas import Formula
 from dolfin_elastic.model.components import Component, component, components, vector_at
+from dolfin_elastic.model.directions import Axis, along
 from dolfin_elastic.model.loads.base import PLACE, Floats, Load, Places, Site, keyed
 
 
@@ -142,7 +143,7 @@ class Centrifugal(Load):
 
     Attributes:
         value: Speed omega [rad/s], a number, a text such as "3000 rpm" or a formula in t.
-        axis: Direction of the axis, of any length; z by default, of a body of revolution y.
+        axis: x, y, z or a direction of any length; z by default, of a body of revolution y.
         point: A point on the axis [m]; the origin by default.
 
     Source: Goldstein, Poole & Safko, Classical Mechanics (2002), (4.91).
@@ -150,7 +151,7 @@ class Centrifugal(Load):
 
     kind: Literal["centrifugal"] = "centrifugal"
     value: Any
-    axis: list[Any] | None = None
+    axis: Axis | list[Any] | None = None
     point: list[Any] | None = None
     on: str | list[str] | None = None
     unit: ClassVar[str] = "rad/s"
@@ -176,13 +177,13 @@ class Centrifugal(Load):
 
     def _numbers(self, key: str) -> list[float]:
         """The axis or the point as plain numbers; none where it was left out."""
-        written = getattr(self, key)
+        written = along(getattr(self, key))
         with keyed(key):
             found = () if written is None else components(written, "" if key == "axis" else "m")
             if not all(isinstance(item, float) for item in found):
                 raise InputError("a formula cannot stand here", expected="expected numbers")
             if key == "axis" and found and not any(found):
-                raise InputError("an axis of no length", expected="for example [0, 0, 1]")
+                raise InputError("an axis of no length", expected='for example "z" or [0, 0, 1]')
         return [float(item) for item in found]  # type: ignore[arg-type]
 
     def virtual_work(self, site: Site) -> ufl.Form:
