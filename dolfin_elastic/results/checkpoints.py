@@ -49,7 +49,7 @@ Array = npt.NDArray[Any]
 log = logging.getLogger("dolfin_elastic")
 
 FOLDER, CASE = "checkpoints", "case.toml"
-FORMAT = 2
+FORMAT = 3
 _NAME = re.compile(r"step_(\d{6,})\.json")
 _UNREADABLE = (OSError, KeyError, RuntimeError, TypeError, ValueError)
 
