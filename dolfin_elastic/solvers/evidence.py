@@ -108,11 +108,11 @@ class Cells:
         body = self.problem.body
         material = next((p.name for p in self.problem.parts if cell in p.cells), "")
         regions = tuple(sorted(n for n, cells in body.regions.items() if cell in cells))
-        return BadCell(_numbers(self.middles[cell]), material, regions, J, force)
+        return BadCell(plain(self.middles[cell]), material, regions, J, force)
 
     def first(self, where: Mask) -> tuple[float, ...]:
         """Middle of a marked cell, on any number of ranks the same one. Collective."""
-        return first_of(self.comm, map(_numbers, self.middles[where])) or ()
+        return first_of(self.comm, map(plain, self.middles[where])) or ()
 
 
 # --- terms without a finite value ---
@@ -181,7 +181,7 @@ def _of_term(problem: Problem, name: str, work: ufl.Form) -> Fault | None:
     if not bad_ones:
         return None
     places = problem.V.tabulate_dof_coordinates()[: len(bad), : problem.body.dim][bad]
-    place = first_of(problem.body.comm, map(_numbers, places)) or ()
+    place = first_of(problem.body.comm, map(plain, places)) or ()
     at = f"at {count(bad_ones, 'node')} near {coordinates(place)} m"
     return Fault(f"{name} is not finite {at}", place, load=True)
 
@@ -197,7 +197,8 @@ def _flat(tensor: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
     return ufl.as_vector([tensor[i, j] for i in range(3) for j in range(3)])
 
 
-def _numbers(place: Array) -> tuple[float, ...]:
+def plain(place: Array) -> tuple[float, ...]:
+    """A place as numbers that are the same, and compare alike, on any number of ranks."""
     return tuple(float(x) + 0.0 for x in np.round(place, 12))
 
 

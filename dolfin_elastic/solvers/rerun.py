@@ -21,7 +21,7 @@ from dolfin_elastic.parallel import first_of, total
 from dolfin_elastic.problem import Problem
 from dolfin_elastic.solvers import words
 from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.evidence import Cells, not_finite
+from dolfin_elastic.solvers.evidence import Cells, not_finite, plain
 from dolfin_elastic.solvers.lookout import RESISTS, Lookout
 from dolfin_elastic.solvers.stable import StepSize
 from dolfin_elastic.solvers.words import coordinates
@@ -74,11 +74,11 @@ class LastState:
 
     def __init__(self) -> None:
         self._values: dict[str, Vector] = {}
-        self._numbers: Mapping[str, Any] = {}
+        self.plain: Mapping[str, Any] = {}
 
     def __bool__(self) -> bool:
         """There has been one."""
-        return bool(self._numbers)
+        return bool(self.plain)
 
     def keep(self, kept: Kept) -> None:
         """Takes in the present one, which is finite. Not collective."""
@@ -87,13 +87,13 @@ class LastState:
                 self._values[name][:] = field.x.array
             else:
                 self._values[name] = field.x.array.copy()
-        self._numbers = kept.numbers
+        self.plain = kept.numbers
 
     def give(self, fields: Mapping[str, fem.Function]) -> Mapping[str, Any]:
         """Fills fields with it, see `Restore`."""
         for name, field in fields.items():
             field.x.array[:] = self._values[name]
-        return self._numbers
+        return self.plain
 
 
 class Rerun:
@@ -188,7 +188,7 @@ class Rerun:
         if self._lookout.nonlinear and self._crushed is None:
             J, middle = self._lookout.watch.smallest()
             if J <= 0.0 and np.isfinite(J):
-                self._crushed = step, *self._inside_out(J, _numbers(middle), when)
+                self._crushed = step, *self._inside_out(J, plain(middle), when)
         if self._far is None:
             far, place = self._farthest()
             if far > FAR * span(self._march.problem.body):
@@ -211,7 +211,7 @@ class Rerun:
         mine: tuple[float, Place] = (-1.0, ())
         if nodes:
             node = int(np.argmax(far))
-            mine = float(far[node]), _numbers(problem.V.tabulate_dof_coordinates()[node, :dim])
+            mine = float(far[node]), plain(problem.V.tabulate_dof_coordinates()[node, :dim])
         return max(problem.body.comm.allgather(mine))
 
     # --- why ---
@@ -250,8 +250,4 @@ class Rerun:
         forces = assembler.balance.array[: assembler.size].reshape(-1, dim)
         bad = ~np.isfinite(forces).all(axis=1)
         places = problem.V.tabulate_dof_coordinates()[: len(forces), :dim][bad]
-        return first_of(problem.body.comm, map(_numbers, places)) or ()
-
-
-def _numbers(place: Vector) -> Place:
-    return tuple(float(x) + 0.0 for x in np.round(place, 12))
+        return first_of(problem.body.comm, map(plain, places)) or ()
