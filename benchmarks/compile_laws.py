@@ -18,9 +18,9 @@ import time
 from dolfinx import fem
 
 from dolfin_elastic import Problem, box_body
-from dolfin_elastic.compiler import FLAGS
-from dolfin_elastic.model.law import SplitLaw
-from dolfin_elastic.model.materials import MATERIALS
+from dolfin_elastic.core.jit import FLAGS
+from dolfin_elastic.model.materials.law import SplitLaw
+from dolfin_elastic.model.materials.registry import MATERIALS
 
 
 def measure(name: str, degree: int, formulation: str) -> None:

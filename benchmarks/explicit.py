@@ -27,7 +27,7 @@ from dolfinx import fem, la
 from mpi4py import MPI
 
 from dolfin_elastic import NeoHookean, Problem, box_body
-from dolfin_elastic.solvers.explicit import CentralDifferences
+from dolfin_elastic.solvers.dynamics.explicit.explicit import CentralDifferences
 
 STEPS, TIMES = 200, 8
 

@@ -14,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic import read_case, run
-from dolfin_elastic.case import Case
+from dolfin_elastic.case.case import Case
 
 FLAG = Path(__file__).resolve().parent.parent / "demos/turek_hron"
 ROWS = {0.02: (-64.371, 64.695), 0.01: (-64.766, 64.948), 0.005: (-63.607, 65.160)}

@@ -13,7 +13,7 @@ from dolfinx.plot import vtk_mesh
 from matplotlib.colors import LinearSegmentedColormap
 
 from dolfin_elastic import read_case
-from dolfin_elastic.case import Case
+from dolfin_elastic.case.case import Case
 from dolfin_elastic.results.evaluate import Evaluator
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -13,9 +13,9 @@ from dolfinx.plot import vtk_mesh
 from matplotlib.colors import LinearSegmentedColormap
 
 from dolfin_elastic import read_case
-from dolfin_elastic.case import Case
-from dolfin_elastic.results.colours import bar
+from dolfin_elastic.case.case import Case
 from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.results.pictures.colour_bar import bar
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = 4.0

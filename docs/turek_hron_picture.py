@@ -15,7 +15,7 @@ import numpy as np
 from dolfinx.plot import vtk_mesh
 
 from dolfin_elastic import read_case
-from dolfin_elastic.case import Case
+from dolfin_elastic.case.case import Case
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.probes import Probe
 

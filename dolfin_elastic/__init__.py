@@ -17,17 +17,19 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from dolfin_elastic.version import __version__ as __version__
+from dolfin_elastic.core.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from dolfin_elastic.case import Case as Case
-    from dolfin_elastic.case import read_case as read_case
-    from dolfin_elastic.meshes import Body as Body
-    from dolfin_elastic.meshes import Selector as Selector
-    from dolfin_elastic.meshes import box_body as box_body
-    from dolfin_elastic.meshes import name_parts as name_parts
-    from dolfin_elastic.meshes import read_body as read_body
-    from dolfin_elastic.meshes import rectangle_body as rectangle_body
+    from dolfin_elastic.case.case import Case as Case
+    from dolfin_elastic.case.case import read_case as read_case
+    from dolfin_elastic.case.run import restart as restart
+    from dolfin_elastic.case.run import run as run
+    from dolfin_elastic.mesh import Body as Body
+    from dolfin_elastic.mesh import Selector as Selector
+    from dolfin_elastic.mesh import box_body as box_body
+    from dolfin_elastic.mesh import name_parts as name_parts
+    from dolfin_elastic.mesh import read_body as read_body
+    from dolfin_elastic.mesh import rectangle_body as rectangle_body
     from dolfin_elastic.model.contact import Contact as Contact
     from dolfin_elastic.model.loads import BodyForce as BodyForce
     from dolfin_elastic.model.loads import Cavity as Cavity
@@ -39,52 +41,50 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.loads import Pressure as Pressure
     from dolfin_elastic.model.loads import Thermal as Thermal
     from dolfin_elastic.model.loads import Traction as Traction
-    from dolfin_elastic.model.materials import ArrudaBoyce as ArrudaBoyce
-    from dolfin_elastic.model.materials import BlatzKo as BlatzKo
-    from dolfin_elastic.model.materials import Corotated as Corotated
-    from dolfin_elastic.model.materials import FixedCorotated as FixedCorotated
-    from dolfin_elastic.model.materials import Gent as Gent
-    from dolfin_elastic.model.materials import Guccione as Guccione
-    from dolfin_elastic.model.materials import Hencky as Hencky
-    from dolfin_elastic.model.materials import HolzapfelGasserOgden as HolzapfelGasserOgden
-    from dolfin_elastic.model.materials import LinearElastic as LinearElastic
-    from dolfin_elastic.model.materials import MooneyRivlin as MooneyRivlin
-    from dolfin_elastic.model.materials import NeoHookean as NeoHookean
-    from dolfin_elastic.model.materials import NeoHookeanSplit as NeoHookeanSplit
-    from dolfin_elastic.model.materials import Ogden as Ogden
-    from dolfin_elastic.model.materials import Orthotropic as Orthotropic
-    from dolfin_elastic.model.materials import StVenantKirchhoff as StVenantKirchhoff
-    from dolfin_elastic.model.materials import Textbook as Textbook
-    from dolfin_elastic.model.materials import Yeoh as Yeoh
-    from dolfin_elastic.model.own import Energy as Energy
-    from dolfin_elastic.model.own import SplitEnergy as SplitEnergy
+    from dolfin_elastic.model.materials.registry import ArrudaBoyce as ArrudaBoyce
+    from dolfin_elastic.model.materials.registry import BlatzKo as BlatzKo
+    from dolfin_elastic.model.materials.registry import Corotated as Corotated
+    from dolfin_elastic.model.materials.registry import FixedCorotated as FixedCorotated
+    from dolfin_elastic.model.materials.registry import Gent as Gent
+    from dolfin_elastic.model.materials.registry import Guccione as Guccione
+    from dolfin_elastic.model.materials.registry import Hencky as Hencky
+    from dolfin_elastic.model.materials.registry import HolzapfelGasserOgden as HolzapfelGasserOgden
+    from dolfin_elastic.model.materials.registry import LinearElastic as LinearElastic
+    from dolfin_elastic.model.materials.registry import MooneyRivlin as MooneyRivlin
+    from dolfin_elastic.model.materials.registry import NeoHookean as NeoHookean
+    from dolfin_elastic.model.materials.registry import NeoHookeanSplit as NeoHookeanSplit
+    from dolfin_elastic.model.materials.registry import Ogden as Ogden
+    from dolfin_elastic.model.materials.registry import Orthotropic as Orthotropic
+    from dolfin_elastic.model.materials.registry import StVenantKirchhoff as StVenantKirchhoff
+    from dolfin_elastic.model.materials.registry import Textbook as Textbook
+    from dolfin_elastic.model.materials.registry import Yeoh as Yeoh
+    from dolfin_elastic.model.materials.user import Energy as Energy
+    from dolfin_elastic.model.materials.user import SplitEnergy as SplitEnergy
     from dolfin_elastic.model.periodic import Periodic as Periodic
-    from dolfin_elastic.model.rigid import Rigid as Rigid
-    from dolfin_elastic.model.springs import Dashpot as Dashpot
-    from dolfin_elastic.model.springs import Spring as Spring
-    from dolfin_elastic.model.supports import Normal as Normal
-    from dolfin_elastic.model.supports import Rotation as Rotation
-    from dolfin_elastic.model.supports import Support as Support
-    from dolfin_elastic.model.supports import Symmetry as Symmetry
-    from dolfin_elastic.problem import Problem as Problem
+    from dolfin_elastic.model.supports.displacement import Normal as Normal
+    from dolfin_elastic.model.supports.displacement import Rotation as Rotation
+    from dolfin_elastic.model.supports.displacement import Support as Support
+    from dolfin_elastic.model.supports.displacement import Symmetry as Symmetry
+    from dolfin_elastic.model.supports.rigid_surface import Rigid as Rigid
+    from dolfin_elastic.model.supports.springs import Dashpot as Dashpot
+    from dolfin_elastic.model.supports.springs import Spring as Spring
+    from dolfin_elastic.problem.problem import Problem as Problem
     from dolfin_elastic.results.outputs import History as History
     from dolfin_elastic.results.outputs import Modes as Modes
     from dolfin_elastic.results.outputs import Picture as Picture
     from dolfin_elastic.results.outputs import Summary as Summary
     from dolfin_elastic.results.outputs import Xdmf as Xdmf
     from dolfin_elastic.results.probes import Probe as Probe
-    from dolfin_elastic.running import restart as restart
-    from dolfin_elastic.running import run as run
-    from dolfin_elastic.solvers.buckling import Buckling as Buckling
-    from dolfin_elastic.solvers.dynamics import Dynamics as Dynamics
-    from dolfin_elastic.solvers.modal import Modal as Modal
-    from dolfin_elastic.solvers.statics import Statics as Statics
+    from dolfin_elastic.solvers.dynamics.dynamics import Dynamics as Dynamics
+    from dolfin_elastic.solvers.eigen.buckling import Buckling as Buckling
+    from dolfin_elastic.solvers.eigen.modal import Modal as Modal
+    from dolfin_elastic.solvers.statics.statics import Statics as Statics
 
 _PLACES = {
-    "case": ("Case", "read_case"),
-    "running": ("restart", "run"),
-    "meshes": ("Body", "Selector", "box_body", "name_parts", "read_body", "rectangle_body"),
-    "model.materials": (
+    "case.case": ("Case", "read_case"),
+    "case.run": ("restart", "run"),
+    "mesh": ("Body", "Selector", "box_body", "name_parts", "read_body", "rectangle_body"),
+    "model.materials.registry": (
         "ArrudaBoyce",
         "BlatzKo",
         "Corotated",
@@ -103,12 +103,12 @@ _PLACES = {
         "Textbook",
         "Yeoh",
     ),
-    "model.own": ("Energy", "SplitEnergy"),
+    "model.materials.user": ("Energy", "SplitEnergy"),
     "model.periodic": ("Periodic",),
     "model.contact": ("Contact",),
-    "model.supports": ("Normal", "Rotation", "Support", "Symmetry"),
-    "model.rigid": ("Rigid",),
-    "model.springs": ("Dashpot", "Spring"),
+    "model.supports.displacement": ("Normal", "Rotation", "Support", "Symmetry"),
+    "model.supports.rigid_surface": ("Rigid",),
+    "model.supports.springs": ("Dashpot", "Spring"),
     "model.loads": (
         "BodyForce",
         "Cavity",
@@ -121,11 +121,11 @@ _PLACES = {
         "Thermal",
         "Traction",
     ),
-    "problem": ("Problem",),
-    "solvers.statics": ("Statics",),
-    "solvers.dynamics": ("Dynamics",),
-    "solvers.modal": ("Modal",),
-    "solvers.buckling": ("Buckling",),
+    "problem.problem": ("Problem",),
+    "solvers.statics.statics": ("Statics",),
+    "solvers.dynamics.dynamics": ("Dynamics",),
+    "solvers.eigen.modal": ("Modal",),
+    "solvers.eigen.buckling": ("Buckling",),
     "results.outputs": ("History", "Modes", "Picture", "Summary", "Xdmf"),
     "results.probes": ("Probe",),
 }

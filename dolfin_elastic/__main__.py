@@ -1,5 +1,5 @@
 """``python3 -m dolfin_elastic`` is the command line."""
 
-from dolfin_elastic.cli import main
+from dolfin_elastic.cli.app import main
 
 main()

@@ -16,7 +16,7 @@ from ufl import classes
 from ufl.algorithms import expand_derivatives
 from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
-from dolfin_elastic.model.law import Law
+from dolfin_elastic.model.materials.law import Law
 
 _MESH = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
 _TENSORS = ufl.FunctionSpace(_MESH, basix.ufl.element("DG", "tetrahedron", 0, shape=(3, 3)))

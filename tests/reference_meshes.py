@@ -14,7 +14,7 @@ from typing import Any
 from mpi4py import MPI
 
 from dolfin_elastic import Case, run
-from dolfin_elastic.state import State
+from dolfin_elastic.problem.state import State
 
 FREE = "free"
 Corners = Sequence[tuple[float, float]]

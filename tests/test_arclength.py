@@ -18,7 +18,7 @@ from dolfin_elastic import (
     Traction,
     rectangle_body,
 )
-from dolfin_elastic.errors import ConvergenceError
+from dolfin_elastic.core.errors import ConvergenceError
 
 E, SPAN, THICK = 1e6, 10.0, 0.05
 FREE = "free"

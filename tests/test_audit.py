@@ -29,12 +29,12 @@ from dolfin_elastic import (
     name_parts,
     rectangle_body,
 )
-from dolfin_elastic.parallel import on_root, total
+from dolfin_elastic.cli.console import _end_rows
+from dolfin_elastic.core.parallel import on_root, total
+from dolfin_elastic.problem.state import Audit, State
 from dolfin_elastic.results.outputs import History, Summary
-from dolfin_elastic.screen import _end_rows
-from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.audit import Auditor
-from dolfin_elastic.state import Audit, State
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.audit.equilibrium import Auditor
 
 COMM = MPI.COMM_WORLD
 E, NU = 1e6, 0.3

@@ -19,18 +19,33 @@ from mpi4py import MPI
 from test_cli import PROGRAM
 from test_cli import started as launched
 
-from dolfin_elastic import Energy, LinearElastic, NeoHookean, StVenantKirchhoff
-from dolfin_elastic.bench.checks import Trial, checks, finite_twin, sound
-from dolfin_elastic.bench.curves import MODES, curve
-from dolfin_elastic.bench.pointwise import Point
-from dolfin_elastic.bench.ranges import acoustic, directions
-from dolfin_elastic.bench.report import Bench, bench
-from dolfin_elastic.bench.typical import TYPICAL
-from dolfin_elastic.bench_files import constants_of, laws_of, listed, write
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.model.law import Law
-from dolfin_elastic.model.materials import MATERIALS
-from dolfin_elastic.model.own import SplitEnergy, read_energy
+from dolfin_elastic import (
+    Energy,
+    LinearElastic,
+    NeoHookean,
+    StVenantKirchhoff,
+)
+from dolfin_elastic.case.material_report import (
+    constants_of,
+    laws_of,
+    listed,
+    write,
+)
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.material_point.checks import (
+    Trial,
+    checks,
+    finite_twin,
+    sound,
+)
+from dolfin_elastic.material_point.ellipticity import acoustic, directions
+from dolfin_elastic.material_point.homogeneous_tests import MODES, curve
+from dolfin_elastic.material_point.library import TYPICAL
+from dolfin_elastic.material_point.report import Bench, bench
+from dolfin_elastic.material_point.ufl_to_numpy import Point
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.model.materials.user import SplitEnergy, read_energy
 
 # A material at a point has no ranks; commands on two are tried in processes of their own.
 pytestmark = pytest.mark.usefixtures("serial_only")

@@ -23,13 +23,13 @@ from dolfin_elastic import (
     Traction,
     rectangle_body,
 )
-from dolfin_elastic.errors import ConvergenceError, InputError
-from dolfin_elastic.model.law import Law
-from dolfin_elastic.solvers.linear import LinearSettings
-from dolfin_elastic.solvers.modal import ModalSettings
-from dolfin_elastic.solvers.shapes import at_rest
-from dolfin_elastic.solvers.statics import StaticsSettings
-from dolfin_elastic.state import Mode, State
+from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.problem.state import Mode, State
+from dolfin_elastic.solvers.eigen.modal import ModalSettings
+from dolfin_elastic.solvers.eigen.mode_shapes import at_rest
+from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.statics.statics import StaticsSettings
 
 EULER = np.pi**2 * 1e7 / 12 / (1 - 0.3**2) / 400
 """B-11: pi^2 E/(1 - nu^2) I/(4 L^2) of a clamped column, L = 10, h = 1 [N/m]."""

@@ -14,12 +14,12 @@ from typing import Any
 import pytest
 from mpi4py import MPI
 
-from dolfin_elastic.case import Case, read_case
-from dolfin_elastic.check import check, report
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.model.materials import MATERIALS
-from dolfin_elastic.solvers.rigid import free_motions
-from dolfin_elastic.starter import starter
+from dolfin_elastic.case.case import Case, read_case
+from dolfin_elastic.case.check import check, report
+from dolfin_elastic.cli.template import starter
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.solvers.diagnostics.rigid_body import free_motions
 
 COMM = MPI.COMM_WORLD
 GOOD = """\

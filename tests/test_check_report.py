@@ -14,20 +14,25 @@ import pytest
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfin_elastic import compiler
-from dolfin_elastic.case import Case
-from dolfin_elastic.check import PartSize, check, report
-from dolfin_elastic.check.hints import cell_notes, part_notes
-from dolfin_elastic.check.memory import per_unknown
-from dolfin_elastic.check.sums import Integrals
-from dolfin_elastic.check_screen import show_check
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.meshes import box_body
-from dolfin_elastic.meshes.shapes import boundary_facets
-from dolfin_elastic.model.loads import LOADS, Load, Places, Traction
-from dolfin_elastic.parallel import on_root, total
-from dolfin_elastic.solvers.rigid import free_bodies
-from dolfin_elastic.solvers.rigid_words import motions_in_words
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check import PartSize, check, report
+from dolfin_elastic.case.check.hints import cell_notes, part_notes
+from dolfin_elastic.case.check.integrals import Integrals
+from dolfin_elastic.case.check.memory import per_unknown
+from dolfin_elastic.cli.console_check import show_check
+from dolfin_elastic.core import jit as compiler
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import on_root, total
+from dolfin_elastic.mesh import box_body
+from dolfin_elastic.mesh.geometry.simplices import boundary_facets
+from dolfin_elastic.model.loads import (
+    LOADS,
+    Load,
+    Places,
+    Traction,
+)
+from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies
+from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 
 COMM = MPI.COMM_WORLD
 E = 1e6
@@ -92,7 +97,7 @@ def test_compiles_no_form(monkeypatch):
 
     for name in ("compile_forms", "compile_expression"):
         monkeypatch.setattr(compiler, name, refuse)
-    monkeypatch.setattr("dolfin_elastic.solvers.assembler.compile_forms", refuse)
+    monkeypatch.setattr("dolfin_elastic.solvers.assembly.assembler.compile_forms", refuse)
     loads = [{"kind": "gravity"}, {"kind": "traction", "on": "top", "value": ["x*y", 0, "z^2"]}]
     assert len(report(case(load=loads)).loads) == 3
 

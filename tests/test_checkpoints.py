@@ -18,15 +18,28 @@ from mpi4py import MPI
 from reference_meshes import ring
 from test_meshes import ball
 
-from dolfin_elastic import NeoHookeanSplit, Periodic, Problem, box_body, read_body, rectangle_body
-from dolfin_elastic.errors import OutputError, RestartError
-from dolfin_elastic.kept import Kept
-from dolfin_elastic.meshes import Body
-from dolfin_elastic.parallel import on_root, total
-from dolfin_elastic.results.checkpoints import FOLDER, About, Checkpoint, Checkpoints, newest
-from dolfin_elastic.results.order import Order
-from dolfin_elastic.results.sums import fingerprint
-from dolfin_elastic.state import State
+from dolfin_elastic import (
+    NeoHookeanSplit,
+    Periodic,
+    Problem,
+    box_body,
+    read_body,
+    rectangle_body,
+)
+from dolfin_elastic.core.errors import OutputError, RestartError
+from dolfin_elastic.core.parallel import on_root, total
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.problem.restart_state import Kept
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.checkpoint.checkpoints import (
+    FOLDER,
+    About,
+    Checkpoint,
+    Checkpoints,
+    newest,
+)
+from dolfin_elastic.results.checkpoint.checksums import fingerprint
+from dolfin_elastic.results.checkpoint.mesh_order import Order
 
 WORLD = MPI.COMM_WORLD
 SIZES = sorted({1, min(2, WORLD.size), WORLD.size})

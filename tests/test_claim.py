@@ -13,11 +13,11 @@ from mpi4py import MPI
 from test_restart import begun, case
 
 from dolfin_elastic import restart, run
-from dolfin_elastic.errors import RestartError
-from dolfin_elastic.parallel import on_root
-from dolfin_elastic.restarts import unfinished
-from dolfin_elastic.results import claim
-from dolfin_elastic.results.claim import LOCK, Claim, check_free
+from dolfin_elastic.case.restart import unfinished
+from dolfin_elastic.core.errors import RestartError
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.results.checkpoint import lock as claim
+from dolfin_elastic.results.checkpoint.lock import LOCK, Claim, check_free
 
 WORLD = MPI.COMM_WORLD
 GOING = r"a run is still going in this folder \(process \d+ on .*, since 20.*\); wait for its"

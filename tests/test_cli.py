@@ -17,8 +17,8 @@ import pytest
 from mpi4py import MPI
 
 from dolfin_elastic import __version__
-from dolfin_elastic.errors import CaseError
-from dolfin_elastic.petsc_words import petsc_options
+from dolfin_elastic.cli.petsc_arguments import petsc_options
+from dolfin_elastic.core.errors import CaseError
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
@@ -43,15 +43,15 @@ PROGRAM = [sys.executable, "-m", "dolfin_elastic"]
 CRASH = """\
 import sys
 from mpi4py import MPI
-import dolfin_elastic.running, dolfin_elastic.cli
+import dolfin_elastic.case.run, dolfin_elastic.cli.app
 def broken(*args, **kwargs):
     if MPI.COMM_WORLD.rank == {rank} or {rank} < 0:
         raise RuntimeError("a fault of ours")
     MPI.COMM_WORLD.barrier()
     yield
-dolfin_elastic.running.run = broken
+dolfin_elastic.case.run.run = broken
 sys.argv = ["dolfin-elastic", "run", "case.toml"]
-dolfin_elastic.cli.main()
+dolfin_elastic.cli.app.main()
 """
 
 
@@ -94,7 +94,9 @@ def test_help_is_quick_and_teaches(tmp_path: Path) -> None:
     assert "mpirun -n 4 dolfin-elastic run beam.toml" in out
     assert "Exit codes:" in out
     modules = ("numpy", "mpi4py", "dolfinx", "pint", "matplotlib", "pydantic", "ufl")
-    probe = f"import sys, dolfin_elastic.cli; sys.exit(any(m in sys.modules for m in {modules}))"
+    probe = (
+        f"import sys, dolfin_elastic.cli.app; sys.exit(any(m in sys.modules for m in {modules}))"
+    )
     assert subprocess.run([sys.executable, "-c", probe], check=False).returncode == 0
 
 

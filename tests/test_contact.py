@@ -23,17 +23,17 @@ from dolfin_elastic import (
     read_body,
     rectangle_body,
 )
-from dolfin_elastic.case import Case
-from dolfin_elastic.check import report
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.model.curves import RAMP
-from dolfin_elastic.running import run
-from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.contact import Augmentation
-from dolfin_elastic.solvers.ladder import Ladder
-from dolfin_elastic.solvers.linear import LinearSettings, choose
-from dolfin_elastic.solvers.newton import Newton
-from dolfin_elastic.solvers.progress import Tolerance
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check import report
+from dolfin_elastic.case.run import run
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.amplitude import RAMP
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
+from dolfin_elastic.solvers.nonlinear.contact import Augmentation
+from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.nonlinear.progress import Tolerance
+from dolfin_elastic.solvers.statics.retry import Ladder
 
 FREE = "free"
 E, NU = 1e6, 0.3

@@ -7,12 +7,17 @@ import tomllib
 import numpy as np
 import pytest
 
-from dolfin_elastic import Case, Contact, Rigid, Rotation
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.model.components import components, depends_on_time
-from dolfin_elastic.model.curves import CONSTANT, RAMP, amplitude
+from dolfin_elastic import (
+    Case,
+    Contact,
+    Rigid,
+    Rotation,
+)
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.amplitude import CONSTANT, RAMP, amplitude
 from dolfin_elastic.model.loads import Traction
-from dolfin_elastic.model.supports import Support
+from dolfin_elastic.model.supports.displacement import Support
+from dolfin_elastic.model.values import components, depends_on_time
 
 
 @pytest.mark.parametrize(

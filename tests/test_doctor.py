@@ -33,19 +33,19 @@ from dolfin_elastic import (
     rectangle_body,
     run,
 )
-from dolfin_elastic.bench.domain import outside
-from dolfin_elastic.errors import ConvergenceError, Diagnosis
-from dolfin_elastic.meshes.build import build_body
-from dolfin_elastic.meshes.raw import RawMesh
-from dolfin_elastic.parallel import on_root
+from dolfin_elastic.core.errors import ConvergenceError, Diagnosis
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.material_point.domain import outside
+from dolfin_elastic.mesh.distribute import build_body
+from dolfin_elastic.mesh.formats.raw import RawMesh
+from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.solvers import modes
-from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.linear import LinearSettings
-from dolfin_elastic.solvers.pieces import loose, pieces
-from dolfin_elastic.solvers.stability import Stability, curvature
-from dolfin_elastic.solvers.words import coordinates
-from dolfin_elastic.state import State
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.diagnostics import instability as modes
+from dolfin_elastic.solvers.diagnostics.loose_parts import loose, pieces
+from dolfin_elastic.solvers.diagnostics.stability import Stability, curvature
+from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.messages import coordinates
 
 FREE = "free"
 E, NU = 1e6, 0.3
@@ -203,7 +203,7 @@ def two_boxes(gap: float) -> Body:
 @pytest.fixture
 def unchecked(monkeypatch):
     """Without the check that would refuse a free piece before anything is solved."""
-    monkeypatch.setattr("dolfin_elastic.solvers.statics.check_held", lambda problem: None)
+    monkeypatch.setattr("dolfin_elastic.solvers.statics.statics.check_held", lambda problem: None)
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -28,11 +28,11 @@ from dolfin_elastic import (
     name_parts,
     rectangle_body,
 )
-from dolfin_elastic.errors import ConvergenceError, InputError
-from dolfin_elastic.meshes import Body
-from dolfin_elastic.meshes.build import make_mesh
-from dolfin_elastic.model.curves import CONSTANT
-from dolfin_elastic.solvers.matrix import TangentMatrix
+from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.model.amplitude import CONSTANT
+from dolfin_elastic.solvers.assembly.matrix import TangentMatrix
 
 FREE = "free"
 E, NU, RHO = 1e7, 0.3, 1000.0

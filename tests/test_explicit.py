@@ -28,10 +28,10 @@ from dolfin_elastic import (
     name_parts,
     rectangle_body,
 )
-from dolfin_elastic.errors import InputError, StabilityError
-from dolfin_elastic.meshes import Body
-from dolfin_elastic.meshes.build import make_mesh
-from dolfin_elastic.solvers.explicit import SymplecticEuler
+from dolfin_elastic.core.errors import InputError, StabilityError
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.solvers.dynamics.explicit.explicit import SymplecticEuler
 
 FREE, SCHEME, CENTRAL = "free", "symplectic-euler", "central-differences"
 BOTH = pytest.mark.parametrize("scheme", [SCHEME, CENTRAL])

@@ -30,10 +30,14 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
-from dolfin_elastic.meshes import Body
-from dolfin_elastic.meshes.build import make_mesh
-from dolfin_elastic.parallel import largest, total
-from dolfin_elastic.solvers.explicit import SCHEMES, CentralDifferences, SymplecticEuler
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.solvers.dynamics.explicit.explicit import (
+    SCHEMES,
+    CentralDifferences,
+    SymplecticEuler,
+)
 
 E, NU, RHO = 1e5, 0.3, 1000.0
 BOTH = pytest.mark.parametrize("scheme", SCHEMES)

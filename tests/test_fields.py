@@ -11,22 +11,22 @@ from dolfinx import fem
 from dolfinx.mesh import CellType, create_box, create_rectangle
 from mpi4py import MPI
 
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.meshes.body import Body
-from dolfin_elastic.model.law import Law
-from dolfin_elastic.model.materials import (
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.registry import (
     MATERIALS,
     LinearElastic,
     NeoHookean,
     StVenantKirchhoff,
     Textbook,
 )
-from dolfin_elastic.problem import Problem
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.extremes import extremes
 from dolfin_elastic.results.fields import FIELDS, known
 from dolfin_elastic.results.grid import signed_volumes, to_nodes
-from dolfin_elastic.state import State
 
 Array = npt.NDArray[np.float64]
 COMM = MPI.COMM_WORLD

@@ -12,9 +12,9 @@ import ufl
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dolfin_elastic.errors import FormulaError
-from dolfin_elastic.formulas import Formula
-from dolfin_elastic.operations import FUNCTIONS
+from dolfin_elastic.core.errors import FormulaError
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.formula_functions import FUNCTIONS
 
 XYZT = ("x", "y", "z", "t")
 

@@ -26,10 +26,10 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.model.materials import MATERIALS
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.state import State
 
 FREE = "free"
 E, NU = 1e6, 0.3

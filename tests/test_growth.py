@@ -22,8 +22,8 @@ from dolfin_elastic import (
     name_parts,
     rectangle_body,
 )
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.model.materials import MATERIALS
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.results.evaluate import Evaluator
 
 E, NU, ALPHA, WARMER = 1e6, 0.3, 1e-3, 50.0

@@ -24,9 +24,9 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
-from dolfin_elastic.errors import ConvergenceError, InputError
-from dolfin_elastic.model.law import Law
-from dolfin_elastic.state import State
+from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.problem.state import State
 
 E, NU = 1e6, 0.3
 FREE = "free"

@@ -27,8 +27,8 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
-from dolfin_elastic.solvers.explicit import SCHEMES
-from dolfin_elastic.solvers.moving import Moving
+from dolfin_elastic.solvers.dynamics.explicit.explicit import SCHEMES
+from dolfin_elastic.solvers.dynamics.residual import Moving
 
 E, RHO, L, N = 1e6, 1000.0, 1.0, 40
 C = np.sqrt(E / RHO)

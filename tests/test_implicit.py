@@ -37,10 +37,10 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.results.summary import peak_memory
-from dolfin_elastic.solvers.implicit import Implicit
-from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.results.writers.summary import peak_memory
+from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit
+from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 # --- waves ---
 
@@ -367,7 +367,7 @@ def test_the_audit_balances_forces_with_inertia(monkeypatch):
     assert good.audit.force < 1e-7
     assert good.audit.moment < 1e-7
     assert good.audit.verdict == "pass"
-    from dolfin_elastic.solvers.assembler import Assembler
+    from dolfin_elastic.solvers.assembly.assembler import Assembler
 
     true = Assembler.external_forces
     monkeypatch.setattr(Assembler, "external_forces", lambda self: 1.01 * true(self))

@@ -9,10 +9,16 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from dolfin_elastic import Dynamics, Growth, NeoHookean, Problem, rectangle_body
-from dolfin_elastic.compiler import compile_forms
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.solvers.assembler import integral
+from dolfin_elastic import (
+    Dynamics,
+    Growth,
+    NeoHookean,
+    Problem,
+    rectangle_body,
+)
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.jit import compile_forms
+from dolfin_elastic.solvers.assembly.assembler import integral
 
 COMM = MPI.COMM_WORLD
 RHO = 1000.0

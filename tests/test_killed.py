@@ -19,8 +19,8 @@ from test_cli import PROGRAM, _ranks_of, cli, started
 from test_restart import begun, case, check_same, check_same_frames, history, summary
 
 from dolfin_elastic import read_case, run
-from dolfin_elastic.results.checkpoints import FOLDER, last_step
-from dolfin_elastic.results.claim import LOCK, Claim
+from dolfin_elastic.results.checkpoint.checkpoints import FOLDER, last_step
+from dolfin_elastic.results.checkpoint.lock import LOCK, Claim
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"

@@ -13,11 +13,11 @@ from material_point import Point
 from test_laws import make, random_F
 
 from dolfin_elastic import Problem, box_body
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.model import pages
-from dolfin_elastic.model.directions import direction, frame
-from dolfin_elastic.model.law import SplitLaw
-from dolfin_elastic.model.materials import MATERIALS, Isotropic
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.materials import pages
+from dolfin_elastic.model.materials.fibres import direction, frame
+from dolfin_elastic.model.materials.law import SplitLaw
+from dolfin_elastic.model.materials.registry import MATERIALS, Isotropic
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "laws"
 

@@ -27,10 +27,10 @@ from dolfin_elastic import (
     Support,
     box_body,
 )
-from dolfin_elastic.meshes import Body
+from dolfin_elastic.mesh import Body
 from dolfin_elastic.model.kinematics import cauchy_from_first
-from dolfin_elastic.model.law import Law
-from dolfin_elastic.model.materials import MATERIALS
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.registry import MATERIALS
 
 E, NU = 1e6, 0.3
 MU, LMBDA = E / (2 * (1 + NU)), E * NU / ((1 + NU) * (1 - 2 * NU))

@@ -27,10 +27,10 @@ from dolfin_elastic import (
     Traction,
     rectangle_body,
 )
-from dolfin_elastic.check import report
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.solvers.schedule import winds
-from dolfin_elastic.state import State
+from dolfin_elastic.case.check import report
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.solvers.breakpoints import winds
 
 FREE = "free"
 SOFT = {"E": 1e6, "nu": 0.3, "density": 1000.0}

@@ -30,11 +30,11 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.model.curves import RAMP
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.model.loads import LOADS, Places
-from dolfin_elastic.model.materials import Corotated
-from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
+from dolfin_elastic.model.materials.registry import Corotated
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 
 E, NU, RHO = 1e6, 0.3, 1000.0
 SIZE = 1e4

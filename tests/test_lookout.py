@@ -29,13 +29,13 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic import run as run_case
-from dolfin_elastic.errors import Diagnosis, InputError, StabilityError
-from dolfin_elastic.model.law import Law
-from dolfin_elastic.parallel import on_root
-from dolfin_elastic.solvers import lookout
-from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.lookout import Lookout
-from dolfin_elastic.state import State
+from dolfin_elastic.core.errors import Diagnosis, InputError, StabilityError
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.dynamics.explicit import monitor as lookout
+from dolfin_elastic.solvers.dynamics.explicit.monitor import Lookout
 
 FREE, EULER, CENTRAL = "free", "symplectic-euler", "central-differences"
 BOTH = pytest.mark.parametrize("scheme", [EULER, CENTRAL])

@@ -19,14 +19,21 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfin_elastic import LinearElastic, NeoHookean, Problem, Statics, Support, box_body
-from dolfin_elastic.compiler import compile_forms
-from dolfin_elastic.formulas import Formula
-from dolfin_elastic.meshes import Body
+from dolfin_elastic import (
+    LinearElastic,
+    NeoHookean,
+    Problem,
+    Statics,
+    Support,
+    box_body,
+)
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.jit import compile_forms
+from dolfin_elastic.mesh import Body
 from dolfin_elastic.model.kinematics import deformation_gradient, embedded
-from dolfin_elastic.model.law import Law
 from dolfin_elastic.model.loads import Load, Site
-from dolfin_elastic.solvers.assembler import integral
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.solvers.assembly.assembler import integral
 
 E, NU = 1e3, 0.3
 QUADRATURE = {"quadrature_degree": 6}

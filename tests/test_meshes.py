@@ -15,9 +15,15 @@ import numpy.typing as npt
 import pytest
 from mpi4py import MPI
 
-from dolfin_elastic.errors import MeshError
-from dolfin_elastic.meshes import Body, box_body, measures, read_body, rectangle_body
-from dolfin_elastic.parallel import on_root
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.mesh import (
+    Body,
+    box_body,
+    measures,
+    read_body,
+    rectangle_body,
+)
 
 Array = npt.NDArray[Any]
 COMM = MPI.COMM_WORLD
@@ -572,8 +578,8 @@ def test_a_facet_outside_the_body_is_noted(folder: Path) -> None:
 @pytest.mark.parametrize("binary", [False, True])
 def test_damaged_gmsh_files_are_errors(folder: Path, version: float, binary: bool) -> None:
     """Cut at many places, and with bytes changed: read, or a MeshError, never anything else."""
-    from dolfin_elastic.meshes.msh import OtherVersionError, read_msh
-    from dolfin_elastic.meshes.raw import assemble
+    from dolfin_elastic.mesh.formats.msh import OtherVersionError, read_msh
+    from dolfin_elastic.mesh.formats.raw import assemble
 
     def attempt() -> int:
         gmsh_cube(folder / "two.msh", version=version, binary=binary)

@@ -36,16 +36,16 @@ from dolfin_elastic import (
     rectangle_body,
     run,
 )
-from dolfin_elastic.compiler import compile_forms
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.meshes import Body
-from dolfin_elastic.meshes.build import make_mesh
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.jit import compile_forms
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.mesh.distribute import make_mesh
 from dolfin_elastic.model.loads import Load, Site
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.extremes import extremes
 from dolfin_elastic.results.fields import FIELDS
-from dolfin_elastic.solvers.assembler import integral
-from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.solvers.assembly.assembler import integral
+from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 FREE = "free"
 MU = 2.0

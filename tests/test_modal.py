@@ -29,10 +29,10 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
-from dolfin_elastic.errors import ConvergenceError, InputError
-from dolfin_elastic.solvers import eigen
-from dolfin_elastic.solvers.linear import LinearSettings
-from dolfin_elastic.state import Mode
+from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.problem.state import Mode
+from dolfin_elastic.solvers.eigen import slepc as eigen
+from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 SOFT = {"E": 1e7, "nu": 0.3, "density": 1000}
 STEEL = {"E": 200e9, "nu": 0.3, "density": 8000}

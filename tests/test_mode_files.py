@@ -14,11 +14,11 @@ import pytest
 from mpi4py import MPI
 
 from dolfin_elastic import Case, read_case, run
-from dolfin_elastic.check import report
-from dolfin_elastic.cli import main
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.parallel import on_root
-from dolfin_elastic.state import Mode, State
+from dolfin_elastic.case.check import report
+from dolfin_elastic.cli.app import main
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.problem.state import Mode, State
 
 TABLES: dict[str, Any] = {
     "mesh": {"rectangle": {"size": [4, 1], "cells": [4, 1]}, "degree": 2},

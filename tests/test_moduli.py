@@ -6,9 +6,9 @@ from itertools import combinations
 
 import pytest
 
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.model.materials import MATERIALS, Isotropic, NeoHookean
-from dolfin_elastic.model.moduli import NAMES, complete
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.materials.moduli import NAMES, complete
+from dolfin_elastic.model.materials.registry import MATERIALS, Isotropic, NeoHookean
 
 PAIRS = list(combinations(NAMES, 2))
 

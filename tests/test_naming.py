@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from dolfin_elastic.errors import InputError, MeshError
-from dolfin_elastic.meshes import Body, Selector, box_body, measures, name_parts, rectangle_body
+from dolfin_elastic.core.errors import InputError, MeshError
+from dolfin_elastic.mesh import (
+    Body,
+    Selector,
+    box_body,
+    measures,
+    name_parts,
+    rectangle_body,
+)
 
 COMM = MPI.COMM_WORLD
 

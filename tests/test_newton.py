@@ -21,11 +21,11 @@ from dolfin_elastic import (
     Traction,
     rectangle_body,
 )
-from dolfin_elastic.errors import ConvergenceError, InputError
-from dolfin_elastic.model.law import Law
-from dolfin_elastic.model.materials import MATERIALS
-from dolfin_elastic.solvers.linear import LinearSettings
-from dolfin_elastic.state import State
+from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 E, NU = 1e6, 0.3
 FREE = "free"

@@ -28,16 +28,16 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
-from dolfin_elastic.bench.checks import sound
-from dolfin_elastic.bench.pointwise import Point
-from dolfin_elastic.case import Case
-from dolfin_elastic.check import check
-from dolfin_elastic.errors import FormulaError, InputError
-from dolfin_elastic.model import own_names
-from dolfin_elastic.model.isochoric import simo_taylor
-from dolfin_elastic.model.law import SplitLaw
-from dolfin_elastic.model.own import read_energy
-from dolfin_elastic.operations import FUNCTIONS
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check import check
+from dolfin_elastic.core.errors import FormulaError, InputError
+from dolfin_elastic.core.formula_functions import FUNCTIONS
+from dolfin_elastic.material_point.checks import sound
+from dolfin_elastic.material_point.ufl_to_numpy import Point
+from dolfin_elastic.model.materials import user_names as own_names
+from dolfin_elastic.model.materials.isochoric import simo_taylor
+from dolfin_elastic.model.materials.law import SplitLaw
+from dolfin_elastic.model.materials.user import read_energy
 
 NEO = "mu/2*(I1 - 3) - mu*ln(J) + lmbda/2*ln(J)^2"
 GEL = {"energy": NEO, "parameters": {"mu": "0.4 MPa", "lmbda": "2 MPa"}, "density": "1100 kg/m^3"}

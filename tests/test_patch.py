@@ -27,9 +27,9 @@ from dolfin_elastic import (
     Traction,
     box_body,
 )
-from dolfin_elastic.meshes import Body
-from dolfin_elastic.model.materials import MATERIALS
-from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.solvers.assembly.assembler import Assembler
 
 E, NU = 1e6, 0.3
 MU, LMBDA = E / (2 * (1 + NU)), E * NU / ((1 + NU) * (1 - 2 * NU))

@@ -27,17 +27,17 @@ from dolfin_elastic import (
     name_parts,
     rectangle_body,
 )
-from dolfin_elastic.check import check
-from dolfin_elastic.errors import ConvergenceError, InputError, MeshError
-from dolfin_elastic.meshes import Body
-from dolfin_elastic.meshes.build import make_mesh
-from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.border import Bordered
-from dolfin_elastic.solvers.linear import LinearSettings, choose
-from dolfin_elastic.solvers.newton import Newton
-from dolfin_elastic.solvers.progress import Tolerance
-from dolfin_elastic.solvers.rigid import free_bodies
-from dolfin_elastic.solvers.strains import free_strains
+from dolfin_elastic.case.check import check
+from dolfin_elastic.core.errors import ConvergenceError, InputError, MeshError
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies
+from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
+from dolfin_elastic.solvers.nonlinear.bordered import Bordered
+from dolfin_elastic.solvers.nonlinear.cell_strains import free_strains
+from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.nonlinear.progress import Tolerance
 
 PAIRS = [["left", "right"], ["bottom", "top"]]
 PAIRS3 = [["left", "right"], ["front", "back"], ["bottom", "top"]]

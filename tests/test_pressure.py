@@ -22,11 +22,11 @@ from dolfin_elastic import (
     name_parts,
     rectangle_body,
 )
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.meshes import Body
-from dolfin_elastic.meshes.build import make_mesh
-from dolfin_elastic.model.materials import MATERIALS
-from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.solvers.assembly.assembler import Assembler
 
 FREE = "free"
 E, NU = 1e6, 0.3

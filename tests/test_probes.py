@@ -20,10 +20,10 @@ from dolfin_elastic import (
     rectangle_body,
     run,
 )
-from dolfin_elastic.check import check
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.meshes.places import locate
-from dolfin_elastic.state import State
+from dolfin_elastic.case.check import check
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.mesh.geometry.locate import locate
+from dolfin_elastic.problem.state import State
 
 FREE = "free"
 

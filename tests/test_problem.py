@@ -28,12 +28,12 @@ from dolfin_elastic import (
     name_parts,
     rectangle_body,
 )
-from dolfin_elastic.compiler import compile_forms
-from dolfin_elastic.errors import InputError, MeshError
-from dolfin_elastic.meshes import Body
-from dolfin_elastic.model.law import SplitLaw
-from dolfin_elastic.model.materials import MATERIALS, Isotropic
-from dolfin_elastic.solvers.assembler import Assembler, compiled, integral
+from dolfin_elastic.core.errors import InputError, MeshError
+from dolfin_elastic.core.jit import compile_forms
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.model.materials.law import SplitLaw
+from dolfin_elastic.model.materials.registry import MATERIALS, Isotropic
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 
 E, NU = 1e6, 0.3
 FREE = "free"

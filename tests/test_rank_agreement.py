@@ -21,7 +21,7 @@ import json, sys
 import numpy as np
 from mpi4py import MPI
 from dolfin_elastic import *
-from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 comm = MPI.COMM_WORLD
 tight = {"ksp_rtol": 1e-12}

@@ -16,23 +16,29 @@ import pytest
 from mpi4py import MPI
 from pydantic import BaseModel
 
-from dolfin_elastic import Problem, Statics, box_body, tables
-from dolfin_elastic.case import Case
-from dolfin_elastic.meshes import Cylinder, Selector, Sphere
-from dolfin_elastic.model.contact import Ball, Contact, Plane, Tube
+from dolfin_elastic import Problem, Statics, box_body
+from dolfin_elastic.case import tables
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.core.formula_functions import FUNCTIONS
+from dolfin_elastic.mesh import Cylinder, Selector, Sphere
+from dolfin_elastic.model.contact import (
+    Ball,
+    Contact,
+    Plane,
+    Tube,
+)
 from dolfin_elastic.model.loads import LOADS
-from dolfin_elastic.model.materials import MATERIALS
+from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.periodic import Periodic
-from dolfin_elastic.model.rigid import Rigid
-from dolfin_elastic.model.supports import Support
-from dolfin_elastic.operations import FUNCTIONS
+from dolfin_elastic.model.supports.displacement import Support
+from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import Picture
-from dolfin_elastic.solvers.buckling import BucklingSettings
-from dolfin_elastic.solvers.dynamics import DynamicsSettings
-from dolfin_elastic.solvers.linear import LinearSettings
-from dolfin_elastic.solvers.modal import ModalSettings
-from dolfin_elastic.solvers.statics import StaticsSettings
+from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
+from dolfin_elastic.solvers.eigen.buckling import BucklingSettings
+from dolfin_elastic.solvers.eigen.modal import ModalSettings
+from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.statics.statics import StaticsSettings
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

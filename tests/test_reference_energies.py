@@ -16,9 +16,9 @@ from material_point import Point
 from mpi4py import MPI
 from test_laws import FREE, ROLLERS, SIZE, homogeneous, random_F, rotation
 
-from dolfin_elastic.model.isochoric import VOLUME_STRAINS, Volumetric
-from dolfin_elastic.model.law import Law
-from dolfin_elastic.model.materials import MATERIALS
+from dolfin_elastic.model.materials.isochoric import VOLUME_STRAINS, Volumetric
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.registry import MATERIALS
 
 I = np.eye(3)
 ROUND = 1e-14 * 1e6

@@ -15,8 +15,8 @@ import ufl
 from reference_meshes import FREE, patch, probing, ring, solved, tables
 
 from dolfin_elastic import Case
-from dolfin_elastic.compiler import compile_forms
-from dolfin_elastic.solvers.assembler import integral
+from dolfin_elastic.core.jit import compile_forms
+from dolfin_elastic.solvers.assembly.assembler import integral
 
 E = 1e6
 HELD = [

@@ -30,8 +30,8 @@ from dolfin_elastic import (
     rectangle_body,
     run,
 )
-from dolfin_elastic.model.law import Law
-from dolfin_elastic.state import Mode, State
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.problem.state import Mode, State
 
 SOFT = {"E": 1e7, "nu": 0.3, "density": 1000}
 STEEL = {"E": 200e9, "nu": 0.3, "density": 8000}

@@ -22,8 +22,8 @@ from dolfin_elastic import (
     read_case,
     rectangle_body,
 )
-from dolfin_elastic.case import Case
-from dolfin_elastic.parallel import on_root, total
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.core.parallel import on_root, total
 
 FLAG = Path(__file__).resolve().parent.parent / "demos/turek_hron"
 

@@ -42,13 +42,13 @@ from dolfin_elastic import (
     restart,
     run,
 )
-from dolfin_elastic.errors import RestartError
-from dolfin_elastic.parallel import on_root
-from dolfin_elastic.restarts import portable
-from dolfin_elastic.results.checkpoints import FOLDER, newest
-from dolfin_elastic.results.history import row
-from dolfin_elastic.solvers.linear import LinearSettings
-from dolfin_elastic.state import State
+from dolfin_elastic.case.restart import portable
+from dolfin_elastic.core.errors import RestartError
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.checkpoint.checkpoints import FOLDER, newest
+from dolfin_elastic.results.writers.history import row
+from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 WORLD = MPI.COMM_WORLD
 FREE = "free"

@@ -24,19 +24,29 @@ from dolfinx import fem
 from dolfinx.mesh import compute_midpoints, create_box, create_rectangle
 from mpi4py import MPI
 
-from dolfin_elastic import timing
-from dolfin_elastic.errors import InputError, OutputError
-from dolfin_elastic.meshes.body import Body
-from dolfin_elastic.model.materials import NeoHookean
-from dolfin_elastic.parallel import on_root
-from dolfin_elastic.problem import Problem
-from dolfin_elastic.results import colours, drawing, files, heavy, pictures
-from dolfin_elastic.results.colours import bar
-from dolfin_elastic.results.heavy import Rows
-from dolfin_elastic.results.outputs import OUTPUTS, History, Picture, Summary, Xdmf
-from dolfin_elastic.results.pictures import picture
-from dolfin_elastic.results.surface import Surface
-from dolfin_elastic.state import State
+from dolfin_elastic.core import timing
+from dolfin_elastic.core.errors import InputError, OutputError
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.model.materials.registry import NeoHookean
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.results import files
+from dolfin_elastic.results import hdf5 as heavy
+from dolfin_elastic.results.hdf5 import Rows
+from dolfin_elastic.results.outputs import (
+    OUTPUTS,
+    History,
+    Picture,
+    Summary,
+    Xdmf,
+)
+from dolfin_elastic.results.pictures import colour_bar as colours
+from dolfin_elastic.results.pictures import pictures
+from dolfin_elastic.results.pictures import renderer as drawing
+from dolfin_elastic.results.pictures.colour_bar import bar
+from dolfin_elastic.results.pictures.pictures import picture
+from dolfin_elastic.results.pictures.surface import Surface
 
 Array = npt.NDArray[Any]
 COMM = MPI.COMM_WORLD
@@ -442,7 +452,7 @@ def test_summary(folder: Path) -> None:
 
 
 def test_summary_is_kept_up_to_date(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from dolfin_elastic.results import summary
+    from dolfin_elastic.results.writers import summary
 
     monkeypatch.setattr(summary, "_INTERVAL", -1.0)
     problem = make_problem(2)
@@ -681,7 +691,7 @@ def test_digits_of_ticks(ticks: tuple[float, ...], first: str, form: str) -> Non
 @pytest.mark.parametrize("degree", [1, 2])
 def test_the_surface_is_closed_and_looks_outwards(degree: int) -> None:
     from dolfin_elastic.results.grid import Grid
-    from dolfin_elastic.results.surface import gather
+    from dolfin_elastic.results.pictures.surface import gather
 
     problem = make_problem(3, degree)
     x = problem.V.tabulate_dof_coordinates()

@@ -27,15 +27,15 @@ from dolfin_elastic import (
     read_body,
     rectangle_body,
 )
-from dolfin_elastic.case import Case
-from dolfin_elastic.errors import ConvergenceError, InputError
-from dolfin_elastic.model.curves import PROPORTIONAL, RAMP
-from dolfin_elastic.motions import cross_matrix, rotation, tangent
-from dolfin_elastic.solvers.arclength import Length
-from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.border import Bordered, Borders
-from dolfin_elastic.solvers.linear import LinearSettings
-from dolfin_elastic.solvers.scalars import Scalars
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.model.amplitude import PROPORTIONAL, RAMP
+from dolfin_elastic.problem.constraints.rigid_motion import cross_matrix, rotation, tangent
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.nonlinear.bordered import Bordered, Borders
+from dolfin_elastic.solvers.nonlinear.scalars import Scalars
+from dolfin_elastic.solvers.statics.arc_length import Length
 
 FREE = "free"
 

@@ -25,8 +25,8 @@ from dolfin_elastic import (
     Traction,
     rectangle_body,
 )
-from dolfin_elastic.parallel import largest
-from dolfin_elastic.solvers.alpha import Scheme
+from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import Scheme
 
 # --- discrete oracles ---
 

@@ -20,16 +20,16 @@ from dolfin_elastic import (
     rectangle_body,
     run,
 )
-from dolfin_elastic.check import report
-from dolfin_elastic.errors import ConvergenceError, InputError
-from dolfin_elastic.results.checkpoints import Checkpoint
-from dolfin_elastic.schema import known_keys
-from dolfin_elastic.solvers.buckling import BucklingSettings
-from dolfin_elastic.solvers.dynamics import DynamicsSettings
-from dolfin_elastic.solvers.linear import LinearSettings
-from dolfin_elastic.solvers.modal import ModalSettings
-from dolfin_elastic.solvers.statics import StaticsSettings
-from dolfin_elastic.tables import Output
+from dolfin_elastic.case.check import report
+from dolfin_elastic.case.tables import Output
+from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.core.schema import known_keys
+from dolfin_elastic.results.checkpoint.checkpoints import Checkpoint
+from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
+from dolfin_elastic.solvers.eigen.buckling import BucklingSettings
+from dolfin_elastic.solvers.eigen.modal import ModalSettings
+from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.statics.statics import StaticsSettings
 
 EULER, CENTRAL = {"scheme": "symplectic-euler"}, {"scheme": "central-differences"}
 NEWMARK, IMPLICIT = {"scheme": "newmark"}, {"scheme": "implicit-euler"}

@@ -26,9 +26,9 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
-from dolfin_elastic.meshes import Body
-from dolfin_elastic.solvers.explicit import SymplecticEuler
-from dolfin_elastic.solvers.stable import StepSize
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.solvers.dynamics.explicit.explicit import SymplecticEuler
+from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
 
 E, RHO = 1e6, 1000.0
 

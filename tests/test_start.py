@@ -19,11 +19,11 @@ from dolfin_elastic import (
     Symmetry,
     rectangle_body,
 )
-from dolfin_elastic.check import report
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.solvers.dynamics import DynamicsSettings
-from dolfin_elastic.solvers.initial import set_initial
-from dolfin_elastic.solvers.shock import Misfit
+from dolfin_elastic.case.check import report
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
+from dolfin_elastic.solvers.dynamics.impulsive_supports import Misfit
+from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
 
 FREE = "free"
 LAW = StVenantKirchhoff(E=1e6, nu=0.3, density=1000)

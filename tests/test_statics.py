@@ -26,8 +26,8 @@ from dolfin_elastic import (
     name_parts,
     rectangle_body,
 )
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.solvers.linear import LinearSettings
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 FREE = "free"
 E, NU = 1e6, 0.3

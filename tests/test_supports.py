@@ -30,16 +30,16 @@ from dolfin_elastic import (
     rectangle_body,
     run,
 )
-from dolfin_elastic.case import Case
-from dolfin_elastic.check import check, report
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.meshes import Body
-from dolfin_elastic.meshes.build import make_mesh
-from dolfin_elastic.parallel import largest, total
-from dolfin_elastic.solvers.assembler import Assembler
-from dolfin_elastic.solvers.explicit import SymplecticEuler
-from dolfin_elastic.solvers.linear import LinearSettings
-from dolfin_elastic.solvers.rigid import free_motions
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check import check, report
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.diagnostics.rigid_body import free_motions
+from dolfin_elastic.solvers.dynamics.explicit.explicit import SymplecticEuler
+from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 E, NU = 1e6, 0.3
 FREE = "free"

@@ -13,10 +13,16 @@ import pytest
 from dolfinx import fem, la
 from mpi4py import MPI
 
-from dolfin_elastic import LinearElastic, NeoHookean, Problem, StVenantKirchhoff, Textbook
-from dolfin_elastic.compiler import compile_forms
-from dolfin_elastic.meshes import Body
-from dolfin_elastic.meshes.build import make_mesh
+from dolfin_elastic import (
+    LinearElastic,
+    NeoHookean,
+    Problem,
+    StVenantKirchhoff,
+    Textbook,
+)
+from dolfin_elastic.core.jit import compile_forms
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.mesh.distribute import make_mesh
 
 CORNERS = np.array([[1.0, 1, 0], [3, 1, 0], [1, 3, 0], [1, 1, 1]])
 SHIFT = np.array([[0.0, 0, 0], [0, 0, 0], [0, -1, 0], [0, 0, 0]])

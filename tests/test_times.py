@@ -19,11 +19,11 @@ from dolfin_elastic import (
     Support,
     rectangle_body,
     run,
-    timing,
 )
-from dolfin_elastic.parallel import on_root
-from dolfin_elastic.screen import Estimate
-from dolfin_elastic.state import plain
+from dolfin_elastic.cli.console import Estimate
+from dolfin_elastic.core import timing
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.problem.state import plain
 
 WORLD = MPI.COMM_WORLD
 

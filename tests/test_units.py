@@ -7,8 +7,14 @@ import sys
 
 import pytest
 
-from dolfin_elastic.errors import UnitError
-from dolfin_elastic.units import COMMON, _registry, is_quantity, to_base, to_si
+from dolfin_elastic.core.errors import UnitError
+from dolfin_elastic.core.units import (
+    COMMON,
+    _registry,
+    is_quantity,
+    to_base,
+    to_si,
+)
 
 
 @pytest.mark.parametrize(
@@ -122,7 +128,7 @@ def test_common_units(si: str, name: str) -> None:
 def test_common_units_do_not_load_the_unit_library() -> None:
     """Its import takes as long as a small solve."""
     code = (
-        "import sys; from dolfin_elastic.units import is_quantity, to_si; to_si('2e3', 'm'); "
+        "import sys; from dolfin_elastic.core.units import is_quantity, to_si; to_si('2e3', 'm'); "
         "is_quantity('0.1*x'); is_quantity('2 mm'); to_si('2 MPa', 'Pa'); "
         "sys.exit('pint' in sys.modules)"
     )

@@ -32,22 +32,22 @@ from dolfin_elastic import (
     read_body,
     rectangle_body,
 )
-from dolfin_elastic.case import Case
-from dolfin_elastic.check import report
-from dolfin_elastic.errors import InputError, MeshError
-from dolfin_elastic.meshes import Body
-from dolfin_elastic.meshes.fields import MeshField
-from dolfin_elastic.meshes.shapes import cell_corners
-from dolfin_elastic.model.directions import direction
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check import report
+from dolfin_elastic.case.run import run
+from dolfin_elastic.core.errors import InputError, MeshError
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.units import Stress
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.mesh.fields import MeshField
+from dolfin_elastic.mesh.geometry.simplices import cell_corners
 from dolfin_elastic.model.kinematics import green_strain
-from dolfin_elastic.model.law import Law
-from dolfin_elastic.model.varying import Direction
-from dolfin_elastic.parallel import on_root
+from dolfin_elastic.model.materials.fibres import direction
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.spatial import Direction
+from dolfin_elastic.problem.coefficients import Binder
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.extremes import extremes
-from dolfin_elastic.running import run
-from dolfin_elastic.units import Stress
-from dolfin_elastic.varying import Binder
 
 COMM = MPI.COMM_WORLD
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "meshes"

@@ -30,7 +30,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic import read_case, run
-from dolfin_elastic.meshes import measures
+from dolfin_elastic.mesh import measures
 
 HERE = Path(__file__).parent
 DENSITY, G, WIND, YIELD = 7850, 9.81, 1500, 235e6

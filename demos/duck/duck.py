@@ -38,7 +38,7 @@ DENSITY, GRAVITY, HEIGHT, DOWN = 1100.0, 9.81, 0.093, 0.010
 
 def volume_and_tops(u):
     """Volume of the undeformed body [m^3]; after, the highest points of all and of the tail [m]."""
-    from dolfin_elastic.meshes.shapes import cell_corners, signed_volumes
+    from dolfin_elastic.mesh.geometry.simplices import cell_corners, signed_volumes
 
     mesh = u.function_space.mesh
     own = np.arange(mesh.topology.index_map(3).size_local, dtype=np.int32)

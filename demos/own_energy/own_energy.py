@@ -32,8 +32,8 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic import read_case, run
-from dolfin_elastic.bench.report import bench
-from dolfin_elastic.bench_files import write
+from dolfin_elastic.case.material_report import write
+from dolfin_elastic.material_point.report import bench
 
 HERE = Path(__file__).parent
 AREA = 0.01**2

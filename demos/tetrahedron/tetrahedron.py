@@ -52,8 +52,14 @@ from dolfinx import fem
 from dolfinx.mesh import create_mesh
 from mpi4py import MPI
 
-from dolfin_elastic import Body, NeoHookean, Problem, StVenantKirchhoff, Textbook
-from dolfin_elastic.solvers.assembler import Assembler
+from dolfin_elastic import (
+    Body,
+    NeoHookean,
+    Problem,
+    StVenantKirchhoff,
+    Textbook,
+)
+from dolfin_elastic.solvers.assembly.assembler import Assembler
 
 X = np.array([[1, 1, 0], [3, 1, 0], [1, 3, 0], [1, 1, 1]], dtype=float)
 X2_MOVED = np.array([1.0, 2.0, 0.0])

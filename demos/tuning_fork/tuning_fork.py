@@ -34,7 +34,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic import Case, read_case, run
-from dolfin_elastic.parallel import on_root
+from dolfin_elastic.core.parallel import on_root
 
 HERE = Path(__file__).parent
 PITCH = 440.0

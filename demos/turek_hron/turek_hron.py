@@ -31,7 +31,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic import read_case, run
-from dolfin_elastic.case import Case
+from dolfin_elastic.case.case import Case
 
 HERE = Path(__file__).parent
 KNOWN = {0.25: (-9.014, -74.26), 0.5: (-27.29, -126.09), 1.0: (-0.1337, -9.50)}

@@ -14,13 +14,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.formulas import Formula
-from dolfin_elastic.model.components import amplitude_of, components
-from dolfin_elastic.model.curves import Amplitude, Curve
-from dolfin_elastic.model.placed import Placed
-from dolfin_elastic.schema import Record
-from dolfin_elastic.units import ForceDensity, Length
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.units import ForceDensity, Length
+from dolfin_elastic.model.amplitude import Amplitude, Curve
+from dolfin_elastic.model.on_surfaces import Placed
+from dolfin_elastic.model.values import amplitude_of, components
 
 Place = Annotated[list[Length], Field(min_length=2, max_length=3)]
 Vector = Annotated[list[float], Field(min_length=2, max_length=3)]

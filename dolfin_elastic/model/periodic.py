@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.formulas import Formula
-from dolfin_elastic.model.components import Component, component
-from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
-from dolfin_elastic.schema import Record
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.schema import Record
+from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.values import Component, component
 
 Matrix = tuple[tuple[Component, ...], ...]
 Pair = Annotated[list[str], Field(min_length=2, max_length=2)]

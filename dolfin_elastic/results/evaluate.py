@@ -13,16 +13,16 @@ import ufl
 from dolfinx import fem, la
 from ufl.core.expr import Expr
 
-from dolfin_elastic.compiler import compile_expression, compile_forms
-from dolfin_elastic.errors import InputError
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.jit import compile_expression, compile_forms
+from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.fields import FIELDS, known
 from dolfin_elastic.results.grid import Grid, to_nodes
-from dolfin_elastic.state import State
 
 if TYPE_CHECKING:
-    from dolfin_elastic.model.law import Law
-    from dolfin_elastic.parts import Part
-    from dolfin_elastic.problem import Problem
+    from dolfin_elastic.model.materials.law import Law
+    from dolfin_elastic.problem.material_regions import Part
+    from dolfin_elastic.problem.problem import Problem
 
 Array = npt.NDArray[Any]
 

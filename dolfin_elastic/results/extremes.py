@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
+from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.state import State
 
 if TYPE_CHECKING:
-    from dolfin_elastic.problem import Problem
+    from dolfin_elastic.problem.problem import Problem
 
 Array = npt.NDArray[Any]
 

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.errors import InputError, nearest
+from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.model import kinematics
-from dolfin_elastic.model.law import Law
+from dolfin_elastic.model.materials.law import Law
 
 if TYPE_CHECKING:
     from dolfin_elastic.results.evaluate import Source

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from dolfin_elastic.errors import OutputError, RestartError
+from dolfin_elastic.core.errors import OutputError, RestartError
 
 _SPARE = 1 << 20
 

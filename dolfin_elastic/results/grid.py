@@ -13,8 +13,8 @@ import numpy.typing as npt
 from dolfinx import cpp, fem, la
 from dolfinx.mesh import CellType, Mesh
 
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.results.heavy import Rows
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.results.hdf5 import Rows
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[Any]

@@ -12,20 +12,25 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, field_validator
 
-from dolfin_elastic.errors import InputError
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.schema import Record
 from dolfin_elastic.results.fields import known
-from dolfin_elastic.results.history import HistoryWriter
-from dolfin_elastic.results.mode_pictures import ModePictureWriter
-from dolfin_elastic.results.modes import ModesWriter
-from dolfin_elastic.results.modes import listing as animations
-from dolfin_elastic.results.pictures import PictureWriter, View, drawable, own_files
-from dolfin_elastic.results.summary import SummaryWriter
+from dolfin_elastic.results.pictures.mode_pictures import ModePictureWriter
+from dolfin_elastic.results.pictures.pictures import (
+    PictureWriter,
+    View,
+    drawable,
+    own_files,
+)
 from dolfin_elastic.results.writer import Numbers, Steps, Writer
-from dolfin_elastic.results.xdmf import XdmfWriter
-from dolfin_elastic.schema import Record
+from dolfin_elastic.results.writers.history import HistoryWriter
+from dolfin_elastic.results.writers.modes import ModesWriter
+from dolfin_elastic.results.writers.modes import listing as animations
+from dolfin_elastic.results.writers.summary import SummaryWriter
+from dolfin_elastic.results.writers.xdmf import XdmfWriter
 
 if TYPE_CHECKING:
-    from dolfin_elastic.problem import Problem
+    from dolfin_elastic.problem.problem import Problem
 
 
 _MANY = 4

@@ -15,24 +15,24 @@ from pydantic import Field as Key
 from pydantic import field_validator, model_validator
 from ufl.core.expr import Expr
 
-from dolfin_elastic.compiler import compile_expression
-from dolfin_elastic.errors import InputError, nearest
-from dolfin_elastic.meshes.curved import cell_volumes
-from dolfin_elastic.meshes.places import Place, locate
-from dolfin_elastic.meshes.selectors import MeshLength, metres
-from dolfin_elastic.parallel import total
-from dolfin_elastic.results.averages import NODAL, SurfaceMean, check_surface
+from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.jit import compile_expression
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.timing import stage
+from dolfin_elastic.mesh.geometry.curved import cell_volumes
+from dolfin_elastic.mesh.geometry.locate import Place, locate
+from dolfin_elastic.mesh.selectors import MeshLength, metres
+from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.fields import FIELDS
-from dolfin_elastic.results.history import row
-from dolfin_elastic.schema import Record
-from dolfin_elastic.state import State
-from dolfin_elastic.timing import stage
+from dolfin_elastic.results.surface_means import NODAL, SurfaceMean, check_surface
+from dolfin_elastic.results.writers.history import row
 
 if TYPE_CHECKING:
-    from dolfin_elastic.meshes.body import Body
-    from dolfin_elastic.model.law import Law
-    from dolfin_elastic.parts import Part
-    from dolfin_elastic.problem import Problem
+    from dolfin_elastic.mesh.body import Body
+    from dolfin_elastic.model.materials.law import Law
+    from dolfin_elastic.problem.material_regions import Part
+    from dolfin_elastic.problem.problem import Problem
 
 Array = npt.NDArray[np.float64]
 _AXES = "xyz"

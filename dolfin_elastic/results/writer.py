@@ -9,8 +9,8 @@ from typing import Annotated, Any, Protocol, runtime_checkable
 from dolfinx import fem
 from pydantic import AfterValidator
 
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.state import Mode, State
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.problem.state import Mode, State
 
 Numbers = Mapping[str, Any]
 """What a writer needs to go on after a checkpoint, as JSON knows it."""

@@ -14,10 +14,10 @@ import ufl
 from pydantic import model_validator
 from ufl.core.expr import Expr
 
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.model.components import Component, components, depends_on_time
-from dolfin_elastic.model.curves import CONSTANT, Amplitude, Curve
-from dolfin_elastic.schema import Record
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.schema import Record
+from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.values import Component, components, depends_on_time
 
 PLACE = frozenset("xyz")
 """Names of the place in formulas."""

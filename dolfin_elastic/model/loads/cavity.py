@@ -9,12 +9,12 @@ import ufl
 from pydantic import model_validator
 from ufl.core.expr import Expr
 
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.formulas import Formula
-from dolfin_elastic.model.components import Component, component, components
-from dolfin_elastic.model.curves import Amplitude
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.loads.base import Load, Site
 from dolfin_elastic.model.loads.pressure import area_vector
+from dolfin_elastic.model.values import Component, component, components
 
 UNITS = {"pressure": "Pa", "volume": "m^3", "volume_ratio": "", "added": "m^3"}
 

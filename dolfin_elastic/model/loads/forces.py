@@ -10,11 +10,23 @@ import ufl
 from pydantic import Field, model_validator
 from ufl.core.expr import Expr
 
-from dolfin_elastic.errors import InputError
-from dolfin_elastic.formulas import Formula
-from dolfin_elastic.model.components import Component, component, components, vector_at
-from dolfin_elastic.model.directions import Axis, along
-from dolfin_elastic.model.loads.base import PLACE, Floats, Load, Places, Site, keyed
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.model.loads.base import (
+    PLACE,
+    Floats,
+    Load,
+    Places,
+    Site,
+    keyed,
+)
+from dolfin_elastic.model.materials.fibres import Axis, along
+from dolfin_elastic.model.values import (
+    Component,
+    component,
+    components,
+    vector_at,
+)
 
 
 class Traction(Load):

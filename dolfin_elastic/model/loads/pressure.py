@@ -9,10 +9,17 @@ import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.formulas import Formula
-from dolfin_elastic.model.components import Component, component, number_at
+from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.model.kinematics import cofactor
-from dolfin_elastic.model.loads.base import PLACE, Floats, Load, Places, Site, keyed
+from dolfin_elastic.model.loads.base import (
+    PLACE,
+    Floats,
+    Load,
+    Places,
+    Site,
+    keyed,
+)
+from dolfin_elastic.model.values import Component, component, number_at
 
 
 class Pressure(Load):

@@ -1,0 +1,1 @@
+"""The case file: its tables, its check, and the run that it describes."""

@@ -1,0 +1,7 @@
+"""Everything that can be said about a case before anything is compiled or solved."""
+
+from dolfin_elastic.case.check.case import check
+from dolfin_elastic.case.check.report import Report, report
+from dolfin_elastic.case.check.sizes import PartSize
+
+__all__ = ["PartSize", "Report", "check", "report"]

@@ -1,0 +1,312 @@
+"""Whether a case fits its mesh: the first thing that is wrong, as one error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.case.case import Case, located
+from dolfin_elastic.case.check.slips import slips
+from dolfin_elastic.case.tables import Material
+from dolfin_elastic.case.toml import key_text
+from dolfin_elastic.core.errors import CaseError, MeshError, nearest
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.material_point.gate import gate
+from dolfin_elastic.mesh.body import Body, Indices
+from dolfin_elastic.model.loads import Load
+from dolfin_elastic.model.materials.law import SplitLaw
+from dolfin_elastic.problem.coefficients import Binder
+from dolfin_elastic.problem.formulation import volume_modulus
+from dolfin_elastic.results.fields import FIELDS
+
+
+def check(case: Case, body: Body) -> tuple[str, ...]:
+    """Checks a case against its body.
+
+    Collective.
+
+    Returns:
+        What a user should know although nothing is wrong, but for what a run says itself.
+
+    Raises:
+        InputError: The first thing that is wrong, with file and key, on every rank.
+    """
+    with located(case.file):
+        _check_names(case, body)
+        _check_components(case, body)
+        _check_materials(case.materials, body)
+        gate({f"materials.{key_text(n)}": m.law for n, m in case.materials.items()}, body.comm)
+        _check_densities(case)
+        _check_constants(case, body)
+        _check_fields(case)
+        case.output.check_probes(body, case.mesh.scale)
+        if explicit(case):
+            _check_explicit(case)
+    return (*_notes(case), *slips(case, body))
+
+
+def explicit(case: Case) -> bool:
+    """The scheme solves no equations."""
+    return case.dynamics is not None and not case.dynamics.implicit
+
+
+def _check_explicit(case: Case) -> None:
+    """Nothing that only a solver of equations can do.
+
+    A material comes first: what it needs elsewhere, a pressure, is refused of the mesh.
+    """
+    assert case.dynamics is not None
+    scheme = case.dynamics.scheme
+    for name, material in case.materials.items():
+        if isinstance(material.law, SplitLaw) and math.isinf(volume_modulus(material.law)):
+            raise CaseError(
+                f"'{scheme}' solves for displacements only, and an incompressible material needs "
+                "a pressure beside them",
+                where=f"materials.{key_text(name)}.nu",
+                expected='a nu below 0.5, such as 0.49, or dynamics.scheme = "generalized-alpha" '
+                'with mesh.formulation = "mixed"',
+            )
+    if case.mesh.degree > 1:
+        raise CaseError(
+            f"{scheme} has a lumped mass, for linear elements only",
+            where="mesh.degree",
+            expected="use degree = 1 or generalized-alpha",
+        )
+
+
+# --- names ---
+
+
+def _check_names(case: Case, body: Body) -> None:
+    for i, support in enumerate(case.support):
+        for where, name in _keys(f"support[{i}].on", support.on):
+            _check_name(where, name, "surface", "a support holds surfaces", body)
+    for i, contact in enumerate(case.contact):
+        for where, name in _keys(f"contact[{i}].on", contact.on):
+            _check_name(where, name, "surface", "a contact holds surfaces", body)
+    for i, load in enumerate(case.load):
+        kind = "surface" if acts_on_surfaces(load) else "region"
+        for where, name in _keys(f"load[{i}].on", getattr(load, "on", None)):
+            _check_name(where, name, kind, f"a {load.kind} acts on {kind}s", body)
+    for k, pair in enumerate(case.periodic.pairs if case.periodic else ()):
+        for where, name in _keys(f"periodic.pairs[{k}]", pair):
+            _check_name(where, name, "surface", "surfaces come in pairs", body)
+    for name, material in case.materials.items():
+        for where, region in _keys(f"materials.{key_text(name)}.on", material.on):
+            _check_name(where, region, "region", "a material fills regions", body)
+
+
+def acts_on_surfaces(load: Load) -> bool:
+    """A load must name surfaces; regions may be left out and mean the whole body then."""
+    on = type(load).model_fields.get("on")
+    return on is not None and on.is_required()
+
+
+def _keys(key: str, on: str | Sequence[str] | None) -> Iterator[tuple[str, str]]:
+    if isinstance(on, str):
+        yield key, on
+        return
+    if on is not None and not on:
+        raise CaseError("no name is given", where=key, expected="leave `on` out or name a part")
+    for index, name in enumerate(on or ()):
+        yield f"{key}[{index}]", name
+
+
+def _check_name(where: str, name: str, kind: str, rule: str, body: Body) -> None:
+    here, there = (
+        (body.surfaces, body.regions) if kind == "surface" else (body.regions, body.surfaces)
+    )
+    if name not in here and name in there:
+        other = "region" if kind == "surface" else "surface"
+        raise MeshError(f"'{name}' is a {other}", where=where, expected=rule)
+    if name not in here:
+        raise MeshError(f"there is no {kind} '{name}'", where=where, expected=_offer(name, here))
+    owned = body.owned_facets(name) if kind == "surface" else body.owned_cells(name)
+    if not total(body.comm, len(owned)):
+        raise MeshError(f"the {kind} '{name}' is empty", where=where)
+
+
+def _offer(name: str, names: Mapping[str, Indices]) -> str:
+    return nearest(name, names) if names else "the mesh has none; name one by where it lies"
+
+
+def _check_components(case: Case, body: Body) -> None:
+    vectors = [
+        (f"support[{i}].{key}", values)
+        for i, support in enumerate(case.support)
+        for key, values in support.vectors.items()
+    ]
+    vectors += [
+        (f"load[{i}].{key}", values)
+        for i, load in enumerate(case.load)
+        for key, values in load.vectors.items()
+    ]
+    if case.dynamics is not None:
+        vectors += [
+            ("dynamics.initial_displacement", case.dynamics.displacement),
+            ("dynamics.initial_velocity", case.dynamics.velocity),
+        ]
+    for where, values in vectors:
+        if values and len(values) != body.dim:
+            raise CaseError(
+                f"{len(values)} components",
+                where=where,
+                expected=f"the body is {body.dim}-dimensional, expected {body.dim}",
+            )
+
+
+def _check_fields(case: Case) -> None:
+    fields = [(f"output.fields[{i}]", name) for i, name in enumerate(case.output.fields or ())]
+    fields += [(f"output.pictures[{i}].field", p.field) for i, p in enumerate(case.output.pictures)]
+    fields += [
+        (f"output.probes.{key_text(key)}.fields", name)
+        for key, probe in case.output.probes.items()
+        for name in probe.fields
+    ]
+    if case.analysis in ("modal", "buckling"):
+        _check_mode_pictures(case)
+    powerless = [n for n, m in case.materials.items() if not m.law.has_energy]
+    for where, name in fields:
+        if FIELDS[name].motion and case.dynamics is None:
+            raise CaseError(
+                f"there is no '{name}' in statics",
+                where=where,
+                expected="leave it out, or use [dynamics]",
+            )
+        if FIELDS[name].statics and case.dynamics is not None:
+            raise CaseError(
+                f"there is no '{name}' in motion",
+                where=where,
+                expected="history.csv has the reaction of each support",
+            )
+        if name == "energy_density" and powerless:
+            raise CaseError(
+                f"the law of '{powerless[0]}' has no strain energy",
+                where=where,
+                expected="leave the field out",
+            )
+        if name == "safety_factor" and all(
+            material.law.allowable is None for material in case.materials.values()
+        ):
+            raise CaseError(
+                "no material has an allowable stress",
+                where=where,
+                expected='write for example allowable = "40 MPa" under [materials.NAME]',
+            )
+
+
+def _check_mode_pictures(case: Case) -> None:
+    for i, picture in enumerate(case.output.pictures):
+        if "field" in picture.model_fields_set and picture.field != "displacement":
+            raise CaseError(
+                f"a mode has no '{picture.field}': it has no size of its own",
+                where=f"output.pictures[{i}].field",
+                expected="leave it out; modes are coloured by their displacement",
+            )
+
+
+# --- materials ---
+
+
+def _check_materials(materials: Mapping[str, Material], body: Body) -> None:
+    everywhere = [name for name, material in materials.items() if not material.regions]
+    if len(everywhere) > 1:
+        raise CaseError(
+            f"'{everywhere[0]}' and '{everywhere[1]}' both have no `on`",
+            where=f"materials.{key_text(everywhere[1])}",
+            expected="only one material can fill what the others leave",
+        )
+    own = len(body.owned_cells())
+    filled = {
+        name: _marked(body, material.regions, own)
+        for name, material in materials.items()
+        if material.regions
+    }
+    for (one, first), (two, second) in combinations(filled.items(), 2):
+        if twice := int(total(body.comm, int(np.sum(first & second)))):
+            raise CaseError(
+                f"{twice} cells are in '{one}' too",
+                where=f"materials.{key_text(two)}.on",
+                expected="every cell needs exactly one material",
+            )
+    bare = own - int(np.sum(np.any(list(filled.values()), axis=0))) if filled else own
+    missing = int(total(body.comm, bare))
+    if missing and not everywhere:
+        raise CaseError(
+            f"{missing} of {body.num_cells} cells have no material",
+            where="materials",
+            expected="a material without `on` fills what the others leave",
+        )
+
+
+def _marked(body: Body, regions: Sequence[str], own: int) -> npt.NDArray[np.bool_]:
+    marks = np.zeros(own, dtype=bool)
+    for name in regions:
+        marks[body.owned_cells(name)] = True
+    return marks
+
+
+def _check_densities(case: Case) -> None:
+    heavy = [(i, load) for i, load in enumerate(case.load) if load.needs_density]
+    everywhere = [f"load[{i}] ({load.kind})" for i, load in heavy if not load.parts]
+    reason = next(iter(everywhere), "")
+    if case.analysis in ("dynamics", "modal"):
+        reason = f"[{case.analysis}]"
+    for name, material in case.materials.items():
+        if reason and material.law.density is None:
+            raise CaseError(
+                "this key is missing",
+                where=f"materials.{key_text(name)}.density",
+                expected=f'{reason} needs it, for example "1100 kg/m^3"',
+            )
+
+
+def _check_constants(case: Case, body: Body) -> None:
+    """What varies in space is evaluated wherever it is used."""
+    binder = Binder(body, max(case.mesh.degree, int(body.mesh.geometry.cmap.degree)))
+    own = len(body.owned_cells())
+    filled = [_marked(body, material.regions, own) for material in case.materials.values()]
+    rest = ~np.any(filled, axis=0)
+    for (name, material), marks in zip(case.materials.items(), filled, strict=True):
+        if material.law.deferred():
+            cells = np.flatnonzero(marks if material.regions else rest).astype(np.int32)
+            binder.values(material.law, cells, f"materials.{key_text(name)}")
+
+
+# --- notes ---
+
+
+def later_notes(case: Case) -> Iterator[str]:
+    """What a run says itself, in Python too: where its problem is made, and where it is solved."""
+    for name, material in case.materials.items():
+        if material.law.warning:
+            yield f"materials.{key_text(name)}: {material.law.warning}"
+    for i, support in enumerate(case.support):
+        if support.kind == "dashpot" and (timeless := _timeless(case)):
+            yield f"support[{i}]: a dashpot does nothing in {timeless}"
+
+
+def _timeless(case: Case) -> str:
+    """The analysis, if nothing has a velocity in it."""
+    if case.dynamics is not None:
+        return ""
+    return f"[{case.analysis}]" if case.modal or case.buckling else "statics"
+
+
+def _notes(case: Case) -> Iterator[str]:
+    for name, material in case.materials.items():
+        if material.law.viscosity is not None and (timeless := _timeless(case)):
+            yield f"materials.{key_text(name)}: viscosity does nothing in {timeless}"
+    moving = any(not support.at_rest for support in case.support)
+    moving = moving or any(value != 0.0 for c in case.contact for value in c.values)
+    if case.modal is not None and not case.preloaded:
+        if case.load or moving:
+            yield "modal.preload is not set: the modes are those at rest, without the loads"
+        return
+    still = case.dynamics is None and not case.load and not moving
+    if still and case.periodic is None:
+        yield "there is no load and every support is at rest: nothing will move"

@@ -1,0 +1,89 @@
+"""What is not wrong but looks like a mistake: units, empty parts, bad cells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from dolfinx.mesh import exterior_facet_indices
+
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check.integrals import Integrals
+from dolfin_elastic.case.check.loads import LoadSum
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.geometry.quality import worst_cells
+from dolfin_elastic.mesh.geometry.simplices import cell_corners, prepare_facets, qualities
+from dolfin_elastic.problem.formulation import young
+
+THIN = 0.05
+"""Quality below which a cell spoils results around it: a needle of one to twenty."""
+_SHOWN = 5
+
+
+def stress_hint(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) -> Iterator[str]:
+    """Loads that would stress the supports to half of Young's modulus. Collective."""
+    names = [name for support in case.support for name in support.surfaces]
+    forces = [row.force for row in sums if row.force is not None]
+    if not names or not forces:
+        return
+    points = integrals.facets(names)
+    area = float(total(integrals.body.comm, float(integrals.whole(points).sum())))
+    strongest = max(float(np.linalg.norm(force)) for force in forces)
+    weakest = min(integrals.problem.parts, key=lambda part: young(part.typical))
+    if area > 0 and strongest / area > young(weakest.typical) / 2:
+        yield (
+            f"the loads on the area of the supports are {strongest / area:.3g} Pa in the mean, "
+            f"Young's modulus of '{weakest.name}' is {young(weakest.typical):.3g} Pa: was "
+            "mesh.unit, or a unit of a load or modulus, forgotten?"
+        )
+
+
+def part_notes(body: Body) -> Iterator[str]:
+    """Names that hold nothing, and surfaces that lie inside the body. Collective."""
+    for name in sorted(body.regions):
+        if not int(total(body.comm, len(body.owned_cells(name)))):
+            yield f"the region '{name}' is empty: no cell carries it"
+    prepare_facets(body.mesh)
+    outside = exterior_facet_indices(body.mesh.topology)
+    for name in sorted(body.surfaces):
+        facets = body.owned_facets(name)
+        inside = int(np.count_nonzero(~np.isin(facets, outside)))
+        found = total(body.comm, np.array([len(facets), inside]))
+        if not found[0]:
+            yield f"the surface '{name}' is empty: no facet carries it"
+        elif found[1]:
+            yield (
+                f"{found[1]} of {found[0]} facets of the surface '{name}' lie inside the body, "
+                "not on its boundary"
+            )
+
+
+def cell_notes(body: Body) -> Iterator[str]:
+    """Thin cells, the worst with their places. Collective."""
+    own = body.owned_cells()
+    shape = qualities(cell_corners(body.mesh, own))
+    count = int(total(body.comm, int(np.count_nonzero(shape < THIN))))
+    if count:
+        worst = [cell for cell in worst_cells(body, _SHOWN) if cell.quality < THIN]
+        places = ", ".join(f"{c.quality:.2g} at {_place(c.middle)}" for c in worst)
+        more = ", ..." if count > len(worst) else ""
+        yield (
+            f"{count} of {body.num_cells} cells are thin (quality below {THIN:g}; 1 is regular): "
+            f"{places}{more} m"
+        )
+
+
+def _place(point: tuple[float, ...]) -> str:
+    return "(" + ", ".join(f"{x:.4g}" for x in point) + ")"
+
+
+def hints(
+    case: Case, body: Body, integrals: Integrals, sums: tuple[LoadSum, ...]
+) -> tuple[str, ...]:
+    """All of it. Collective."""
+    return (
+        *stress_hint(case, integrals, sums),
+        *part_notes(body),
+        *cell_notes(body),
+    )

@@ -1,0 +1,70 @@
+"""Integrals over the undeformed body in plain numbers, without compiling anything."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from dolfin_elastic.mesh.body import Indices
+from dolfin_elastic.mesh.geometry.quadrature import Points, points_of_cells, points_of_facets
+from dolfin_elastic.mesh.geometry.simplices import prepare_facets
+from dolfin_elastic.problem.problem import Problem
+
+Floats = npt.NDArray[np.float64]
+
+
+class Integrals:
+    """Where integrals over a problem's body are taken, and its density there. Collective.
+
+    The rules are those of the solver's loads: exact for the products of two displacements.
+
+    Args:
+        problem: Whose body.
+        thickness: Of a plane body [m].
+    """
+
+    def __init__(self, problem: Problem, thickness: float = 1.0) -> None:
+        self.problem, self.body = problem, problem.body
+        self._thickness = thickness if problem.body.dim == 2 else 1.0
+        self._degree = 2 * problem.site.order
+        prepare_facets(self.body.mesh)
+
+    def cells(self, names: Sequence[str] = ()) -> Points:
+        """Points of the owned cells of regions, once where they overlap; of all cells. Local."""
+        chosen = [self.body.owned_cells(name) for name in names] or [self.body.owned_cells()]
+        return points_of_cells(self.body.mesh, np.unique(np.concatenate(chosen)), self._degree)
+
+    def facets(self, names: Sequence[str]) -> Points:
+        """Points of the owned facets of surfaces, once where they overlap. Local."""
+        chosen = np.concatenate([self.body.owned_facets(name) for name in names])
+        return points_of_facets(self.body.mesh, np.unique(chosen), self._degree)
+
+    def whole(self, points: Points) -> Floats:
+        """Weights with what the mesh does not show: the thickness, or the circumference."""
+        if self.problem.geometry == "axisymmetric":
+            return np.asarray(2 * np.pi * points.X[..., 0] * points.weights)
+        return self._thickness * points.weights
+
+    def density(self, points: Points) -> Floats:
+        """Mass density at points of cells [kg/m^3]; nan where a material has none. Local."""
+        assert points.local is not None
+        found = np.full(points.weights.shape, np.nan)
+        row = np.full(len(self.body.owned_cells()), -1)
+        row[points.cells] = np.arange(len(points.cells))
+        for part in self.problem.parts:
+            cells = part.cells[row[part.cells] >= 0]
+            if part.density is not None:
+                found[row[cells]] = _at(part.density, cells, points.local)
+        return found
+
+
+def _at(density: fem.Constant | fem.Function, cells: Indices, local: Floats) -> float | Floats:
+    """Values of what a law was bound to: a constant, or polynomials of single cells."""
+    if isinstance(density, fem.Constant):
+        return float(density.value)
+    V = density.function_space
+    table = np.asarray(V.element.basix_element.tabulate(0, local)[0, :, :, 0])
+    return np.asarray(density.x.array[V.dofmap.list[cells]] @ table.T)

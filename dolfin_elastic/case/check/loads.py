@@ -1,0 +1,172 @@
+"""What the loads of a case sum up to, on the undeformed body."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check.case import acts_on_surfaces
+from dolfin_elastic.case.check.integrals import Floats, Integrals
+from dolfin_elastic.case.check.start import TIMES
+from dolfin_elastic.core.errors import CaseError
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.mesh.geometry.quadrature import Points
+from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
+from dolfin_elastic.model.loads import Concentrated, Load, Places
+from dolfin_elastic.model.supports.rigid_surface import Rigid
+from dolfin_elastic.model.values import depends_on_time, vector_at
+from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
+from dolfin_elastic.problem.problem import Problem
+
+
+@dataclass(frozen=True)
+class LoadSum:
+    """What a load sums up to on the undeformed body.
+
+    Attributes:
+        load: Its key and kind.
+        on: The parts it acts on.
+        force: Total force [N]; of an axisymmetric body radial (summed up round the axis) and
+            axial.  None: this kind of load depends on more than the undeformed body.
+        moment: Total moment about the origin [N m], about z in a plane; empty where
+            there is none (axisymmetric), None as above.
+        time: Load parameter at the end in statics; in motion the time when the load is largest [s].
+    """
+
+    load: str
+    on: str
+    force: tuple[float, ...] | None
+    moment: tuple[float, ...] | None
+    time: float
+
+
+def load_sums(case: Case, integrals: Integrals) -> tuple[LoadSum, ...]:
+    """Force and moment of each load, and of all where they act at the same time. Collective.
+
+    Raises:
+        CaseError: A formula gives no finite number somewhere.
+    """
+    rows = [
+        _load_sum(case, i, load, integrals) for i, load in enumerate(case.load) if not load.swells
+    ]
+    rows += _rigid_sums(case, integrals.problem)
+    forces = [row.force for row in rows if row.force is not None]
+    moments = [row.moment for row in rows if row.moment is not None]
+    if len(rows) > 1 and len(forces) == len(rows) and len({row.time for row in rows}) == 1:
+        force, moment = np.sum(forces, axis=0), np.sum(moments, axis=0)
+        rows.append(LoadSum("all loads", "", _plain(force), _plain(moment), rows[0].time))
+    return tuple(rows)
+
+
+def _load_sum(case: Case, index: int, load: Load, integrals: Integrals) -> LoadSum:
+    name, on = f"load[{index}] ({load.kind})", ", ".join(load.parts) or "(whole body)"
+    points = _points(load, integrals)
+    default = PROPORTIONAL if case.dynamics is None else CONSTANT
+    factors = {t: (load.amplitude or default).at(t) for t in _times(case, load)}
+    if depends_on_time(load.values):
+        found = {t: _resultant(load, t, points, integrals) for t in factors}
+    else:
+        found = dict.fromkeys(factors, _resultant(load, max(factors), points, integrals))
+    sums = {t: factors[t] * s for t, s in found.items() if s is not None}
+    if not sums:
+        return LoadSum(name, on, None, None, max(factors))
+    dim = integrals.body.dim
+    time = max(sums, key=lambda t: (round(_strength(sums[t], dim), 12), -t))
+    _check_finite(index, sums[time], time)
+    moment = () if integrals.problem.geometry == "axisymmetric" else _plain(sums[time][dim:])
+    return LoadSum(name, on, _plain(sums[time][:dim]), moment, time)
+
+
+def _rigid_sums(case: Case, problem: Problem) -> Iterator[LoadSum]:
+    """Forces and moments given on rigid surfaces."""
+    motions, dim = {m.label: m for m in problem.prescribed.motions}, problem.body.dim
+    for index, support in enumerate(case.support):
+        if not isinstance(support, Rigid) or not any(x != 0.0 for x in support.action(dim)):
+            continue
+        found = {t: _pushed(motions[support.label], t, case, dim) for t in _rigid_times(case)}
+        time = max(found, key=lambda t: (round(_strength(found[t], dim), 12), -t))
+        force, moment = _plain(found[time][:dim]), _plain(found[time][dim:])
+        yield LoadSum(f"support[{index}] (rigid)", ", ".join(support.surfaces), force, moment, time)
+
+
+def _pushed(motion: RigidMotion, t: float, case: Case, dim: int) -> Floats:
+    """Force and moment about the origin; what was given is about the surface's point."""
+    default = PROPORTIONAL if case.dynamics is None else CONSTANT
+    values = np.array(motion.support.at_time(motion.support.action(dim), t, default))
+    both = _both(motion.centre[None, None, :dim], values[None, None, :dim])
+    both[dim:] += values[dim:]
+    return both
+
+
+def _rigid_times(case: Case) -> list[float]:
+    if case.dynamics is None:
+        return [case.full]
+    return [float(t) for t in np.linspace(0.0, case.dynamics.end, TIMES)]
+
+
+def _points(load: Load, integrals: Integrals) -> Points | None:
+    """Where a load is summed up; None: at points of its own. Collective."""
+    if isinstance(load, Concentrated):
+        return None
+    return integrals.facets(load.parts) if acts_on_surfaces(load) else integrals.cells(load.parts)
+
+
+def _strength(sums: Floats, dim: int) -> float:
+    """Force, or moment where forces cancel; the larger wins among times. Not finite: the most."""
+    size = float(np.linalg.norm(sums[:dim])) or float(np.linalg.norm(sums))
+    return size if np.isfinite(size) else np.inf
+
+
+def _times(case: Case, load: Load) -> list[float]:
+    """When a load is looked at: at the end in statics, at many times of a motion."""
+    if case.dynamics is None:
+        return [case.full]
+    if load.amplitude in (None, CONSTANT) and not depends_on_time(load.values):
+        return [0.0]
+    end = case.dynamics.end
+    times = {float(t) for t in np.linspace(0.0, end, TIMES)}
+    if load.curve is not None:
+        times.update(t for t, _ in load.curve.table if 0 <= t <= end)
+    return sorted(times)
+
+
+def _resultant(load: Load, t: float, points: Points | None, integrals: Integrals) -> Floats | None:
+    """Force and moment about the origin, shape (dim + 3,), in a plane (3,). Collective."""
+    if points is None:
+        assert isinstance(load, Concentrated)
+        X, weights = load.samples()
+        return _both(X[None], weights[None, :, None] * vector_at(load.values, X[None], t))
+    density = integrals.density(points) if load.needs_density else None
+    weights, turned = integrals.whole(points), integrals.problem.geometry == "axisymmetric"
+    size = float(total(integrals.body.comm, float(weights.sum())))
+    intensity = load.intensity(Places(points.X, t, points.N, density, size, turned))
+    if intensity is None:
+        return None
+    sums = _both(points.X, weights[..., None] * intensity)
+    return np.asarray(total(integrals.body.comm, sums))
+
+
+def _both(X: Floats, forces: Floats) -> Floats:
+    """Sums of forces and of their moments."""
+    if X.shape[-1] == 2:
+        x, y = X[..., 0], X[..., 1]
+        moments = (x * forces[..., 1] - y * forces[..., 0])[..., None]
+    else:
+        moments = np.asarray(np.cross(X, forces), dtype=np.float64)
+    return np.asarray(np.concatenate([forces, moments], axis=-1).sum(axis=(0, 1)))
+
+
+def _check_finite(index: int, sums: Floats, t: float) -> None:
+    if not np.isfinite(sums).all():
+        raise CaseError(
+            f"the load is not finite somewhere at t = {t:g}",
+            where=f"load[{index}].value",
+            expected="a formula that gives a number at every place it acts on",
+        )
+
+
+def _plain(values: Sequence[float] | Floats) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)

@@ -1,0 +1,287 @@
+"""What looks like a slip of the pen: a forgotten unit, a load that does nothing.
+
+All of it comes from the case and the plain mesh, so a run says it, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.toml import key_text
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.mesh.body import Body, Indices, extent
+from dolfin_elastic.mesh.geometry.simplices import Floats
+from dolfin_elastic.mesh.selection import bounding_box
+from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
+from dolfin_elastic.model.loads import Concentrated, Load
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.supports.displacement import (
+    NORMAL,
+    Normal,
+    Prescribing,
+    Restraint,
+    Rotation,
+)
+from dolfin_elastic.model.supports.rigid_surface import Rigid
+from dolfin_elastic.model.values import Component
+from dolfin_elastic.problem.formulation import young
+
+_LONG, _SHORT = 1e3, 1e-6
+_UNITLESS = 20.0
+"""Length [m] from which a mesh without a unit looks like one in millimetres."""
+_DENSITIES = 1.0, 30e3
+"""Foams are above, osmium is below [kg/m^3]."""
+_FAST = 25e3
+"""Speed of waves along a bar that no solid reaches: diamond's is 17 km/s [m/s].
+
+That of waves in the bulk would be without bound in a rubber that keeps its volume.
+"""
+_GRAMS = 1000.0
+"""A gram per cubic centimetre [kg/m^3]."""
+_BESIDE = 0.01
+"""Distance over the body's diagonal that still counts as in the body."""
+_BARE_ANGLE = 1.0
+_STRAIN = 1.0
+"""Thermal strain that no solid survives."""
+
+
+def slips(case: Case, body: Body) -> Iterator[str]:
+    """All of it. Collective."""
+    yield from size_notes(case, body)
+    yield from _place_notes(case, body)
+    yield from _angle_notes(case)
+    yield from _material_notes(case, body)
+    yield from _held_loads(case, body)
+    yield from _contradictions(case, body)
+
+
+# --- lengths ---
+
+
+def size_notes(case: Case, body: Body) -> Iterator[str]:
+    """Bodies that are very large or very small, and moved by more than their size. Collective."""
+    longest = max(extent(body))
+    if longest > _LONG or longest < _SHORT:
+        what = f"{longest:.3g} m" + (" long" if longest > _LONG else " at most")
+        yield f"the body is {what}: is mesh.unit what the mesh is in?"
+    elif longest > _UNITLESS and "unit" not in case.mesh.model_fields_set:
+        yield f"the body is {longest:.3g} m long, and no mesh.unit is given: is the mesh in mm?"
+    for key, values in _moves(case):
+        moved = max(map(_size, values), default=0.0)
+        if moved > longest:
+            yield (
+                f"{key}: {moved:.3g} m is more than the body is long "
+                f"({longest:.3g} m): is a unit missing?"
+            )
+
+
+def _moves(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
+    """Keys that move something [m], and their values."""
+    for i, support in enumerate(case.support):
+        values = support.vectors.get("displacement", ())
+        if isinstance(support, Normal):
+            values = (support.value,)
+        yield f"support[{i}].displacement", values
+    for i, contact in enumerate(case.contact):
+        yield f"contact[{i}].motion", contact.values
+
+
+def _size(value: Component) -> float:
+    return abs(value) if isinstance(value, int | float) else 0.0
+
+
+def _place_notes(case: Case, body: Body) -> Iterator[str]:
+    """Places in metres that would be in the body in the mesh's unit. Collective."""
+    low, high = bounding_box(body.mesh)
+    size, scale = float(np.linalg.norm(high - low)), case.mesh.scale
+
+    def off(point: Floats) -> float:
+        return float(np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0)))
+
+    for key, values in _places(case):
+        if len(values) != body.dim or scale == 1.0:
+            continue
+        point = np.array([float(value or 0.0) for value in values])  # type: ignore[arg-type]
+        if off(point) > size and off(scale * point) <= _BESIDE * size:
+            said = ", ".join(f"{x:.4g}" for x in point)
+            yield (
+                f"{key}: ({said}) m is far from the body, in {case.mesh.unit} it would be in it: "
+                "is a unit missing?"
+            )
+
+
+def _places(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
+    for i, load in enumerate(case.load):
+        if isinstance(load, Concentrated):
+            yield from ((f"load[{i}].{key}", point) for key, point in load.points.items())
+    for i, support in enumerate(case.support):
+        if isinstance(support, Rotation | Rigid):
+            yield f"support[{i}].point", support.centre
+
+
+# --- angles ---
+
+
+def _angle_notes(case: Case) -> Iterator[str]:
+    small = any(material.law.linear for material in case.materials.values())
+    for i, support in enumerate(case.support):
+        for key, written, angle in _angles(support):
+            where, turned = f"support[{i}].{key}", math.degrees(angle)
+            if angle > math.tau:
+                yield f"{where}: {turned:.4g} degrees are more than a full turn: is a unit missing?"
+            elif angle > _BARE_ANGLE and small and isinstance(written, int | float):
+                yield (
+                    f"{where}: a bare {written} is in rad, {turned:.4g} degrees, and a law is for "
+                    "small rotations: is a unit missing?"
+                )
+
+
+def _angles(support: Restraint) -> Iterator[tuple[str, object, float]]:
+    """Key, what was written, and the angle [rad] of what a support turns."""
+    if isinstance(support, Rotation):
+        yield "angle", support.angle, _size(support.turn)
+    elif isinstance(support, Rigid):
+        written = support.rotation
+        rows = written if isinstance(written, list | tuple) else [written]
+        for i, (text, value) in enumerate(zip(rows, support.turns, strict=False)):
+            yield f"rotation[{i}]" if len(rows) > 1 else "rotation", text, _size(value)
+
+
+# --- materials ---
+
+
+def _material_notes(case: Case, body: Body) -> Iterator[str]:
+    for name, material in case.materials.items():
+        where = f"materials.{key_text(name)}"
+        yield from _density_notes(where, material.law)
+        if not material.regions and not _left_over(case, body):
+            yield f"{where} fills no cell: the others leave none"
+        for i, load in enumerate(case.load):
+            strain = _thermal_strain(load, material.law.expansion)
+            if strain > _STRAIN:
+                yield (
+                    f"load[{i}].value: it makes '{name}' {strain:.3g} times as long again: is a "
+                    f"unit of it or of {where}.expansion missing?"
+                )
+
+
+def _density_notes(where: str, law: Law) -> Iterator[str]:
+    """A density that no solid has, or none that is as stiff."""
+    (low, high), rho = _DENSITIES, law.density
+    if not isinstance(rho, int | float):
+        return
+    if not low <= rho <= high:
+        yield (
+            f"{where}.density: {rho:.3g} kg/m^3 is "
+            f"{'less than a gas' if rho < low else 'more than any metal'} weighs: is a unit "
+            "missing or wrong?"
+        )
+        return
+    if law.deferred():  # what varies in space has no value yet
+        return
+    modulus = young(law)
+    if modulus > _FAST**2 * rho:
+        speed = math.sqrt(modulus / rho)
+        fits = _GRAMS * rho <= high and speed < _FAST * math.sqrt(_GRAMS)
+        wanted = f'is it "{rho:.4g} g/cm^3"?' if fits else "is a unit of one of them wrong?"
+        yield (
+            f"{where}.density: {rho:.4g} kg/m^3 with a Young's modulus of {modulus:.3g} Pa has "
+            f"waves of {speed / 1e3:.3g} km/s, faster than in any solid (diamond: 17): {wanted}"
+        )
+
+
+def _left_over(case: Case, body: Body) -> int:
+    """Cells that no material names. Collective."""
+    marks = np.ones(len(body.owned_cells()), dtype=bool)
+    for material in case.materials.values():
+        for name in material.regions:
+            marks[body.owned_cells(name)] = False
+    return int(total(body.comm, int(np.count_nonzero(marks))))
+
+
+def _thermal_strain(load: Load, expansion: object) -> float:
+    """Strain by a change of temperature, where both are numbers."""
+    if load.kind != "thermal" or not isinstance(expansion, int | float):
+        return 0.0
+    return abs(expansion) * max(map(_size, load.values), default=0.0)
+
+
+# --- supports ---
+
+
+def _held_loads(case: Case, body: Body) -> Iterator[str]:
+    """Loads on surfaces whose displacement is prescribed: nothing but the reaction changes."""
+    names = [name for s in case.support if _holds_all(s, body.dim) for name in s.surfaces]
+    none = np.empty(0, dtype=np.int32)
+    held = np.concatenate([none, *(body.owned_facets(name) for name in names)])
+    for i, load in enumerate(case.load):
+        on = type(load).model_fields.get("on")
+        if on is None or not on.is_required():
+            continue
+        facets = np.concatenate([body.owned_facets(name) for name in load.parts])
+        free = np.count_nonzero(~np.isin(facets, held))
+        if not total(body.comm, int(free)):
+            yield (
+                f"load[{i}] ({load.kind}) acts on '{', '.join(load.parts)}', where supports "
+                "prescribe the displacement: it changes nothing but the reaction"
+            )
+
+
+def _holds_all(support: Restraint, dim: int) -> bool:
+    return isinstance(support, Prescribing) and support.held(dim) == tuple(range(dim))
+
+
+def _contradictions(case: Case, body: Body) -> Iterator[str]:
+    """Supports that prescribe one component of one corner of cells differently. Collective."""
+    rows = [
+        (i, support, _corners(body, support))
+        for i, support in enumerate(case.support)
+        if isinstance(support, Prescribing) and NORMAL not in support.held(body.dim)
+    ]
+    for (i, one, first), (j, two, second) in combinations(rows, 2):
+        both = np.intersect1d(first, second)
+        x = np.zeros((len(both), 3))
+        x[:] = body.mesh.geometry.x[_geometry_nodes(body, both)]
+        unlike = np.zeros(len(both), dtype=bool)
+        for k in {*one.held(body.dim)} & {*two.held(body.dim)}:
+            unlike |= np.abs(_moved(case, one, k, x) - _moved(case, two, k, x)) > 1e-9 * max(
+                extent(body)
+            )
+        owned = both < body.mesh.topology.index_map(0).size_local
+        if count := int(total(body.comm, int(np.count_nonzero(unlike & owned)))):
+            yield (
+                f"support[{i}] and support[{j}] prescribe different displacements at "
+                f"{count} corner{'s' if count > 1 else ''} of cells that both hold: the later one "
+                "counts"
+            )
+
+
+def _moved(case: Case, support: Prescribing, which: int, x: Floats) -> Floats:
+    """What a support prescribes at the end [m]."""
+    motion = case.dynamics
+    t, default = (case.full, PROPORTIONAL) if motion is None else (motion.end, CONSTANT)
+    return np.asarray(np.broadcast_to(support.at(which, x, t, default), len(x)))
+
+
+def _corners(body: Body, support: Restraint) -> Indices:
+    """Local vertices of a support's surfaces."""
+    topology = body.mesh.topology
+    topology.create_connectivity(body.dim - 1, 0)
+    links = topology.connectivity(body.dim - 1, 0)
+    facets = np.concatenate([body.surface(name) for name in support.surfaces])
+    return np.unique([v for facet in facets for v in links.links(facet)]).astype(np.int32)
+
+
+def _geometry_nodes(body: Body, vertices: Indices) -> Indices:
+    """Where local vertices stand among the nodes of the mesh."""
+    topology, dim = body.mesh.topology, body.mesh.topology.dim
+    topology.create_connectivity(dim, 0)
+    cells = topology.connectivity(dim, 0).array.reshape(-1, dim + 1)
+    number = np.full(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, -1)
+    number[cells.ravel()] = body.mesh.geometry.dofmap[:, : dim + 1].ravel()
+    return np.asarray(number[vertices], dtype=np.int32)

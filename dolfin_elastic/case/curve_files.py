@@ -1,0 +1,118 @@
+"""Curves in CSV files: times in one column, values in another."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any, TypeVar
+
+from dolfin_elastic.core.errors import CaseError, InputError, nearest
+from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.units import is_quantity
+from dolfin_elastic.model.amplitude import Amplitude, CurveFile
+
+R = TypeVar("R", bound=Record)
+
+CURVED = ("support", "load", "contact", "periodic")
+"""Keys of tables, or of lists of tables, that may have a `curve`."""
+
+
+def with_curves(case: R, folder: Path) -> R:
+    """The same case, its curves read from their files. Not collective.
+
+    Args:
+        case: A record with the keys `CURVED`.
+        folder: Folder that the paths are relative to.
+
+    Raises:
+        InputError: A file that cannot be read, or that has no such columns.
+    """
+    read: dict[str, Any] = {}
+    for key in CURVED:
+        found = getattr(case, key)
+        if isinstance(found, list):
+            rows = [_with_curve(row, f"{key}[{i}].curve", folder) for i, row in enumerate(found)]
+            if rows != found:
+                read[key] = rows
+        elif found is not None and (table := _with_curve(found, f"{key}.curve", folder)) != found:
+            read[key] = table
+    return case.model_copy(update=read) if read else case
+
+
+def _with_curve(row: R, where: str, folder: Path) -> R:
+    curve = getattr(row, "curve", None)
+    if not isinstance(curve, Amplitude) or curve.source is None or curve.rows:
+        return row
+    try:
+        read = curve.with_rows(_columns(curve.source, folder / curve.source.file))
+    except InputError as error:
+        raise CaseError(
+            f"{curve.source.file}: {error.what}", where=where, expected=error.expected
+        ) from None
+    return row.model_copy(update={"curve": read})
+
+
+def _columns(source: CurveFile, path: Path) -> list[list[str]]:
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError:
+        others = sorted(p.name for p in path.parent.glob("*.csv"))
+        hint = nearest(path.name, others) if others else "paths are relative to the case file"
+        raise InputError("there is no such file", expected=hint) from None
+    except (OSError, UnicodeDecodeError):
+        raise InputError("this is no text file that can be read") from None
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    mark = next((m for m in ";\t," if lines and m in lines[0]), ",")
+    table = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
+    if not table or len(table[0]) < 2:
+        raise InputError("a curve needs two columns", expected="for example a line 0.1, 2.5")
+    head = None if _number(table[0][0]) else table.pop(0)
+    at = [_place(source.time, head, 0), _place(source.value, head, 1)]
+    if short := [row for row in table if len(row) <= max(at)]:
+        raise InputError(f"the line {mark.join(short[0])!r} ends too early")
+    if not table:
+        raise InputError("there are headings but no numbers")
+    _check_numbers(table, at, mark)
+    if mark == "," and all(len(row) > 2 for row in table) and not source.time + source.value:
+        _refuse_commas(lines, head)
+    return [[row[i] for i in at] for row in table]
+
+
+def _check_numbers(table: list[list[str]], at: list[int], mark: str) -> None:
+    for row in table:
+        for cell in (row[i] for i in at):
+            if not is_quantity(cell):
+                comma = "," in cell and is_quantity(cell.replace(",", "."))
+                raise InputError(
+                    f"'{cell}' is not a number, in the line {mark.join(row)!r}",
+                    expected="decimal points, not commas" if comma else "for example 0.1, 2.5",
+                )
+
+
+def _refuse_commas(lines: list[str], head: list[str] | None) -> None:
+    """Four columns of whole numbers that no heading names look like two with decimal commas."""
+    cells = [line.split(",") for line in lines]
+    whole = all(cell.strip().lstrip("+-").isdigit() for row in cells for cell in row)
+    if head is None and whole and all(len(row) == 4 for row in cells):
+        raise InputError(
+            f"the line {lines[0]!r} has 4 columns: are its commas decimal ones?",
+            expected="decimal points; or name the columns by headings, and by time and value",
+        )
+
+
+def _number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _place(name: str, head: list[str] | None, default: int) -> int:
+    if not name:
+        return default
+    if head is None:
+        raise InputError(f"the file has no headings, so no column '{name}'")
+    if name not in head:
+        raise InputError(f"there is no column '{name}'", expected=nearest(name, head))
+    return head.index(name)

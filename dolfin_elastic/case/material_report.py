@@ -1,0 +1,200 @@
+"""Materials of a case file or by name, and what their bench writes."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dolfin_elastic.case.case import located, read_materials
+from dolfin_elastic.core.errors import CaseError, nearest
+from dolfin_elastic.core.schema import known_keys
+from dolfin_elastic.material_point.homogeneous_tests import Curve
+from dolfin_elastic.material_point.report import Bench
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.results.files import make_folder, replace_text, writing
+
+_PARTS = ("11", "22", "33", "12", "13", "23")
+
+
+def laws_of(what: str, constants: Mapping[str, Any], only: str | None = None) -> dict[str, Law]:
+    """The materials of a case file, or one law with constants from the command line.
+
+    Not collective.
+
+    Args:
+        what: A case file, of which nothing but [materials] is read, or the name of a law.
+        constants: Name to value as written, for a law.
+        only: Name of the one material of the file that is wanted.
+
+    Raises:
+        InputError: There is no such file, law or material, or a value is wrong.
+    """
+    if what in MATERIALS:
+        with located(what):
+            return {what: MATERIALS[what](**constants)}
+    if not what.endswith(".toml") and not Path(what).exists():
+        raise CaseError(
+            f"'{what}' is neither a case file nor a law", expected=nearest(what, MATERIALS)
+        )
+    if constants:
+        raise CaseError(
+            f"--{next(iter(constants))} belongs to a law", where=what, expected="edit the file"
+        )
+    laws = {name: material.law for name, material in read_materials(what).items()}
+    if only is not None and only not in laws:
+        raise CaseError(f"there is no material '{only}'", where=what, expected=nearest(only, laws))
+    return laws if only is None else {only: laws[only]}
+
+
+def constants_of(words: Sequence[str]) -> dict[str, Any]:
+    """``["--E", "10 MPa", "--nu=0.3"]`` as a dictionary; a value in brackets is a list.
+
+    Raises:
+        InputError: A word is no option, or an option has no value.
+    """
+    found: dict[str, Any] = {}
+    rest = list(words)
+    while rest:
+        word = rest.pop(0)
+        name, equals, value = word.removeprefix("--").partition("=")
+        if not word.startswith("--") or not name:
+            raise CaseError(f"'{word}' is not understood", expected="write --E '10 MPa'")
+        if not equals and not rest:
+            raise CaseError(f"--{name} has no value", expected=f"write --{name} VALUE")
+        found[name] = _value(name, value if equals else rest.pop(0))
+    return found
+
+
+def _value(name: str, text: str) -> Any:
+    if not text.startswith("["):
+        return text
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        raise CaseError(f"--{name}: {text} is no list", expected="for example [1, 0, 0]") from None
+
+
+def listed() -> list[dict[str, Any]]:
+    """Every law with its formula and parameters, as its class tells them."""
+    return [
+        {
+            "law": name,
+            "what": _said(kind)[0],
+            "formula": _said(kind)[1],
+            "parameters": _parameters(kind),
+            "source": _source(kind),
+        }
+        for name, kind in MATERIALS.items()
+    ]
+
+
+def _paragraphs(kind: type[Law]) -> list[str]:
+    text = (kind.__doc__ or "").split("Attributes:")[0]
+    return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
+
+
+def _said(kind: type[Law]) -> tuple[str, str]:
+    """First line of a class, and the first sentence with an equation in it."""
+    first, *others = _paragraphs(kind) or [""]
+    with_equation = [part for part in others if "=" in part and not part.startswith("Source")]
+    formula = with_equation[0] if with_equation else ""
+    return first, formula.split(". ")[0].rstrip(".")
+
+
+def _source(kind: type[Law]) -> str:
+    texts = [part for part in _paragraphs(kind) if part.startswith("Source:")]
+    return texts[0].removeprefix("Source:").strip() if texts else ""
+
+
+def _parameters(kind: type[Law]) -> dict[str, str]:
+    """Name of each key to what the docstrings of the class and its bases say of it."""
+    said: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        _, _, attributes = (base.__dict__.get("__doc__") or "").partition("Attributes:")
+        for line in attributes.splitlines():
+            name, colon, text = line.strip().partition(": ")
+            if colon and name.isidentifier():
+                said[name] = text
+    names = [name for name in kind.model_fields if name not in ("law", "density")]
+    return {name: said.get(name, "") for name in names if name in known_keys(kind)}
+
+
+# --- what is written ---
+
+
+def write(name: str, found: Bench, folder: Path) -> list[Path]:
+    """A CSV file a curve and one picture. Not collective.
+
+    Raises:
+        OutputError: Something cannot be written.
+    """
+    make_folder(folder)
+    paths = []
+    for mode, curve in found.curves.items():
+        paths.append(folder / f"{_plain(name)}_{mode}.csv")
+        replace_text(paths[-1], table(curve))
+    if found.curves:
+        paths.append(folder / f"{_plain(name)}.png")
+        _draw(name, found, paths[-1])
+    return paths
+
+
+def _plain(name: str) -> str:
+    return "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
+
+
+def table(curve: Curve) -> str:
+    """A curve as CSV: what is prescribed, F, J, P and Cauchy stress [Pa], energy [J/m^3]."""
+    heads = [curve.mode.symbol, *(f"F{p}" for p in _PARTS), "J"]
+    heads += [*(f"P{p}" for p in _PARTS), *(f"sigma{p}" for p in _PARTS), "energy"]
+    rows, columns = np.array([[int(c) - 1 for c in p] for p in _PARTS]).T
+    stacked = np.column_stack(
+        [
+            curve.values,
+            curve.F[:, rows, columns],
+            curve.J,
+            curve.P[:, rows, columns],
+            curve.cauchy[:, rows, columns],
+            curve.energy,
+        ]
+    )
+    lines = [",".join(f"{value:.12g}" for value in row) for row in stacked]
+    return "\n".join([",".join(heads), *lines]) + "\n"
+
+
+_UNITS = ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"), (1.0, "Pa"))
+
+
+def _draw(name: str, found: Bench, path: Path) -> None:
+    """One picture of all curves."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 6.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, 3).ravel()
+    for axis, curve in zip(axes, found.curves.values(), strict=False):
+        _panel(axis, curve)
+    axes[-1].axis("off")
+    lines = [f"{f.check}: {f.text}" for f in found.findings if f.check.startswith(("ell", "small"))]
+    axes[-1].text(0, 1, "\n".join([f"{name}", *lines]), va="top", fontsize=8, wrap=True)
+    with writing(path):
+        figure.savefig(path, dpi=130)
+
+
+def _panel(axis: Any, curve: Curve) -> None:
+    i, j = curve.mode.shown
+    nominal, true = curve.P[:, i, j], curve.cauchy[:, i, j]
+    top = float(np.abs(nominal).max()) or 1.0
+    size, unit = next((u for u in _UNITS if top >= u[0]), _UNITS[-1])
+    axis.plot(curve.values, nominal / size, label=f"nominal P{i + 1}{j + 1}", color="#1f5f8b")
+    axis.plot(curve.values, true / size, "--", label=f"Cauchy {i + 1}{j + 1}", color="#b0562f")
+    axis.plot([curve.mode.rest], [0], "o", color="#303840", markersize=3)
+    axis.set(title=curve.mode.name, xlabel=curve.mode.symbol, ylabel=f"stress [{unit}]")
+    axis.grid(color="#dde1e5")
+    axis.legend(fontsize=8)

@@ -1,0 +1,283 @@
+"""Going on with a run that has ended before its end: what is in its folder, and what must fit."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from dolfin_elastic.case.case import Case, read_case
+from dolfin_elastic.case.curve_files import CURVED
+from dolfin_elastic.case.toml import toml_text
+from dolfin_elastic.core.errors import InputError, RestartError, nearest
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.schema import Record
+from dolfin_elastic.model.amplitude import Amplitude
+from dolfin_elastic.results.checkpoint.checkpoints import (
+    CASE,
+    FOLDER,
+    About,
+    Found,
+    digest,
+    last_step,
+    newest,
+    read_case_text,
+)
+from dolfin_elastic.results.checkpoint.lock import check_free
+
+log = logging.getLogger("dolfin_elastic")
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """A run that can go on.
+
+    Attributes:
+        case: What it computes.
+        folder: Of its results.
+        found: Its newest whole checkpoint.
+        newest: Step of its newest one, be it damaged or not.
+    """
+
+    case: Case
+    folder: Path
+    found: Found
+    newest: int | None
+
+    @property
+    def step(self) -> int:
+        """The last step that is known."""
+        return int(self.found.content["step"])
+
+    @property
+    def done(self) -> float:
+        """Share of the run that is done."""
+        return float(self.found.content["done"])
+
+    def told(self) -> str:
+        """Where it goes on, in words."""
+        content, motion = self.found.content, self.case.dynamics is not None
+        place = f"t = {content['t']:.5g} s" if motion else f"load {100 * content['t']:.4g} %"
+        return f"going on after step {self.step} ({place}), written {content['written']}"
+
+    def check_newest(self) -> None:
+        """Nobody has gone on since this was found. Collective.
+
+        Raises:
+            RestartError: The run is complete, or the checkpoint is not there any more.
+        """
+        on_root(self.found.comm, self._check_newest)
+
+    def _check_newest(self) -> None:
+        _check_unfinished(self.folder)
+        if last_step(self.folder) != self.newest or not self.found.path.is_file():
+            raise RestartError(
+                "somebody else has gone on with this run meanwhile",
+                where=str(self.folder),
+                expected="restart it again",
+            )
+
+    def check(self, about: About) -> None:
+        """The mesh is that of the checkpoint. Not collective.
+
+        Raises:
+            RestartError: It is another one.
+        """
+        before = self.found.content["mesh"]
+        if before == json.loads(json.dumps(about.mesh)):
+            return
+        words = {"cells": "number of cells", "geometry": "places of cells"}
+        which = next((key for key in about.mesh if before.get(key) != about.mesh[key]), "cells")
+        raise RestartError(
+            f"the mesh is not that of the checkpoint: its {words.get(which, which)} differ",
+            where=str(self.folder),
+            expected="the mesh as it was (a CAD file must be meshed by the same Gmsh), or "
+            "compute the case anew",
+        )
+
+
+def unfinished(
+    folder: str | PathLike[str], *, case: Case | None = None, comm: MPI.Comm = MPI.COMM_WORLD
+) -> Unfinished:
+    """Looks for the run in a folder of results. Collective.
+
+    Args:
+        folder: The folder.
+        case: What it computes, needed only if the case was made in Python and is no text.
+        comm: The ranks that shall go on.
+
+    Raises:
+        RestartError: There is nothing to go on from, the case is another one, or it is still going.
+    """
+    path = Path(folder)
+    on_root(comm, lambda: _check_folder(path))
+    latest = on_root(comm, lambda: last_step(path))
+    found = newest(comm, path)
+    if found is None:
+        raise RestartError(
+            "all its checkpoints are damaged", where=str(path), expected="compute the case anew"
+        )
+    text = on_root(comm, lambda: read_case_text(path))
+    copy = path / FOLDER / CASE
+    if digest(text) != found.content["case"]:
+        raise RestartError(
+            "this is not the case of the checkpoint any more",
+            where=str(copy),
+            expected="the file as the run has left it, or compute the case anew",
+        )
+    if not text and case is None:
+        raise RestartError(
+            "the case was made in Python and cannot be written down",
+            where=str(path),
+            expected="in Python: restart(folder, case=...)",
+        )
+    written = read_case(copy, comm=comm) if text else None
+    if written is not None and case is not None and _tables(case) != _tables(written):
+        raise RestartError(
+            "the case is not that of the checkpoint: " + _difference(case, written),
+            where=str(path),
+            expected="the same case, or compute it anew",
+        )
+    if written is not None and case is None:
+        _compare(written, found.content["file"], comm)
+    known = case or written
+    assert known is not None
+    return Unfinished(known, path, found, latest)
+
+
+def _check_folder(folder: Path) -> None:
+    """Says what is missing. On rank 0."""
+    where = str(folder)
+    if folder.is_file():
+        raise RestartError(
+            "this is a file", where=where, expected="expected the folder of the results of a run"
+        )
+    if not folder.is_dir():
+        parent = folder.parent
+        others = [p.parent.parent for p in parent.glob(f"*/{FOLDER}/{CASE}")]
+        hint = nearest(folder.name, [p.name for p in others]) if others else ""
+        raise RestartError("there is no such folder", where=where, expected=hint)
+    check_free(folder)
+    _check_unfinished(folder)
+
+
+def _check_unfinished(folder: Path) -> None:
+    where, status = str(folder), _status(folder)
+    if status == "completed":
+        raise RestartError(
+            "this run is complete", where=where, expected="nothing is left to compute"
+        )
+    if last_step(folder) is None:
+        if not status:
+            raise RestartError(
+                "this is no folder of results",
+                where=where,
+                expected="expected one that a run has written",
+            )
+        raise RestartError(
+            "the run has ended before its first checkpoint",
+            where=where,
+            expected="compute the case anew; output.checkpoint says how often there is one, "
+            "modes and buckling have none",
+        )
+
+
+def _status(folder: Path) -> str:
+    """How a run has ended as its summary says; empty where there is none."""
+    try:
+        return str(json.loads((folder / "summary.json").read_text(encoding="utf-8"))["status"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+
+
+def about(
+    case: Case, mesh: Mapping[str, Any], petsc: Mapping[str, Any], before: Unfinished | None = None
+) -> About:
+    """What checkpoints of a run say of it. Not collective.
+
+    Args:
+        case: What it computes.
+        mesh: See `sums.fingerprint`.
+        petsc: PETSc options from outside the case.
+        before: What it goes on with, whose case file stays the one that people edit.
+    """
+    try:
+        tables = portable(case)
+        text = toml_text(tables)
+    except TypeError:  # a function in Python is no text
+        text = ""
+    file = str(Path(case.file).resolve()) if case.file else ""
+    if before is not None:
+        file = before.found.content["file"] or file
+    return About(text, file, mesh, petsc)
+
+
+def portable(case: Case) -> dict[str, Any]:
+    """The tables of a case that needs no file but its mesh, whose path holds from everywhere."""
+    given = {key: found for key in CURVED if (found := getattr(case, key))}
+    whole = {
+        key: [_with_table(row) for row in found] if isinstance(found, list) else _with_table(found)
+        for key, found in given.items()
+    }
+    tables = case.model_copy(update=whole).to_dict()
+    if case.mesh.file is not None:
+        tables["mesh"]["file"] = str((case.folder / case.mesh.file).resolve())
+    return tables
+
+
+def _with_table(row: Record) -> Record:
+    """A record with its curve's table in place of the file that it stood in."""
+    curve = getattr(row, "curve", None)
+    if isinstance(curve, Amplitude) and curve.rows:
+        return row.model_copy(update={"curve": Amplitude(curve.rows)})
+    return row
+
+
+def _compare(written: Case, file: str, comm: MPI.Comm) -> None:
+    """Warns where the case file has been changed since the run began. Collective."""
+    if not file or not on_root(comm, Path(file).is_file):
+        return  # it is gone, as on another machine
+    try:
+        now = read_case(file, comm=comm)
+    except InputError as error:
+        log.warning(
+            "the case file cannot be compared with the case as it was, with which the run goes on: "
+            "%s",
+            error,
+        )
+        return
+    if _tables(now) != _tables(written):
+        log.warning(
+            "%s has been changed (%s); the run goes on with the case as it was",
+            file,
+            _difference(now, written),
+        )
+
+
+def _tables(case: Case) -> dict[str, Any]:
+    """What two cases are compared by: not by where the mesh lies, for that has a fingerprint."""
+    tables = json.loads(json.dumps(portable(case), default=repr))
+    tables["mesh"].pop("file", None)
+    return dict(tables)
+
+
+def _difference(case: Case, other: Case) -> str:
+    """The first key in which two cases differ."""
+    here, there = _tables(case), _tables(other)
+    return _first_difference(here, there) or "the case"
+
+
+def _first_difference(here: Any, there: Any, path: str = "") -> str:
+    if isinstance(here, dict) and isinstance(there, dict):
+        pairs = [(f".{key}", here.get(key), there.get(key)) for key in {**here, **there}]
+    elif isinstance(here, list) and isinstance(there, list) and len(here) == len(there):
+        pairs = [(f"[{i}]", a, b) for i, (a, b) in enumerate(zip(here, there, strict=True))]
+    else:
+        return path.lstrip(".")
+    return next((_first_difference(a, b, path + key) for key, a, b in pairs if a != b), "")

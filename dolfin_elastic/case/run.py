@@ -1,0 +1,218 @@
+"""The pipe: case, body, problem, solver, results; from the start or from a checkpoint."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import chain, islice
+from os import PathLike
+from pathlib import Path
+from typing import Any, cast
+
+from mpi4py import MPI
+
+from dolfin_elastic.case.case import Case, located
+from dolfin_elastic.case.check import check
+from dolfin_elastic.case.check.contact import contact_notes
+from dolfin_elastic.case.outputs import opened
+from dolfin_elastic.case.restart import Unfinished, about, unfinished
+from dolfin_elastic.core import timing
+from dolfin_elastic.core.errors import OutputError
+from dolfin_elastic.core.signals import forget
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.restart_state import Kept
+from dolfin_elastic.problem.state import Mode, State
+from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
+from dolfin_elastic.results.checkpoint.checksums import fingerprint
+from dolfin_elastic.results.checkpoint.lock import Claim
+from dolfin_elastic.results.writer import ModeWriter, Writer
+from dolfin_elastic.solvers.nonlinear.contact import tell_untouched
+
+log = logging.getLogger("dolfin_elastic")
+States = Generator[State | Mode, None, None]
+
+
+def run(
+    case: Case,
+    *,
+    output: str | PathLike[str] | None = None,
+    petsc: Mapping[str, Any] | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    asked: Callable[[], bool] | None = None,
+) -> States:
+    """Solves a case and yields its states, and its modes, each written already.  Collective.
+
+    Whoever closes it between two states leaves a checkpoint behind.
+
+    Args:
+        case: From `read_case`, or made in Python.
+        output: Folder of the results; by default what the case says.
+        petsc: PETSc options that win over the case's own.
+        comm: The ranks that work together.
+        asked: Called after each state; true on a rank: a checkpoint is written there and then.
+
+    Raises:
+        InputError: The case is wrong, or a run is still going in that folder; nothing has been
+            written.
+        SolveError: No solution was found; the results so far are complete.
+        OutputError: Results cannot be written.
+    """
+    folder = Path(output) if output is not None else case.results_folder()
+    yield from _Run(case, folder, dict(petsc or {}), comm, asked).states()
+
+
+def restart(
+    folder: str | PathLike[str] | Unfinished,
+    *,
+    case: Case | None = None,
+    petsc: Mapping[str, Any] | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    asked: Callable[[], bool] | None = None,
+) -> States:
+    """Goes on with a run from its last checkpoint, on any number of ranks.  Collective.
+
+    The results after that checkpoint are cut off, and grow again.  What is yielded begins with
+    the step after it.
+
+    Args:
+        folder: Of the results; or what `unfinished` has found there.
+        case: See `unfinished`.
+        petsc: PETSc options that win over those of the first run.
+        comm: The ranks that work together.
+        asked: See `run`.
+
+    Raises:
+        RestartError: There is nothing to go on from, case or mesh have changed, or a run is still
+            going there.
+        InputError: The mesh is gone, or the case is wrong.
+        SolveError: No solution was found; the results so far are complete.
+        OutputError: Results cannot be written.
+    """
+    if not isinstance(folder, Unfinished):
+        folder = unfinished(folder, case=case, comm=comm)
+        log.info("%s", folder.told())
+    options = {**folder.found.content["petsc"], **(petsc or {})}
+    yield from _Run(folder.case, folder.folder, options, comm, asked).states(folder)
+
+
+@dataclass
+class _Run:
+    """One run, from the start or from a checkpoint; see `run`."""
+
+    case: Case
+    folder: Path
+    petsc: dict[str, Any]
+    comm: MPI.Comm
+    asked: Callable[[], bool] | None
+
+    def __post_init__(self) -> None:
+        self.claim = Claim(self.comm, self.folder)
+
+    def states(self, before: Unfinished | None = None) -> States:
+        """All states and modes, in a folder that no other run writes into meanwhile."""
+        with closing(self.claim):
+            self.claim.take()  # before anything is computed; where there is no folder yet, later
+            if before is not None:
+                before.check_newest()
+            if self.comm.rank == 0:  # only now: until it is claimed it may be another run's
+                forget(self.folder)
+            yield from self._states(before)
+
+    def _states(self, before: Unfinished | None) -> States:
+        timing.begin()
+        with timing.stage("mesh"):
+            body = self.case.read_body(self.comm)
+            told = about(self.case, fingerprint(body), self.petsc, before)
+        if before is not None:
+            before.check(told)
+        for note in body.notes:
+            log.info("mesh: %s", note)
+        for note in check(self.case, body):
+            log.warning("%s", note)
+        problem = self.case.make_problem(body)
+        for note in contact_notes(self.case, problem):
+            log.warning("%s", note)
+        solver = self.case.make_solver(problem, petsc=self.petsc)
+        restore = {} if before is None else {"restore": before.found.restore}
+        steps = cast(States, solver.steps(**restore))
+        if before is None:  # what was touched before is not known
+            steps = tell_untouched(problem, steps)
+        step, settings = 0 if before is None else before.step, self.case.output.checkpoint
+        checkpoints = Checkpoints(self.comm, self.folder, settings, told, step=step)
+        with located(self.case.file), closing(steps):
+            yield from self._written(problem, steps, _Keeper(checkpoints, solver), before)
+        checkpoints.clear()
+
+    def _written(
+        self, problem: Problem, steps: States, keeper: _Keeper, before: Unfinished | None
+    ) -> States:
+        """The states, each with all outputs, and a checkpoint now and then."""
+        output = self.case.output
+        # A fault at the start leaves no folder behind; where one goes on, it is there already.
+        probe = output.probe(problem, self.case.mesh.scale)
+        probed = (probe.onto(step) if isinstance(step, State) else step for step in steps)
+        first = [] if before else list(islice(probed, 1))
+        self.claim.take(make=True)
+        keeper.begin(new=before is None)
+        kept = None if before is None else before.found.content["outputs"]
+        with opened(self.case.files(), problem, self.folder, kept) as writers:
+            for found in chain(first, probed):
+                for writer in writers:
+                    _write(writer, found)
+                keeper.look(found, writers, asked=self.asked is not None and self.asked())
+                try:
+                    yield found
+                except GeneratorExit:
+                    keeper.stop(found, writers)
+                    raise
+
+
+def _write(writer: Writer, found: State | Mode) -> None:
+    if isinstance(found, State):
+        writer.write(found)
+    elif isinstance(writer, ModeWriter):
+        writer.write_mode(found)
+
+
+class _Keeper:
+    """Makes checkpoints of a solver that can go on from them.  All of it is collective.
+
+    Args:
+        checkpoints: Where they go.
+        solver: Whoever has `kept`, see problem/restart_state.py.
+    """
+
+    def __init__(self, checkpoints: Checkpoints, solver: Any) -> None:
+        self._checkpoints = checkpoints
+        self._kept: Callable[[], Kept] | None = getattr(solver, "kept", None)
+
+    def begin(self, *, new: bool) -> None:
+        """Removes the checkpoints that are none of this run."""
+        if not new:
+            self._checkpoints.go_on()
+        elif self._checkpoints.clear():
+            log.warning("the checkpoints of a run that had not ended are removed")
+
+    def look(self, state: State | Mode, writers: Sequence[Writer], *, asked: bool) -> None:
+        """Makes one if it is time."""
+        if self._kept is None or isinstance(state, Mode):
+            return
+        if self._checkpoints.due(state, asked=asked):
+            self._save(self._kept, state, writers)
+
+    def stop(self, state: State | Mode, writers: Sequence[Writer]) -> None:
+        """Makes one for whoever goes on."""
+        if self._kept is None or isinstance(state, Mode):
+            return
+        if self._checkpoints.off or state.done >= 1.0:
+            return
+        try:
+            self._save(self._kept, state, writers)
+        except OutputError as error:
+            log.warning("%s", error)
+
+    def _save(self, kept: Callable[[], Kept], state: State, writers: Sequence[Writer]) -> None:
+        outputs = [writer.kept() if hasattr(writer, "kept") else {} for writer in writers]
+        self._checkpoints.save(state, kept(), outputs)

@@ -1,0 +1,388 @@
+"""The tables of a case file, and how they are read.
+
+`Case` (case/case.py) puts them together.  A fault found here says where it is inside its table;
+whoever reads the table puts its own key in front.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from mpi4py import MPI
+from pydantic import Field, field_validator, model_validator
+
+from dolfin_elastic.case.toml import key_text
+from dolfin_elastic.core.errors import (
+    InputError,
+    MeshError,
+    UnitError,
+    nearest,
+)
+from dolfin_elastic.core.schema import (
+    Record,
+    known_keys,
+    shown,
+    within,
+)
+from dolfin_elastic.core.units import to_si
+from dolfin_elastic.mesh import (
+    Body,
+    Selector,
+    box_body,
+    read_body,
+    rectangle_body,
+)
+from dolfin_elastic.mesh.selectors import MeshLength
+from dolfin_elastic.model.dimension import Geometry
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.model.materials.user import Own, read_energy
+from dolfin_elastic.problem.formulation import Formulation
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.results.checkpoint.checkpoints import Checkpoint
+from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.outputs import (
+    History,
+    ModePicture,
+    Modes,
+    Picture,
+    Summary,
+    Xdmf,
+)
+from dolfin_elastic.results.outputs import Output as File
+from dolfin_elastic.results.probes import Probe, ProbePoint, check_places
+from dolfin_elastic.results.writer import Steps
+
+T = TypeVar("T")
+Count = Annotated[int, Field(gt=0)]
+
+
+class Box(Record):
+    """A box of tetrahedra with surfaces left, right (x), front, back (y), bottom, top (z).
+
+    Attributes:
+        size: Lengths of the three edges.
+        cells: Number of little cubes along each edge; each makes six tetrahedra.
+        origin: The corner with the smallest coordinates.
+    """
+
+    size: Annotated[list[MeshLength], Field(min_length=3, max_length=3)]
+    cells: Annotated[list[Count], Field(min_length=3, max_length=3)]
+    origin: Annotated[list[MeshLength], Field(min_length=3, max_length=3)] = Field(
+        default=[0, 0, 0]
+    )
+
+
+class Rectangle(Record):
+    """A rectangle of triangles (plane strain) with surfaces left, right (x), bottom, top (y).
+
+    Attributes:
+        size: Lengths of the two edges.
+        cells: Number of little squares along each edge; each makes two triangles.
+        origin: The corner with the smallest coordinates.
+    """
+
+    size: Annotated[list[MeshLength], Field(min_length=2, max_length=2)]
+    cells: Annotated[list[Count], Field(min_length=2, max_length=2)]
+    origin: Annotated[list[MeshLength], Field(min_length=2, max_length=2)] = Field(default=[0, 0])
+
+
+class MeshTable(Record):
+    """The table [mesh]: exactly one of `file`, `box` and `rectangle`.
+
+    Attributes:
+        file: Mesh or CAD file, relative to the case file's folder.
+        box: A box made on the spot.
+        rectangle: A rectangle made on the spot.
+        size: Size of the elements, for CAD files only.
+        curved: Whether a CAD file's cells are quadratic and follow curved surfaces.
+        unit: Unit of length of the mesh and of bare numbers about it.
+        degree: Degree of the displacement in the elements, 1 or 2.
+        formulation: "displacement", "mixed" (with a pressure, for nearly incompressible materials)
+            or "auto".
+        geometry: What a two-dimensional body is: "plane-strain", "plane-stress" or "axisymmetric".
+        thickness: Of a plane body; 1 m by default.
+        quadrature_degree: Overrides the degree of exactness of the internal forces' integral.
+    """
+
+    file: str | None = None
+    box: Box | None = None
+    rectangle: Rectangle | None = None
+    size: MeshLength | None = None
+    curved: bool = False
+    unit: str = "m"
+    degree: Literal[1, 2] = 1
+    formulation: Formulation = "auto"
+    geometry: Geometry = "plane-strain"
+    thickness: MeshLength | None = None
+    quadrature_degree: Annotated[int, Field(ge=0, le=20)] | None = None
+
+    @field_validator("unit")
+    @classmethod
+    def _is_length(cls, unit: str) -> str:
+        try:
+            to_si(f"1 {unit}", "m")
+        except UnitError:
+            raise UnitError(
+                f"'{unit}' is no unit of length", expected='expected for example "mm"'
+            ) from None
+        return unit
+
+    @model_validator(mode="after")
+    def _one_mesh(self) -> Self:
+        kinds = ("file", "box", "rectangle")
+        given = [key for key in kinds if getattr(self, key) is not None]
+        if len(given) != 1:
+            what = f"{' and '.join(given)} given together" if given else "no mesh is given"
+            raise InputError(what, expected=f"expected exactly one of {', '.join(kinds)}")
+        if self.size is not None and not self.file:
+            raise InputError(
+                f"a {given[0]} takes no element size",
+                where="size",
+                expected=f"use {given[0]}.cells",
+            )
+        if self.curved and not self.file:
+            raise InputError(
+                f"a {given[0]} has no curved surfaces", where="curved", expected="leave it out"
+            )
+        return self
+
+    @property
+    def scale(self) -> float:
+        """Metres per unit of length of the mesh."""
+        return to_si(f"1 {self.unit}", "m")
+
+    @property
+    def metres_thick(self) -> float:
+        """Thickness of a plane body [m]."""
+        return 1.0 if self.thickness is None else self._in_unit(self.thickness) * self.scale
+
+    def _in_unit(self, length: float | str) -> float:
+        return to_si(length, "m") / self.scale if isinstance(length, str) else float(length)
+
+    def body(self, folder: Path, comm: MPI.Comm) -> Body:
+        """Reads or makes the mesh. Collective."""
+        if self.file is not None:
+            size = None if self.size is None else self._in_unit(self.size)
+            return read_body(
+                folder / self.file, comm=comm, scale=self.scale, size=size, curved=self.curved
+            )
+        made = self.box or self.rectangle
+        assert made is not None
+        make = box_body if self.box else rectangle_body
+        return make(
+            size=[self._in_unit(s) for s in made.size],
+            cells=made.cells,
+            origin=[self._in_unit(s) for s in made.origin],
+            comm=comm,
+            scale=self.scale,
+        )
+
+
+class Material(Record):
+    """A table [materials.NAME]: a law with its constants, and where it holds.
+
+    Attributes:
+        law: The law; in a case file its name, with its constants beside it.
+        on: Region or regions it fills; None: everything no other material names.
+    """
+
+    law: Law
+    on: str | list[str] | None = None
+
+    @property
+    def regions(self) -> tuple[str, ...]:
+        """Names of its regions."""
+        return () if self.on is None else (self.on,) if isinstance(self.on, str) else (*self.on,)
+
+    @classmethod
+    def read(cls, table: Any) -> Material:
+        """From a case file's table, or from a law."""
+        if isinstance(table, Material):
+            return table
+        if isinstance(table, Law):
+            return cls(law=table)
+        if not isinstance(table, Mapping):
+            raise InputError(
+                f"{shown(table)} is no material", expected="write its table as [materials.NAME]"
+            )
+        if "energy" in table:
+            own = read_energy({key: value for key, value in table.items() if key != "on"})
+            return cls(law=own, on=table.get("on"))
+        law = pick(MATERIALS, table, "law")
+        known = {*known_keys(law), "on"}
+        for key in table:
+            if key not in known:
+                raise InputError(f"unknown key '{key}'", expected=nearest(str(key), known))
+        return cls(
+            law=law(**{key: value for key, value in table.items() if key != "on"}),
+            on=table.get("on"),
+        )
+
+    def table(self) -> dict[str, Any]:
+        """Back to a case file's table."""
+        named = {} if isinstance(self.law, Own) else {"law": self.law.name()}
+        law = {**named, **written(self.law)}
+        return law if self.on is None else {**law, "on": self.on}
+
+
+class Output(Record):
+    """The table [output]: what is written, where, and how often.
+
+    Attributes:
+        folder: Folder of the results, relative to the case file's; by default the case file's
+            name with "_results", in the folder where the run is started.
+        fields: Fields for ParaView; by default displacement and stresses.
+        every: Fields are written every so many steps, and at the end; by default every step, with
+            an explicit scheme about 200 states.
+        pictures: Pictures of the deformed body.
+        probes: Name to a point or surface of the undeformed body, where fields are read off at
+            every step.
+        checkpoint: When all is written that a run needs to go on; false: never.
+        frames: Of one period of a mode.
+        amplitude: Largest displacement of a mode's animation, over the body's longest side.
+    """
+
+    folder: str | None = None
+    fields: tuple[str, ...] | None = None
+    every: Steps | None = None
+    pictures: list[Picture] = Field(default=[])
+    probes: dict[str, ProbePoint] = Field(default={})
+    checkpoint: Checkpoint = Checkpoint()
+    frames: Count = 20
+    amplitude: Annotated[float, Field(gt=0)] = 0.1
+
+    @field_validator("fields")
+    @classmethod
+    def _known(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        for index, name in enumerate(names or ()):
+            if name not in FIELDS:
+                raise InputError(
+                    f"unknown field '{name}'", where=f"[{index}]", expected=nearest(name, FIELDS)
+                )
+        return names
+
+    @field_validator("pictures")
+    @classmethod
+    def _apart(cls, pictures: list[Picture]) -> list[Picture]:
+        for index, picture in enumerate(pictures):
+            if picture.file in [other.file for other in pictures[:index]]:
+                raise InputError(
+                    f"'{picture.file}' is the file of a picture above",
+                    where=f"[{index}].file",
+                    expected="a file of its own",
+                )
+        return pictures
+
+    def check_probes(self, body: Body, scale: float) -> None:
+        """Finds the probes' points in the body. Collective.
+
+        Raises:
+            MeshError: A point lies outside, or has too few coordinates.
+        """
+        try:
+            check_places(self.probes, body, scale)
+        except MeshError as error:
+            raise within("output.probes", error) from None
+
+    def probe(self, problem: Problem, scale: float) -> Probe:
+        """What reads the fields off. Collective.
+
+        Args:
+            problem: The problem that is solved.
+            scale: Metres per unit of the mesh.
+        """
+        return Probe.of(self.probes, problem, scale)
+
+    def files(
+        self,
+        frames: int | None = None,
+        title: str = "",
+        *,
+        states: bool = True,
+        modes: bool = False,
+    ) -> list[File]:
+        """Everything that is written.
+
+        Args:
+            frames: Thins the fields unless `every` says how.
+            title: Of pictures that have none of their own.
+            states: There are states.
+            modes: There are modes.
+        """
+        every = {"frames": frames} if self.every is None else {"every": self.every}
+        pictures = [
+            p if p.title is not None else p.model_copy(update={"title": title})
+            for p in self.pictures
+        ]
+        found: list[File] = [Xdmf(fields=self.fields, **every), History()] if states else []
+        if not modes:
+            return [*found, *pictures, Summary()]
+        drawn = [ModePicture(**{**written(p), "amplitude": self.amplitude}) for p in pictures]
+        return [*found, Modes(frames=self.frames, amplitude=self.amplitude), *drawn, Summary()]
+
+
+# --- reading ---
+
+
+def as_table(value: Any) -> dict[str, Any]:
+    """A table, or a record as one.
+
+    Raises:
+        InputError: It is neither.
+    """
+    if isinstance(value, Record):
+        return written(value)
+    if not isinstance(value, Mapping):
+        raise InputError(f"{shown(value)} is wrong", expected="expected a table")
+    return dict(value)
+
+
+def pick(kinds: Mapping[str, type[T]], table: Any, key: str) -> type[T]:
+    """The class that a table's `law` or `kind` names.
+
+    Raises:
+        InputError: It names none, or an unknown one.
+    """
+    name = as_table(table).get(key)
+    if name is None:
+        raise InputError("this key is missing", where=key, expected=f"known: {', '.join(kinds)}")
+    if not isinstance(name, str):
+        raise InputError(f"{shown(name)} is wrong", where=key, expected="expected a text")
+    if name not in kinds:
+        raise InputError(f"unknown {key} '{name}'", where=key, expected=nearest(name, kinds))
+    return kinds[name]
+
+
+def named(tables: Any, read: Callable[[Any], T]) -> dict[str, T]:
+    """Reads each entry of a table of tables; faults get its name."""
+    return {name: _at(key_text(name), read, table) for name, table in as_table(tables).items()}
+
+
+def listed(rows: Any, read: Callable[[Any], T]) -> list[T]:
+    """Reads each entry of a list of tables; faults get its index."""
+    return [_at(f"[{index}]", read, row) for index, row in enumerate(rows)]
+
+
+def _at(key: str, read: Callable[[Any], T], table: Any) -> T:
+    try:
+        return read(table)
+    except InputError as error:
+        raise within(key, error) from None
+
+
+def selectors(value: Any) -> list[Selector]:
+    """One selector, or several whose parts are joined."""
+    return listed(value, selector) if isinstance(value, list | tuple) else [selector(value)]
+
+
+def selector(value: Any) -> Selector:
+    """One selector."""
+    return value if isinstance(value, Selector) else Selector(**as_table(value))
+
+
+def written(record: Record) -> dict[str, Any]:
+    """A record as the table it was read from, without what was left out."""
+    return record.model_dump(exclude_unset=True, exclude_none=True, by_alias=True)

@@ -1,0 +1,113 @@
+"""TOML: read with messages that show the line, and written, which Python itself cannot."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from dolfin_elastic.core.errors import CaseError, nearest
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def toml_text(tables: Mapping[str, Any]) -> str:
+    """A TOML document.
+
+    Args:
+        tables: Top-level values; tables of tables become ``[a.b]``, lists of tables ``[[a]]``,
+            tables further down stand in one line.
+    """
+    plain = [f"{key_text(k)} = {value_text(v)}" for k, v in tables.items() if not _is_table(v)]
+    blocks = ["\n".join(plain)] if plain else []
+    for key, value in tables.items():
+        if isinstance(value, Mapping):
+            blocks += _blocks(key_text(key), value)
+        elif _is_table(value):
+            blocks += [_block(f"[[{key_text(key)}]]", row) for row in value]
+    return "\n\n".join(blocks) + "\n"
+
+
+def _is_table(value: Any) -> bool:
+    rows = value if isinstance(value, list | tuple) and value else [value]
+    return all(isinstance(row, Mapping) for row in rows)
+
+
+def _blocks(key: str, table: Mapping[str, Any]) -> list[str]:
+    named = table and all(isinstance(v, Mapping) and "law" in v for v in table.values())
+    if not named:
+        return [_block(f"[{key}]", table)]
+    return [_block(f"[{key}.{key_text(name)}]", row) for name, row in table.items()]
+
+
+def _block(head: str, table: Mapping[str, Any]) -> str:
+    return "\n".join([head, *(f"{key_text(k)} = {value_text(v)}" for k, v in table.items())])
+
+
+def key_text(key: str) -> str:
+    """A key as it stands in a file: bare where it can be."""
+    return key if _BARE.fullmatch(key) else value_text(key)
+
+
+def value_text(value: Any) -> str:
+    """A value in one line.
+
+    Raises:
+        TypeError: TOML has no such value.
+    """
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(value_text, value)) + "]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key_text(k)} = {value_text(v)}" for k, v in value.items()) + "}"
+    raise TypeError(f"TOML has no {type(value).__name__}")
+
+
+def read_toml(file: str) -> dict[str, Any]:
+    """The tables of a file. Not collective.
+
+    Raises:
+        CaseError: It cannot be read, or is no TOML: with the line and a caret.
+    """
+    text = ""
+    try:
+        text = Path(file).read_text(encoding="utf-8-sig")
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise CaseError(_syntax(str(error), text), where=file) from None
+    except UnicodeDecodeError:
+        raise CaseError("this is no text file in UTF-8", where=file) from None
+    except FileNotFoundError:
+        others = sorted(str(p) for p in Path(file).parent.glob("*.toml"))
+        hint = nearest(file, others) if others else "dolfin-elastic new writes a first one"
+        raise CaseError("there is no such case file", where=file, expected=hint) from None
+    except OSError as error:
+        raise CaseError(f"cannot be read: {error.strerror}", where=file) from None
+
+
+_SAID = {
+    "Illegal character '\\n'": "the closing quote is missing",
+    "Cannot overwrite a value": "this key stands here for the second time",
+}
+
+
+def _syntax(message: str, text: str) -> str:
+    """TOML's complaint with the line it is about and a caret."""
+    found = re.fullmatch(r"(.*?) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
+    if not found:
+        return message[:1].lower() + message[1:]
+    what, line, column = found[1], int(found[2]), int(found[3])
+    if twice := re.fullmatch(r"Cannot declare \((.*?),?\) twice", what):
+        key = twice[1].replace("'", "").replace(", ", ".")
+        what = f"[{key}] stands here for the second time"
+    what = _SAID.get(what, what[:1].lower() + what[1:])
+    shown = text.splitlines()[line - 1].replace("\t", " ")
+    return f"line {line}: {what}\n    {shown}\n    {' ' * (column - 1)}^"

@@ -1,7 +1,0 @@
-"""Everything that can be said about a case before anything is compiled or solved."""
-
-from dolfin_elastic.check.case import check
-from dolfin_elastic.check.report import Report, report
-from dolfin_elastic.check.sizes import PartSize
-
-__all__ = ["PartSize", "Report", "check", "report"]

@@ -1,0 +1,242 @@
+"""The command line: the only place that prints, configures logging, or makes exit codes.
+
+Everything heavy is imported where it is needed, so that --help comes at once.
+"""
+# ruff: noqa: D301
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import time
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from click.exceptions import ClickException
+
+from dolfin_elastic.cli.materials import material, materials
+from dolfin_elastic.cli.pipes import go_on_without_readers
+from dolfin_elastic.cli.run import log_to_screen, restart, run
+from dolfin_elastic.core.errors import CaseError, ElasticError
+from dolfin_elastic.core.signals import INTERRUPTED, launched_rank
+from dolfin_elastic.core.version import __version__
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+
+CRASHED = 1
+HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores.
+
+\b
+  dolfin-elastic new beam.toml              write a first case that runs as it is
+  dolfin-elastic check beam.toml            what will be computed, and what is wrong
+  dolfin-elastic material beam.toml         try its materials at a point
+  dolfin-elastic run beam.toml              compute it
+  mpirun -n 4 dolfin-elastic run beam.toml  the same on four cores
+  dolfin-elastic restart beam_results       go on after it was stopped or killed
+
+\b
+Exit codes:
+  0    done
+  1    a fault of the program itself
+  2    the case, a mesh or the command line is wrong, there is nothing to go on from, or a run
+       is still going in that folder; nothing was written
+  3    no solution was found; the results so far are complete
+  4    results cannot be written
+  130  interrupted; the results so far are complete, and `restart` goes on
+"""
+
+app = typer.Typer(
+    help=HELP,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+CaseFile = Annotated[Path, typer.Argument(metavar="CASE", hidden=True)]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"dolfin-elastic {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None:
+    pass
+
+
+# --- commands ---
+
+
+@app.command()
+def check(
+    case: CaseFile,
+    json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
+) -> None:
+    """Say what is wrong with a case, or what it will compute.
+
+    \b
+      dolfin-elastic check beam.toml
+      dolfin-elastic check beam.toml --json | jq .unknowns
+
+    Compares every name, unit and size with the mesh, sums up masses and loads; computes nothing.
+    """
+    from mpi4py import MPI
+
+    from dolfin_elastic.case.case import read_case
+    from dolfin_elastic.case.check import report
+
+    comm = MPI.COMM_WORLD
+    log_to_screen(comm.rank, logging.ERROR)  # what there is to say is in the report
+    found = report(read_case(case, comm=comm), comm=comm)
+    if comm.rank == 0 and json:
+        from dataclasses import asdict
+        from json import dumps
+
+        print(dumps(asdict(found), indent=2, ensure_ascii=False))
+    elif comm.rank == 0:
+        from dolfin_elastic.cli.console_check import show_check
+
+        show_check(found)
+
+
+app.command()(run)
+app.command()(restart)
+app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(material)
+app.command()(materials)
+
+
+@app.command()
+def new(
+    file: Annotated[Path, typer.Argument(metavar="[FILE]", hidden=True)] = Path("case.toml"),
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+) -> None:
+    """Write a first case file that runs as it is.
+
+    \b
+      dolfin-elastic new               writes case.toml
+      dolfin-elastic new beam.toml
+    """
+    from dolfin_elastic.cli.template import starter
+
+    if launched_rank() == 0:
+        if file.exists() and not force:
+            raise CaseError(
+                "this file exists already",
+                where=str(file),
+                expected="choose another name, or --force to overwrite it",
+            )
+        try:
+            file.write_text(starter(str(file)), encoding="utf-8")
+        except OSError as error:
+            raise CaseError(f"cannot be written: {error.strerror}", where=str(file)) from None
+    print(f"{file} written; compute it with: dolfin-elastic run {file}")
+
+
+@app.command()
+def info() -> None:
+    """Show versions and libraries."""
+    from dolfin_elastic.cli.console import show_versions
+    from dolfin_elastic.cli.info import describe
+
+    found, advice = describe()
+    show_versions(found)
+    for line in advice if launched_rank() == 0 else ():
+        print(f"warning: {line}", file=sys.stderr)
+
+
+# --- how it ends ---
+
+
+def main() -> None:
+    """The console script."""
+    go_on_without_readers()
+    if launched_rank():
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    sys.exit(guarded())
+
+
+def guarded() -> int:
+    """Runs the command line; returns its exit code, the same on every rank."""
+    try:
+        result = app(prog_name="dolfin-elastic", standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except ClickException as error:
+        if launched_rank() == 0:
+            error.show()
+            if "No such option" in error.format_message():
+                print("PETSc options stand after two dashes: ... -- -ksp_view", file=sys.stderr)
+        else:
+            time.sleep(1.0)  # the launcher ends all when one leaves: rank 0 speaks first
+        return error.exit_code
+    except ElasticError as error:
+        return _told(error)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except Exception:
+        _crash()
+        raise
+
+
+def _comm() -> MPI.Comm | None:
+    """All ranks, if MPI runs."""
+    if "mpi4py.MPI" not in sys.modules:
+        return None
+    from mpi4py import MPI
+
+    return MPI.COMM_WORLD
+
+
+def _told(error: ElasticError) -> int:
+    """Shows an error once, before any rank leaves (the launcher ends all when one does)."""
+    comm = _comm()
+    if (comm.rank if comm else launched_rank()) == 0:
+        from dolfin_elastic.cli.console import error_text
+
+        print(error_text(error), file=sys.stderr, flush=True)
+    if comm and comm.size > 1 and not _all_here(comm):
+        if comm.rank:
+            print(f"error (rank {comm.rank} alone): {error}", file=sys.stderr, flush=True)
+        comm.Abort(error.exit_code)
+    return error.exit_code
+
+
+def _all_here(comm: MPI.Comm, patience: float = 10.0) -> bool:
+    """Waits for all ranks, but not for ever."""
+    request = comm.Ibarrier()
+    until = time.monotonic() + patience
+    while time.monotonic() < until:
+        if request.Test():
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def _crash() -> None:
+    """A fault of ours: one traceback, with the rank, and the end of all ranks."""
+    comm = _comm()
+    if comm is None or comm.size == 1:
+        return
+    time.sleep(min(0.5 * comm.rank, 5.0))  # rank 0 first; it ends the others before they speak
+    print(
+        f"rank {comm.rank} of {comm.size}:\n{traceback.format_exc()}", file=sys.stderr, flush=True
+    )
+    comm.Abort(CRASHED)
+
+
+if __name__ == "__main__":
+    main()

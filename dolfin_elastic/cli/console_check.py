@@ -1,0 +1,130 @@
+"""What the command line shows of a check, at most 100 columns wide."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from dolfin_elastic.cli.console import console, show_table, vector_text
+
+if TYPE_CHECKING:
+    from dolfin_elastic.case.check import PartSize, Report
+    from dolfin_elastic.case.check.contact import ContactGap
+    from dolfin_elastic.case.check.loads import LoadSum
+    from dolfin_elastic.solvers.diagnostics.rigid_body import FreeBody
+
+_GOOD = "nothing is wrong"
+
+
+def show_check(report: Report) -> None:
+    """The report of a check."""
+    screen = console()
+    screen.print(f"{report.case}: {report.title}" if report.title else report.case, style="bold")
+    for name, text in _head(report):
+        screen.print(f"  {name:<10} {text}", soft_wrap=True)
+    span = max(report.extent)
+    area, volume = ("m^2", "m^3") if report.dim == 3 else ("m", "m^2")
+    show_table(screen, _parts("surface", area, report.surfaces, span))
+    show_table(screen, _parts("region", volume, report.regions, span))
+    show_table(screen, _parts("material", volume, report.materials, span))
+    if report.loads:
+        _show_loads(screen, report)
+    if report.contacts:
+        show_table(screen, _contacts(report.contacts))
+    for field in report.fields:
+        screen.print(f"field {field}", soft_wrap=True)
+    for note in report.notes:
+        screen.print(f"note: {note}", soft_wrap=True)
+    count = len(report.notes)
+    screen.print(
+        f"no errors; {count} note{'s' if count > 1 else ''}" if count else "nothing is wrong"
+    )
+
+
+def _head(report: Report) -> list[tuple[str, str]]:
+    kind = "" if report.dim == 3 else f" ({report.geometry})"
+    whole = report.regions[0]
+    rows = [
+        ("mesh", f"{report.mesh}, {report.dim}D{kind}, {report.cells} cells"),
+        ("extent", f"{' x '.join(f'{side:.4g}' for side in report.extent)} m"),
+        *([] if report.thickness is None else [("thickness", f"{report.thickness:.4g} m")]),
+        ("analysis", f"{report.analysis}, {report.unknowns} unknowns"),
+        ("equations", report.linear_solver),
+        ("memory", f"about {report.memory.total / 1e9:.2g} GB of all ranks together"),
+    ]
+    if whole.mass is not None:
+        middle = _place(whole.centre_of_mass, max(report.extent))
+        rows.append(("mass", f"{whole.mass:.4g} kg, centre of mass {middle} m"))
+    return [*rows, *(("body", _body(body, len(report.bodies))) for body in report.bodies[:5])]
+
+
+def _body(body: FreeBody, bodies: int) -> str:
+    name = f"`{body.name}` " if bodies > 1 else ""
+    free = "is held against every rigid motion"
+    if body.motions:
+        free = f"can {', '.join(body.motions)}"
+    return f"{name}{free}" + (f" (one of {bodies} that share no nodes)" if bodies > 1 else "")
+
+
+def _place(point: Sequence[float], span: float) -> str:
+    """A place to four digits; what is tiny beside the body is 0."""
+    return vector_text(float(f"{x:.4g}") if abs(x) > 1e-6 * span else 0.0 for x in point)
+
+
+def _parts(kind: str, unit: str, parts: Sequence[PartSize], span: float) -> Table:
+    things = "facets" if kind == "surface" else "cells"
+    heavy = any(part.mass is not None for part in parts)
+    table = Table(kind, box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column(things, justify="right")
+    table.add_column(f"[{unit}]", justify="right")
+    table.add_column("centroid [m]")
+    if heavy:
+        table.add_column("mass [kg]", justify="right")
+    table.add_column("law" if kind == "material" else "used by")
+    for part in parts:
+        mass = ["" if part.mass is None else f"{part.mass:.4g}"] if heavy else []
+        middle = _place(part.centroid, span) if part.centroid else ""
+        table.add_row(part.name, str(part.count), f"{part.measure:.4g}", middle, *mass, part.use)
+    return table
+
+
+def _show_loads(screen: Console, report: Report) -> None:
+    table = Table("load", box=SIMPLE_HEAD, pad_edge=False)
+    for head in ("on", "force [N]", "moment about the origin [N m]"):
+        table.add_column(head)
+    moving = report.analysis == "dynamics"
+    if moving:
+        table.add_column("at t [s]", justify="right")
+    for load in report.loads:
+        time = [f"{load.time:.4g}"] if moving else []
+        table.add_row(load.load, load.on, _sum(load.force), _sum(load.moment), *time)
+    show_table(screen, table)
+    at = f"at load parameter {max((load.time for load in report.loads), default=1.0):g}"
+    when = "when it is largest in the motion" if moving else at
+    screen.print(_said(report.loads, when), soft_wrap=True)
+
+
+def _contacts(contacts: Sequence[ContactGap]) -> Table:
+    table = Table("contact", box=SIMPLE_HEAD, pad_edge=False)
+    for head in ("on", "obstacle", "smallest gap at the start [m]", "at [m]"):
+        table.add_column(head)
+    for row in contacts:
+        table.add_row(row.contact, row.on, row.obstacle, f"{row.gap:.4g}", vector_text(row.place))
+    return table
+
+
+def _said(loads: Iterable[LoadSum], when: str) -> str:
+    text = f"Loads are summed up on the undeformed body, each {when}."
+    if any(load.force is None for load in loads):
+        text += " Those without numbers depend on more than that body."
+    return text
+
+
+def _sum(vector: Sequence[float] | None) -> str:
+    if vector is None:
+        return "?"
+    return f"{vector[0]:.5g}" if len(vector) == 1 else vector_text(vector) if vector else ""

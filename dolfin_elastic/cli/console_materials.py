@@ -1,0 +1,108 @@
+"""What the command line shows of materials and their bench."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from dolfin_elastic.material_point.library import Typical
+    from dolfin_elastic.material_point.report import Bench
+
+_MARKS = {"pass": "ok", "fail": "FAILED", "note": "note"}
+
+
+def as_json(value: Any) -> str:
+    """JSON without nan and inf, which are null."""
+    return json.dumps(_plain(value), indent=2, ensure_ascii=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def bench_table(found: Bench) -> dict[str, Any]:
+    """A bench as plain values, for scripts."""
+    return {
+        "passed": not found.failed,
+        "findings": [asdict(f) for f in found.findings],
+        "notes": list(found.notes),
+        "curves": {
+            name: {
+                curve.mode.symbol: curve.values.tolist(),
+                "P": curve.P[:, *curve.mode.shown].tolist(),
+                "J": curve.J.tolist(),
+                "energy": curve.energy.tolist(),
+            }
+            for name, curve in found.curves.items()
+        },
+    }
+
+
+def show_bench(screen: Console, name: str, found: Bench, files: Sequence[Path]) -> None:
+    """The bench of one material."""
+    screen.print(name, style="bold")
+    table = Table("check", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("")
+    table.add_column("what was found")
+    for finding in found.findings:
+        table.add_row(finding.check, _MARKS[finding.verdict], finding.text)
+    screen.print(table)
+    if found.curves:
+        screen.print(_curves(found))
+    for note in found.notes:
+        screen.print(f"note: {note}", soft_wrap=True)
+    if files:
+        screen.print(f"written: {files[0].parent}: {', '.join(f.name for f in files)}")
+
+
+def _curves(found: Bench) -> Table:
+    """Nominal stress at the ends of each curve."""
+    table = Table("curve", box=SIMPLE_HEAD, pad_edge=False)
+    for head in ("from", "stress [Pa]", "to", "stress [Pa]", "J there"):
+        table.add_column(head, justify="right")
+    for name, curve in found.curves.items():
+        stress = curve.P[:, *curve.mode.shown]
+        first, last = f"{curve.values[0]:.4g}", f"{curve.values[-1]:.4g}"
+        ends = (f"{stress[0]:.4g}", f"{stress[-1]:.4g}")
+        table.add_row(name, first, ends[0], last, ends[1], f"{curve.J[-1]:.4g}")
+    return table
+
+
+def show_laws(
+    screen: Console, laws: Sequence[Mapping[str, Any]], typical: Sequence[Typical]
+) -> None:
+    """The laws, and typical constants."""
+    for law in laws:
+        screen.print(law["law"], style="bold")
+        screen.print(f"  {law['what']}")
+        if law["formula"]:
+            screen.print(f"  {law['formula']}")
+        for name, text in law["parameters"].items():
+            screen.print(f"    {name:<8} {text}")
+        if law["source"]:
+            screen.print(f"  source: {law['source']}")
+        screen.print()
+    screen.print("typical constants, for a first estimate", style="bold")
+    table = Table("", box=SIMPLE_HEAD, pad_edge=False)
+    for head in ("E", "nu", "density"):
+        table.add_column(head)
+    for item in typical:
+        table.add_row(item.name, item.E, item.nu, item.density)
+    screen.print(table)
+    for item in typical:
+        screen.print(f"  {item.name}: {item.source}", soft_wrap=True)

@@ -1,0 +1,70 @@
+"""What the command line shows of modes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from dolfin_elastic.cli.console import console
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem.state import Mode
+
+THROUGH = " through "
+"""In the name of a turn before a point of its axis."""
+
+SHOWN = 40
+"""Modes that the table shows."""
+
+
+def show_modes(modes: Sequence[Mode], seconds: Mapping[str, float]) -> None:
+    """The modes of a run as a table, with the share of the body's mass that each carries."""
+    screen, buckling = console(), modes[0].kind == "buckling"
+    directions = [name for name, mass in modes[0].whole.items() if mass > 0.0]
+    table = Table("mode", box=SIMPLE_HEAD, pad_edge=False)
+    for head in ["load factor"] if buckling else ["[Hz]", *directions, ""]:
+        table.add_column(head, justify="left" if not head else "right")
+    for mode in modes[:SHOWN]:
+        table.add_row(str(mode.number), *(_load_factor(mode) if buckling else _cells(mode)))
+    screen.print(f"done: {len(modes)} modes, {seconds.get('total', 0.0):.3g} s")
+    screen.print(table)
+    if len(modes) > SHOWN:
+        screen.print(f"{len(modes) - SHOWN} more are in modes.csv")
+    if not buckling:
+        sums = {n: sum(m.effective[n] for m in modes) / modes[0].whole[n] for n in directions}
+        carried = ", ".join(f"{100 * share:.3g} % in {n}" for n, share in sums.items())
+        if min(sums.values()) > 1 - 1e-6:
+            carried = "all of it"
+        for line in _places(modes):
+            screen.print(line)
+        screen.print(f"columns: effective mass in % of the whole body's; together {carried}")
+
+
+def _places(modes: Sequence[Mode]) -> list[str]:
+    """The points through which the axes of rigid turns go, which would widen the table."""
+    found: dict[str, list[str]] = {}
+    for mode in modes[:SHOWN]:
+        _, through, place = mode.name.partition(THROUGH)
+        if through:
+            found.setdefault(place, []).append(str(mode.number))
+    return [
+        f"axes of modes {', '.join(numbers)} go through {place}" for place, numbers in found.items()
+    ]
+
+
+def _load_factor(mode: Mode) -> list[str]:
+    return [f"{mode.load_factor:.6g}"]
+
+
+def _cells(mode: Mode) -> list[str]:
+    shares = [
+        f"{100 * mode.effective[name] / mass:.2f}"
+        for name, mass in mode.whole.items()
+        if mass > 0.0
+    ]
+    note = mode.kind if mode.kind != "elastic" else ""
+    name = mode.name.partition(THROUGH)[0]
+    return [f"{mode.frequency:.6g}", *shares, f"{note}: {name}" if name else note]

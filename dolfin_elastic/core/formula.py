@@ -1,0 +1,351 @@
+"""The formula language of case files: ``"0.1*x*sin(2*pi*t)"``, for numpy and for UFL.
+
+    numbers      2   0.5   1e-3
+    operators    + - * /   ^ or ** (power; -x^2 is -(x^2))   ( )
+    names        what the place allows, for example x, y, z, t; and pi, e
+    functions    sin cos tan asin acos atan atan2(y, x) sinh cosh tanh exp ln log (= ln) log10
+                 sqrt abs sign min max
+    steps        heaviside(a)    0 below 0, 1 from 0 on
+                 ramp(a)         0 below 0, a between, 1 above 1
+                 smoothstep(a)   the same with horizontal tangents, 3a^2 - 2a^3
+    choice       where(a < b, then, otherwise)   with < <= > >=
+
+Nothing is ever handed to `eval`: the text is cut into known tokens, Python's parser orders them,
+and only the operations of one table are carried out, in floating point.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import FormulaError, nearest
+from dolfin_elastic.core.formula_functions import (
+    COMPARISONS,
+    CONSTANTS,
+    FUNCTIONS,
+    OPERATIONS,
+    Operation,
+    numeric,
+    symbolic,
+)
+
+MAX_LENGTH = 1000
+MAX_DEPTH = 100
+
+Array = npt.NDArray[np.float64]
+Tree = float | str | tuple[Any, ...]
+"""A number, a name, or (operation, argument, ...)."""
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A formula that has been read and found right.
+
+    Attributes:
+        text: As it was written.
+        names: The free names it uses.
+    """
+
+    text: str
+    names: frozenset[str]
+    _tree: Tree = field(repr=False, compare=False)
+
+    @classmethod
+    def parse(cls, text: str, *, allowed: Collection[str]) -> Formula:
+        """Reads a formula.
+
+        Args:
+            text: At most 1000 characters, see the module.
+            allowed: Names that may stand in it; they win over `pi` and `e`.
+
+        Returns:
+            The formula.
+
+        Raises:
+            FormulaError: With the column, a caret under the fault, and what would be right.
+        """
+        reader = _Reader(text, frozenset(allowed))
+        formula = cls(text, *reader.read())
+        if not formula.names:
+            formula.evaluate()  # a constant shows here and now whether it is finite
+        return formula
+
+    def evaluate(self, **values: float | Array) -> Any:
+        """The value, in floating point.
+
+        Args:
+            **values: One for each of `names`, numbers or arrays that broadcast; more are ignored.
+
+        Returns:
+            A float if all values are numbers, else an array of their common shape.  An array may
+            hold inf and nan: the ranks see different points, so the caller checks and agrees.
+
+        Raises:
+            FormulaError: All values are numbers and the result is not finite.
+        """
+        arrays = {name: np.asarray(value, dtype=np.float64) for name, value in values.items()}
+        with np.errstate(all="ignore"):
+            result = _walk(self._tree, arrays, numeric)
+        shape = np.broadcast_shapes(*(a.shape for a in arrays.values()))
+        if shape:
+            return np.array(np.broadcast_to(result, shape), dtype=np.float64)
+        return self._finite(float(result), values)
+
+    def ufl(self, **values: Expr | float) -> Any:
+        """The formula as a UFL expression.
+
+        Args:
+            **values: One for each of `names`: scalar UFL expressions or numbers.
+
+        Returns:
+            A UFL expression, or a float where no expression is left.
+
+        Raises:
+            FormulaError: A constant part is not finite ("x/0").
+        """
+        try:
+            result = _walk(self._tree, values, symbolic)
+        except (ArithmeticError, ValueError):  # UFL says ValueError for a division by zero
+            raise FormulaError(f"a part of '{self.text}' is not finite") from None
+        return result if isinstance(result, Expr) else self._finite(float(result), values)
+
+    def _finite(self, result: float, values: dict[str, Any]) -> float:
+        if math.isfinite(result):
+            return result
+        known = [n for n in sorted(self.names) if not isinstance(values[n], Expr)]
+        where = ", ".join(f"{name} = {float(values[name]):g}" for name in known)
+        raise FormulaError(
+            f"'{self.text}' is {_not_finite(result)}" + (f" at {where}" if where else "")
+        )
+
+
+def _not_finite(result: float) -> str:
+    return "not a real number" if math.isnan(result) else "infinite"
+
+
+def _walk(tree: Tree, values: dict[str, Any], apply: Callable[[Operation, list[Any]], Any]) -> Any:
+    if isinstance(tree, float):
+        return tree
+    if isinstance(tree, str):
+        return values[tree]
+    name, *args = tree
+    return apply(OPERATIONS[name], [_walk(arg, values, apply) for arg in args])
+
+
+_TOKEN = re.compile(
+    r"""
+    (?P<space>  \s+ )
+  | (?P<number> (?: \d+\.?\d* | \.\d+ ) (?: [eE][+-]?\d+ )? )
+  | (?P<name>   [A-Za-z_][A-Za-z_0-9]* )
+  | (?P<op>     \*\* | <= | >= | [-+*/^<>] )
+  | (?P<open>   \( ) | (?P<close> \) ) | (?P<comma> , )
+""",
+    re.VERBOSE | re.ASCII,
+)
+_HINTS = {
+    "[": "the coordinates are x, y, z",
+    "=": "comparisons are < <= > >=",
+    "%": "write a/100",
+    "!": "comparisons are < <= > >=",
+    "µ": "write mu",
+}
+
+
+@dataclass(frozen=True)
+class _Token:
+    kind: str
+    text: str
+    at: int
+
+
+class _Reader:
+    """One reading of one text: tokens, their order, Python's parser, the tree."""
+
+    def __init__(self, text: str, allowed: frozenset[str]) -> None:
+        self.text, self.allowed = text, allowed
+        self.names: set[str] = set()
+        self.at: dict[int, int] = {}
+        """Column in what Python parses to column in the text."""
+
+    def read(self) -> tuple[frozenset[str], Tree]:
+        if len(self.text) > MAX_LENGTH:
+            raise FormulaError(
+                f"a formula of {len(self.text)} characters is too long",
+                expected=f"at most {MAX_LENGTH}",
+            )
+        tokens = list(self._tokens())
+        self._check_order(tokens)
+        root = self._parse(tokens)
+        self._check_depth(root)
+        tree = self._tree(root)
+        if isinstance(tree, tuple) and tree[0] in COMPARISONS:
+            raise self._fault("a comparison is no number", root, "use where(a < b, c, d)")
+        return frozenset(self.names), tree
+
+    def _fault(self, what: str, at: int | ast.expr, expected: str = "") -> FormulaError:
+        """An error with the text and a caret under the fault."""
+        column = at if isinstance(at, int) else self.at.get(at.col_offset, 0)
+        start = max(0, column - 50)
+        shown = "".join(c if c.isprintable() else " " for c in self.text[start : start + 70])
+        picture = f"\n    {shown}\n    {' ' * (column - start)}^"
+        if expected:
+            return FormulaError(what, expected=expected + picture)
+        return FormulaError(what + picture)
+
+    def _tokens(self) -> Iterator[_Token]:
+        at = 0
+        while at < len(self.text):
+            match = _TOKEN.match(self.text, at)
+            if not match:
+                char = self.text[at]
+                shown = char if char.isprintable() else f"U+{ord(char):04X}"
+                raise self._fault(f"unexpected '{shown}'", at, _HINTS.get(char, ""))
+            if match.lastgroup != "space":
+                yield _Token(str(match.lastgroup), match[0], at)
+            at = match.end()
+
+    def _check_order(self, tokens: list[_Token]) -> None:
+        """Values and operators by turns, parentheses in pairs: Python's parser finds no fault."""
+        opened: list[tuple[int, bool]] = []
+        value_before = False
+        for before, token in zip([None, *tokens], tokens, strict=False):
+            call = before is not None and before.kind == "name"
+            value_before = self._follow(token, value_before, call, opened)
+        if not value_before:
+            what = "a value is missing at the end" if tokens else "the formula is empty"
+            raise self._fault(what, len(self.text))
+        if opened:
+            raise self._fault("this parenthesis is never closed", opened[-1][0])
+
+    def _follow(
+        self, token: _Token, value_before: bool, call: bool, opened: list[tuple[int, bool]]
+    ) -> bool:
+        """Takes one token; True when a value is complete after it."""
+        if token.kind in ("number", "name") or (token.kind == "open" and not call):
+            if value_before:
+                raise self._fault("an operator is missing", token.at, "a product is written a*b")
+        elif not value_before and not (token.kind == "op" and token.text in "+-"):
+            raise self._fault(f"a value is missing before '{token.text}'", token.at)
+        if token.kind == "open":
+            opened.append((token.at, call))
+        elif token.kind == "comma" and not (opened and opened[-1][1]):
+            raise self._fault(
+                "a comma stands only between the arguments of a function",
+                token.at,
+                "decimals are written 0.5",
+            )
+        elif token.kind == "close":
+            if not opened:
+                raise self._fault("this parenthesis was never opened", token.at)
+            opened.pop()
+        return token.kind in ("number", "name", "close")
+
+    def _parse(self, tokens: list[_Token]) -> ast.expr:
+        source = ""
+        for token in tokens:
+            self.at[len(source)] = token.at
+            source += self._spelled(token) + " "
+        try:
+            return ast.parse(source, mode="eval").body
+        except (SyntaxError, RecursionError, MemoryError):
+            raise FormulaError("the formula is nested too deeply") from None
+
+    def _spelled(self, token: _Token) -> str:
+        if token.kind == "number":
+            if not math.isfinite(value := float(token.text)):
+                raise self._fault("this number is too large", token.at)
+            return repr(value)
+        if token.kind == "name":
+            return token.text + "_"  # so that no name is a Python keyword
+        return "**" if token.text == "^" else token.text
+
+    def _check_depth(self, root: ast.expr) -> None:
+        level: list[ast.AST] = [root]
+        for _ in range(2 * MAX_DEPTH):
+            level = [child for node in level for child in ast.iter_child_nodes(node)]
+            if not level:
+                return
+        raise FormulaError(
+            "the formula is nested too deeply", expected=f"at most {MAX_DEPTH} operations deep"
+        )
+
+    def _tree(self, node: ast.expr) -> Tree:
+        match node:
+            case ast.Constant(value=float(number)):
+                return number
+            case ast.Name(id=name):
+                return self._name(name[:-1], node)
+            case ast.UnaryOp(op=sign, operand=inner):
+                return ("-u" if isinstance(sign, ast.USub) else "+u", self._value(inner))
+            case ast.BinOp(left=left, op=op, right=right):
+                return (_SYMBOLS[type(op)], self._value(left), self._value(right))
+            case ast.Compare(left=left, ops=[op], comparators=[right]):
+                return (_SYMBOLS[type(op)], self._value(left), self._value(right))
+            case ast.Compare():
+                raise self._fault("comparisons cannot be chained", node, "use where() twice")
+            case ast.Call(func=ast.Name(id=name), args=args):
+                return self._call(name[:-1], node, args)
+        raise self._fault("this is no part of a formula", node)
+
+    def _value(self, node: ast.expr) -> Tree:
+        tree = self._tree(node)
+        if isinstance(tree, tuple) and tree[0] in COMPARISONS:
+            raise self._fault("a comparison is no number", node, "use where(a < b, c, d)")
+        return tree
+
+    def _name(self, name: str, node: ast.expr) -> Tree:
+        if name in self.allowed:
+            self.names.add(name)
+            return name
+        if name in CONSTANTS:
+            return CONSTANTS[name]
+        if name in FUNCTIONS:
+            raise self._fault(f"'{name}' is a function", node, f"write {name}(...)")
+        raise self._fault(
+            f"unknown name '{name}'", node, nearest(name, [*self.allowed, *CONSTANTS])
+        )
+
+    def _call(self, name: str, node: ast.expr, args: list[ast.expr]) -> Tree:
+        if name not in FUNCTIONS:
+            known = name in self.allowed or name in CONSTANTS
+            what = f"'{name}' is not a function" if known else f"unknown function '{name}'"
+            hint = f"write {name}*(...)" if known else nearest(name, FUNCTIONS)
+            raise self._fault(what, node, hint)
+        operation = FUNCTIONS[name]
+        if not operation.fewest <= len(args) <= operation.most:
+            count = f"{operation.fewest}" + ("" if operation.most < math.inf else " or more")
+            raise self._fault(
+                f"{name} takes {count} argument{'s' * (operation.fewest > 1)}, {len(args)} given",
+                node,
+            )
+        if name == "where":
+            return (name, self._condition(args[0]), *map(self._value, args[1:]))
+        return (name, *map(self._value, args))
+
+    def _condition(self, node: ast.expr) -> Tree:
+        tree = self._tree(node)
+        if not (isinstance(tree, tuple) and tree[0] in COMPARISONS):
+            raise self._fault("where() starts with a comparison", node, "where(a < b, c, d)")
+        return tree
+
+
+_SYMBOLS: dict[type[ast.AST], str] = {
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.Div: "/",
+    ast.Pow: "^",
+    ast.Lt: "<",
+    ast.LtE: "<=",
+    ast.Gt: ">",
+    ast.GtE: ">=",
+}

@@ -1,0 +1,169 @@
+"""Compiling forms: flags, a cache that is safe to share, all ranks at work."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import platform
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import IO, Any, TypeVar, cast
+
+import dolfinx
+import numpy as np
+import ufl
+from dolfinx import fem, jit
+from mpi4py import MPI
+
+from dolfin_elastic.core.parallel import agree, on_root
+from dolfin_elastic.core.timing import stage
+
+T = TypeVar("T")
+# No -ffast-math: it would hide the NaN and Inf by which an inverted element is seen.
+# Without the second scheduling pass: on the long straight-line code of a tangent at one point gcc
+# takes minutes for it (130 s against 0.4 s for a neo-Hookean solid), and the code is no faster.
+FLAGS = (
+    "-O3",
+    "-march=native",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fno-schedule-insns2",
+    "-g0",
+)
+
+
+def cache_folder() -> Path:
+    """Where compiled forms are kept: one folder a kind of processor.
+
+    Forms are compiled for the processor at hand, so a home shared by unlike machines must not
+    hand one's code to the other.
+    """
+    root = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(root) / "dolfin_elastic" / "forms" / _processor()
+
+
+def _processor() -> str:
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    except OSError:
+        return platform.machine()
+    flags = next((line for line in text.splitlines() if line.startswith(("flags", "Features"))), "")
+    return f"{platform.machine()}-{hashlib.sha256(flags.encode()).hexdigest()[:10]}"
+
+
+def options(comm: MPI.Comm) -> dict[str, Any]:
+    """Options for `fem.form` and `fem.Expression`, the same on all ranks. Collective."""
+    folder = on_root(comm, lambda: str(cache_folder()))
+    return {"cffi_extra_compile_args": list(FLAGS), "timeout": 600, "cache_dir": folder}
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """What is compiled into a part of the cache is compiled inside, by one run at a time.
+
+    A compilation that was killed leaves a C file that makes every later run wait for its end in
+    vain; while no other run compiles there, such files are known to be dead and are removed.  There
+    are several parts lest runs that compile different forms wait for each other.  Not collective.
+    """
+    lock = _lock(folder)
+    try:
+        yield
+    finally:
+        if lock is not None:
+            lock.close()
+
+
+def _part(jit_options: dict[str, Any], key: str) -> dict[str, Any]:
+    """The options with the part of the cache that a form belongs to."""
+    return {**jit_options, "cache_dir": Path(jit_options["cache_dir"]) / key[0]}
+
+
+def _lock(folder: Path) -> IO[str] | None:
+    """Waits for the cache's lock and clears what killed compilations left; None without locks."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / "lock").open("w")
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        for source in folder.glob("*.c"):
+            if not source.with_suffix(".c.cached").exists():
+                source.unlink(missing_ok=True)
+    except OSError:  # a file system without locks: as safe as DOLFINx itself
+        return None
+    return lock
+
+
+def compile_forms(
+    comm: MPI.Comm,
+    forms: Sequence[ufl.Form],
+    jit_options: dict[str, Any],
+) -> list[fem.Form]:
+    """Compiles UFL forms, shared out among the ranks, and makes DOLFINx forms of them.
+
+    Collective.
+
+    Args:
+        comm: The ranks of the forms' mesh.
+        forms: UFL forms.
+        jit_options: From `options`.
+
+    Returns:
+        The forms ready to be assembled.
+
+    Raises:
+        Exception: What the form compiler raised on any rank.
+    """
+    parts = [_part(jit_options, form.signature()) for form in forms]
+    with stage("compile"):
+        if comm.size > 1:
+            _share_out(comm, forms, parts)
+        return [
+            _together(comm, part, lambda f=form, p=part: fem.form(f, jit_options=p))  # type: ignore[misc]
+            for form, part in zip(forms, parts, strict=True)
+        ]
+
+
+def compile_expression(
+    comm: MPI.Comm,
+    expression: Any,
+    points: Any,
+    jit_options: dict[str, Any],
+) -> fem.Expression:
+    """Compiles a UFL expression at reference points of a cell. Collective."""
+    key = f"{expression.ufl_shape}{np.asarray(points).round(9).tolist()}"
+    part = _part(jit_options, hashlib.sha256(key.encode()).hexdigest())
+    with stage("compile"):
+        return _together(comm, part, lambda: fem.Expression(expression, points, jit_options=part))
+
+
+def _together(comm: MPI.Comm, part: dict[str, Any], make: Callable[[], T]) -> T:
+    """What every rank makes, or the error that one of them met, for example in the cache."""
+    error: Exception | None = None
+    made: T | None = None
+    # Rank 0 compiles what is not there yet, and the others wait for it.
+    with _alone(part["cache_dir"]) if comm.rank == 0 else nullcontext():
+        try:
+            made = make()
+        except Exception as caught:  # told to all ranks just below
+            error = caught
+        agree(comm, error)
+    return cast("T", made)
+
+
+def _share_out(comm: MPI.Comm, forms: Sequence[ufl.Form], parts: Sequence[dict[str, Any]]) -> None:
+    """Each rank compiles its share into the cache; DOLFINx would let rank 0 do it all."""
+    error: Exception | None = None
+    mine = slice(comm.rank, None, comm.size)
+    try:
+        for form, part in zip(forms[mine], parts[mine], strict=True):
+            with _alone(part["cache_dir"]):
+                jit.ffcx_jit(
+                    MPI.COMM_SELF,
+                    form,
+                    jit_options=part,
+                    form_compiler_options={"scalar_type": dolfinx.default_scalar_type},
+                )
+    except Exception as caught:  # told to all ranks just below
+        error = caught
+    agree(comm, error)

@@ -1,0 +1,309 @@
+"""`Record`: the base of everything a user may write, in Python or in a case file.
+
+The fields of a record ARE the keys of its TOML table.  Records are frozen, refuse unknown keys
+with the nearest known one, and say what is wrong as an `InputError` with the dotted path.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import UnionType
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, Union, cast, get_args, get_origin
+
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    ValidationError,
+    model_validator,
+)
+from pydantic.fields import FieldInfo
+
+from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.units import Quantity
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)  # which pydantic does not name in public
+
+
+class _Raising(ModelMetaclass):
+    """Turns pydantic's error into ours, at the outermost constructor only."""
+
+    def __call__(cls, *args: Any, **kwargs: Any) -> Any:  # noqa: N805  of a metaclass
+        try:
+            return super().__call__(*args, **kwargs)
+        except ValidationError as error:
+            raise input_error(cast(type[BaseModel], cls), error) from None
+
+
+class Record(BaseModel, metaclass=_Raising):
+    """A frozen set of named values.
+
+    Raises:
+        InputError: A key is unknown or missing, or a value is of the wrong kind.
+    """
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        arbitrary_types_allowed=True,
+        populate_by_name=True,
+        validate_default=False,
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_unknown_keys(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            fields = {key: f for n, f in cls.model_fields.items() for key in _names(n, f)}
+            for name, value in data.items():
+                if name not in fields:
+                    raise InputError(f"unknown key '{name}'", expected=nearest(str(name), fields))
+                if not _speaks(fields[name].metadata):
+                    _refuse_switch([fields[name].annotation], name, value)
+                _refuse_word(fields[name].annotation, name, value)
+        return data
+
+
+def _refuse_switch(kinds: Sequence[Any], where: str, value: Any) -> None:
+    """Pydantic takes true for 1, which nobody means who writes `steps = true` or `[true, 1]`."""
+    members = [member for kind in kinds for member in _members(kind)]
+    if isinstance(value, list | tuple):
+        inside = [get_args(kind)[0] for kind in members if get_origin(kind) in (list, tuple)]
+        for index, one in enumerate(value):
+            _refuse_switch(inside, f"{where}[{index}]", one)
+    if not isinstance(value, bool) or any(_speaks(get_args(kind)[1:]) for kind in kinds):
+        return
+    numbers = {int: "a whole number", float: "a number"}
+    wanted = [numbers[kind] for kind in members if kind in numbers]
+    if wanted and bool not in members and Any not in members:
+        expected = "expected " + " or ".join(wanted)
+        raise InputError(f"{shown(value)} is wrong", where=where, expected=expected)
+
+
+def _refuse_word(kind: Any, where: str, value: Any) -> None:
+    """Pydantic takes "no", "off" and 0 for false; a case file has a word for that."""
+    if (
+        _members(kind) == [bool]
+        and not isinstance(value, bool)
+        and isinstance(value, str | int | float)
+    ):
+        raise InputError(f"{shown(value)} is wrong", where=where, expected="expected true or false")
+
+
+def _speaks(metadata: Iterable[Any]) -> bool:
+    """A type says itself what it wants."""
+    return any(isinstance(one, Quantity | BeforeValidator) for one in metadata)
+
+
+def input_error(record: type[BaseModel], error: ValidationError) -> InputError:
+    """The first fault of a pydantic error as one message: dotted key, what, expected.
+
+    Args:
+        record: What was to be made.
+        error: Why it could not be.
+    """
+    faults = [(dotted(record, fault["loc"]), fault) for fault in error.errors()]
+    path, fault = min(faults, key=_rank)
+    # Of the members of a union the one that has read furthest was meant.
+    inside = [one for one in faults if path and one[0].startswith((f"{path}.", f"{path}["))]
+    path, fault = min(inside, key=_rank, default=(path, fault))
+    same = [other for place, other in faults if place == path]
+    ours = next((e for f in same if isinstance(e := _inner(f), InputError)), None)
+    if ours is not None and len(same) == 1:
+        return within(path, ours)
+    if fault["type"] == "missing":
+        return InputError("this key is missing", where=path)
+    if fault["type"] == "value_error" and ours is None:
+        return InputError(str(_inner(fault)), where=path)
+    told = ours is not None and isinstance(fault["input"], str)
+    what = ours.what if ours is not None and told else f"{shown(fault['input'])} is wrong"
+    return InputError(what, where=path, expected=_wanted(same))
+
+
+def _inner(fault: Any) -> Any:
+    return fault.get("ctx", {}).get("error")
+
+
+def within(path: str, error: InputError) -> InputError:
+    """The same error, seen from the table that holds `path`."""
+    joint = "" if not path or not error.where or error.where.startswith("[") else "."
+    return type(error)(error.what, where=path + joint + error.where, expected=error.expected)
+
+
+def _rank(found: tuple[str, Any]) -> int:
+    # What was written and is wrong comes before what is only missing.
+    return int(found[1]["type"] == "missing")
+
+
+LONGEST_SHOWN = 60
+
+
+def shown(value: Any) -> str:
+    """A value as it stands in a case file, shortened."""
+    try:
+        text = json.dumps(value, ensure_ascii=False)
+    except (TypeError, ValueError):
+        text = repr(value)
+    return text if len(text) <= LONGEST_SHOWN else text[: LONGEST_SHOWN - 3] + "..."
+
+
+_WANTED = {
+    "string_type": "a text",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "a table",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "greater_than": "a number above {gt:g}",
+    "less_than": "a number below {lt:g}",
+    "greater_than_equal": "a number of at least {ge:g}",
+    "less_than_equal": "a number of at most {le:g}",
+    "too_short": "a list of {min_length}",
+    "too_long": "a list of {max_length}",
+}
+
+
+def _wanted(faults: Sequence[Any]) -> str:
+    """What the members of a union, or the one type, would have taken."""
+    for fault in faults:
+        choices = re.findall(r"'([^']*)'", str(fault.get("ctx", {}).get("expected", "")))
+        if fault["type"] == "literal_error" and choices and isinstance(fault["input"], str):
+            return nearest(fault["input"], choices)
+    wanted = dict.fromkeys(_phrase(fault) for fault in faults)
+    return "expected " + " or ".join(wanted)
+
+
+def _phrase(fault: Any) -> str:
+    context = fault.get("ctx", {})
+    if fault["type"] == "literal_error":
+        return str(context["expected"])
+    if fault["type"] in _WANTED:
+        return _WANTED[fault["type"]].format(**context)
+    if isinstance(ours := _inner(fault), InputError):
+        return ours.expected.removeprefix("expected ") or ours.what
+    return str(fault["msg"]).removeprefix("Input should be ")
+
+
+def dotted(record: type[BaseModel], path: Iterable[str | int]) -> str:
+    """``("support", 0, "on")`` as ``support[0].on``.
+
+    Pydantic's names for members of unions and for what its validators do are left out: they are
+    no keys of the record, nor of what its fields hold.
+    """
+    text, kinds = "", [record]
+    for part in path:
+        below = [kind for one in kinds for kind in _below(one, part)]
+        if isinstance(part, int):
+            text += f"[{part}]"
+        elif below:
+            text += f".{part}" if text else part
+        kinds = below or kinds
+    return text
+
+
+def _below(kind: Any, part: str | int) -> list[Any]:
+    """What a type holds under a key or index; nothing where that is none."""
+    origin, inside = get_origin(kind), get_args(kind)
+    if isinstance(kind, type) and origin is None and issubclass(kind, BaseModel):
+        field = next((f for n, f in kind.model_fields.items() if part in _names(n, f)), None)
+        return [] if field is None else _members(field.annotation)
+    if isinstance(origin, type) and issubclass(origin, Mapping) and isinstance(part, str):
+        return [] if part.startswith("[") else _members(inside[1])
+    if isinstance(origin, type) and issubclass(origin, list | tuple) and isinstance(part, int):
+        return _members(inside[0])
+    return []
+
+
+def _members(kind: Any) -> list[Any]:
+    """The members of a union, or the type itself."""
+    origin = get_origin(kind)
+    if origin is Annotated:
+        return _members(get_args(kind)[0])
+    if origin is Union or origin is UnionType:
+        return [member for one in get_args(kind) for member in _members(one)]
+    return [kind]
+
+
+def known_keys(model: type[BaseModel]) -> list[str]:
+    """Keys that a record's table may have, other spellings included."""
+    return [key for name, field in model.model_fields.items() for key in _names(name, field)]
+
+
+def _names(name: str, field: FieldInfo) -> list[str]:
+    """The key of a field, and its other spellings."""
+    alias = field.validation_alias
+    if isinstance(alias, str):  # the attribute has another name, which is no key
+        return [alias]
+    others = alias.choices if isinstance(alias, AliasChoices) else ()
+    return [name, *(str(other) for other in others if other != name)]
+
+
+# --- keys beside each other ---
+
+
+@dataclass(frozen=True)
+class Idle:
+    """Keys that say nothing as long as another one is as it is.
+
+    Attributes:
+        keys: Whoever writes one of them expects something that does not happen.
+        what: Why, in words.
+        expected: What to do.
+    """
+
+    keys: Sequence[str]
+    what: str
+    expected: str = "leave it out"
+
+
+def given(record: Record, key: str) -> bool:
+    """The user has written this key, and something into it."""
+    value = getattr(record, key)
+    empty = value is None or (isinstance(value, list | dict) and not value)
+    return key in record.model_fields_set and not empty
+
+
+def refuse_idle(record: Record, rules: Iterable[Idle], table: str = "") -> None:
+    """Refuses keys that were written, but have no meaning beside others.
+
+    Args:
+        record: Whose keys they are.
+        rules: Which have none, and why.
+        table: Dotted key of the record, where it is another one that decides.
+
+    Raises:
+        InputError: The first one.
+    """
+    for rule in rules:
+        for key in rule.keys:
+            if given(record, key):
+                where = f"{table}.{key}" if table else key
+                raise InputError(rule.what, where=where, expected=rule.expected)
+
+
+R = TypeVar("R", bound=Record)
+
+
+def settled(kind: type[R], record: R | None, fields: Mapping[str, Any]) -> R:
+    """Settings as a record, or made from keywords, which are its fields.
+
+    Raises:
+        TypeError: Both are given.
+    """
+    if record is not None and fields:
+        raise TypeError(f"give settings or keywords, not both: {', '.join(fields)}")
+    return kind(**fields) if record is None else record

@@ -1,0 +1,81 @@
+"""Signals, and the file, that end a run after its step or ask for a checkpoint."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from contextlib import suppress
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+INTERRUPTED = 130
+"""Exit code of a run that was stopped."""
+
+FILE = "stop"
+"""File in the folder of results that ends a run there."""
+
+SAME = 0.5
+"""Signals so close [s] are one: to a process, to its group, and handed on by a launcher."""
+
+
+class Stop:
+    """Notes signals and a file called "stop"; a second signal to stop ends the program at once.
+
+    Args:
+        folder: Folder of the results, where a file called "stop" may appear.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.asked, self._checkpoint, self._file = False, False, folder / FILE
+        self._since = 0.0
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2):
+            signal.signal(number, self._ask)
+        signal.signal(signal.SIGUSR1, self._want)
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        if self.asked:
+            if time.monotonic() - self._since > SAME:
+                os._exit(INTERRUPTED)
+            return
+        self.asked, self._since = True, time.monotonic()
+        if launched_rank() == 0:  # not by `print`, which may be interrupted in the midst of one
+            with suppress(OSError):  # nobody reads it any more
+                os.write(2, b"\nstopping after this step; once more: at once\n")
+
+    def _want(self, number: int, frame: FrameType | None) -> None:
+        self._checkpoint = True
+
+    def wants_checkpoint(self) -> bool:
+        """Whether this rank was asked for a checkpoint since the last call. Not collective."""
+        wanted, self._checkpoint = self._checkpoint, False
+        return wanted
+
+    def agreed(self, comm: MPI.Comm) -> bool:
+        """True on all ranks when one was asked to stop. Collective."""
+        from dolfin_elastic.core.parallel import largest
+
+        if comm.rank == 0 and self._file.exists():
+            self.asked = True
+            with suppress(OSError):  # nobody reads it any more
+                os.write(2, f"stopping: there was a file {self._file}\n".encode())
+            forget(self._file.parent)  # it has done what it is for
+        return largest(comm, float(self.asked)) > 0
+
+
+def forget(folder: Path) -> None:
+    """Removes the file that has stopped a run, or was to stop one that has ended."""
+    with suppress(OSError):  # somebody else's file
+        (folder / FILE).unlink(missing_ok=True)
+
+
+def launched_rank() -> int:
+    """Rank of this process as its launcher says, without starting MPI; 0 without a launcher."""
+    for name in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID"):
+        if os.environ.get(name, "").isdigit():
+            return int(os.environ[name])
+    return 0

@@ -1,0 +1,296 @@
+"""Numbers with units: ``"1.2 MPa"`` becomes 1.2e6.
+
+Inside the program everything is in SI units (m, kg, s, N, Pa).  A bare number is taken as it
+stands, so a case written without any unit works in any consistent system.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+
+from pydantic_core import core_schema
+
+from dolfin_elastic.core.errors import UnitError
+
+if TYPE_CHECKING:
+    import pint
+
+_NUMBER = re.compile(
+    r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
+    r"(?:\s*((?:[^\W\d_]|[%°]).*?)|\s+(1\s*/.*?))?\s*",  # a unit begins with a letter, or with 1/
+    re.DOTALL,
+)
+_UNIT = re.compile(
+    r"(?:1\s*/\s*)?(?:(?:[^\W\d_]|[%°])+(?:\s*(?:\^|\*\*)\s*-?[0-9](?![0-9])|[²³])?(?:\s*[*/·.]\s*|\s+|\Z))+"
+)
+"""What pint may see: names with one-digit powers; it would work out 9^9^9 for hours."""
+
+
+LONGEST = 40
+"""Letters of the longest unit."""
+
+COMMON = {
+    "m": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6},
+    "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "N/m^2": 1.0, "N/mm^2": 1e6},
+    "kg/m^3": {"kg/m^3": 1.0, "g/cm^3": 1e3},
+    "N/m^3": {"N/m^3": 1.0, "kN/m^3": 1e3},
+    "s": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0},
+    "rad/s": {"rad/s": 1.0, "rpm": math.tau / 60},
+    "K": {"K": 1.0},
+    "1/K": {"1/K": 1.0, "ppm/K": 1e-6},
+    "m/s": {"m/s": 1.0, "mm/s": 1e-3},
+    "m/s^2": {"m/s^2": 1.0},
+    "Hz": {"Hz": 1.0, "kHz": 1e3},
+    "rad": {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180},
+}
+"""Units that most cases use, so that most cases start without pint's 0.3 s."""
+
+MEANT = {
+    "Hz": {"rad/s": 1 / math.tau, "rpm": 1 / 60},
+    "rad/s": {"Hz": math.tau},
+    "K": {"degC": 1.0, "°C": 1.0},
+}
+"""Units whose sense pint cannot see: turns per second, and changes of temperature."""
+
+
+@lru_cache(maxsize=1)
+def _registry() -> pint.UnitRegistry:
+    import pint  # 0.3 s: only where a case needs it
+
+    return pint.UnitRegistry()
+
+
+def is_quantity(text: str) -> bool:
+    """True for a number, bare or followed by a known unit: ``"2"``, ``"2 mm"``; no formula."""
+    parts = _split(text)
+    return parts is not None and (not parts[1] or _known(parts[1]))
+
+
+def _split(text: str) -> tuple[float, str] | None:
+    """Number and unit of a text; None if it is not of this form."""
+    match = _NUMBER.fullmatch(text)
+    return (float(match[1]), match[2] or match[3] or "") if match else None
+
+
+def _known(unit: str) -> bool:
+    if any(unit in units for units in COMMON.values()):
+        return True
+    if len(unit) > LONGEST or not _UNIT.fullmatch(unit):
+        return False
+    try:
+        _registry().parse_units(unit)
+    except Exception:  # pint raises many kinds for text that is no unit
+        return False
+    return True
+
+
+def to_si(value: float | str, unit: str) -> float:
+    """A number, or a text with a number and a unit, in SI units.
+
+    Args:
+        value: ``210e9``, ``"210e9"`` or ``"210 GPa"``.
+        unit: SI unit of what is expected, for example ``"Pa"`` (``""``: a pure number).
+
+    Returns:
+        The value in `unit`.
+
+    Raises:
+        UnitError: Not a finite number, an unknown unit, or one that measures something else.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise UnitError(f"{value!r} is not a number", expected=_expected(unit))
+    if isinstance(value, str):
+        return _finite(_from_text(value, unit), value)
+    try:
+        return _finite(float(value), value)
+    except OverflowError:  # a whole number of more than 308 digits
+        return _finite(math.inf, math.inf)
+
+
+def _from_text(text: str, unit: str) -> float:
+    if (parts := _split(text)) is None:
+        raise UnitError(f"'{text}' is not a number", expected=_expected(unit))
+    number, name = parts
+    if not name:
+        return number
+    for table in (COMMON, MEANT):
+        if name in table.get(unit, ()):
+            return number * table[unit][name]
+    if not _known(name):
+        raise UnitError(f"unknown unit '{name}' in '{text}'", expected=_expected(unit))
+    if not _registry().Quantity(1.0, name).is_compatible_with(unit or "dimensionless"):
+        raise UnitError(f"'{text}' has the wrong unit", expected=_expected(unit))
+    zero, size = _scale(text, name, unit)
+    if zero != 0.0 and unit != "K":  # a number in kelvin is a change of temperature throughout
+        raise UnitError(f"'{text}' counts from a zero of its own", expected=_expected(unit))
+    return number * size * _turned(name, unit)
+
+
+def _turned(name: str, unit: str) -> float:
+    """What a frequency is as an angular one, or the other way round; to pint both are 1/s."""
+    if unit == "Hz" and "radian" in str(_registry().Quantity(1.0, name).to_root_units().units):
+        return 1 / math.tau
+    if unit == "rad/s" and "hertz" in str(_registry().parse_units(name)):
+        return math.tau
+    return 1.0
+
+
+def _scale(text: str, name: str, unit: str | None) -> tuple[float, float]:
+    """What nothing of a unit is in `unit` (None: in SI base units), and how much one of it adds.
+
+    Raises:
+        UnitError: Its steps are not equal, as those of decibels.
+    """
+    quantities = [_registry().Quantity(x, name) for x in (0.0, 1.0, 2.0)]
+    zero, one, two = (
+        float((q.to_base_units() if unit is None else q.to(unit or "dimensionless")).magnitude)
+        for q in quantities
+    )
+    # Round-off of a zero such as 273.15 K.
+    if abs(two - 2 * one + zero) > 1e-9 * abs(one - zero):
+        raise UnitError(f"'{text}' is on a scale whose steps are not equal")
+    return zero, one - zero
+
+
+def to_base(value: float | str) -> float:
+    """A number, or a text with a number and any unit, in SI base units: ``"2 kN/mm"`` is 2e6.
+
+    Raises:
+        UnitError: Not a finite number, or an unknown unit.
+    """
+    parts = _split(value) if isinstance(value, str) else None
+    if parts is None or not parts[1]:
+        return to_si(value, "")
+    number, name = parts
+    for units in COMMON.values():
+        if name in units:
+            return _finite(number * units[name], value)
+    if not _known(name):
+        raise UnitError(f"unknown unit '{name}' in '{value}'", expected='for example "0.4 MPa"')
+    zero, size = _scale(str(value), name, None)
+    if zero != 0.0:
+        raise UnitError(
+            f"'{value}' may be a temperature or a change of one", expected="the same in K"
+        )
+    return _finite(number * size, value)
+
+
+def _finite(number: float, written: object) -> float:
+    if not math.isfinite(number):
+        raise UnitError(f"{written!r} is not a finite number")
+    return number
+
+
+_EXAMPLES = {
+    "Pa": "210 GPa",
+    "m": "2 mm",
+    "kg/m^3": "1100 kg/m^3",
+    "m/s^2": "9.81 m/s^2",
+    "m/s": "3 m/s",
+    "s": "0.1 s",
+    "Hz": "440 Hz",
+    "N/m^3": "10 kN/m^3",
+    "N": "5 kN",
+    "rad": "90 deg",
+    "N/m": "2 kN/m",
+    "rad/s": "3000 rpm",
+    "K": "80 K",
+    "1/K": "12 ppm/K",
+}
+
+
+PLACED = {"Pa": "2 kPa"}
+"""Examples of what acts on places, where those of materials are of another size."""
+
+
+def _expected(unit: str) -> str:
+    example = _EXAMPLES.get(unit)
+    if not unit:
+        return "expected a pure number"
+    return f"expected a number in {unit}" + (f', for example "{example}"' if example else "")
+
+
+class Deferred(ABC):
+    """Stands in for a number that is known only on a body, where its bounds are checked too."""
+
+    @property
+    @abstractmethod
+    def written(self) -> Any:
+        """As it stands in a case file."""
+
+    def __gt__(self, other: object) -> bool:
+        return True
+
+    def __ge__(self, other: object) -> bool:
+        return True
+
+    def __lt__(self, other: object) -> bool:
+        return True
+
+    def __le__(self, other: object) -> bool:
+        return True
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Tells pydantic how a number in `unit` is read and written back."""
+
+    unit: str
+
+    def read(self, value: Any, bounded: Callable[[float], float]) -> float | Deferred:
+        """A number in SI units and within bounds; what stands for a number is left as it is."""
+        return value if isinstance(value, Deferred) else bounded(to_si(value, self.unit))
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
+        return core_schema.no_info_wrap_validator_function(
+            self.read, handler(source), serialization=as_written
+        )
+
+
+def _as_written(value: Any) -> Any:
+    return value.written if isinstance(value, Deferred) else value
+
+
+as_written = core_schema.plain_serializer_function_ser_schema(_as_written)
+"""For pydantic: writes what is deferred as it was read."""
+
+
+def quantity(unit: str) -> Any:
+    """A pydantic field type: a float in `unit` that may be written with any compatible unit."""
+    return Annotated[float, Quantity(unit)]
+
+
+if TYPE_CHECKING:
+    Number: TypeAlias = float
+    Length: TypeAlias = float
+    Stress: TypeAlias = float
+    Density: TypeAlias = float
+    Acceleration: TypeAlias = float
+    Velocity: TypeAlias = float
+    Time: TypeAlias = float
+    Frequency: TypeAlias = float
+    Force: TypeAlias = float
+    ForceDensity: TypeAlias = float
+    Expansion: TypeAlias = float
+    Viscosity: TypeAlias = float
+    Rate: TypeAlias = float
+else:
+    Number = quantity("")
+    Length = quantity("m")
+    Stress = quantity("Pa")
+    Density = quantity("kg/m^3")
+    Acceleration = quantity("m/s^2")
+    Velocity = quantity("m/s")
+    Time = quantity("s")
+    Frequency = quantity("Hz")
+    Force = quantity("N")
+    ForceDensity = quantity("N/m^3")
+    Expansion = quantity("1/K")
+    Viscosity = quantity("Pa*s")
+    Rate = quantity("1/s")

@@ -1,0 +1,69 @@
+"""Where a law has no value, and which operation of its formula is to blame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from ufl.algorithms import expand_derivatives
+from ufl.classes import Division, Exp, Expr, Ln, Power, ScalarValue, Sqrt
+from ufl.corealg.traversal import unique_post_traversal
+
+from dolfin_elastic.material_point.ufl_to_numpy import Program, symbol
+from dolfin_elastic.model.materials.law import Law
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+def outside(law: Law, F: Array) -> str:
+    """The operation that has no value, in words; empty if none is found.
+
+    Args:
+        law: A law with numbers, not with fields.
+        F: Deformation gradients at which it has none, of shape (n, 3, 3).
+
+    Returns:
+        For example "ln of a negative number, -0.2"; the innermost such operation, the number
+        farthest off.
+    """
+    at = symbol()
+    formula = law.energy(at) if law.has_energy else law.stress(at)
+    for node in unique_post_traversal(expand_derivatives(ufl.as_ufl(formula))):
+        if (said := _fault(node, lambda e: Program(e, at)(F))) is not None:
+            return said
+    return ""
+
+
+def _fault(node: Expr, value: Callable[[Expr], Array]) -> str | None:
+    """What is wrong with one operation at some of the points."""
+    if not isinstance(node, Ln | Sqrt | Power | Division | Exp) or node.ufl_free_indices:
+        return None
+    operand = node.ufl_operands[1 if isinstance(node, Division) else 0]
+    if operand.ufl_shape or operand.ufl_free_indices:
+        return None
+    a = value(operand)
+    bad, words = _outside(node, a)
+    if not bad.any():
+        return None
+    return words + ("" if isinstance(node, Division) else f", {_farthest(a[bad]):.3g}")
+
+
+def _outside(node: Expr, a: Array) -> tuple[Mask, str]:
+    if isinstance(node, Ln):
+        return a <= 0.0, "ln of a negative number" if (a < 0.0).any() else "ln of zero"
+    if isinstance(node, Sqrt):
+        return a < 0.0, "square root of a negative number"
+    if isinstance(node, Division):
+        return a == 0.0, "division by zero"
+    if isinstance(node, Exp):
+        return a > np.log(np.finfo(float).max), "exp of too large a number"
+    exponent = node.ufl_operands[1]
+    broken = isinstance(exponent, ScalarValue) and not float(exponent).is_integer()
+    return (a < 0.0) & broken, "broken power of a negative number"
+
+
+def _farthest(a: Array) -> float:
+    return float(a[np.argmax(np.abs(a))])

@@ -1,0 +1,102 @@
+"""How far a material goes: growth of its energy, strong ellipticity."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from dolfin_elastic.material_point.checks import Finding, Trial
+from dolfin_elastic.material_point.homogeneous_tests import Curve
+from dolfin_elastic.material_point.ufl_to_numpy import Array, Point
+
+_CRUSHED = 10.0 ** -np.array([2.0, 4.0, 8.0, 16.0, 32.0])
+_BLOWN = 10.0 ** np.array([1.0, 2.0, 3.0, 4.0])
+_DIRECTIONS = 300
+_CHUNK = 200
+PATHS = ("uniaxial", "equibiaxial", "simple-shear")
+
+
+def growth(trial: Trial) -> Iterator[Finding]:
+    """The energy as the volume falls to 0 and as it grows beyond all bounds."""
+    if not trial.law.has_energy:
+        return
+    for name, J in (("energy as J -> 0", _CRUSHED), ("energy as J -> inf", _BLOWN)):
+        psi = trial.point.energy(np.cbrt(J)[:, None, None] * np.eye(3))
+        yield Finding(name, "note", _trend(psi, J, trial.scale), {"psi": list(map(float, psi))})
+
+
+def _trend(psi: Array, J: Array, scale: float) -> str:
+    if np.isnan(psi).any():
+        return f"not defined at J = {J[np.argmax(np.isnan(psi))]:g}"
+    if np.isposinf(psi).any() or psi[-1] > 1e3 * abs(psi[-2]):
+        return "grows without bound"
+    rise = np.diff(psi)
+    if rise[-1] > 1e-3 * scale and rise[-1] >= 0.9 * rise[-2] > 0:
+        return "grows without bound"
+    side = "does not resist inversion" if J[-1] < 1 else "does not resist a change of volume"
+    return f"stays at {psi[-1]:.4g} J/m^3: {side}"
+
+
+def directions(count: int = _DIRECTIONS) -> Array:
+    """Unit vectors spread over half a sphere (a Fibonacci lattice), the axes and diagonals too."""
+    k = np.arange(count) + 0.5
+    z, turn = 1 - k / count, np.pi * (1 + np.sqrt(5)) * k
+    r = np.sqrt(1 - z**2)
+    spread = np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
+    grid = np.array([[a, b, c] for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (0, 1)], float)
+    grid = grid[np.abs(grid).sum(axis=1) > 0]
+    return np.concatenate([spread, grid / np.linalg.norm(grid, axis=1, keepdims=True)])
+
+
+def acoustic(point: Point, F: Array, *, flat: bool = False) -> Array:
+    """Smallest eigenvalue of the acoustic tensor over all directions, of shape (n,) [Pa].
+
+    Q_ik = A_ijkl N_j N_l in the reference configuration; strong ellipticity is Q > 0 for all N.
+
+    Source: J. Marsden and T. Hughes, Mathematical Foundations of Elasticity, 1983, section 4.3.
+
+    Args:
+        point: The law.
+        F: Deformation gradients, of shape (n, 3, 3).
+        flat: Directions and motions in the plane of x and y only.
+    """
+    N, least, dim = directions(), [], 3
+    if flat:
+        turn = np.linspace(0.0, np.pi, 180, endpoint=False)
+        N, dim = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1), 2
+    for start in range(0, len(F), _CHUNK):
+        A = point.tangent(F[start : start + _CHUNK])
+        Q = np.einsum("nijkl,mj,ml->nmik", A, N, N, optimize=True)
+        Q = ((Q + Q.swapaxes(-1, -2)) / 2)[..., :dim, :dim]
+        bad = ~np.isfinite(Q).all(axis=(1, 2, 3))
+        Q[bad] = -np.eye(dim)
+        least.append(np.linalg.eigvalsh(Q)[..., 0].min(axis=1))
+    return np.concatenate(least) if least else np.zeros(0)
+
+
+def elliptic(trial: Trial, curves: dict[str, Curve]) -> Iterator[Finding]:
+    """Where waves of every kind can pass: the interval about the rest."""
+    for name in PATHS:
+        curve = curves[name]
+        least = acoustic(trial.point, curve.F)
+        good = least > 0
+        rest = int(np.argmin(np.abs(curve.values - curve.mode.rest)))
+        if not good[rest]:
+            text = f"lost at rest: smallest eigenvalue {least[rest]:.3g} Pa"
+            yield Finding(f"elliptic, {name}", "fail", text, {})
+            continue
+        low, high = _interval(good, rest)
+        a, b = float(curve.values[low]), float(curve.values[high])
+        whole = (low, high) == (0, len(good) - 1)
+        text = f"{curve.mode.symbol} {a:.3g} to {b:.3g}" + ("" if whole else ", lost beyond")
+        values = {"from": a, "to": b, "whole": whole}
+        yield Finding(f"elliptic, {name}", "pass" if whole else "note", text, values)
+
+
+def _interval(good: Array, inside: int) -> tuple[int, int]:
+    """First and last of the true entries about one of them."""
+    bad = np.flatnonzero(~good)
+    low = int(bad[bad < inside].max(initial=-1)) + 1
+    high = int(bad[bad > inside].min(initial=len(good))) - 1
+    return low, high

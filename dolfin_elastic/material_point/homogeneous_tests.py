@@ -1,0 +1,194 @@
+"""Homogeneous states of a material: curves that an experiment would give."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfin_elastic.material_point.ufl_to_numpy import Array, Point
+
+_ITERATIONS = 25
+_HALVINGS = 6
+_LARGEST_CHANGE = 0.5
+_LEAST_VOLUME = 0.2
+"""Of the step before: P = F S vanishes at F = 0 too, which is no state of equilibrium."""
+_SMALL = 1e-3
+_EXACT, _GOOD = 1e-14, 1e-9
+"""Stress over stiffness: good enough at once, and where it gets no better."""
+_FREE_SIDES = ((1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_FREE_THICKNESS = ((2, 2), (0, 2), (1, 2))
+Pairs = tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A kind of homogeneous deformation.
+
+    F is an upper triangle: that leaves out rotations and nothing else.
+
+    Attributes:
+        name: Its name.
+        symbol: Of what is prescribed.
+        place: F for a prescribed value.
+        rest: The value at rest.
+        free: Components of F that are found such that the same components of P vanish.
+        shown: Component of the stress that is plotted.
+    """
+
+    name: str
+    symbol: str
+    place: Callable[[float], Array]
+    rest: float
+    free: Pairs = ()
+    shown: tuple[int, int] = (0, 0)
+
+
+def _shear(g: float) -> Array:
+    return np.array([[1.0, g, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+MODES = (
+    Mode("uniaxial", "stretch", lambda s: np.diag([s, 1.0, 1.0]), 1.0, _FREE_SIDES),
+    Mode("equibiaxial", "stretch", lambda s: np.diag([s, s, 1.0]), 1.0, _FREE_THICKNESS),
+    Mode("planar", "stretch", lambda s: np.diag([s, 1.0, 1.0]), 1.0, _FREE_THICKNESS),
+    Mode("simple-shear", "shear", _shear, 0.0, shown=(0, 1)),
+    Mode("volumetric", "J", lambda J: np.cbrt(J) * np.eye(3), 1.0),
+)
+"""Planar tension, of a wide sheet, is what the rubber trade calls pure shear."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """States along one mode, in ascending order of what is prescribed.
+
+    Attributes:
+        mode: Which kind of deformation.
+        values: What is prescribed, of shape (n,).
+        F: Deformation gradients, (n, 3, 3).
+        P: First Piola-Kirchhoff stresses [Pa].
+        energy: Strain energy [J/m^3]; nan if the law has none.
+        ends: Where a branch ended before it was asked to, with the reason.
+    """
+
+    mode: Mode
+    values: Array
+    F: Array
+    P: Array
+    energy: Array
+    ends: tuple[str, ...]
+
+    @property
+    def cauchy(self) -> Array:
+        """Cauchy stresses [Pa]."""
+        return np.asarray(self.P @ self.F.transpose(0, 2, 1)) / self.J[:, None, None]
+
+    @property
+    def J(self) -> Array:
+        """Change of volume."""
+        return np.asarray(np.linalg.det(self.F))
+
+
+def curve(point: Point, mode: Mode, targets: Array) -> Curve:
+    """Follows a mode from the rest to both ends of `targets`.
+
+    Args:
+        point: The law.
+        mode: Which kind of deformation.
+        targets: Ascending values of what is prescribed; the rest is among them.
+    """
+    up = _branch(point, mode, targets[targets > mode.rest])
+    down = _branch(point, mode, targets[targets < mode.rest][::-1])
+    rest = (mode.rest, mode.place(mode.rest))
+    found = [*reversed(down.states), rest, *up.states]
+    F = np.array([state for _, state in found])
+    energy = point.energy(F) if point.law.has_energy else np.full(len(F), np.nan)
+    ends = tuple(branch.end for branch in (down, up) if branch.end)
+    values = np.array([value for value, _ in found])
+    return Curve(mode, values, F, point.stress(F), energy, ends)
+
+
+@dataclass
+class _Branch:
+    states: list[tuple[float, Array]]
+    end: str = ""
+
+
+def _branch(point: Point, mode: Mode, targets: Array) -> _Branch:
+    """One way from the rest outwards; a step that fails is tried again in halves."""
+    if not mode.free:
+        return _prescribed(point, mode, targets)
+    branch = _Branch([])
+    value, F = mode.rest, mode.place(mode.rest)
+    for target in targets:
+        share, done = 1.0, 0.0
+        start = value
+        while done < 1.0:
+            trial = start + min(done + share, 1.0) * (target - start)
+            found = _balanced(point, mode, value, F, trial)
+            if found is not None:
+                done, value, F = done + share, trial, found
+            elif (share := share / 2) < 0.5**_HALVINGS:
+                where = f"{mode.name} ends at {mode.symbol} {value:.4g}"
+                branch.end = f"{where}: no state with free sides follows"
+                return branch
+        value = float(target)
+        branch.states.append((value, F))
+    return branch
+
+
+def _prescribed(point: Point, mode: Mode, targets: Array) -> _Branch:
+    if not len(targets):
+        return _Branch([])
+    F = np.array([mode.place(float(value)) for value in targets])
+    fine: Array = np.asarray(np.isfinite(point.stress(F)).all(axis=(1, 2)))
+    count = len(fine) if fine.all() else int(np.argmin(fine))
+    branch = _Branch([(float(v), f) for v, f in zip(targets[:count], F[:count], strict=True)])
+    if count < len(fine):
+        last = targets[count - 1] if count else mode.rest
+        branch.end = f"{mode.name} ends at {mode.symbol} {last:.4g}: the stress is not finite"
+    return branch
+
+
+def _balanced(point: Point, mode: Mode, value: float, F: Array, trial: float) -> Array | None:
+    """The state at `trial` near F, by Newton's method with the tangent; None if there is none."""
+    rows, columns = np.array(mode.free).T
+    A, G = point.tangent(F[None])[0], mode.place(trial)
+    before, scale = F[rows, columns], float(np.abs(A).max())
+    G[rows, columns] = before + _predicted(A, mode, trial - value)
+    last = np.inf
+    for _ in range(_ITERATIONS):
+        residual = point.stress(G[None])[0][rows, columns]
+        size = float(np.abs(residual).max())
+        if size <= _EXACT * scale or (size <= _GOOD * scale and size > last / 4):
+            return G  # as small as round-off lets it be
+        last = size
+        change = _solved(point.tangent(G[None])[0], mode, residual)
+        G[rows, columns] -= change
+        far = np.abs(G[rows, columns] - before).max() > _LARGEST_CHANGE
+        crushed = np.linalg.det(G) < _LEAST_VOLUME * np.linalg.det(F)
+        if far or crushed or not np.isfinite(change).all():
+            return None
+    return None
+
+
+def _predicted(A: Array, mode: Mode, step: float) -> Array:
+    """Change of the free components along the tangent of the path."""
+    rows, columns = np.array(mode.free).T
+    ahead = (mode.place(mode.rest + _SMALL) - mode.place(mode.rest)) / _SMALL
+    driven = np.einsum("ijkl,kl->ij", A, ahead)[rows, columns]
+    change = -step * _solved(A, mode, driven)
+    return np.where(np.isfinite(change), change, 0.0)
+
+
+def _solved(A: Array, mode: Mode, right: Array) -> Array:
+    """Solves with the part of the tangent that belongs to the free components; else nan."""
+    rows, columns = np.array(mode.free).T
+    matrix = A[rows[:, None], columns[:, None], rows, columns]
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        return np.full(len(rows), np.nan)
+    try:
+        return np.asarray(np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:
+        return np.full(len(rows), np.nan)

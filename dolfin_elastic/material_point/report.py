@@ -1,0 +1,89 @@
+"""The whole bench of one material."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfin_elastic.core.errors import FormulaError, InputError
+from dolfin_elastic.core.schema import within
+from dolfin_elastic.material_point.checks import Finding, Trial, checks
+from dolfin_elastic.material_point.ellipticity import elliptic, growth
+from dolfin_elastic.material_point.homogeneous_tests import (
+    MODES,
+    Curve,
+    Mode,
+    curve,
+)
+from dolfin_elastic.material_point.ufl_to_numpy import Array
+from dolfin_elastic.model.materials.law import Law
+
+LARGEST = 2.0
+_POINTS = 30
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What the bench finds.
+
+    Attributes:
+        law: The material.
+        findings: One a check.
+        curves: Name of a mode to its curve; none if the law is not finite near the rest.
+        notes: What else a user should know.
+    """
+
+    law: Law
+    findings: tuple[Finding, ...]
+    curves: dict[str, Curve]
+    notes: tuple[str, ...]
+
+    @property
+    def failed(self) -> tuple[Finding, ...]:
+        """Checks that the material does not pass."""
+        return tuple(f for f in self.findings if f.verdict == "fail")
+
+
+def bench(law: Law, *, largest: float = LARGEST) -> Bench:
+    """Tries a material at a point: checks, curves, and how far it goes.
+
+    Not collective; a second or so.
+
+    Args:
+        law: Any law.
+        largest: Curves go from 1/`largest` to `largest`, shears to `largest` - 1 both ways.
+
+    Raises:
+        InputError: The numbers make no material at all, or `largest` is not above 1.
+    """
+    if not largest > 1:
+        raise InputError(
+            f"{largest:g} is no largest stretch", where="--stretch", expected="above 1"
+        )
+    for name in law.deferred():
+        raise InputError(
+            "this constant varies in space", where=name, expected="the bench tries numbers"
+        )
+    trial = Trial(law)
+    try:
+        findings = checks(trial)
+    except FormulaError as error:
+        raise within("energy", error) from None
+    notes = [law.warning] if law.warning else []
+    if trial.law is not law:
+        notes.append("an infinite modulus was tried as 10000 times the others")
+    if any(f.verdict == "fail" and f.check == "finite values" for f in findings):
+        return Bench(law, tuple(findings), {}, tuple(notes))
+    with np.errstate(all="ignore"):
+        curves = {m.name: curve(trial.point, m, _targets(m, largest)) for m in MODES}
+        findings += [*growth(trial), *elliptic(trial, curves)]
+    notes += [end for found in curves.values() for end in found.ends]
+    return Bench(law, tuple(findings), curves, tuple(notes))
+
+
+def _targets(mode: Mode, largest: float) -> Array:
+    spread = np.linspace(-1.0, 1.0, 2 * _POINTS + 1)
+    if mode.rest == 0:
+        return spread * (largest - 1)
+    return np.asarray(largest**spread)

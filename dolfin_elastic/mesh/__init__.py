@@ -1,0 +1,21 @@
+"""Meshes: reading, generating, naming, judging."""
+
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.generate import box_body, rectangle_body
+from dolfin_elastic.mesh.geometry.quality import Measures, measures
+from dolfin_elastic.mesh.read import read_body
+from dolfin_elastic.mesh.selection import name_parts
+from dolfin_elastic.mesh.selectors import Cylinder, Selector, Sphere
+
+__all__ = [
+    "Body",
+    "Cylinder",
+    "Measures",
+    "Selector",
+    "Sphere",
+    "box_body",
+    "measures",
+    "name_parts",
+    "read_body",
+    "rectangle_body",
+]

@@ -1,0 +1,169 @@
+"""From plain arrays on one rank to a distributed `Body`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+
+import basix.ufl
+import numpy as np
+import numpy.typing as npt
+from dolfinx import cpp
+from dolfinx.mesh import CellType, GhostMode, Mesh, create_cell_partitioner, create_mesh
+from mpi4py import MPI
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.parallel import agree
+from dolfin_elastic.mesh.body import Body, Indices
+from dolfin_elastic.mesh.fields import distributed
+from dolfin_elastic.mesh.formats.cleaning import cleaned
+from dolfin_elastic.mesh.formats.raw import RawMesh, match_rows
+from dolfin_elastic.mesh.geometry.simplices import facet_nodes, prepare_facets
+
+Permutation = Callable[[CellType, int], npt.NDArray[np.int32]]
+
+
+def build_body(
+    read: Callable[[], RawMesh],
+    *,
+    comm: MPI.Comm,
+    scale: float,
+    source: str,
+    permutation: Permutation = cpp.io.perm_vtk,
+) -> Body:
+    """Reads on rank 0, cleans, and distributes over all ranks.
+
+    Collective.
+
+    Args:
+        read: Called on rank 0 only.
+        comm: The ranks that share the mesh.
+        scale: Metres per unit of length of the file.
+        source: The file, for messages.
+        permutation: The node order of quadratic cells: `cpp.io.perm_vtk` or `perm_gmsh`.
+
+    Raises:
+        MeshError: The mesh is not fit for use.
+    """
+    raw = _on_root_only(comm, lambda: cleaned(read()), source)
+    mesh = _distribute(comm, raw, scale, permutation)
+    regions = _regions(mesh, raw)
+    surfaces, lost = _surfaces(mesh, raw)
+    notes = comm.bcast(raw.notes if raw else None)
+    return Body(mesh, regions, surfaces, source, (*notes, *lost), distributed(mesh, raw))
+
+
+def _on_root_only(comm: MPI.Comm, action: Callable[[], RawMesh], source: str) -> RawMesh | None:
+    """The result stays on rank 0 (it may be large); an error is raised on all ranks."""
+    raw: RawMesh | None = None
+    error: Exception | None = None
+    if comm.rank == 0:
+        try:
+            raw = action()
+        except MeshError as caught:
+            error = caught if caught.where else caught.at(source)
+        except MemoryError:
+            error = MeshError(
+                "the mesh does not fit into the memory of one process",
+                where=source,
+                expected="convert it to XDMF, which is read in parts",
+            )
+        except OSError as caught:
+            error = MeshError(f"cannot be read: {caught.strerror or caught}", where=source)
+        except Exception as caught:  # raised again on all ranks just below
+            error = caught
+    agree(comm, error)
+    return raw
+
+
+def _distribute(
+    comm: MPI.Comm, raw: RawMesh | None, scale: float, permutation: Permutation
+) -> Mesh:
+    dim, order, width = comm.bcast((raw.dim, raw.order, raw.cells.shape[1]) if raw else None)
+    kind = CellType.tetrahedron if dim == 3 else CellType.triangle
+    if raw is not None:
+        cells = np.ascontiguousarray(raw.cells[:, permutation(kind, width)])
+        x = np.ascontiguousarray(raw.points * scale, dtype=np.float64)
+    else:
+        cells, x = np.empty((0, width), dtype=np.int64), np.empty((0, dim))
+    return make_mesh(comm, cells, x, order)
+
+
+def before_parting(comm: MPI.Comm) -> None:
+    """What must be done before DOLFINx distributes a mesh. Collective."""
+    # PT-Scotch's threads race: the same body was parted in two ways, 10 of 1500 times.
+    os.environ.setdefault("SCOTCH_PTHREAD_NUMBER", "1")
+    # DOLFINx 0.9 may mix up messages of two meshes made in a row (fixed in 0.10, #3512).
+    comm.barrier()
+
+
+def make_mesh(
+    comm: MPI.Comm, cells: npt.NDArray[np.int64], x: npt.NDArray[np.float64], order: int
+) -> Mesh:
+    """Distributes cells without ghosts, and creates the facets. Collective.
+
+    Args:
+        comm: The ranks that share the mesh.
+        cells: This rank's share of the cells, in DOLFINx's node order.
+        x: This rank's share of the points, in metres, shape (n, 2) or (n, 3).
+        order: Geometric degree, 1 or 2.
+    """
+    dim = x.shape[1]
+    kind = "tetrahedron" if dim == 3 else "triangle"
+    element = basix.ufl.element("Lagrange", kind, order, shape=(dim,))
+    before_parting(comm)
+    mesh = create_mesh(
+        comm, cells=cells, x=x, e=element, partitioner=create_cell_partitioner(GhostMode.none)
+    )
+    prepare_facets(mesh)
+    return mesh
+
+
+def _regions(mesh: Mesh, raw: RawMesh | None) -> dict[str, Indices]:
+    """Local cells of each region, by one bit per cell sent to everyone."""
+    comm, found = mesh.comm, dict[str, Indices]()
+    original = np.asarray(mesh.topology.original_cell_index)
+    for name in comm.bcast(list(raw.regions) if raw else None):
+        bits = None
+        if raw is not None:
+            inside = np.zeros(len(raw.cells), dtype=bool)
+            inside[raw.regions[name]] = True
+            bits = np.packbits(inside)
+        bits = np.asarray(comm.bcast(bits))
+        inside = (bits[original >> 3] >> (7 - (original & 7)) & 1).astype(bool)
+        found[name] = np.flatnonzero(inside).astype(np.int32)
+    return found
+
+
+def _surfaces(mesh: Mesh, raw: RawMesh | None) -> tuple[dict[str, Indices], list[str]]:
+    """Local facets of each surface (also those shared with other ranks), and what got lost."""
+    comm = mesh.comm
+    named = comm.bcast(raw.surfaces if raw else None)
+    if not named:
+        return {}, []
+    facets, keys = _candidates(mesh, np.unique(np.concatenate([f.ravel() for f in named.values()])))
+    surfaces, notes = {}, []
+    for name, rows in named.items():
+        wanted = np.unique(np.sort(rows, axis=1), axis=0)
+        at = match_rows(keys, wanted)
+        hit = np.ascontiguousarray(at >= 0, dtype=np.int32)
+        comm.Allreduce(MPI.IN_PLACE, hit, op=MPI.MAX)
+        missed = int(np.count_nonzero(hit == 0))
+        if missed < len(wanted):
+            surfaces[name] = np.sort(facets[at[at >= 0]]).astype(np.int32)
+        if missed:
+            notes.append(
+                f"{missed} of {len(wanted)} facets of '{name}' are no facets of a cell (dropped)"
+            )
+    return surfaces, notes
+
+
+def _candidates(mesh: Mesh, nodes: npt.NDArray[np.int64]) -> tuple[Indices, npt.NDArray[np.int64]]:
+    """Local facets all of whose vertices are among these points of the file."""
+    index = mesh.topology.index_map(mesh.topology.dim - 1)
+    facets = np.arange(index.size_local + index.num_ghosts, dtype=np.int32)
+    if len(facets) == 0:
+        return facets, np.empty((0, mesh.topology.dim), dtype=np.int64)
+    original = np.asarray(mesh.geometry.input_global_indices)[facet_nodes(mesh, facets)]
+    inside = np.isin(original, nodes).all(axis=1)
+    return facets[inside], np.sort(original[inside], axis=1)

@@ -1,0 +1,152 @@
+"""Fields that mesh files carry: numbers of cells or of points, on the ranks that need them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh
+from mpi4py import MPI
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.parallel import agree, largest, smallest
+from dolfin_elastic.mesh.geometry.curved import tabulated
+
+if TYPE_CHECKING:
+    from dolfin_elastic.mesh.formats.raw import RawMesh
+
+Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+Read = Callable[[int, int], Floats]
+"""Rows from `start` to `stop` of a field in a file, shape (stop - start, columns)."""
+CHUNK = 1 << 20
+"""Rows that are sent at a time."""
+
+
+@dataclass(frozen=True)
+class MeshField:
+    """Numbers that the mesh came with.
+
+    Attributes:
+        centre: Where the values belong: constant in cells, or at the mesh's points.
+        values: Rows of this rank's local cells, or of the points of `mesh.geometry` (ghosts
+            included), shape (rows, columns); 1 column is a scalar, 2 or 3 a vector.
+    """
+
+    centre: Literal["cell", "point"]
+    values: Floats
+
+    def said(self, comm: MPI.Comm) -> str:
+        """Where it belongs and what it is, for people. Collective."""
+        if self.columns > 1:
+            return f"{self.centre}s, {self.columns} components"
+        finite = self.values[np.isfinite(self.values)]
+        low = smallest(comm, float(finite.min(initial=np.inf)))
+        high = largest(comm, float(finite.max(initial=-np.inf)))
+        return f"{self.centre}s, {low:.4g} to {high:.4g}"
+
+    @property
+    def columns(self) -> int:
+        """Numbers per cell or point."""
+        return int(self.values.shape[1])
+
+    def at(self, mesh: Mesh, cells: Indices, points: Floats) -> Floats:
+        """The values in cells, between points by the shape functions of the mesh. Local.
+
+        Args:
+            mesh: The mesh they came with.
+            cells: Local cells.
+            points: Points of the reference cell, shape (k, dim).
+
+        Returns:
+            Shape (cells, k, columns).
+        """
+        if self.centre == "cell":
+            return np.repeat(self.values[cells][:, None, :], len(points), axis=1)
+        nodes = self.values[mesh.geometry.dofmap[cells]]
+        return np.asarray(np.einsum("kn,cnj->ckj", tabulated(mesh, points), nodes))
+
+
+def columned(data: Any, rows: int, name: str) -> Floats:
+    """Data of a file as floating-point numbers, one row for each cell or point.
+
+    Raises:
+        MeshError: The number of rows is another, or they are no numbers.
+    """
+    try:
+        table = np.asarray(data, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise MeshError(f"the field '{name}' holds something that is not a number") from None
+    if table.ndim == 0 or len(table) != rows:
+        count = 0 if table.ndim == 0 else len(table)
+        raise MeshError(f"the field '{name}' has {count} rows for {rows} cells or points")
+    return table.reshape(rows, -1) if rows else np.empty((0, 1))
+
+
+def distributed(mesh: Mesh, raw: RawMesh | None) -> dict[str, MeshField]:
+    """Each rank's rows of the fields that rank 0 has read. Collective."""
+    found: dict[str, MeshField] = {}
+    for centre in ("cell", "point"):
+        tables: Mapping[str, Floats] = getattr(raw, f"{centre}_data") if raw else {}
+        shapes = mesh.comm.bcast({name: table.shape for name, table in tables.items()})
+        for name, shape in shapes.items():
+            table = tables.get(name)
+            read = None if table is None else _rows_of(table)
+            found[name] = spread(mesh, centre, shape, read)
+    return found
+
+
+def _rows_of(table: Floats) -> Read:
+    return lambda start, stop: table[start:stop]
+
+
+def spread(
+    mesh: Mesh, centre: Literal["cell", "point"], shape: tuple[int, int], read: Read | None
+) -> MeshField:
+    """Gives each rank its rows of a field, without any rank having to hold all of them.
+
+    Collective.
+
+    Args:
+        mesh: The distributed mesh; it knows the rows of the file by their numbers.
+        centre: What the rows belong to.
+        shape: Rows and columns of the whole field.
+        read: On rank 0: reads rows.
+
+    Raises:
+        MeshError: The field has another number of rows than the mesh has cells or points.
+    """
+    if centre == "cell":
+        rows = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)
+    else:
+        rows = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)
+    _check_rows(mesh, rows, shape[0], centre)
+    order = np.argsort(rows, kind="stable")
+    values = np.empty((len(rows), shape[1]))
+    for start in range(0, shape[0], CHUNK):
+        stop = min(start + CHUNK, shape[0])
+        part = _sent(mesh.comm, (stop - start, shape[1]), start, read)
+        low, high = np.searchsorted(rows[order], (start, stop))
+        values[order[low:high]] = part[rows[order[low:high]] - start]
+    return MeshField(centre, values)
+
+
+def _check_rows(mesh: Mesh, rows: npt.NDArray[np.int64], count: int, centre: str) -> None:
+    need = int(mesh.comm.allreduce(int(rows.max(initial=-1)), op=MPI.MAX)) + 1
+    if need > count or (need < count and centre == "cell"):  # not all points need be in use
+        raise MeshError(f"it has {count} rows, but there are {need} {centre}s")
+
+
+def _sent(comm: MPI.Comm, shape: tuple[int, int], start: int, read: Read | None) -> Floats:
+    part, error = np.empty(shape), None
+    if read is not None:
+        try:
+            part[:] = read(start, start + shape[0])
+        except (OSError, ValueError, KeyError) as caught:
+            error = MeshError(f"it cannot be read: {caught}")
+    agree(comm, error)
+    comm.Bcast(part)
+    return part

@@ -1,0 +1,1 @@
+"""Readers of mesh and CAD files: each returns a `RawMesh`."""

@@ -1,0 +1,186 @@
+"""What is wrong with a mesh file and can be mended, or must be refused, before distribution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.mesh.formats.raw import Floats, Ints, RawMesh
+
+
+def places(points: npt.ArrayLike, count: int, what: str = "near") -> str:
+    """Says where things are: the first five coordinates."""
+    rows = np.asarray(points, dtype=float)[:5]
+    text = ", ".join("(" + ", ".join(f"{x:.4g}" for x in row) + ")" for row in rows)
+    return f"{what} {text}{' ...' if count > len(rows) else ''}"
+
+
+def cleaned(raw: RawMesh) -> RawMesh:
+    """The mesh without what DOLFINx cannot digest; each mending leaves a note.
+
+    Local: one rank cleans.
+
+    Raises:
+        MeshError: Something cannot be mended.
+    """
+    steps: list[Callable[[RawMesh], RawMesh]] = [
+        _indices,
+        _duplicates,
+        _used,
+        _numbers,
+        _planar,
+        _collapsed,
+        _branching,
+        _pieces,
+    ]
+    for step in steps:
+        raw = step(raw)
+    return raw
+
+
+def _noted(raw: RawMesh, note: str, **changes: object) -> RawMesh:
+    return replace(raw, notes=(*raw.notes, note), **changes)  # type: ignore[arg-type]
+
+
+def _corners(raw: RawMesh) -> Ints:
+    return raw.cells[:, : raw.dim + 1]
+
+
+def _midpoints(raw: RawMesh, rows: npt.NDArray[np.bool_] | Ints) -> Floats:
+    return np.asarray(raw.points[_corners(raw)[rows][:5]].mean(axis=1))
+
+
+def _indices(raw: RawMesh) -> RawMesh:
+    low, high = raw.cells.min(), raw.cells.max()
+    if low < 0 or high >= len(raw.points):
+        raise MeshError(
+            f"elements refer to the point {high if high >= len(raw.points) else low}, "
+            f"but there are {len(raw.points)} points"
+        )
+    return raw
+
+
+def _duplicates(raw: RawMesh) -> RawMesh:
+    corners = np.sort(_corners(raw), axis=1)
+    order = np.lexsort(corners.T)
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (corners[order[1:]] != corners[order[:-1]]).any(axis=1)
+    if new.all():
+        return raw
+    # lexsort is stable: the first of equal cells is the one kept.
+    keep = np.sort(order[new])
+    first = np.empty(len(order), dtype=np.int64)
+    first[order] = np.searchsorted(keep, order[new])[np.cumsum(new) - 1]
+    count = len(order) - len(keep)
+    again = np.setdiff1d(np.arange(len(order)), keep)
+    note = f"{count} cells stood twice (kept once) {places(_midpoints(raw, again), count)}"
+    regions = {name: np.unique(first[rows]) for name, rows in raw.regions.items()}
+    data = {name: values[keep] for name, values in raw.cell_data.items()}
+    return _noted(raw, note, cells=raw.cells[keep], regions=regions, cell_data=data)
+
+
+def _used(raw: RawMesh) -> RawMesh:
+    used = np.zeros(len(raw.points), dtype=bool)
+    used[raw.cells] = True
+    unused = int(np.count_nonzero(~used))
+    if unused == 0:
+        return raw
+    new = np.cumsum(used) - 1
+    surfaces, lost = {}, []
+    for name, facets in raw.surfaces.items():
+        inside = used[facets].all(axis=1)
+        lost += [] if inside.all() else [f"{np.count_nonzero(~inside)} of '{name}'"]
+        surfaces[name] = new[facets[inside]]
+    note = f"{unused} of {len(used)} points belong to no cell (dropped)"
+    data = {name: values[used] for name, values in raw.point_data.items()}
+    raw = _noted(
+        raw,
+        note,
+        points=raw.points[used],
+        cells=new[raw.cells],
+        surfaces=surfaces,
+        point_data=data,
+    )
+    return (
+        _noted(raw, f"facets that belong to no cell (dropped): {', '.join(lost)}") if lost else raw
+    )
+
+
+def _numbers(raw: RawMesh) -> RawMesh:
+    bad = np.flatnonzero(~np.isfinite(raw.points).all(axis=1))
+    if len(bad):
+        raise MeshError(
+            f"{len(bad)} points have coordinates that are not numbers",
+            expected=f"the first is point {bad[0] + 1} of those in use",
+        )
+    return raw
+
+
+def _planar(raw: RawMesh) -> RawMesh:
+    """Drops the third coordinate of a plane body."""
+    if raw.dim == 3 or raw.points.shape[1] == 2:
+        return raw
+    spread = np.ptp(raw.points, axis=0)
+    if spread[2] > 1e-8 * spread.max():
+        raise MeshError(
+            f"the mesh is a surface in space: {len(raw.cells)} triangles, z from "
+            f"{raw.points[:, 2].min():.6g} to {raw.points[:, 2].max():.6g}",
+            expected="shells are not supported: a volume mesh of tetrahedra is "
+            "needed, or triangles in a plane z = constant",
+        )
+    return replace(raw, points=raw.points[:, :2])
+
+
+def _collapsed(raw: RawMesh) -> RawMesh:
+    nodes = np.sort(raw.cells, axis=1)
+    bad = (nodes[:, 1:] == nodes[:, :-1]).any(axis=1)
+    if bad.any():
+        count = np.count_nonzero(bad)
+        raise MeshError(
+            f"{count} cells use the same point twice, {places(_midpoints(raw, bad), count)}",
+            expected="remesh there",
+        )
+    return raw
+
+
+def _branching(raw: RawMesh) -> RawMesh:
+    """Refuses facets between more than two cells: the body would overlap itself."""
+    corners = _corners(raw)
+    facets = np.sort(
+        np.concatenate([np.delete(corners, i, axis=1) for i in range(raw.dim + 1)]), axis=1
+    )
+    facets = facets[np.lexsort(facets.T)]
+    third = (facets[2:] == facets[:-2]).all(axis=1)
+    if third.any():
+        where = raw.points[facets[2:][third][:5]].mean(axis=1)
+        count = np.count_nonzero(third)
+        raise MeshError(
+            f"{count} facets lie between three or more cells: the mesh overlaps "
+            f"itself, {places(where, count)}",
+            expected="remesh there",
+        )
+    return raw
+
+
+def _pieces(raw: RawMesh) -> RawMesh:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    corners, n = _corners(raw), len(raw.points)
+    rows = np.repeat(corners[:, 0], raw.dim)
+    links = coo_array((np.ones(len(rows), dtype=bool), (rows, corners[:, 1:].ravel())), (n, n))
+    _, label = connected_components(links, directed=False)
+    sizes = np.bincount(label[corners[:, 0]])
+    sizes = np.sort(sizes[sizes > 0])[::-1]
+    if len(sizes) == 1:
+        return raw
+    text = ", ".join(str(s) for s in sizes[:5]) + (" ..." if len(sizes) > 5 else "")
+    return _noted(
+        raw,
+        f"the mesh is in {len(sizes)} unconnected pieces of {text} cells: each "
+        "needs its own support",
+    )

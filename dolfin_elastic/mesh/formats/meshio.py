@@ -1,0 +1,173 @@
+"""Every other format, through meshio: .vtu, .vtk, .med, .mesh, .bdf ... with their names."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.mesh.fields import columned
+from dolfin_elastic.mesh.formats.raw import Block, Floats, Ints
+
+# Integer cell data that are references of the format itself: their number is the name.
+_REFERENCES = ("gmsh:physical", "medit:ref", "nastran:ref", "tetgen:ref", "cell_tags")
+_IGNORED = ("gmsh:geometrical",)
+_MOST = 200  # more distinct integers than this are data, not names
+
+
+@dataclass(frozen=True)
+class OtherFile:
+    """Points (in the file's unit), elements, sets and data of points, and remarks."""
+
+    points: Floats
+    blocks: list[Block]
+    point_sets: dict[str, Ints] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    point_data: dict[str, Floats] = field(default_factory=dict)
+
+
+def read_other(path: Path) -> OtherFile:
+    """Reads a file with meshio. Local: one rank reads.
+
+    Raises:
+        MeshError: meshio does not know the format or cannot read the file.
+    """
+    mesh = _read(path)
+    points = np.asarray(mesh.points, dtype=np.float64)
+    if points.ndim != 2 or len(points) == 0:
+        raise MeshError("the mesh has no points", where=path.name)
+    blocks = [
+        Block(cells.type, _nodes(cells, path), _parts(mesh, i), _cell_data(mesh, i))
+        for i, cells in enumerate(mesh.cells)
+    ]
+    sets: dict[str, Ints] = {
+        str(name): np.asarray(rows, dtype=np.int64).reshape(-1)
+        for name, rows in (mesh.point_sets or {}).items()
+    }
+    sets.update(_tagged(mesh.point_data.get("point_tags"), getattr(mesh, "point_tags", {})))
+    data = {
+        str(name): columned(values, len(points), str(name))
+        for name, values in mesh.point_data.items()
+        if name != "point_tags" and _is_number(np.asarray(values))
+    }
+    return OtherFile(points, blocks, sets, point_data=data)
+
+
+def _is_number(data: npt.NDArray[Any]) -> bool:
+    return data.dtype.kind in "fiu"
+
+
+def _cell_data(mesh: Any, i: int) -> dict[str, Floats]:
+    """What is measured, not counted: integers that name parts are no fields."""
+    found = {}
+    for name, blocks in mesh.cell_data.items():
+        if name in _IGNORED or name in _REFERENCES or i >= len(blocks):
+            continue
+        data = np.asarray(blocks[i])
+        if _is_number(data) and not by_value(data, name, {}):
+            found[str(name)] = columned(data, len(mesh.cells[i].data), str(name))
+    return found
+
+
+def _read(path: Path) -> Any:
+    import meshio
+
+    said = io.StringIO()
+    try:
+        # meshio prints its errors and ends the process.
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            return meshio.read(path)
+    except SystemExit:
+        raise MeshError(
+            f"meshio cannot read it: {' '.join(said.getvalue().split())[:300]}", where=path.name
+        ) from None
+    except Exception as error:  # readers fail in any way on damaged files
+        raise MeshError(
+            f"meshio cannot read it: {_reason(path, error)}",
+            where=path.name,
+            expected="formats: .msh, .xdmf, .inp, .vtu, .vtk, .med, .mesh, .bdf; "
+            ".geo, .step, .brep",
+        ) from None
+
+
+def _reason(path: Path, error: Exception) -> str:
+    if "deduce file format" in str(error):
+        return f"unknown suffix '{path.suffix}'"
+    return " ".join(f"{type(error).__name__} {error}".split())[:300]
+
+
+def _nodes(cells: Any, path: Path) -> Ints:
+    try:
+        nodes = np.asarray(cells.data, dtype=np.int64)
+    except (ValueError, TypeError):  # ragged: polyhedra
+        return np.zeros((len(cells.data), 1), dtype=np.int64)
+    return nodes.reshape(len(nodes), -1)
+
+
+def _parts(mesh: Any, i: int) -> dict[str, Ints]:
+    parts: dict[str, Ints] = {}
+    for name, sets in (mesh.cell_sets or {}).items():
+        # meshio's own helper sets are no names of the user.
+        if not name.startswith("gmsh:") and i < len(sets) and sets[i] is not None:
+            _add(parts, str(name), np.asarray(sets[i], dtype=np.int64).reshape(-1))
+    dim = Block(mesh.cells[i].type, np.empty((0, 0), dtype=np.int64)).dim
+    for key, data in mesh.cell_data.items():
+        if key in _IGNORED or i >= len(data):
+            continue
+        names = _numbered(key, mesh, dim)
+        for name, rows in by_value(np.asarray(data[i]), key, names).items():
+            _add(parts, name, rows)
+    return parts
+
+
+def _add(parts: dict[str, Ints], name: str, rows: Ints) -> None:
+    parts[name] = np.union1d(rows, parts[name]) if name in parts else rows
+
+
+def _numbered(key: str, mesh: Any, dim: int) -> Mapping[int, Sequence[str]]:
+    """What the numbers of a format are called in it."""
+    if key == "cell_tags":
+        return getattr(mesh, "cell_tags", {}) or {}
+    if key == "gmsh:physical":
+        return {int(tag): [name] for name, (tag, d) in (mesh.field_data or {}).items() if d == dim}
+    return {}
+
+
+def by_value(
+    data: npt.NDArray[Any], key: str, names: Mapping[int, Sequence[str]]
+) -> dict[str, Ints]:
+    """Splits integer cell data into named rows: "3" for references, else "key_3"."""
+    whole = np.issubdtype(data.dtype, np.integer) or (
+        key in _REFERENCES and bool(np.all(data == np.round(data)))
+    )
+    if data.ndim != 1 or not whole:
+        return {}
+    values = np.unique(data)
+    if len(values) > _MOST:
+        return {}
+    parts: dict[str, Ints] = {}
+    for value in values:
+        if key in _REFERENCES and value == 0:
+            continue
+        plain = [str(int(value))] if key in _REFERENCES else [f"{key}_{int(value)}"]
+        for name in names.get(int(value), plain):
+            _add(parts, name, np.flatnonzero(data == value))
+    return parts
+
+
+def _tagged(tags: Any, names: Mapping[int, Sequence[str]]) -> dict[str, Ints]:
+    """MED's groups of points."""
+    sets: dict[str, Ints] = {}
+    if tags is None:
+        return sets
+    for value, groups in (names or {}).items():
+        for name in groups:
+            _add(sets, name, np.flatnonzero(np.asarray(tags) == value))
+    return sets

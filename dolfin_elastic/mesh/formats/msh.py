@@ -1,0 +1,345 @@
+"""Gmsh's .msh files, versions 2 and 4.1, ASCII and binary, with every physical name.
+
+Read here rather than through Gmsh because Gmsh gives elements of one entity one set of groups
+(files of version 2 may say otherwise), and ends the process on some damaged files.
+Format: https://gmsh.info/doc/texinfo/gmsh.html#MSH-file-format
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.mesh.formats.msh_data import View, data_rows, views
+from dolfin_elastic.mesh.formats.raw import Block, Floats, Ints
+
+_TYPES = {
+    1: ("line", 2),
+    2: ("triangle", 3),
+    3: ("quad", 4),
+    4: ("tetra", 4),
+    5: ("hexahedron", 8),
+    6: ("wedge", 6),
+    7: ("pyramid", 5),
+    8: ("line3", 3),
+    9: ("triangle6", 6),
+    10: ("quad9", 9),
+    11: ("tetra10", 10),
+    12: ("hexahedron27", 27),
+    13: ("wedge18", 18),
+    14: ("pyramid14", 14),
+    15: ("vertex", 1),
+    16: ("quad8", 8),
+    17: ("hexahedron20", 20),
+    18: ("wedge15", 15),
+    19: ("pyramid13", 13),
+    20: ("triangle9", 9),
+    21: ("triangle10", 10),
+    22: ("triangle12", 12),
+    23: ("triangle15", 15),
+    24: ("triangle15i", 15),
+    25: ("triangle21", 21),
+    26: ("line4", 4),
+    27: ("line5", 5),
+    28: ("line6", 6),
+    29: ("tetra20", 20),
+    30: ("tetra35", 35),
+    31: ("tetra56", 56),
+    36: ("quad16", 16),
+    92: ("hexahedron64", 64),
+}
+
+
+@dataclass(frozen=True)
+class MshFile:
+    """Points (in the file's unit), elements with their data, remarks, and data of points."""
+
+    points: Floats
+    blocks: list[Block]
+    notes: list[str]
+    point_data: dict[str, Floats] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Elements of one type: their numbers in the file, groups of each, and nodes."""
+
+    kind: int
+    tags: Ints
+    groups: Ints
+    nodes: Ints
+
+
+class OtherVersionError(Exception):
+    """The file is of a version that only Gmsh itself reads."""
+
+
+class _Numbers:
+    """The numbers of one section, taken in order, from text or from bytes."""
+
+    def __init__(self, data: bytes, name: str, *, binary: bool, swap: bool) -> None:
+        self._name, self._binary, self._at = name, binary, 0
+        self._order = ">" if swap else "<"
+        self._data = data
+        self._values = np.empty(0) if binary else _numbers(data, name)
+
+    def take(self, count: int, code: str) -> npt.NDArray[np.float64 | np.int64]:
+        """The next numbers; code i4 (int), u8 (size_t) or f8 (double)."""
+        wide = np.dtype(self._order + code)
+        size = wide.itemsize if self._binary else 1
+        have = (len(self._data) if self._binary else len(self._values)) - self._at
+        if count < 0 or count * size > have:
+            raise MeshError(f"section ${self._name} ends too early or is damaged")
+        start, self._at = self._at, self._at + count * size
+        if self._binary:
+            part = np.frombuffer(self._data, wide, count, start)
+        else:
+            part = self._values[start : self._at]
+        return part.astype(np.float64 if code == "f8" else np.int64)
+
+    def ints(self, count: int) -> Ints:
+        """The next integers of 4 bytes."""
+        return self.take(count, "i4")  # type: ignore[return-value]
+
+    def sizes(self, count: int) -> Ints:
+        """The next integers of 8 bytes."""
+        return self.take(count, "u8")  # type: ignore[return-value]
+
+    def doubles(self, count: int) -> Floats:
+        """The next floating-point numbers."""
+        return self.take(count, "f8")  # type: ignore[return-value]
+
+    def points(self, count: int) -> tuple[Ints, Floats]:
+        """Numbered points of a binary file of version 2."""
+        kind = np.dtype([("tag", self._order + "i4"), ("x", self._order + "f8", 3)])
+        if len(self._data) - self._at < count * kind.itemsize:
+            raise MeshError(f"section ${self._name} ends too early or is damaged")
+        rows = np.frombuffer(self._data, kind, count, self._at)
+        return rows["tag"].astype(np.int64), rows["x"].astype(np.float64)
+
+    def rest(self) -> Ints:
+        """All remaining integers of 4 bytes."""
+        have = len(self._data) - self._at
+        return self.ints(have // 4 if self._binary else len(self._values) - self._at)
+
+    def line(self) -> int:
+        """An integer that stands as text on a line of its own, in binary files too."""
+        if not self._binary:
+            return int(self.ints(1)[0])
+        end = self._data.find(b"\n", self._at)
+        text, self._at = self._data[self._at : end], end + 1
+        if end < 0 or not text.strip().isdigit():
+            raise MeshError(f"section ${self._name} is damaged")
+        return int(text)
+
+
+def _numbers(data: bytes, name: str) -> Floats:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            return np.fromstring(data.decode("latin-1"), sep=" ")
+        except (DeprecationWarning, ValueError):
+            raise MeshError(f"section ${name} holds something that is not a number") from None
+
+
+def read_msh(path: Path) -> MshFile:
+    """Reads a .msh file. Local: one rank reads.
+
+    Raises:
+        MeshError: The file is damaged.
+        OtherVersionError: The file is of version 1, 3 or 4.0.
+    """
+    data = path.read_bytes()
+    version, binary, swap = _header(data)
+    every = _sections(data)
+    sections = {name: parts[0] for name, parts in every.items()}
+    names = _names(sections.get("PhysicalNames", b""))
+    if "PartitionedEntities" in sections:
+        raise MeshError(
+            "the mesh is partitioned", expected="save it whole (in Gmsh: Mesh > Unpartition)"
+        )
+
+    def numbers(name: str) -> _Numbers:
+        if name not in sections:
+            raise MeshError(f"there is no section ${name}; the file is damaged or cut short")
+        return _Numbers(sections[name], name, binary=binary, swap=swap)
+
+    if version < 3:
+        tags, points = _nodes2(numbers("Nodes"), binary)
+        found = list(_elements2(numbers("Elements"), binary))
+    else:
+        groups = _entities4(numbers("Entities")) if sections.get("Entities", b"").strip() else {}
+        tags, points = _nodes4(numbers("Nodes"))
+        found = list(_elements4(numbers("Elements"), groups))
+    of_cells, of_points = (
+        views(every.get(kind, []), kind, binary=binary, swap=swap)
+        for kind in ("ElementData", "NodeData")
+    )
+    mesh = _named(points, tags, found, names, of_cells)
+    return replace(mesh, point_data=data_rows(of_points, tags))
+
+
+def _header(data: bytes) -> tuple[float, bool, bool]:
+    head = re.search(
+        rb"\$MeshFormat\s+([\d.]+)\s+([01])\s+(\d+)[^\n]*\n(....)?", data[:4096], re.DOTALL
+    )
+    if head is None:
+        if data.startswith(b"$NOD"):
+            raise OtherVersionError("1")
+        raise MeshError("this is not a Gmsh mesh (no $MeshFormat at the start)")
+    version, binary = float(head[1]), head[2] == b"1"
+    if not (2 <= version < 3 or version == 4.1):
+        raise OtherVersionError(head[1].decode())
+    return version, binary, binary and head[4] == b"\0\0\0\1"
+
+
+def _sections(data: bytes) -> dict[str, list[bytes]]:
+    """The texts between $Name and $EndName, of repeated sections one each."""
+    found: dict[str, list[bytes]] = {}
+    at = 0
+    while (start := data.find(b"$", at)) >= 0:
+        line_end = data.find(b"\n", start)
+        name = data[start + 1 : line_end].strip().decode("latin-1")
+        end = data.find(f"$End{name}".encode("latin-1"), line_end)
+        if line_end < 0 or end < 0:
+            raise MeshError(f"section ${name[:40]} has no end; the file is damaged or cut short")
+        found.setdefault(name, []).append(data[line_end + 1 : end])
+        at = end + len(name) + 4
+    return found
+
+
+def _names(data: bytes) -> dict[tuple[int, int], str]:
+    rows = re.findall(r'^\s*(\d+)\s+(\d+)\s+"(.*)"\s*$', data.decode("utf-8", "replace"), re.M)
+    return {(int(dim), int(tag)): name for dim, tag, name in rows}
+
+
+def _nodes2(numbers: _Numbers, binary: bool) -> tuple[Ints, Floats]:
+    count = numbers.line()
+    if not binary:
+        rows = numbers.doubles(4 * count).reshape(-1, 4)
+        return rows[:, 0].astype(np.int64), rows[:, 1:]
+    return numbers.points(count)
+
+
+def _elements2(numbers: _Numbers, binary: bool) -> Iterator[_Run]:
+    """Runs of elements alike, with the group of each."""
+    count, words, at = numbers.line(), numbers.rest(), 0
+    while count > 0:
+        head = words[at : at + 3]
+        if len(head) < 3:
+            raise MeshError("section $Elements ends too early or is damaged")
+        kind, tags = (int(head[0]), int(head[2])) if binary else (int(head[1]), int(head[2]))
+        size = _nodes_of(kind)
+        if tags < 0:
+            raise MeshError("section $Elements is damaged (a negative number of tags)")
+        blocked = binary and head[1] > 1
+        skip = 3 if blocked else 0
+        lead = 1 if blocked else 4 if binary else 3
+        width = lead + tags + size
+        alike = [] if blocked else [0, 1, 2] if binary else [1, 2]
+        rows = _run(words[at + skip :], width, alike, int(head[1]) if blocked else count, blocked)
+        groups = rows[:, lead] if tags > 0 else np.zeros(len(rows), dtype=np.int64)
+        own = rows[:, 3 if binary and not blocked else 0]
+        yield _Run(kind, own, groups, rows[:, lead + tags :])
+        at += skip + rows.size
+        count -= len(rows)
+
+
+def _run(words: Ints, width: int, alike: list[int], most: int, whole: bool) -> Ints:
+    """The first rows of this width that agree in the columns `alike`."""
+    rows = words[: min(most, len(words) // width) * width].reshape(-1, width)
+    if len(rows) == 0 or (whole and len(rows) < most):
+        raise MeshError("section $Elements ends too early or is damaged")
+    differs = (rows[:, alike] != rows[0, alike]).any(axis=1)
+    return rows[: int(np.argmax(differs))] if differs.any() else rows
+
+
+def _nodes_of(kind: int) -> int:
+    if kind not in _TYPES:
+        raise MeshError(f"section $Elements has the unknown element type {kind}")
+    return _TYPES[kind][1]
+
+
+def _entities4(numbers: _Numbers) -> dict[tuple[int, int], Ints]:
+    """(dimension, entity) to its physical groups."""
+    groups = {}
+    for dim, count in enumerate(numbers.sizes(4)):
+        for _ in range(count):
+            tag = int(numbers.ints(1)[0])
+            numbers.doubles(3 if dim == 0 else 6)
+            groups[dim, tag] = np.abs(numbers.ints(int(numbers.sizes(1)[0])))
+            if dim > 0:
+                numbers.ints(int(numbers.sizes(1)[0]))
+    return groups
+
+
+def _nodes4(numbers: _Numbers) -> tuple[Ints, Floats]:
+    blocks = numbers.sizes(4)[0]
+    tags: list[Ints] = [np.empty(0, dtype=np.int64)]
+    points: list[Floats] = [np.empty((0, 3))]
+    for _ in range(blocks):
+        dim, _, parametric = numbers.ints(3)
+        count = int(numbers.sizes(1)[0])
+        width = 3 + (int(dim) if parametric else 0)
+        tags.append(numbers.sizes(count))
+        points.append(numbers.doubles(width * count).reshape(-1, width)[:, :3])
+    return np.concatenate(tags), np.concatenate(points)
+
+
+def _elements4(numbers: _Numbers, entities: dict[tuple[int, int], Ints]) -> Iterator[_Run]:
+    """The blocks, each with its groups."""
+    for _ in range(numbers.sizes(4)[0]):
+        dim, entity, kind = (int(n) for n in numbers.ints(3))
+        width = 1 + _nodes_of(kind)
+        rows = numbers.sizes(width * int(numbers.sizes(1)[0])).reshape(-1, width)
+        groups = entities.get((dim, entity), np.empty(0, dtype=np.int64))
+        of_each = np.broadcast_to(groups, (len(rows), len(groups)))
+        yield _Run(kind, rows[:, 0], of_each, rows[:, 1:])
+
+
+def _named(
+    points: Floats,
+    tags: Ints,
+    found: list[_Run],
+    names: dict[tuple[int, int], str],
+    data: dict[str, View],
+) -> MshFile:
+    order = np.argsort(tags)
+    blocks, used = [], set()
+    for run in found:
+        block = Block(_TYPES[run.kind][0], _rows(tags, order, run.nodes))
+        parts: dict[str, Ints] = {}
+        for group in np.unique(run.groups[run.groups != 0]):
+            rows = np.flatnonzero((run.groups.reshape(len(run.nodes), -1) == group).any(axis=1))
+            name = names.get((block.dim, int(group)), str(group))
+            parts[name] = np.union1d(rows, parts.get(name, rows))
+            used.add((block.dim, int(group)))
+        blocks.append(Block(block.kind, block.nodes, parts, data_rows(data, run.tags)))
+    empty = [name for key, name in names.items() if key not in used]
+    notes = (
+        [f"no elements carry the name{'s' if len(empty) > 1 else ''} {', '.join(empty)} (left out)"]
+        if empty
+        else []
+    )
+    return MshFile(points, blocks, notes)
+
+
+def _rows(tags: Ints, order: Ints, nodes: Ints) -> Ints:
+    """Where in the list of points the nodes stand."""
+    if len(tags) == 0:
+        raise MeshError("the mesh has no points")
+    at = np.searchsorted(tags, nodes, sorter=order)
+    rows = order[np.minimum(at, len(tags) - 1)]
+    lost = np.unique(nodes[tags[rows] != nodes])
+    if len(lost):
+        raise MeshError(
+            f"elements refer to {len(lost)} points that do not exist, for example {lost[0]}"
+        )
+    return np.asarray(rows)

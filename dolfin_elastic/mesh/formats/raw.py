@@ -1,0 +1,243 @@
+"""What a mesh file holds, before it is distributed: plain arrays on one rank."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.core.errors import MeshError
+
+Ints = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+
+_DIMS = {
+    "vertex": 0,
+    "line": 1,
+    "triangle": 2,
+    "quad": 2,
+    "polygon": 2,
+    "tetra": 3,
+    "hexahedron": 3,
+    "wedge": 3,
+    "pyramid": 3,
+    "polyhedron": 3,
+}
+_CELLS = {2: {"triangle": 1, "triangle6": 2}, 3: {"tetra": 1, "tetra10": 2}}
+_SAID = {
+    "tetra": "tetrahedra",
+    "tetra10": "10-node tetrahedra",
+    "triangle": "triangles",
+    "triangle6": "6-node triangles",
+    "hexahedron": "hexahedra",
+    "quad": "quadrilaterals",
+    "wedge": "wedges (prisms)",
+    "pyramid": "pyramids",
+    "line": "lines",
+    "vertex": "points",
+}
+
+
+@dataclass(frozen=True)
+class Block:
+    """Elements of one kind and the named parts some of them belong to.
+
+    Attributes:
+        kind: Element kind in the words of meshio: tetra, tetra10, triangle, triangle6, line ...
+        nodes: Rows of `points` (shape (n, k)), vertices first.
+        parts: Name to the rows of `nodes` that carry it; names may overlap.
+        data: Name to numbers of each element, shape (n, columns).
+    """
+
+    kind: str
+    nodes: Ints
+    parts: Mapping[str, Ints] = field(default_factory=dict)
+    data: Mapping[str, Floats] = field(default_factory=dict)
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the elements: 3 for an unknown kind, so that it is not overlooked."""
+        return _DIMS.get(self.kind.rstrip("0123456789"), 3)
+
+
+@dataclass(frozen=True)
+class RawMesh:
+    """One body as plain arrays.
+
+    Attributes:
+        points: Coordinates in the file's unit, shape (N, dim).
+        cells: Rows of `points` for each cell, in the file's node order, shape (M, k).
+        order: Geometric degree, 1 or 2.
+        regions: Name to rows of `cells`.
+        surfaces: Name to the facets' vertices (rows of `points`), shape (F, dim).
+        notes: What was found and mended.
+        cell_data: Name to numbers of each cell, shape (M, columns).
+        point_data: Name to numbers of each point, shape (N, columns).
+    """
+
+    points: Floats
+    cells: Ints
+    order: int
+    regions: Mapping[str, Ints] = field(default_factory=dict)
+    surfaces: Mapping[str, Ints] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    cell_data: Mapping[str, Floats] = field(default_factory=dict)
+    point_data: Mapping[str, Floats] = field(default_factory=dict)
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the cells, 2 or 3."""
+        return {3: 2, 6: 2, 4: 3, 10: 3}[self.cells.shape[1]]
+
+
+def assemble(
+    points: Floats,
+    blocks: Sequence[Block],
+    *,
+    source: str,
+    dim: int | None = None,
+    point_sets: Mapping[str, Ints] | None = None,
+    point_data: Mapping[str, Floats] | None = None,
+    notes: Iterable[str] = (),
+) -> RawMesh:
+    """Makes one body of the elements of the highest dimension.
+
+    Local.  Elements one dimension below give the named surfaces.
+
+    Args:
+        points: Coordinates, shape (N, 2) or (N, 3).
+        blocks: All elements of the file.
+        source: The file, for messages.
+        dim: 2 or 3 to choose the elements; by default the highest found.
+        point_sets: Name to rows of `points`; each becomes the surface of the facets within it.
+        point_data: Name to numbers of each point; left out where cells have data of that name.
+        notes: What is known already.
+
+    Raises:
+        MeshError: There are no triangles or tetrahedra, or others beside them.
+    """
+    blocks = [b for b in blocks if len(b.nodes)]
+    dim = max((b.dim for b in blocks), default=0) if dim is None else dim
+    solid = [b for b in blocks if b.dim == dim]
+    order = _order(solid, blocks, dim, source)
+    below = [b for b in blocks if b.dim == dim - 1]
+    surfaces = _gather(below, [b.nodes[:, :dim] for b in below])
+    surfaces.update(
+        {
+            name: s
+            for name, s in _from_points(solid, dim, point_sets or {}).items()
+            if name not in surfaces
+        }
+    )
+    starts = np.cumsum([0] + [len(b.nodes) for b in solid])
+    rows = [np.arange(len(b.nodes)) + start for b, start in zip(solid, starts, strict=False)]
+    regions = {name: np.unique(r) for name, r in _gather(solid, rows).items()}
+    cells = np.concatenate([b.nodes for b in solid])
+    notes = (*notes, *_left_out(blocks, dim))
+    cell_data = _cell_data(solid)
+    at_points = {n: data for n, data in (point_data or {}).items() if n not in cell_data}
+    return RawMesh(points, cells, order, regions, surfaces, notes, cell_data, at_points)
+
+
+def _cell_data(solid: Sequence[Block]) -> dict[str, Floats]:
+    """The blocks' data one below the other, NaN where a block has none."""
+    found = {}
+    for name in dict.fromkeys(name for block in solid for name in block.data):
+        width = max(block.data[name].shape[1] for block in solid if name in block.data)
+        rows = [block.data.get(name, np.full((len(block.nodes), width), np.nan)) for block in solid]
+        if all(part.shape[1] == width for part in rows):
+            found[name] = np.concatenate(rows)
+    return found
+
+
+def _order(solid: Sequence[Block], blocks: Sequence[Block], dim: int, source: str) -> int:
+    known = _CELLS.get(dim, {})
+    other = sorted({b.kind for b in solid} - set(known))
+    if not solid or not known:
+        raise MeshError(
+            f"the mesh has no tetrahedra and no triangles ({_found(blocks)})",
+            where=source,
+            expected="save the volume (or 2D) elements too",
+        )
+    if other:
+        raise MeshError(
+            f"the mesh has elements other than simplices: {_found(solid)}",
+            where=source,
+            expected=_advice(dim),
+        )
+    orders = {known[b.kind] for b in solid}
+    if len(orders) > 1:
+        raise MeshError(
+            f"linear and quadratic elements are mixed: {_found(solid)}",
+            where=source,
+            expected="mesh the whole body with one order",
+        )
+    return orders.pop()
+
+
+def _advice(dim: int) -> str:
+    if dim == 2:
+        return "3- or 6-node triangles are needed (in Gmsh: no 'Recombine')"
+    return (
+        "4- or 10-node tetrahedra are needed (in Gmsh: no 'Recombine', no extruded layers; "
+        "in other tools: mesh with tetrahedra)"
+    )
+
+
+def _found(blocks: Iterable[Block]) -> str:
+    counts: Counter[str] = Counter()
+    for block in blocks:
+        counts[block.kind] += len(block.nodes)
+    return "found " + (", ".join(f"{n} {_SAID.get(k, k)}" for k, n in counts.items()) or "none")
+
+
+def _gather(blocks: Sequence[Block], items: Sequence[Ints]) -> dict[str, Ints]:
+    found: dict[str, list[Ints]] = {}
+    for block, item in zip(blocks, items, strict=True):
+        for name, rows in block.parts.items():
+            if len(rows):
+                found.setdefault(name, []).append(item[rows])
+    return {name: np.concatenate(parts) for name, parts in found.items()}
+
+
+def _left_out(blocks: Sequence[Block], dim: int) -> list[str]:
+    low = sorted({name for b in blocks if b.dim < dim - 1 for name in b.parts})
+    high = sorted({name for b in blocks if b.dim > dim for name in b.parts})
+    out = [f"left out, of too low a dimension: {', '.join(low)}"] if low else []
+    return out + ([f"left out, of too high a dimension: {', '.join(high)}"] if high else [])
+
+
+def _from_points(
+    solid: Sequence[Block], dim: int, point_sets: Mapping[str, Ints]
+) -> dict[str, Ints]:
+    """The boundary facets all of whose vertices are in a set of points."""
+    if not point_sets:
+        return {}
+    facets = boundary([b.nodes[:, : dim + 1] for b in solid])
+    picked = {n: facets[np.isin(facets, rows).all(axis=1)] for n, rows in point_sets.items()}
+    return {name: rows for name, rows in picked.items() if len(rows)}
+
+
+def boundary(cells: Sequence[Ints]) -> Ints:
+    """Facets that belong to one cell only, as sorted vertices, shape (F, d)."""
+    corners = np.concatenate(list(cells))
+    d = corners.shape[1] - 1
+    facets = np.sort(np.concatenate([np.delete(corners, i, axis=1) for i in range(d + 1)]), axis=1)
+    order = np.lexsort(facets.T)
+    facets = facets[order]
+    same = np.zeros(len(facets) + 1, dtype=bool)
+    same[1:-1] = (facets[1:] == facets[:-1]).all(axis=1)
+    return np.asarray(facets[~same[:-1] & ~same[1:]])
+
+
+def match_rows(table: Ints, rows: Ints) -> Ints:
+    """For each of `rows` its place in `table` (whose rows are all different), or -1."""
+    both = np.concatenate([table, rows])
+    _, group = np.unique(both, axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    place = np.full(len(both), -1, dtype=np.int64)
+    place[group[: len(table)]] = np.arange(len(table))
+    return np.asarray(place[group[len(table) :]])

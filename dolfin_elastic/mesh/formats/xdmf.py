@@ -1,0 +1,254 @@
+"""XDMF: read in parts by all ranks; with the meshtags that DOLFINx and meshio put beside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+from xml.etree import ElementTree
+
+import numpy as np
+from dolfinx import la
+from dolfinx.io import XDMFFile
+from dolfinx.mesh import Mesh
+from mpi4py import MPI
+
+from dolfin_elastic.core.compat import read_meshtags, reads_attributes_by_name
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.mesh.body import Body, Indices
+from dolfin_elastic.mesh.distribute import build_body, make_mesh
+from dolfin_elastic.mesh.fields import Floats, MeshField, spread
+from dolfin_elastic.mesh.formats.distributed_checks import check_shares
+from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
+
+_DIMS = {
+    "tetrahedron": 3,
+    "tetrahedron_10": 3,
+    "tet_10": 3,
+    "triangle": 2,
+    "triangle_6": 2,
+    "tri_6": 2,
+    "polyline": 1,
+    "polyvertex": 0,
+}
+_MOST = 200  # more distinct values than this are data, not names
+
+
+@dataclass(frozen=True)
+class _Tags:
+    """Integer cell data of one grid: where they stand, what they are called."""
+
+    grid: str
+    attribute: str
+    dim: int
+
+
+@dataclass(frozen=True)
+class _Data:
+    """Numbers of cells or points in an HDF5 file."""
+
+    name: str
+    centre: Literal["cell", "point"]
+    file: str
+    path: str
+    shape: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class _Contents:
+    """What the file holds; `grid` is empty where DOLFINx cannot read it."""
+
+    grid: str
+    dim: int
+    spatial: int
+    tags: tuple[_Tags, ...]
+    data: tuple[_Data, ...] = ()
+
+
+def read_xdmf(path: Path, *, comm: MPI.Comm, scale: float, dim: int | None) -> Body:
+    """Reads a mesh and its tags; each value v of the tags `facets` becomes ``facets_v``.
+
+    Collective.
+
+    Raises:
+        MeshError: The file cannot be read.
+    """
+    contents = on_root(comm, lambda: _contents(path))
+    if (
+        not contents.grid
+        or contents.spatial != contents.dim
+        or (dim or contents.dim) != contents.dim
+    ):
+        return build_body(lambda: _by_meshio(path, dim), comm=comm, scale=scale, source=path.name)
+    try:
+        with XDMFFile(comm, str(path), "r") as file:
+            body = Body(_mesh(file, contents, scale), source=path.name)
+            body = _tagged(body, file, contents)
+        return replace(body, fields={d.name: _field(body, path, d) for d in contents.data})
+    except RuntimeError as error:
+        raise MeshError(f"cannot be read: {error}", where=path.name) from None
+    except MeshError as error:
+        raise error.at(path.name) from None
+
+
+def _mesh(file: XDMFFile, contents: _Contents, scale: float) -> Mesh:
+    _, order = file.read_cell_type(contents.grid)
+    cells = np.ascontiguousarray(file.read_topology_data(contents.grid), dtype=np.int64)
+    x = np.ascontiguousarray(file.read_geometry_data(contents.grid), dtype=np.float64)
+    check_shares(file.comm, cells, len(x), contents.dim)
+    return make_mesh(file.comm, cells, x * scale, order)
+
+
+def _contents(path: Path) -> _Contents:
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise MeshError(f"this is no XML file: {error}", where=path.name) from None
+    grids = [
+        g
+        for g in root.iter("Grid")
+        if g.get("GridType", "Uniform") == "Uniform" and g.find("Topology") is not None
+    ]
+    if not grids:
+        raise MeshError("there is no mesh (no Grid with a Topology)", where=path.name)
+    _data_files(path, root)
+    main = grids[0]
+    kind = _kind(main)
+    width = _width(main)
+    plain = all(item.get("Format") == "HDF" for item in root.iter("DataItem"))
+    if kind not in _DIMS or not plain or main.find("Geometry") is None:
+        return _Contents("", 0, 0, ())
+    if len(_tags(main)) > 1 and not reads_attributes_by_name():
+        return _Contents("", 0, 0, ())
+    tags = [t for g in grids if _kind(g) in _DIMS for t in _tags(g)]
+    data = _data(main, [g for g in root.iter("Grid") if g.find("Topology") is None])
+    return _Contents(main.get("Name", ""), _DIMS[kind], width, tuple(tags), tuple(data))
+
+
+def _tags(grid: ElementTree.Element) -> list[_Tags]:
+    """Cell data of a grid that may be integers (DOLFINx does not say so)."""
+    found = []
+    for attribute in grid.findall("Attribute"):
+        item = attribute.find("DataItem")
+        kind = "Float" if item is None else item.get("NumberType", item.get("DataType", "Int"))
+        if attribute.get("Center") == "Cell" and kind in ("Int", "UInt", "Char", "UChar"):
+            found.append(_Tags(grid.get("Name", ""), attribute.get("Name", ""), _DIMS[_kind(grid)]))
+    return found
+
+
+def _data(main: ElementTree.Element, functions: list[ElementTree.Element]) -> list[_Data]:
+    """Fields of the mesh's grid, and of DOLFINx's grids of functions; of time steps the last."""
+    found: dict[str, _Data] = {}
+    counts = {"cell": _rows(main, "Topology"), "point": _rows(main, "Geometry")}
+    for grid in [main, *functions]:
+        for attribute in grid.findall("Attribute"):
+            # Without a type it is a float in XDMF; but of a mesh's own grid, DOLFINx's tags.
+            data = _one(attribute, "Int" if grid is main else "Float")
+            if data is None or (grid is not main and data.shape[0] != counts[data.centre]):
+                continue
+            found[data.name] = data
+    return list(found.values())
+
+
+def _one(attribute: ElementTree.Element, usual: str) -> _Data | None:
+    centre = {"Cell": "cell", "Node": "point"}.get(attribute.get("Center", "Node"))
+    item = attribute.find("DataItem")
+    place = (item.text or "").strip() if item is not None else ""
+    if centre is None or item is None or not place:
+        return None
+    if centre == "cell" and item.get("NumberType", item.get("DataType", usual)) != "Float":
+        return None  # numbers of regions
+    file, _, path = place.partition(":")
+    rows, *columns = (int(n) for n in item.get("Dimensions", "0").split())
+    width = int(np.prod(columns, dtype=np.int64))
+    return _Data(attribute.get("Name", ""), centre, file, path, (rows, width))  # type: ignore[arg-type]
+
+
+def _rows(grid: ElementTree.Element, part: str) -> int:
+    item = grid.find(f"{part}/DataItem")
+    return int(item.get("Dimensions", "0").split()[0]) if item is not None else 0
+
+
+def _field(body: Body, path: Path, data: _Data) -> MeshField:
+    """Reads a field on rank 0, in pieces. Collective."""
+    import h5py
+
+    def read(start: int, stop: int) -> Floats:
+        with h5py.File(path.parent / data.file, "r") as file:
+            rows = np.asarray(file[data.path][start:stop], dtype=np.float64)
+        return rows.reshape(stop - start, data.shape[1])
+
+    try:
+        return spread(body.mesh, data.centre, data.shape, read if body.comm.rank == 0 else None)
+    except MeshError as error:
+        raise MeshError(f"the field '{data.name}': {error}") from None
+
+
+def _kind(grid: ElementTree.Element) -> str:
+    topology = grid.find("Topology")
+    assert topology is not None
+    return str(topology.get("TopologyType", topology.get("Type", ""))).lower()
+
+
+def _width(grid: ElementTree.Element) -> int:
+    geometry = grid.find("Geometry")
+    kind = "" if geometry is None else geometry.get("GeometryType", geometry.get("Type", "XYZ"))
+    return {"XY": 2, "XYZ": 3}.get(str(kind).upper(), 0)
+
+
+def _data_files(path: Path, root: ElementTree.Element) -> None:
+    for item in root.iter("DataItem"):
+        if item.get("Format") == "HDF" and item.text:
+            name = item.text.strip().rpartition(":")[0] or item.text.strip()
+            name = name.split(":")[0]
+            if not (path.parent / name).is_file():
+                raise MeshError(
+                    f"its data file '{name}' is not beside it",
+                    where=path.name,
+                    expected="keep the .xdmf and the .h5 together",
+                )
+
+
+def _by_meshio(path: Path, dim: int | None) -> RawMesh:
+    from dolfin_elastic.mesh.formats.meshio import read_other
+
+    found = read_other(path)
+    return assemble(
+        found.points,
+        found.blocks,
+        source=path.name,
+        dim=dim,
+        notes=found.notes,
+        point_data=found.point_data,
+    )
+
+
+def _tagged(body: Body, file: XDMFFile, contents: _Contents) -> Body:
+    for tags in contents.tags:
+        low = contents.dim - tags.dim
+        if low in (0, 1):
+            parts = _parts(body.mesh, file, tags)
+            body = body.named(**{"regions" if low == 0 else "surfaces": parts})
+    return body
+
+
+def _parts(mesh: Mesh, file: XDMFFile, tags: _Tags) -> dict[str, Indices]:
+    found = read_meshtags(file, mesh, tags.grid, tags.attribute)
+    values = np.unique(np.concatenate(mesh.comm.allgather(np.unique(found.values))))
+    if len(values) > _MOST:
+        return {}
+    return {
+        f"{tags.attribute}_{value}": _shared(mesh, tags.dim, found.find(value)) for value in values
+    }
+
+
+def _shared(mesh: Mesh, dim: int, entities: Indices) -> Indices:
+    """The same entities, with those that another rank found and this one shares. Collective."""
+    index = mesh.topology.index_map(dim)
+    marks = la.vector(index, 1)
+    marks.array[:] = 0
+    marks.array[entities] = 1
+    marks.scatter_reverse(la.InsertMode.add)
+    marks.scatter_forward()
+    return np.flatnonzero(marks.array > 0).astype(np.int32)

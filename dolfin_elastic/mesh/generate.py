@@ -1,0 +1,109 @@
+"""Boxes and rectangles, made in parallel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from dolfinx.mesh import CellType, GhostMode, create_box, create_rectangle
+from mpi4py import MPI
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.mesh.body import Body, Indices
+from dolfin_elastic.mesh.distribute import before_parting
+from dolfin_elastic.mesh.geometry.simplices import Floats, boundary_facets, facet_corners
+
+_SIDES = {
+    2: ("left", "right", "bottom", "top"),
+    3: ("left", "right", "front", "back", "bottom", "top"),
+}
+
+
+def box_body(
+    *,
+    size: Sequence[float],
+    cells: Sequence[int],
+    origin: Sequence[float] = (0, 0, 0),
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    scale: float = 1.0,
+) -> Body:
+    """A box of tetrahedra, six in each little cube; with two sizes a rectangle of triangles.
+
+    Collective.  The surfaces are called left and right (x), front and back (y), bottom and top
+    (z); of a rectangle left and right (x), bottom and top (y).
+
+    Args:
+        size: Lengths of the edges, in units of `scale` metres.
+        cells: Number of little cubes (squares) along each edge.
+        origin: The corner with the smallest coordinates; a missing third number is 0.
+        comm: The ranks that share the mesh.
+        scale: Metres per unit of length.
+
+    Raises:
+        MeshError: The numbers make no box.
+    """
+    dim = _check(size, cells, origin)
+    low = np.array([*origin, 0.0][:dim], dtype=float) * scale
+    high = low + np.asarray(size, dtype=float) * scale
+    count = [int(n) for n in cells]
+    before_parting(comm)
+    if dim == 3:
+        mesh = create_box(comm, [low, high], count, CellType.tetrahedron, ghost_mode=GhostMode.none)
+    else:
+        mesh = create_rectangle(
+            comm, [low, high], count, CellType.triangle, ghost_mode=GhostMode.none
+        )
+    facets = boundary_facets(mesh)
+    text = " x ".join(f"{s:g}" for s in size)
+    return Body(
+        mesh,
+        {},
+        _sides(facets, facet_corners(mesh, facets), low, high),
+        f"{'box' if dim == 3 else 'rectangle'} {text}",
+    )
+
+
+def rectangle_body(
+    *,
+    size: Sequence[float],
+    cells: Sequence[int],
+    origin: Sequence[float] = (0, 0),
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    scale: float = 1.0,
+) -> Body:
+    """A rectangle of triangles for plane strain: `box_body` with two sizes. Collective."""
+    if len(size) != 2:
+        raise MeshError(f"a rectangle has two sizes, not {len(size)}", where="size")
+    return box_body(size=size, cells=cells, origin=origin, comm=comm, scale=scale)
+
+
+def _check(size: Sequence[float], cells: Sequence[int], origin: Sequence[float]) -> int:
+    dim = len(size)
+    if dim not in (2, 3):
+        raise MeshError(f"a box has three sizes, a rectangle two, not {dim}", where="size")
+    if len(cells) != dim:
+        raise MeshError(
+            f"{len(cells)} numbers of cells for {dim} sizes",
+            where="cells",
+            expected="one number for each edge",
+        )
+    if not (np.isfinite(size).all() and min(size) > 0):
+        raise MeshError(f"sizes must be positive, not {list(size)}", where="size")
+    if min(cells) < 1 or any(int(n) != n for n in cells):
+        raise MeshError(
+            f"numbers of cells must be whole and positive, not {list(cells)}", where="cells"
+        )
+    if len(origin) not in (2, 3) or not np.isfinite(origin).all():
+        raise MeshError(f"the origin needs {dim} coordinates, not {list(origin)}", where="origin")
+    return dim
+
+
+def _sides(facets: Indices, corners: Floats, low: Floats, high: Floats) -> dict[str, Indices]:
+    # Half a cell's width would do; this is far above round-off and far below it.
+    near = 1e-9 * np.linalg.norm(high - low)
+    names, sides = _SIDES[len(low)], {}
+    for axis in range(len(low)):
+        for name, value in zip(names[2 * axis : 2 * axis + 2], (low, high), strict=True):
+            on = (np.abs(corners[:, :, axis] - value[axis]) <= near).all(axis=1)
+            sides[name] = facets[on]
+    return sides

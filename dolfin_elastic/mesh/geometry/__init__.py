@@ -1,0 +1,1 @@
+"""Simplices and what is measured on them: volumes, quality, places inside cells."""

@@ -1,0 +1,162 @@
+"""What is said about a mesh once it is distributed: flat, folded, thin and reversed cells."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import la
+from dolfinx.mesh import Mesh
+from mpi4py import MPI
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.formats.cleaning import places
+from dolfin_elastic.mesh.geometry.curved import smallest_jacobians
+from dolfin_elastic.mesh.geometry.simplices import (
+    Floats,
+    cell_corners,
+    qualities,
+    signed_volumes,
+)
+
+FLAT = 1e-12  # quality below which a cell has no volume
+SLIVER = 1e-3  # quality below which a cell is worth a remark
+OVERLAP = 1e-3  # share of the body's volume that inside-out cells may have
+
+
+def inspect(body: Body, *, scale: float = 1.0) -> list[str]:
+    """Looks for cells that make results wrong or solvers slow.
+
+    Collective.  Places are given in the file's unit (metres / scale).
+
+    Returns:
+        A sentence for each finding.
+
+    Raises:
+        MeshError: Cells without volume, cells inside out beyond tolerance, or cells so curved
+            that they fold over themselves.
+    """
+    mesh, where = body.mesh, body.source
+    corners = cell_corners(mesh)
+    middle = corners.mean(axis=1) / scale
+    count, near = _places(mesh, ~np.isfinite(middle).all(axis=1), middle)
+    if count:
+        raise MeshError(f"{count} cells have points whose coordinates are not numbers", where=where)
+    shape = qualities(corners)
+    count, near = _places(mesh, shape < FLAT, middle)
+    if count:
+        raise MeshError(
+            f"{count} of {body.num_cells} cells have no volume, {near}",
+            where=where,
+            expected="remesh there, or collapse their shortest edges",
+        )
+    notes = _orientation(body, signed_volumes(corners), middle)
+    if mesh.geometry.cmap.degree > 1:
+        _curved(body, middle)
+    count, near = _places(mesh, shape < SLIVER, middle)
+    if count:
+        notes.append(
+            f"{count} of {body.num_cells} cells are very thin (quality below "
+            f"{SLIVER:g}; 1 is regular), {near}"
+        )
+    return notes
+
+
+def _places(mesh: Mesh, bad: npt.NDArray[np.bool_], middle: Floats) -> tuple[int, str]:
+    """How many cells of all ranks, and where the first of the file are. Collective."""
+    number = np.asarray(mesh.topology.original_cell_index)
+    mine = np.flatnonzero(bad)
+    mine = mine[np.argsort(number[mine])]
+    found = mesh.comm.allgather((number[mine[:5]], middle[mine[:5]]))
+    order = np.argsort(np.concatenate([numbers for numbers, _ in found]))
+    first = np.concatenate([rows for _, rows in found])[order]
+    count = int(total(mesh.comm, len(mine)))
+    return count, places(first, count)
+
+
+def _curved(body: Body, middle: Floats) -> None:
+    count, near = _places(body.mesh, smallest_jacobians(body.mesh) <= 0, middle)
+    if count:
+        raise MeshError(
+            f"{count} of {body.num_cells} quadratic cells fold over themselves, {near}",
+            where=body.source,
+            expected="optimise the high-order mesh (in Gmsh: Mesh.HighOrderOptimize "
+            "= 2), use smaller cells there, or linear cells",
+        )
+
+
+def _orientation(body: Body, volumes: Floats, middle: Floats) -> list[str]:
+    """Tells cells with reversed node order (harmless) from cells inside out (overlap)."""
+    comm = body.comm
+    folded = folded_facets(body.mesh)
+    main = 1.0 if total(comm, float(np.sign(volumes).sum())) >= 0 else -1.0
+    against = np.sign(volumes) != main
+    inside_out = against & (folded > 0)
+    if total(comm, int(folded.sum())) and not total(comm, int(inside_out.sum())):
+        most = comm.allreduce(int(folded.max(initial=0)), op=MPI.MAX)
+        inside_out = folded == most
+    notes = []
+    count, near = _places(body.mesh, against & ~inside_out, middle)
+    if count:
+        notes.append(
+            f"{count} of {body.num_cells} cells list their points the other way round "
+            f"(harmless, taken as they should be), {near}"
+        )
+    count, near = _places(body.mesh, inside_out, middle)
+    if count:
+        notes.append(
+            _inside_out(
+                body,
+                np.abs(volumes),
+                inside_out,
+                f"{count} of {body.num_cells} "
+                f"cells are inside out (they overlap their neighbours), {near}",
+            )
+        )
+    return notes
+
+
+def _inside_out(body: Body, volumes: Floats, bad: npt.NDArray[np.bool_], said: str) -> str:
+    part = total(body.comm, float(volumes[bad].sum())) / total(body.comm, float(volumes.sum()))
+    if part > OVERLAP:
+        raise MeshError(
+            f"{said}, with {part:.2g} of the volume",
+            where=body.source,
+            expected="remesh, or untangle the mesh, there",
+        )
+    return f"warning: {said}; their volume, {part:.2g} of the body's, counts twice"
+
+
+def folded_facets(mesh: Mesh) -> npt.NDArray[np.int64]:
+    """For each local cell the number of facets whose other cell lies on the same side.
+
+    Collective.  Seen from a facet, whose vertices are taken in their global order, the opposite
+    vertices of its two cells lie on different sides of a sound mesh.
+    """
+    d = mesh.topology.dim
+    sides = _sides(mesh)
+    around = mesh.topology.connectivity(d, d - 1).array.reshape(-1, d + 1)
+    sums = la.vector(mesh.topology.index_map(d - 1), 1)
+    np.add.at(sums.array, around.ravel(), sides.ravel())
+    sums.scatter_reverse(la.InsertMode.add)
+    sums.scatter_forward()
+    return np.asarray((np.abs(sums.array[around]) > 1.5).sum(axis=1))
+
+
+def _sides(mesh: Mesh) -> Floats:
+    """+1 or -1: on which side of each of its facets a local cell lies, shape (n, d + 1)."""
+    d = mesh.topology.dim
+    nodes = mesh.geometry.dofmap[:, : d + 1]
+    number = mesh.geometry.index_map().local_to_global(nodes.ravel().astype(np.int32))
+    number = number.reshape(nodes.shape)
+    sign = np.sign(signed_volumes(cell_corners(mesh)))
+    sides = np.empty(nodes.shape)
+    for i in range(d + 1):
+        others = number[:, [k for k in range(d + 1) if k != i]]
+        parity = np.ones(len(others))
+        for a in range(d):
+            for b in range(a + 1, d):
+                parity *= np.where(others[:, a] > others[:, b], -1, 1)
+        sides[:, i] = sign * parity * (-1) ** (d - i)
+    return sides

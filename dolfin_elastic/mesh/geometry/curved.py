@@ -1,0 +1,107 @@
+"""Volumes and areas of cells and facets of any geometric degree, by quadrature."""
+
+from __future__ import annotations
+
+import basix
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh
+
+from dolfin_elastic.mesh.geometry.simplices import Floats, Indices, facet_places
+
+_SHAPES = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
+
+
+def _element(dim: int, degree: int) -> basix.finite_element.FiniteElement:
+    return basix.create_element(
+        basix.ElementFamily.P, _SHAPES[dim], degree, basix.LagrangeVariant.equispaced
+    )
+
+
+def rule(dim: int, degree: int) -> tuple[Floats, Floats]:
+    """Points, shape (points, dim), and weights that are exact up to a degree on a simplex."""
+    points, weights = basix.make_quadrature(_SHAPES[dim], degree)
+    return (
+        np.asarray(points, dtype=np.float64).reshape(-1, dim),
+        np.asarray(weights, dtype=np.float64),
+    )
+
+
+def cell_gradients(nodes: Floats, degree: int, points: Floats) -> Floats:
+    """dx/dX at points of the reference simplex; nodes (n, k, gdim) -> (n, points, gdim, tdim)."""
+    tdim = points.shape[1]
+    table = np.asarray(_element(tdim, degree).tabulate(1, points), dtype=np.float64)
+    return np.asarray(np.einsum("nkg,tpk->npgt", nodes, table[1 : tdim + 1, :, :, 0]))
+
+
+def tabulated(mesh: Mesh, points: Floats) -> Floats:
+    """Shape functions of the mesh's cells at reference points, shape (points, nodes). Local."""
+    element = _element(mesh.topology.dim, mesh.geometry.cmap.degree)
+    return np.asarray(element.tabulate(0, points)[0, :, :, 0], dtype=np.float64)
+
+
+def cell_jacobians(mesh: Mesh, points: Floats, cells: Indices | None = None) -> Floats:
+    """det(dx/dX) of local cells (all of them by default) at reference points. Local.
+
+    Returns:
+        Shape (cells, points).
+    """
+    d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
+    rows = mesh.geometry.dofmap if cells is None else mesh.geometry.dofmap[cells]
+    nodes = np.asarray(mesh.geometry.x[rows, :d], dtype=np.float64)
+    return np.asarray(np.linalg.det(cell_gradients(nodes, degree, points)))
+
+
+def cell_volumes(mesh: Mesh) -> Floats:
+    """Volume (area in 2D) of each local cell, exact for curved cells too. Local."""
+    d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
+    points, weights = rule(d, d * (degree - 1))
+    return np.asarray(np.abs(cell_jacobians(mesh, points)) @ weights)
+
+
+def smallest_jacobians(mesh: Mesh) -> Floats:
+    """Smallest det(dx/dX) of each local cell, relative to its mean, at nodes and inside.
+
+    Local.  Zero or negative where a curved cell folds over itself.
+    """
+    d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
+    inside, _ = rule(d, 4)
+    values = cell_jacobians(mesh, np.concatenate([_element(d, degree).points, inside]))
+    mean = values.mean(axis=1, keepdims=True)
+    return np.asarray((values / np.where(mean == 0, 1.0, mean)).min(axis=1))
+
+
+def facet_areas(mesh: Mesh, facets: npt.NDArray[np.int32]) -> Floats:
+    """Area (length in 2D) of local facets. Local, after `prepare_facets`.
+
+    Exact for straight facets; by a rule of degree 8 for curved ones.
+    """
+    d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
+    points, weights = rule(d - 1, 8 if degree > 1 else 0)
+    slopes = cell_gradients(_facet_nodes(mesh, facets), degree, points)
+    metric = np.einsum("npgs,npgt->npst", slopes, slopes)
+    return np.asarray(np.sqrt(np.linalg.det(metric)) @ weights)
+
+
+def facet_points(mesh: Mesh, facets: Indices, points: Floats) -> tuple[Floats, Floats]:
+    """Places and slopes dx/dX of local facets at points of the reference facet.
+
+    Local, after `prepare_facets`.
+
+    Returns:
+        Shapes (facets, points, d) and (facets, points, d, d - 1).
+    """
+    d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
+    nodes = _facet_nodes(mesh, facets)
+    table = np.asarray(_element(d - 1, degree).tabulate(0, points)[0, :, :, 0], dtype=np.float64)
+    places = np.einsum("pk,fkj->fpj", table, nodes)
+    return np.asarray(places), cell_gradients(nodes, degree, points)
+
+
+def _facet_nodes(mesh: Mesh, facets: Indices) -> Floats:
+    """Coordinates of all nodes of facets, shape (n, k, d)."""
+    d = mesh.topology.dim
+    cells, local = facet_places(mesh, facets)
+    closure = np.array(_element(d, mesh.geometry.cmap.degree).entity_closure_dofs[d - 1])
+    nodes = np.take_along_axis(mesh.geometry.dofmap[cells], closure[local], axis=1)
+    return np.asarray(mesh.geometry.x[nodes, :d])

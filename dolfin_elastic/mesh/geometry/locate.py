@@ -1,0 +1,164 @@
+"""Points inside a body: the cell that holds each of them, found in parallel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx.mesh import Mesh
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.mesh.body import Body, Indices, span
+from dolfin_elastic.mesh.geometry.curved import cell_gradients, tabulated
+from dolfin_elastic.mesh.geometry.simplices import Floats
+
+SLACK = 0.05
+"""Share of a cell by which a point may lie outside: round surfaces are flat between nodes."""
+DIGITS = 1e-9
+"""What counts as the same: shares of a cell, and lengths over the body's diagonal."""
+_NEWTON = 20
+
+Key = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a point lies.
+
+    Attributes:
+        point: The point [m], reference configuration, as many components as the body has.
+        rank: The one rank that has the cell.
+        cell: Its local number there; -1 on all other ranks.
+        local: The point's coordinates in the reference cell, on that rank.
+    """
+
+    point: Floats
+    rank: int
+    cell: int
+    local: Floats
+
+
+def locate(
+    body: Body, points: Mapping[str, Sequence[float]], order: Indices | None = None
+) -> dict[str, Place]:
+    """Finds the owned cell of each point. Collective.
+
+    Where several share it, one of the lowest number in `order` is taken, and of these the one whose
+    midpoint comes first along x, then y, then z: the same on any ranks.
+
+    Args:
+        body: The body.
+        points: Name to coordinates [m] in the reference configuration.
+        order: A number of each owned cell, for example of its material; none: all are alike.
+
+    Raises:
+        MeshError: Points have the wrong number of coordinates or lie outside.
+    """
+    for name, point in points.items():
+        if len(point) != body.dim or not np.isfinite(point).all():
+            raise MeshError(
+                f"{list(point)} is no point of the body",
+                where=name,
+                expected=f"the body is {body.dim}-dimensional, expected {body.dim} numbers",
+            )
+    wanted = {name: np.asarray(point, dtype=np.float64) for name, point in points.items()}
+    ranking = _Ranking(body, order)
+    found = {name: _in_own_cells(body.mesh, point, ranking) for name, point in wanted.items()}
+    everywhere = body.comm.allgather([key for key, _, _ in found.values()])
+    best = [min((keys[k], rank) for rank, keys in enumerate(everywhere)) for k in range(len(found))]
+    _refuse(body, wanted, [key[0] for key, _ in best])
+    return {
+        name: Place(point, rank, found[name][1] if rank == body.comm.rank else -1, local)
+        for (name, point), (_, rank) in zip(wanted.items(), best, strict=True)
+        for local in [found[name][2]]
+    }
+
+
+class _Ranking:
+    """By what cells are compared that share a point, free of round-off. Collective to make."""
+
+    def __init__(self, body: Body, order: Indices | None) -> None:
+        self._order, self._step = order, DIGITS * span(body)
+
+    def keys(self, off: Floats, cells: Indices, nodes: Floats) -> list[Key]:
+        """How far off the point is each cell, its number, and its midpoint.
+
+        Args:
+            off: Share of each cell by which the point lies outside.
+            cells: Local numbers.
+            nodes: Their nodes [m], shape (cells, nodes, d).
+        """
+        numbers = np.zeros(len(cells)) if self._order is None else self._order[cells]
+        middles = np.round(nodes.mean(axis=1) / self._step)
+        rows = np.column_stack([np.round(off / DIGITS) * DIGITS, numbers, middles])
+        return [tuple(map(float, row)) for row in rows]
+
+
+def _in_own_cells(mesh: Mesh, point: Floats, ranking: _Ranking) -> tuple[Key, int, Floats]:
+    """The key of the best owned cell, that cell, and the point's coordinates in it."""
+    d = mesh.topology.dim
+    own = mesh.topology.index_map(d).size_local
+    nodes = mesh.geometry.x[mesh.geometry.dofmap[:own], :d]
+    low, high = nodes.min(axis=1), nodes.max(axis=1)
+    # Curved edges may bulge a little over their nodes.
+    margin = 4 * SLACK * (high - low).max(axis=1, initial=0.0)[:, None]
+    inside = ((point >= low - margin) & (point <= high + margin)).all(axis=1)
+    near = np.flatnonzero(inside).astype(np.int32)
+    if not len(near):
+        return (np.inf,), -1, np.zeros(d)
+    local = _pulled_back(mesh, nodes[near], point)
+    off = np.maximum(-local.min(axis=1), local.sum(axis=1) - 1)
+    off = np.where(np.isfinite(off), np.maximum(off, 0.0), np.inf)
+    keys = ranking.keys(off, near, nodes[near])
+    best = min(range(len(near)), key=keys.__getitem__)
+    return keys[best], int(near[best]), local[best]
+
+
+def _pulled_back(mesh: Mesh, nodes: Floats, point: Floats) -> Floats:
+    """Coordinates of a point in the reference cells of cells with these nodes, by Newton's method.
+
+    One iteration where cells are straight.
+
+    Args:
+        mesh: Their mesh.
+        nodes: Shape (cells, nodes, d).
+        point: Shape (d,).
+
+    Returns:
+        Shape (cells, d); not finite where the iteration fails.
+    """
+    d = nodes.shape[2]
+    local = np.full((len(nodes), d), 1 / (d + 1))
+    degree = mesh.geometry.cmap.degree
+    for _ in range(_NEWTON if degree > 1 else 1):
+        for i, (corner, at) in enumerate(zip(nodes, local, strict=True)):
+            gap = point - tabulated(mesh, at[None])[0] @ corner
+            slope = cell_gradients(corner[None], degree, at[None])[0, 0]
+            local[i] = at + np.linalg.lstsq(slope, gap, rcond=None)[0]
+        np.clip(local, -3.0, 4.0, out=local)  # far cells must not send the iteration astray
+    return local
+
+
+def _refuse(body: Body, points: Mapping[str, Floats], off: Sequence[float]) -> None:
+    """Names all points that lie outside, with the nearest node. Collective."""
+    texts = [
+        f"{name} ({', '.join(f'{x:.6g}' for x in point)}), {_nearest(body, point)}"
+        for (name, point), far in zip(points.items(), off, strict=True)
+        if far > SLACK
+    ]
+    if texts:
+        raise MeshError(
+            f"outside of the body: {'; '.join(texts)}",
+            expected="points inside the undeformed body",
+        )
+
+
+def _nearest(body: Body, point: Floats) -> str:
+    """The node of the mesh nearest to a point. Collective."""
+    x = body.mesh.geometry.x[:, : body.dim]
+    far = np.linalg.norm(x - point, axis=1)
+    best = int(np.argmin(far)) if len(far) else -1
+    own = (float(far[best]), *map(float, x[best])) if best >= 0 else (np.inf,)
+    distance, *place = min(body.comm.allgather(own))
+    return f"{distance:.3g} m from the nearest node ({', '.join(f'{c:.6g}' for c in place)})"

@@ -1,0 +1,160 @@
+"""`read_body`: a mesh file of any kind, by its suffix."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from dolfinx import cpp
+from mpi4py import MPI
+
+from dolfin_elastic.core.errors import MeshError, nearest
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.distribute import Permutation, build_body
+from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
+from dolfin_elastic.mesh.geometry.checks import inspect
+
+CAD = (".geo", ".geo_unrolled", ".step", ".stp", ".brep", ".iges", ".igs")
+
+
+def read_body(
+    path: str | os.PathLike[str],
+    *,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    scale: float = 1.0,
+    size: float | None = None,
+    curved: bool = False,
+    dim: int | None = None,
+) -> Body:
+    """Reads a mesh, or meshes a CAD file, and gives it the names the file has.
+
+    Collective.  Gmsh physical groups, Abaqus sets, MED groups and integer references of other
+    formats become named regions (cells) and surfaces (facets); other data of cells and points
+    become fields.
+
+    Args:
+        path: .msh; .xdmf; .inp, .vtu, .vtk, .med, .mesh and whatever else meshio reads;
+            .geo, .step, .brep or .iges, which Gmsh meshes on the fly.
+        comm: The ranks that share the mesh.
+        scale: Metres per unit of length of the file.
+        size: Size of the elements in the file's unit; only for CAD files.
+        curved: Quadratic cells that follow curved surfaces; only for CAD files, finished meshes
+            are as they are.
+        dim: 2 or 3 to choose the elements; by default the highest dimension in the file.
+
+    Raises:
+        MeshError: The file cannot be read, or the mesh is not fit for use.
+    """
+    path = Path(path)
+    on_root(comm, lambda: _check_file(path, size, curved))
+    suffix = path.suffix.lower()
+    if suffix in (".xdmf", ".xmf"):
+        from dolfin_elastic.mesh.formats.xdmf import read_xdmf
+
+        body = read_xdmf(path, comm=comm, scale=scale, dim=dim)
+    else:
+        read, permutation = _reader(path, suffix, lambda: _cad(path, size, curved, dim), dim)
+        body = build_body(read, comm=comm, scale=scale, source=path.name, permutation=permutation)
+    return replace(body, notes=(*body.notes, *inspect(body, scale=scale)))
+
+
+def _check_file(path: Path, size: float | None, curved: bool) -> None:
+    if not path.exists():
+        folder = path.parent if path.parent.is_dir() else Path()
+        known = [p.name for p in folder.iterdir() if p.suffix.lower() == path.suffix.lower()]
+        raise MeshError(
+            f"there is no mesh file '{path}'",
+            expected=nearest(path.name, known)
+            if known
+            else f"nor any other {path.suffix} file in '{folder}'",
+        )
+    if path.is_dir():
+        raise MeshError(f"'{path}' is a folder, not a mesh file")
+    if path.stat().st_size == 0:
+        raise MeshError("the file is empty", where=path.name)
+    is_cad = path.suffix.lower() in CAD
+    if size is not None and not is_cad:
+        raise MeshError(
+            "a size of elements was given, but this file is a finished mesh",
+            where=path.name,
+            expected=f"size is for {', '.join(CAD)}",
+        )
+    if curved and not is_cad:
+        raise MeshError(
+            "cells are to follow curved surfaces, but this file is a finished mesh",
+            where=path.name,
+            expected=f"curved is for {', '.join(CAD)}; a mesh of quadratic cells is curved already",
+        )
+    if size is not None and not size > 0:
+        raise MeshError(f"the size of the elements must be positive, not {size}", where=path.name)
+
+
+def _reader(
+    path: Path, suffix: str, cad: Callable[[], RawMesh], dim: int | None
+) -> tuple[Callable[[], RawMesh], Permutation]:
+    if suffix == ".msh":
+        return lambda: _msh(path, dim), cpp.io.perm_gmsh
+    if suffix in CAD:
+        return cad, cpp.io.perm_gmsh
+    if suffix == ".inp":
+        return lambda: _abaqus(path, dim), cpp.io.perm_vtk
+    return lambda: _meshio(path, dim), cpp.io.perm_vtk
+
+
+def _msh(path: Path, dim: int | None) -> RawMesh:
+    from dolfin_elastic.mesh.formats.msh import OtherVersionError, read_msh
+
+    try:
+        found = read_msh(path)
+    except OtherVersionError:
+        from dolfin_elastic.mesh.formats.cad import converted
+
+        found = converted(path)
+    return assemble(
+        found.points,
+        found.blocks,
+        source=path.name,
+        dim=dim,
+        notes=found.notes,
+        point_data=found.point_data,
+    )
+
+
+def _cad(path: Path, size: float | None, curved: bool, dim: int | None) -> RawMesh:
+    from dolfin_elastic.mesh.formats.cad import meshed
+
+    found = meshed(path, size=size, curved=curved, dim=dim)
+    return assemble(found.points, found.blocks, source=path.name, dim=dim, notes=found.notes)
+
+
+def _abaqus(path: Path, dim: int | None) -> RawMesh:
+    from dolfin_elastic.mesh.formats.abaqus import read_abaqus
+
+    found = read_abaqus(path)
+    return assemble(
+        found.points,
+        found.blocks,
+        source=path.name,
+        dim=dim,
+        notes=found.notes,
+        point_sets=found.point_sets,
+        point_data=found.point_data,
+    )
+
+
+def _meshio(path: Path, dim: int | None) -> RawMesh:
+    from dolfin_elastic.mesh.formats.meshio import read_other
+
+    found = read_other(path)
+    return assemble(
+        found.points,
+        found.blocks,
+        source=path.name,
+        dim=dim,
+        notes=found.notes,
+        point_sets=found.point_sets,
+        point_data=found.point_data,
+    )

@@ -1,0 +1,130 @@
+"""`Selector`: a part of a body, picked by where it lies.
+
+    [surfaces]
+    foot  = {plane = "z", at = "min"}
+    bore  = {cylinder = {axis = "z", point = [0, 0, 0], radius = 5}}
+    rim   = [{plane = "x", at = 10}, {normal = [0, 1, 0], box = [[0, 0, 0], [10, 10, 2]]}]
+    [regions]
+    core  = {sphere = {center = [0, 0, 0], radius = "2 mm"}}
+
+The keys of one selector must all hold; of a list of selectors one is enough.  A bare length is in
+the mesh's unit, one with a unit ("2 mm") is what it says.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from dolfin_elastic.core.schema import Record
+
+
+def metres(value: float | str, scale: float) -> float:
+    """A length of a selector in metres: a bare number times `scale`, a text as it says."""
+    if isinstance(value, str):
+        from dolfin_elastic.core.units import to_si
+
+        return to_si(value, "m")
+    return value * scale
+
+
+def _no_switch(value: object) -> object:
+    if isinstance(value, bool):
+        raise ValueError('a number is needed, or a length such as "2 mm"')
+    return value
+
+
+def _length(value: float | str) -> float | str:
+    if not math.isfinite(metres(value, 1.0)):
+        raise ValueError("a finite number is needed")
+    return value
+
+
+def _positive(value: float | str) -> float | str:
+    if not metres(value, 1.0) > 0:
+        raise ValueError("should be positive")
+    return value
+
+
+def _level(value: float | str) -> float | str:
+    word = isinstance(value, str) and not any(sign.isdigit() for sign in value)
+    if word and value not in ("min", "max"):
+        raise ValueError('should be "min", "max", a number, or a length such as "2 mm"')
+    return value if value in ("min", "max") else _length(value)
+
+
+MeshLength = Annotated[float | str, BeforeValidator(_no_switch), AfterValidator(_length)]
+Size = Annotated[MeshLength, AfterValidator(_positive)]
+Level = Annotated[float | str, BeforeValidator(_no_switch), AfterValidator(_level)]
+Point = Annotated[tuple[MeshLength, ...], Field(min_length=2, max_length=3)]
+Direction = Annotated[tuple[float, ...], Field(min_length=2, max_length=3)]
+Axis = Literal["x", "y", "z"]
+
+
+def _nonzero(value: Axis | tuple[float, ...]) -> Axis | tuple[float, ...]:
+    if not isinstance(value, str) and not any(value):
+        raise ValueError("a direction cannot be zero")
+    return value
+
+
+class Sphere(Record):
+    """A sphere (in 2D a circle)."""
+
+    center: Point
+    radius: Size
+
+
+class Cylinder(Record):
+    """An endless circular cylinder (in 2D, with axis z, a circle)."""
+
+    axis: Annotated[Axis | Direction, AfterValidator(_nonzero)] = "z"
+    point: Point
+    radius: Size
+
+
+class Selector(Record):
+    """Facets of the boundary, or cells, picked by geometry; all keys given must hold.
+
+    Attributes:
+        plane: Facets on the plane x, y or z = `at`.
+        at: "min" or "max" (of the whole body), or a coordinate.
+        box: Two opposite corners: facets with all vertices, cells with their midpoint, inside.
+        sphere: Facets on the sphere; cells with their midpoint inside.
+        cylinder: Facets on the cylinder; cells with their midpoint inside.
+        normal: Facets whose outward normal is within `angle` degrees of this direction.
+        angle: Degrees, 20 by default.
+        all: The whole boundary, or all cells.
+        of: Search only this part, which has its name already.
+        tolerance: How far off a vertex may lie; by default 1e-6 of the body's diagonal.
+    """
+
+    plane: Axis | None = None
+    at: Level | None = None
+    box: tuple[Point, Point] | None = None
+    sphere: Sphere | None = None
+    cylinder: Cylinder | None = None
+    normal: Annotated[Direction, AfterValidator(_nonzero)] | None = None
+    angle: Annotated[float, Field(gt=0, le=180)] | None = None
+    all: bool = False
+    of: str | None = None
+    tolerance: Size | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Selector:
+        if (self.plane is None) != (self.at is None):
+            raise ValueError('plane and at belong together, as in {plane = "z", at = "min"}')
+        if self.angle is not None and self.normal is None:
+            raise ValueError("angle goes with normal")
+        if not (self.all or self.of or self.given()):
+            raise ValueError("say where: plane and at, box, sphere, cylinder, normal, of, or all")
+        return self
+
+    def given(self) -> list[str]:
+        """The geometric keys that were given."""
+        return [
+            key
+            for key in ("plane", "box", "sphere", "cylinder", "normal")
+            if getattr(self, key) is not None
+        ]

@@ -1,0 +1,113 @@
+"""What changes the rest state of a material: warmth and growth."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.loads.base import Load, Site, keyed
+from dolfin_elastic.model.values import Component, component
+
+
+class Swelling(Load):
+    """A load that has no virtual work but changes the rest state, see `model.growth`.
+
+    Several of them on one region multiply; where the law is linear, their strains add up.
+    """
+
+    on: str | list[str] | None = None
+    swells: ClassVar[bool] = True
+
+    @property
+    def vectors(self) -> dict[str, tuple[Component, ...]]:
+        """See `Load.vectors`."""
+        return {}
+
+    @abstractmethod
+    def growth(self, site: Site, expansion: Expr | None, share: Expr | None) -> Expr:
+        """Fg, shape (3, 3).
+
+        Args:
+            site: Where numbers become constants.
+            expansion: The material's coefficient of expansion [1/K], if it has one.
+            share: 1 where the load acts and 0 elsewhere; None: everywhere.
+        """
+
+
+class Thermal(Swelling):
+    """A change of temperature [K], from that at which the body is free of stress.
+
+    Fg = (1 + alpha dT) I with the coefficient of expansion alpha of the material.
+
+    Attributes:
+        value: A number, a text with a unit, or a formula in x, y, z [m] (undeformed) and t.
+    """
+
+    kind: Literal["thermal"] = "thermal"
+    value: Any
+    unit: ClassVar[str] = "K"
+
+    @cached_property
+    def values(self) -> tuple[Component, ...]:
+        """The change of temperature."""
+        with keyed("value"):
+            return (component(self.value, self.unit),)
+
+    def growth(self, site: Site, expansion: Expr | None, share: Expr | None) -> Expr:
+        """See the class."""
+        assert expansion is not None
+        strain = expansion * site.scalar(self.values[0], self.amplitude)
+        return (1 + (strain if share is None else share * strain)) * ufl.Identity(3)
+
+
+class Growth(Swelling):
+    """Growth, swelling or shrinking by given stretches; 1 is none.
+
+    At amplitude a it is Fg = I + a (G - I).
+
+    Attributes:
+        value: Stretches along x, y and z, or a 3x3 list G; numbers or formulas in x, y, z [m] and
+            t.  In a plane the third is across it, in a body of revolution around the axis; it may
+            be left out, and is 1 then.
+    """
+
+    kind: Literal["growth"] = "growth"
+
+    @cached_property
+    def values(self) -> tuple[Component, ...]:
+        """The nine components of G, row by row."""
+        with keyed("value"):
+            rows = self._rows(self.value)
+        return tuple(item for row in rows for item in row)
+
+    def _rows(self, written: Any) -> list[list[Component]]:
+        if len(written) == 3 and all(isinstance(row, list | tuple) for row in written):
+            if any(len(row) != 3 for row in written):
+                raise InputError("this is no 3x3 list", expected=_GROWTH)
+            return [[component(item, "") for item in row] for row in written]
+        if len(written) not in (2, 3) or any(isinstance(row, list | tuple) for row in written):
+            raise InputError(f"{written!r} is no growth", expected=_GROWTH)
+        stretches = [component(item, "") for item in [*written, 1.0][:3]]
+        if any(isinstance(item, float) and item <= 0 for item in stretches):
+            raise InputError("a stretch must be above 0", expected="1 is no growth")
+        return [[stretches[i] if i == j else 0.0 for j in range(3)] for i in range(3)]
+
+    def growth(self, site: Site, expansion: Expr | None, share: Expr | None) -> Expr:
+        """See the class."""
+        one, factors = ufl.Identity(3), site.factors(self.values, self.curve)
+        items = [site.value(item) for item in self.values]
+        if all(factor is factors[0] for factor in factors):
+            strain = factors[0] * (ufl.as_matrix([items[i : i + 3] for i in (0, 3, 6)]) - one)
+        else:
+            rest = [1.0 if k % 4 == 0 else 0.0 for k in range(9)]
+            terms = [f * (g - r) for f, g, r in zip(factors, items, rest, strict=True)]
+            strain = ufl.as_matrix([terms[i : i + 3] for i in (0, 3, 6)])
+        return one + (strain if share is None else share * strain)
+
+
+_GROWTH = "expected stretches such as [1.1, 1, 1], or a 3x3 list"

@@ -1,0 +1,1 @@
+"""Strain energies: the base classes of laws, their moduli, directions and table."""

@@ -1,0 +1,63 @@
+"""Bodies that grow or warm up: a law about a rest state that is not the undeformed one.
+
+F = Fe Fg: growth Fg, then what the material feels.  Per reference volume
+psi(F) = Jg psi_law(F Fg^-1) and P = Jg P_law(F Fg^-1) Fg^-T.  Where the law is linear, strains
+add up: psi(F) = psi_law(F - (Fg - I)).
+
+Source: Rodriguez, Hoger & McCulloch, J. Biomech. 27 (1994), (6) and (16); small strains:
+Boley & Weiner, Theory of Thermal Stresses (1960), (1.12.14).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.mixed import Mixed
+
+
+@dataclass(frozen=True)
+class Grown:
+    """A law, with or without a pressure, whose material has grown.
+
+    Attributes:
+        law: The law of the material as it is when nothing pulls at it.
+        growth: Fg, a UFL tensor of shape (3, 3).
+    """
+
+    law: Law | Mixed
+    growth: Expr
+
+    def __getattr__(self, name: str) -> Any:
+        """What else a law has: its constants, density, allowable stress."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.law, name)
+
+    def elastic(self, F: Expr) -> Expr:
+        """What of the deformation gradient the material feels."""
+        if self.law.linear:
+            return F - (self.growth - ufl.Identity(3))
+        return F * ufl.inv(self.growth)
+
+    @property
+    def _volume(self) -> Expr:
+        """Grown over reference volume; small strains do not tell them apart."""
+        return 1 if self.law.linear else ufl.det(self.growth)
+
+    def energy(self, F: Expr) -> Expr:
+        """Energy per reference volume [J/m^3]."""
+        return self._volume * self.law.energy(self.elastic(F))
+
+    def stress(self, F: Expr) -> Expr:
+        """First Piola-Kirchhoff stress [Pa]."""
+        P = self.law.stress(self.elastic(F))
+        return P if self.law.linear else self._volume * P * ufl.inv(self.growth).T
+
+    def gap(self, F: Expr) -> Expr:
+        """What the pressure's equation makes zero, see `Mixed.gap`."""
+        return self._volume * self.law.gap(self.elastic(F))  # type: ignore[union-attr]

@@ -1,0 +1,155 @@
+"""Bases of laws with a volumetric part of its own: psi = psi_iso(J^-1/3 F) + K/2 g(J)^2."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, Literal
+
+import ufl
+from pydantic import Field
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.units import Number, Stress
+from dolfin_elastic.model.kinematics import cofactor
+from dolfin_elastic.model.materials import moduli
+from dolfin_elastic.model.materials.law import SplitLaw, to_come
+from dolfin_elastic.model.materials.spatial import Range
+
+NEAR = 0.15
+"""|J - 1|/(J + 1) below which a series stands for the logarithm, which would cancel."""
+TERMS = 9
+
+
+def simo_taylor(J: Expr) -> Expr:
+    """g = sign(J - 1) sqrt((J^2 - 1 - 2 ln J)/2), so that K/2 g^2 = K/4 (J^2 - 1 - 2 ln J).
+
+    With t = (J - 1)/(J + 1), J = (1 + t)/(1 - t) and ln J = 2 artanh t, it is
+    g = t sqrt(2 (2 - t)/(1 - t)^2 - 2 t s) with s = (artanh t - t)/t^3 = 1/3 + t^2/5 + t^4/7 + ...:
+    smooth at J = 1.
+
+    Source: J. C. Simo and R. L. Taylor, Comput. Methods Appl. Mech. Eng. 35 (1982) 107.
+    """
+    t = (J - 1) / (J + 1)
+    series: Any = 0.0
+    for n in reversed(range(TERMS)):
+        series = series * t**2 + 1 / (2 * n + 3)
+    near = ufl.lt(abs(t), NEAR)
+    away = ufl.conditional(near, 1.0, t)  # what is not chosen must not divide by zero either
+    s = ufl.conditional(near, series, (ufl.ln(J) / (2 * away) - 1) / away**2)
+    return t * ufl.sqrt(2 * (2 - t) / (1 - t) ** 2 - 2 * t * s)
+
+
+VOLUME_STRAINS: dict[str, Callable[[Expr], Expr]] = {
+    "simo-taylor": simo_taylor,
+    "quadratic": lambda J: J - 1,
+    "log": ufl.ln,
+}
+"""Name to g(J), with g = 0 and g' = 1 at J = 1."""
+
+
+class Volumetric(SplitLaw):
+    """A law whose energy of volume changes, K/2 g(J)^2, can be chosen.
+
+    Attributes:
+        volumetric: The energy of volume changes: "simo-taylor", K/4 (J^2 - 1 - 2 ln J);
+            "quadratic", K/2 (J - 1)^2, soft in strong compression; "log", K/2 (ln J)^2, soft beyond
+            J = e.
+    """
+
+    volumetric: Literal["simo-taylor", "quadratic", "log"] = "simo-taylor"
+
+    def volume_strain(self, F: Expr) -> Expr:
+        """See `VOLUME_STRAINS`."""
+        return VOLUME_STRAINS[self.volumetric](ufl.det(F))
+
+    def volume_gradient(self, F: Expr) -> Expr:
+        """g'(J) cof F."""
+        J = ufl.variable(ufl.det(F))
+        return ufl.diff(VOLUME_STRAINS[self.volumetric](J), J) * cofactor(F)
+
+
+class Isochoric(Volumetric):
+    """An isotropic law with constants of its own for the shape, and one for the volume: K or nu.
+
+    Attributes:
+        K: Bulk modulus [Pa]; or give nu.
+        nu: Poisson's ratio at small strains; or give K.
+    """
+
+    K: Stress = Field(default_factory=to_come, gt=0)
+    nu: Number = Field(default_factory=to_come)
+
+    @abstractmethod
+    def shear(self) -> float:
+        """Shear modulus at small strains [Pa], from the constants of the shape."""
+
+    def model_post_init(self, context: Any) -> None:
+        """Fills in whichever of K and nu was not given."""
+        given = {name: getattr(self, name) for name in ("K", "nu") if name in self.model_fields_set}
+        if len(given) != 1:
+            raise InputError(
+                "K and nu given together" if given else "neither K nor nu is given",
+                expected="the volume needs one of them beside the law's own constants",
+            )
+        if self.deferred():
+            return
+        mu = self.shear()
+        if not mu > 0:
+            raise InputError(
+                f"the shear modulus at small strains comes out as {mu:g}",
+                expected="the constants must give a positive one",
+            )
+        full = moduli.complete(mu=mu, **given)
+        self.__dict__.update(K=full.K, nu=full.nu)
+
+    def completed(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """See `Law.completed`."""
+        mu = self.model_copy(update=dict(values)).shear()
+        if "K" in self.model_fields_set:
+            K = values["K"]
+            return {**values, "nu": (3 * K - 2 * mu) / (2 * (3 * K + mu))}
+        nu = values["nu"]
+        if moduli.is_half(nu):
+            return {**values, "K": math.inf}
+        return {**values, "K": 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))}
+
+    @classmethod
+    def ranges(cls) -> dict[str, Range]:
+        """See `Law.ranges`."""
+        return {**super().ranges(), "K": Range(low=0.0), "nu": Range(low=-1.0, high=0.5)}
+
+    def small_strain(self) -> moduli.Moduli | None:
+        """See `Law.small_strain`."""
+        return moduli.complete(mu=self.shear(), nu=self.nu)
+
+
+def isochoric_part(F: Expr) -> Expr:
+    """C of the isochoric part of F: J^-2/3 F^T F (Flory, Trans. Faraday Soc. 57 (1961) 829)."""
+    return ufl.det(F) ** (-2 / 3) * F.T * F
+
+
+def isochoric_stress(psi: Callable[[Expr], Expr], F: Expr) -> Expr:
+    """First Piola-Kirchhoff stress of an energy of the isochoric C.
+
+    P = J^-2/3 (F S - (S:C)/3 F^-T) with S = 2 dpsi/dC, for anisotropic energies: a tangent made
+    from this compiles several times faster than one from derivatives through F.
+
+    Source: G. A. Holzapfel, Nonlinear Solid Mechanics (2000), section 6.4.
+    """
+    C = ufl.variable(isochoric_part(F))
+    S, J = 2 * ufl.sym(ufl.diff(psi(C), C)), ufl.det(F)
+    FS = F * S
+    return J ** (-2 / 3) * (FS - ufl.inner(FS, F) / (3 * J) * cofactor(F))
+
+
+def invariants(F: Expr) -> tuple[Expr, Expr]:
+    """First and second invariant of the isochoric C: I1 J^-2/3 and I2 J^-4/3.
+
+    Source: Bonet & Wood (2008), (6.51).
+    """
+    C, J = F.T * F, ufl.det(F)
+    first = ufl.tr(C)
+    return first * J ** (-2 / 3), (first**2 - ufl.inner(C, C)) / 2 * J ** (-4 / 3)

@@ -1,0 +1,222 @@
+"""What every material law is: a frozen record with `energy(F)` or `stress(F)`."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
+
+import ufl
+from pydantic import AliasChoices, Field, model_validator
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.units import (
+    Deferred,
+    Density,
+    Expansion,
+    Number,
+    Stress,
+    Viscosity,
+)
+from dolfin_elastic.model.materials import moduli
+from dolfin_elastic.model.materials import spatial as varying
+from dolfin_elastic.model.materials.fibres import numbers
+
+
+class Law(Record):
+    """A material: its fields are its constants and the keys of its case-file table.
+
+    A subclass gives `energy(F)`, or `stress(F)` when it has no energy.  In both, F is the
+    deformation gradient, a UFL tensor of shape (3, 3), also in plane strain, and the fields stand
+    for numbers or UFL expressions alike: `self.mu` may be either.  Where a constant varies in space
+    (see `model.varying`) the law is only used after it has been bound to a body.
+
+    Attributes:
+        law: The law's name in a case file.
+        density: Mass per reference volume [kg/m^3]; needed for gravity and for motion.
+        expansion: Coefficient of thermal expansion, strain per change of temperature [1/K].
+        allowable: Von Mises stress that the material may bear [Pa]; needed for safety factors.
+        viscosity: Viscous stress per rate of strain, over 2 [Pa s], in implicit motion.
+    """
+
+    law: str = ""
+    density: Density | None = Field(
+        default=None, gt=0, validation_alias=AliasChoices("density", "rho")
+    )
+    expansion: Expansion | None = None
+    allowable: Stress | None = Field(default=None, gt=0)
+    viscosity: Viscosity | None = Field(default=None, gt=0)
+
+    linear: ClassVar[bool] = False
+    """Stress is linear in the displacement gradient."""
+    barrier: ClassVar[bool] = False
+    """The energy grows without bound as J falls to 0, so an inverted state is never finite."""
+    frame_indifferent: ClassVar[bool] = True
+    """Rotating the body rotates its stress and leaves its energy."""
+    warning: ClassVar[str] = ""
+    """Said once in every run that uses the law."""
+    directions: ClassVar[tuple[str, ...]] = ()
+    """Fields that are vectors in the undeformed body; `model.directions.direction` reads them."""
+    example: ClassVar[Mapping[str, Any]] = {}
+    """Constants as a case file gives them, for the law's page and for tests."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_varying(cls, data: Any) -> Any:
+        return varying.constants(cls, data) if isinstance(data, dict) else data
+
+    @classmethod
+    def name(cls) -> str:
+        """The law's name in case files."""
+        return str(cls.model_fields["law"].default)
+
+    @property
+    def has_energy(self) -> bool:
+        """True when the law derives from a strain energy, so its tangent is symmetric."""
+        return type(self).energy is not Law.energy
+
+    def energy(self, F: Expr) -> Expr:
+        """Strain energy per reference volume, psi(F) [J/m^3]."""
+        raise TypeError(f"{type(self).__name__} has no strain energy")
+
+    def stress(self, F: Expr) -> Expr:
+        """First Piola-Kirchhoff stress P = dpsi/dF [Pa], shape of F."""
+        F = ufl.variable(F)
+        return ufl.diff(self.energy(F), F)
+
+    def small_strain(self) -> moduli.Moduli | None:
+        """The constants of the isotropic solid that the law is at small strains; None: of none."""
+        return None
+
+    def constants(self) -> dict[str, float | list[float]]:
+        """Name and value of every number in the law, also of those that follow from others.
+
+        Lists are constants of several values: how many is the form's, what they are is not.
+        """
+        found: dict[str, float | list[float]] = {}
+        for name, value in self.__dict__.items():
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                found[name] = float(value)
+            elif (values := numbers(value)) is not None:
+                found[name] = values + [0.0] * (3 - len(values) if name in self.directions else 0)
+        found.pop("density", None)
+        return found
+
+    def deferred(self) -> dict[str, Deferred]:
+        """Name and value of everything in the law that varies in space, density included."""
+        return {n: value for n, value in self.__dict__.items() if isinstance(value, Deferred)}
+
+    def completed(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Constants with those that follow from them; of numbers, arrays or UFL expressions."""
+        return dict(values)
+
+    @classmethod
+    def ranges(cls) -> dict[str, varying.Range]:
+        """The values that constants may have, for those that vary."""
+        return {n: varying.Range.of(info.metadata) for n, info in cls.model_fields.items()}
+
+    def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
+        """A twin whose constants are UFL expressions, so that forms do not hold the numbers."""
+        return self.model_copy(update=dict(symbols))
+
+    def quadrature_degree(self, degree: int) -> int:
+        """Degree of exactness that integrates the law on elements of `degree`.
+
+        F is constant on a linear element: one point is exact.  On quadratic ones F is linear and
+        degree 2 (four points on a tetrahedron) keeps the optimal convergence rates.
+        """
+        return 0 if degree == 1 else 2 * (degree - 1)
+
+
+class SplitLaw(Law):
+    """A law with a volumetric part: psi = shape_energy(F) + k/2 volume_strain(F)^2.
+
+    The modulus k is the field that `volume_modulus` names.  Where k is very large or infinite, a
+    pressure p = k volume_strain(F) becomes an unknown of its own: psi is then
+    shape_energy(F) + p volume_strain(F) - p^2/(2k), the perturbed Lagrangian.
+
+    Source: Bonet & Wood (2008), sections 8.6.2 to 8.6.5.
+    """
+
+    volume_modulus: ClassVar[str] = "K"
+    """Name of the field that multiplies the square of the volume strain [Pa]."""
+
+    @abstractmethod
+    def shape_energy(self, F: Expr) -> Expr:
+        """Strain energy per reference volume without the volumetric part [J/m^3]."""
+
+    def volume_strain(self, F: Expr) -> Expr:
+        """Measure of the change of volume: 0 at F = I, with derivative I there."""
+        return ufl.det(F) - 1
+
+    def shape_stress(self, F: Expr) -> Expr:
+        """Derivative of the shape energy with respect to F [Pa]."""
+        F = ufl.variable(F)
+        return ufl.diff(self.shape_energy(F), F)
+
+    def volume_gradient(self, F: Expr) -> Expr:
+        """Derivative of the volume strain with respect to F."""
+        F = ufl.variable(F)
+        return ufl.diff(self.volume_strain(F), F)
+
+    def energy(self, F: Expr) -> Expr:
+        """See the class."""
+        k = getattr(self, self.volume_modulus)
+        return self.shape_energy(F) + k / 2 * self.volume_strain(F) ** 2
+
+    def stress(self, F: Expr) -> Expr:
+        """First Piola-Kirchhoff stress [Pa], part by part."""
+        k = getattr(self, self.volume_modulus)
+        return self.shape_stress(F) + k * self.volume_strain(F) * self.volume_gradient(F)
+
+
+def to_come() -> float:
+    """Stands for a constant until the given ones have been read."""
+    return float("nan")
+
+
+class Isotropic(Law):
+    """A law with the two constants of an isotropic solid: give any two of the five.
+
+    Attributes:
+        E: Young's modulus [Pa].
+        nu: Poisson's ratio.
+        K: Bulk modulus [Pa].
+        lmbda: Lame's first constant [Pa].
+        mu: Shear modulus [Pa].
+    """
+
+    E: Stress = Field(default_factory=to_come)
+    nu: Number = Field(default_factory=to_come)
+    K: Stress = Field(default_factory=to_come)
+    lmbda: Stress = Field(default_factory=to_come, validation_alias=AliasChoices("lmbda", "lambda"))
+    mu: Stress = Field(default_factory=to_come)
+
+    example: ClassVar[Mapping[str, Any]] = {"E": "1 MPa", "nu": 0.3}
+
+    def model_post_init(self, context: Any) -> None:
+        """Fills in the three constants that were not given."""
+        given = {
+            name: getattr(self, name) for name in moduli.NAMES if name in self.model_fields_set
+        }
+        if any(isinstance(value, Deferred) for value in given.values()):
+            moduli.check_given(given)
+            self.__dict__.update({**dict.fromkeys(moduli.NAMES), **given})
+        else:
+            self.__dict__.update(vars(moduli.complete(**given)))
+
+    def small_strain(self) -> moduli.Moduli | None:
+        """See `Law.small_strain`."""
+        return moduli.Moduli(**{name: getattr(self, name) for name in moduli.NAMES})
+
+    def completed(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """See `Law.completed`."""
+        given = {name: values[name] for name in moduli.NAMES if name in self.model_fields_set}
+        return {**values, **moduli.symbolic(given)}
+
+    @classmethod
+    def ranges(cls) -> dict[str, varying.Range]:
+        """See `Law.ranges`."""
+        stable = {name: varying.Range(low=0.0) for name in ("E", "K", "mu")}
+        return {**super().ranges(), **stable, "nu": varying.Range(low=-1.0, high=0.5)}

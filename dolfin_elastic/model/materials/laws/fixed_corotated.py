@@ -1,0 +1,44 @@
+"""Fixed corotated elasticity."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.model.kinematics import cofactor
+from dolfin_elastic.model.materials.law import Isotropic, SplitLaw
+from dolfin_elastic.model.materials.spectral import polar
+
+
+class FixedCorotated(Isotropic, SplitLaw):
+    """Corotated elasticity with a volumetric part that sees the volume.
+
+    psi = mu sum_i (s_i - 1)^2 + lmbda/2 (J - 1)^2, s the singular values of F, the smallest of
+    which is negative where J is.  For large deformations that must survive and undo inverted
+    elements, as in animation: it is finite and smooth there, so it does not resist inversion.
+
+    Source: A. Stomakhin, R. Howes, C. Schroeder and J. Teran, Eurographics/ACM Symposium on
+    Computer Animation (2012) 25, section 4.
+    """
+
+    law: Literal["fixed-corotated"] = "fixed-corotated"
+
+    volume_modulus: ClassVar[str] = "lmbda"
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """mu (F:F - 2 tr U + 3)."""
+        return self.mu * (ufl.inner(F, F) - 2 * polar(F)[1] + 3)
+
+    def shape_stress(self, F: Expr) -> Expr:
+        """2 mu (F - R)."""
+        return 2 * self.mu * (F - polar(F)[0])
+
+    def volume_strain(self, F: Expr) -> Expr:
+        """J - 1."""
+        return ufl.det(F) - 1
+
+    def volume_gradient(self, F: Expr) -> Expr:
+        """Cof F."""
+        return cofactor(F)

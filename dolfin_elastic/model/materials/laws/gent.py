@@ -1,0 +1,44 @@
+"""Gent rubber."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+import ufl
+from pydantic import Field
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.units import Number, Stress
+from dolfin_elastic.model.materials.isochoric import Isochoric, invariants
+
+
+class Gent(Isochoric):
+    """Gent's rubber with a limit of extension.
+
+    psi = -mu limit/2 ln(1 - (I1 - 3)/limit) + K/2 g(J)^2, I1 the first invariant of J^-2/3 C.  For
+    rubber and soft tissue that stiffen without bound: I1 - 3 stays below the limit, and load steps
+    must be small near it.  Neo-Hooke for an endless limit.
+
+    Source: A. N. Gent, Rubber Chem. Technol. 69 (1996) 59.
+
+    Attributes:
+        mu: Shear modulus at small strains [Pa].
+        limit: Value that I1 - 3 never reaches; rubber: 30 to 100.
+    """
+
+    law: Literal["gent"] = "gent"
+    mu: Stress = Field(gt=0)
+    limit: Number = Field(gt=0)
+
+    barrier: ClassVar[bool] = True
+    example: ClassVar[Mapping[str, Any]] = {"mu": "385 kPa", "limit": 60, "nu": 0.4}
+
+    def shear(self) -> float:
+        """See the class."""
+        return self.mu
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """-mu limit/2 ln(1 - (I1 - 3)/limit)."""
+        drawn = (invariants(F)[0] - 3) / self.limit
+        return -self.mu * self.limit / 2 * ufl.ln(1 - drawn)

@@ -1,0 +1,53 @@
+"""Hencky solid."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.model.kinematics import cofactor
+from dolfin_elastic.model.materials.law import Isotropic, SplitLaw
+from dolfin_elastic.model.materials.spectral import (
+    Shape,
+    isochoric_energy,
+    isochoric_stress,
+    square_of_log_series,
+)
+
+
+class Hencky(Isotropic, SplitLaw):
+    """Hooke's law between the Kirchhoff stress and the logarithmic strain.
+
+    psi = mu sum_i (ln l_i)^2 + lmbda/2 (ln J)^2, l the principal stretches; the same as
+    mu sum_i (ln (l_i J^-1/3))^2 + K/2 (ln J)^2, which the program uses.  For metals and polymers at
+    moderate strains, for which it keeps Hooke's constants well beyond small strains; it softens
+    at stretches above e.
+
+    Source: L. Anand, J. Appl. Mech. 46 (1979) 78; Bonet & Wood (2008), section 6.6.
+    """
+
+    law: Literal["hencky"] = "hencky"
+
+    barrier: ClassVar[bool] = True
+
+    def _psi(self, shape: Shape) -> Expr:
+        squares = shape.total(lambda square: ufl.ln(square) ** 2, square_of_log_series())
+        return self.mu * (squares / 4 - ufl.ln(shape.d) ** 2 / 12)
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """mu sum_i (ln (l_i J^-1/3))^2."""
+        return isochoric_energy(self._psi, F)
+
+    def shape_stress(self, F: Expr) -> Expr:
+        """Its derivative."""
+        return isochoric_stress(self._psi, F)
+
+    def volume_strain(self, F: Expr) -> Expr:
+        """ln J."""
+        return ufl.ln(ufl.det(F))
+
+    def volume_gradient(self, F: Expr) -> Expr:
+        """F^-T."""
+        return cofactor(F) / ufl.det(F)

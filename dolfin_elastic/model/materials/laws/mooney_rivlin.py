@@ -1,0 +1,44 @@
+"""Mooney-Rivlin rubber."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.units import Stress
+from dolfin_elastic.model.materials.isochoric import Isochoric, invariants
+
+
+class MooneyRivlin(Isochoric):
+    """Mooney-Rivlin rubber.
+
+    psi = c10 (I1 - 3) + c01 (I2 - 3) + K/2 g(J)^2, I1 and I2 the invariants of J^-2/3 C.  For
+    rubber at moderate stretches, up to about 2, where neo-Hooke is too stiff in tension against
+    shear.  mu = 2 (c10 + c01).
+
+    Source: R. S. Rivlin and D. W. Saunders, Phil. Trans. R. Soc. A 243 (1951) 251; Bonet & Wood
+    (2008), section 6.5.
+
+    Attributes:
+        c10: Constant of the first invariant [Pa].
+        c01: Constant of the second invariant [Pa].
+    """
+
+    law: Literal["mooney-rivlin"] = "mooney-rivlin"
+    c10: Stress
+    c01: Stress = Field(ge=0)
+
+    barrier: ClassVar[bool] = True
+    example: ClassVar[Mapping[str, Any]] = {"c10": "150 kPa", "c01": "40 kPa", "nu": 0.4}
+
+    def shear(self) -> float:
+        """2 (c10 + c01)."""
+        return 2 * (self.c10 + self.c01)
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """c10 (I1 - 3) + c01 (I2 - 3)."""
+        I1, I2 = invariants(F)
+        return self.c10 * (I1 - 3) + self.c01 * (I2 - 3)

@@ -1,0 +1,29 @@
+"""Neo-Hookean rubber, isochoric-volumetric."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from ufl.core.expr import Expr
+
+from dolfin_elastic.model.materials.isochoric import Volumetric, invariants
+from dolfin_elastic.model.materials.law import Isotropic
+
+
+class NeoHookeanSplit(Isotropic, Volumetric):
+    """Neo-Hookean rubber whose pressure depends on the volume alone.
+
+    psi = mu/2 (I1 - 3) + K/2 g(J)^2, I1 the first invariant of J^-2/3 C; by default
+    K/4 (J^2 - 1 - 2 ln J) for the volume.  For rubber that is nearly incompressible, and to compare
+    with programs that split the energy so.
+
+    Source: J. C. Simo and R. L. Taylor, Comput. Methods Appl. Mech. Eng. 35 (1982) 107.
+    """
+
+    law: Literal["neo-hookean-split"] = "neo-hookean-split"
+
+    barrier: ClassVar[bool] = True
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """mu/2 (I1 - 3)."""
+        return self.mu / 2 * (invariants(F)[0] - 3)

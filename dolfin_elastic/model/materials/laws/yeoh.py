@@ -1,0 +1,50 @@
+"""Yeoh rubber."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.units import Stress
+from dolfin_elastic.model.materials.isochoric import Isochoric, invariants
+
+
+class Yeoh(Isochoric):
+    """Yeoh's filled rubber.
+
+    psi = c10 (I1 - 3) + c20 (I1 - 3)^2 + c30 (I1 - 3)^3 + K/2 g(J)^2, I1 the first invariant of
+    J^-2/3 C.  For filled rubber at large stretches: c20 < 0 softens it at first, c30 > 0 stiffens
+    it in the end.  mu = 2 c10.
+
+    Source: O. H. Yeoh, Rubber Chem. Technol. 66 (1993) 754.
+
+    Attributes:
+        c10: First constant [Pa].
+        c20: Second constant [Pa].
+        c30: Third constant [Pa].
+    """
+
+    law: Literal["yeoh"] = "yeoh"
+    c10: Stress = Field(gt=0)
+    c20: Stress = 0.0
+    c30: Stress = Field(default=0.0, ge=0)
+
+    barrier: ClassVar[bool] = True
+    example: ClassVar[Mapping[str, Any]] = {
+        "c10": "190 kPa",
+        "c20": "-20 kPa",
+        "c30": "5 kPa",
+        "nu": 0.4,
+    }
+
+    def shear(self) -> float:
+        """2 c10."""
+        return 2 * self.c10
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """A cubic in I1 - 3."""
+        s = invariants(F)[0] - 3
+        return s * (self.c10 + s * (self.c20 + s * self.c30))

@@ -1,0 +1,69 @@
+"""The perturbed Lagrangian: a law whose volumetric part is carried by a pressure of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.model.materials.law import SplitLaw
+
+
+@dataclass(frozen=True)
+class Mixed:
+    """A split law with a pressure p that is an unknown.
+
+    psi(F, p) = shape_energy(F) + p g(F) - p^2/(2k), g the law's volume strain.  Where psi is
+    stationary in p, p = k g, and psi is the law's own energy.  In exactly incompressible bodies
+    1/k is 0 and p enforces g = 0.  p is positive in tension.
+
+    Source: Bonet & Wood (2008), section 8.6.4; Brezzi & Fortin, Mixed and Hybrid Finite Element
+    Methods (1991), section VI.
+
+    Attributes:
+        law: The law, with UFL constants for its numbers.
+        p: Pressure [Pa], a UFL expression.
+        compliance: 1/k [1/Pa].
+    """
+
+    law: SplitLaw
+    p: Expr
+    compliance: Expr
+
+    def __getattr__(self, name: str) -> Any:
+        """What else a law has: its constants, density, allowable stress."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.law, name)
+
+    def gap(self, F: Expr) -> Expr:
+        """What the pressure's equation makes zero: g - p/k."""
+        return self.law.volume_strain(F) - self.p * self.compliance
+
+    def energy(self, F: Expr) -> Expr:
+        """Energy per reference volume [J/m^3], see the class."""
+        shape, g = self.law.shape_energy(F), self.law.volume_strain(F)
+        return shape + self.p * g - self.p**2 * self.compliance / 2
+
+    def stress(self, F: Expr) -> Expr:
+        """First Piola-Kirchhoff stress [Pa], the derivative of the energy at fixed p."""
+        return self.law.shape_stress(F) + self.p * self.law.volume_gradient(F)
+
+
+def variance(p: Expr, q: Expr, J: Expr) -> Expr:
+    """Mean over a cell of the product of what two linear functions differ from their means.
+
+    It is grad p . C grad q with the covariance C of a point anywhere in the cell, which for the
+    reference simplex of d dimensions is (I - 1/(d + 1))/((d + 1)(d + 2)).
+
+    Args:
+        p: One function.
+        q: The other.
+        J: Jacobian of the cell, dim x dim.
+    """
+    d = J.ufl_shape[0]
+    a, b = ufl.dot(J.T, ufl.grad(p)), ufl.dot(J.T, ufl.grad(q))
+    product = ufl.inner(a, b) - sum(a) * sum(b) / (d + 1)
+    return product / ((d + 1) * (d + 2))

@@ -1,0 +1,127 @@
+"""One page of documentation for each material law, from its class.
+
+    python3 -m dolfin_elastic.model.materials.pages [FOLDER]
+
+writes them; by default into docs/laws.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from pydantic_core import PydanticUndefined
+
+from dolfin_elastic.model.materials.law import Isotropic, Law, SplitLaw
+from dolfin_elastic.model.materials.registry import MATERIALS
+
+COST = """\
+The first run with a law compiles its forms: residual and tangent together take 1 to 7 seconds for
+quadratic elements on a busy machine of two cores (`hencky` the longest, then `ogden` with three
+terms), and as long again for each further material.  Later runs find them in the cache; changing a
+constant compiles nothing, an `ogden` with another number of terms does."""
+_SECTION = re.compile(r"^Attributes:\n((?:    .*\n?|\n)+)", re.MULTILINE)
+_KEY = re.compile(r"^    (\w+): (.*(?:\n     .*)*)", re.MULTILINE)
+SPELT = {"lmbda": "lambda"}
+"""Field to the key that case files prefer."""
+
+
+def descriptions(kind: type[Law]) -> dict[str, str]:
+    """Field to what the docstrings of a class and its bases say of it."""
+    found: dict[str, str] = {}
+    for base in kind.__mro__:
+        section = _SECTION.search(inspect.cleandoc(base.__doc__ or ""))
+        for name, text in _KEY.findall(section[1] if section else ""):
+            found.setdefault(name, " ".join(text.split()))
+    return found
+
+
+def page(kind: type[Law]) -> str:
+    """A law's page in Markdown."""
+    text = _SECTION.sub("", inspect.cleandoc(kind.__doc__ or "")).rstrip()
+    title, _, body = text.partition("\n")
+    parts = [f"# {kind.name()}", title, body.strip(), "## Keys", _keys(kind), _properties(kind)]
+    return "\n\n".join(part for part in [*parts, "## Example", _example(kind)] if part) + "\n"
+
+
+def _keys(kind: type[Law]) -> str:
+    said = descriptions(kind)
+    names = [name for name in kind.model_fields if name not in ("law", "density")]
+    rows = [
+        f"| `{SPELT.get(name, name)}` | {said.get(name, '')} | {_default(kind, name)} |"
+        for name in [*names, "density"]
+    ]
+    return "\n".join(["| key | what | default |", "|---|---|---|", *rows])
+
+
+def _default(kind: type[Law], name: str) -> str:
+    info = kind.model_fields[name]
+    if info.default_factory is not None:
+        return "any two" if issubclass(kind, Isotropic) else "one of K, nu"
+    if info.default is PydanticUndefined:
+        return "needed"
+    return "" if info.default is None else f"`{json.dumps(info.default)}`"
+
+
+def _properties(kind: type[Law]) -> str:
+    law = kind(**kind.example)
+    said = {
+        "Linear: for small strains and rotations.": law.linear,
+        "It has no strain energy.": not law.has_energy,
+        "It resists inversion: the energy has no value where J <= 0.": law.barrier,
+        "Its pressure can be an unknown of its own, for nearly incompressible bodies.": isinstance(
+            law, SplitLaw
+        ),
+        "Isotropic.": law.small_strain() is not None,
+    }
+    return "\n".join(f"- {text}" for text, holds in said.items() if holds)
+
+
+def _example(kind: type[Law]) -> str:
+    lines = [f"{key} = {json.dumps(value)}" for key, value in kind.example.items()]
+    table = "\n".join(["[materials.part]", f'law = "{kind.name()}"', *lines])
+    return f"```toml\n{table}\n```"
+
+
+def overview() -> str:
+    """The list of all laws in Markdown."""
+    rows = [
+        f"| [{name}]({name}.md) | {_first_line(kind)} |" for name, kind in sorted(MATERIALS.items())
+    ]
+    head = (
+        "# Material laws",
+        "Made by `python3 -m dolfin_elastic.model.materials.pages` from the classes in "
+        "`dolfin_elastic/model/laws/`.\nF is the deformation gradient, C = F^T F, J = det F, psi "
+        "the energy per undeformed volume;\nfor the three choices of K/2 g(J)^2 see `volumetric`.",
+        COST,
+    )
+    return "\n\n".join([*head, "\n".join(["| law | what |", "|---|---|", *rows])]) + "\n"
+
+
+def _first_line(kind: type[Law]) -> str:
+    return inspect.cleandoc(kind.__doc__ or "").partition("\n")[0]
+
+
+def pages() -> dict[str, str]:
+    """File name to text of every page."""
+    return {"README.md": overview(), **{f"{n}.md": page(kind) for n, kind in MATERIALS.items()}}
+
+
+def write(folder: Path) -> None:
+    """Writes all pages."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in pages().items():
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def main(arguments: list[Any]) -> None:
+    """The command in the module's head."""
+    write(Path(arguments[0]) if arguments else Path("docs/laws"))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

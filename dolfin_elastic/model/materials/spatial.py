@@ -1,0 +1,257 @@
+"""Constants of materials that vary in space: formulas of the place and of fields of the mesh.
+
+A constant of a law is a number; or a text such as ``"1e9*(1 - 0.5*z/0.1)"`` in x, y, z [m] and in
+the names of scalar fields of the mesh, which gives SI units; or a field as it is,
+``{field = "E_cell", unit = "MPa"}``.  What a name means is known only on a body, to which
+`dolfin_elastic.problem.coefficients` binds the law.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
+
+import annotated_types
+import numpy as np
+import numpy.typing as npt
+from pydantic import AliasChoices, BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import core_schema
+
+from dolfin_elastic.core.errors import InputError, UnitError
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
+from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.units import (
+    Deferred,
+    Quantity,
+    as_written,
+    is_quantity,
+    to_si,
+)
+from dolfin_elastic.model.values import misspelt_unit
+
+PLACE = ("x", "y", "z")
+_NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*", re.ASCII)
+
+
+def usable(names: Iterable[str]) -> list[str]:
+    """Those names that can stand in a formula."""
+    taken = {*CONSTANTS, *FUNCTIONS, *PLACE}
+    return [name for name in names if _NAME.fullmatch(name) and name not in taken]
+
+
+@dataclass(frozen=True)
+class ByFormula(Deferred):
+    """A formula whose names are not looked up yet.
+
+    Attributes:
+        text: As it was written.
+        unit: SI unit of its values.
+    """
+
+    text: str
+    unit: str = ""
+
+    @property
+    def written(self) -> str:
+        """As it stands in a case file."""
+        return self.text
+
+    def known(self, fields: Iterable[str]) -> Formula:
+        """The formula over the fields there are.
+
+        Raises:
+            InputError: A name is neither a coordinate nor a field.
+        """
+        fields = [*fields]
+        if not fields and _NAME.fullmatch(self.text) and self.text not in PLACE:
+            to_si(self.text, self.unit)  # says that this is no number: there is nothing else
+        return Formula.parse(self.text, allowed=[*PLACE, *usable(fields)])
+
+
+@dataclass(frozen=True)
+class ByField(Deferred):
+    """The values of a field of the mesh.
+
+    Attributes:
+        field: Its name.
+        unit: Unit of its values, as written; empty: SI.
+        factor: SI units per unit.
+    """
+
+    field: str
+    unit: str = ""
+    factor: float = 1.0
+
+    @property
+    def written(self) -> dict[str, str]:
+        """As it stands in a case file."""
+        return {"field": self.field, **({"unit": self.unit} if self.unit else {})}
+
+
+@dataclass(frozen=True)
+class ByComponents(Deferred):
+    """A direction: three components, of which at least one is a formula."""
+
+    components: tuple[float | ByFormula, ...]
+
+    @property
+    def written(self) -> list[Any]:
+        """As it stands in a case file."""
+        return [getattr(item, "written", item) for item in self.components]
+
+
+class _FieldTable(Record):
+    """``{field = "E_cell", unit = "MPa"}``."""
+
+    field: str
+    unit: str = ""
+
+
+def constant(value: Any, unit: str) -> Any:
+    """What varies as what it is; anything else is left for others to read.
+
+    Args:
+        value: As a user wrote it.
+        unit: SI unit of the constant.
+
+    Raises:
+        InputError: A formula or table that cannot be right on any mesh.
+    """
+    if isinstance(value, Mapping):
+        return _field(value, unit)
+    if not isinstance(value, str) or is_quantity(value) or misspelt_unit(value, PLACE):
+        return value
+    # Every name may be a field's; what is wrong in any case is said now.
+    names = {*PLACE, *usable(_NAME.findall(value))}
+    formula = Formula.parse(value, allowed=names)
+    return ByFormula(value, unit) if formula.names else float(formula.evaluate())
+
+
+def _field(value: Mapping[str, Any], unit: str) -> ByField:
+    table = _FieldTable(**value)
+    try:
+        factor = to_si(f"1 {table.unit}", unit) if table.unit else 1.0
+    except UnitError as error:
+        raise error.at("unit") from None
+    return ByField(table.field, table.unit, factor)
+
+
+def constants(kind: type[BaseModel], table: Mapping[str, Any]) -> dict[str, Any]:
+    """A law's table with what varies read."""
+    units, read = _units(kind), {}
+    for key, value in table.items():
+        try:
+            read[key] = constant(value, units[key]) if key in units else value
+        except InputError as error:
+            raise error.at(key) from None
+    return read
+
+
+@lru_cache
+def _units(kind: type[BaseModel]) -> dict[str, str]:
+    """Key, other spellings included, to SI unit, for the fields that are single quantities."""
+    found = {}
+    for name, info in kind.model_fields.items():
+        if (unit := _unit(info)) is not None:
+            alias = info.validation_alias
+            others = alias.choices if isinstance(alias, AliasChoices) else ()
+            found.update(dict.fromkeys([name, *map(str, others)], unit))
+    return found
+
+
+def _unit(info: FieldInfo) -> str | None:
+    metadata = [*info.metadata]
+    for choice in get_args(info.annotation):  # of `Density | None`
+        metadata += getattr(choice, "__metadata__", ())
+    return next((item.unit for item in metadata if isinstance(item, Quantity)), None)
+
+
+# --- directions ---
+
+
+class _Direction:
+    """Reads ``[1, 0, 0]``, ``["cos(z)", "sin(z)", 0]`` or ``{field = "fibre"}``."""
+
+    def read(self, value: Any) -> tuple[float, ...] | Deferred:
+        if isinstance(value, Deferred):
+            return value
+        if isinstance(value, Mapping):
+            return _field(value, "")
+        if not isinstance(value, list | tuple) or len(value) not in (2, 3):
+            raise InputError(
+                f"{value!r} is not a direction",
+                expected='expected [1, 0, 0], or formulas, or {field = "fibre"}',
+            )
+        items = tuple(self._component(i, item) for i, item in enumerate([*value, 0.0][:3]))
+        if any(isinstance(item, ByFormula) for item in items):
+            return ByComponents(items)
+        length = float(np.linalg.norm(items))
+        if length == 0:
+            raise InputError("a direction needs a length", expected="for example [1, 0, 0]")
+        return tuple(float(item) / length for item in items)
+
+    def _component(self, index: int, item: Any) -> Any:
+        try:
+            read = constant(item, "")
+            return read if isinstance(read, Deferred) else to_si(read, "")
+        except InputError as error:
+            raise error.at(f"[{index}]") from None
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.read, serialization=as_written)
+
+
+if TYPE_CHECKING:
+    Direction: TypeAlias = tuple[float, ...]
+else:
+    Direction = Annotated[tuple, _Direction()]
+"""A unit vector of three components; laws name such fields in `Law.directions`."""
+
+
+# --- what values are possible ---
+
+
+@dataclass(frozen=True)
+class Range:
+    """The values a constant may have."""
+
+    low: float = -np.inf
+    high: float = np.inf
+    low_too: bool = False
+    high_too: bool = False
+
+    @classmethod
+    def of(cls, metadata: Iterable[Any]) -> Range:
+        """The range that pydantic's gt, ge, lt and le leave."""
+        found: dict[str, Any] = {}
+        for item in metadata:
+            match item:
+                case annotated_types.Gt(gt=low):
+                    found |= {"low": low, "low_too": False}
+                case annotated_types.Ge(ge=low):
+                    found |= {"low": low, "low_too": True}
+                case annotated_types.Lt(lt=high):
+                    found |= {"high": high, "high_too": False}
+                case annotated_types.Le(le=high):
+                    found |= {"high": high, "high_too": True}
+        return cls(**found)
+
+    def distance(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """How far values lie outside; -1: inside; what is not finite is infinitely far off."""
+        above = values >= self.low if self.low_too else values > self.low
+        below = values <= self.high if self.high_too else values < self.high
+        finite = np.isfinite(values)
+        known = np.where(finite, values, 0.0)
+        far = np.maximum(np.maximum(self.low - known, known - self.high), 0.0)
+        return np.asarray(np.where(finite & above & below, -1.0, np.where(finite, far, np.inf)))
+
+    def __str__(self) -> str:
+        low = f"{'at least' if self.low_too else 'above'} {self.low:g}"
+        high = f"{'at most' if self.high_too else 'below'} {self.high:g}"
+        said = [low] * np.isfinite(self.low) + [high] * np.isfinite(self.high)
+        return " and ".join(said) or "a finite number"

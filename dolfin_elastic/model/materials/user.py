@@ -1,0 +1,296 @@
+"""Materials whose energy the user writes: a formula in a case file, a function in Python."""
+
+from __future__ import annotations
+
+import inspect
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Self
+
+from pydantic import Field, PrivateAttr, field_validator, model_validator
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import FormulaError, InputError, nearest
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
+from dolfin_elastic.core.schema import shown, within
+from dolfin_elastic.core.units import Stress, to_base
+from dolfin_elastic.model.materials import user_names as own_names
+from dolfin_elastic.model.materials.isochoric import Volumetric
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.spatial import Direction
+
+
+class Own(Law):
+    """What all energies of users share: parameters and fibres, all of them constants of the forms.
+
+    Attributes:
+        parameters: Name to value [SI]; in a case file numbers, or texts with any unit.
+        fibre: Direction a of fibres in the undeformed body; its length does not matter.
+        fibre2: Direction b of a second family of fibres.
+    """
+
+    parameters: dict[str, Any] = Field(default={})
+    fibre: Direction | None = None
+    fibre2: Direction | None = None
+
+    directions: ClassVar[tuple[str, ...]] = ("fibre", "fibre2")
+
+    _sound: bool = PrivateAttr(default=False)
+
+    @field_validator("parameters", mode="before")
+    @classmethod
+    def _numbers(cls, table: Any) -> dict[str, float]:
+        if not isinstance(table, Mapping):
+            raise InputError(f"{shown(table)} is wrong", expected='expected {mu = "1 MPa", ...}')
+        numbers = {}
+        for name, value in table.items():
+            try:
+                numbers[name] = to_base(value)
+            except InputError as error:
+                raise within(str(name), error) from None
+        return numbers
+
+    @model_validator(mode="after")
+    def _one_before_two(self) -> Self:
+        if self.fibre2 is not None and self.fibre is None:
+            raise InputError("there is no first fibre", where="fibre2", expected="name it fibre")
+        return self
+
+    @property
+    def sound(self) -> bool:
+        """The energy has been tried and found right (`bench.sound`)."""
+        return self._sound
+
+    def passed(self) -> None:
+        """Notes that the energy need not be tried again."""
+        self._sound = True
+
+    def constants(self) -> dict[str, float | list[float]]:
+        """See `Law.constants`; parameters have a dot in their names."""
+        found = super().constants()
+        found |= {f"parameters.{name}": value for name, value in self.parameters.items()}
+        return found
+
+    def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
+        """See `Law.with_symbols`."""
+        plain = {name: value for name, value in symbols.items() if "." not in name}
+        inner = {
+            name: symbols.get(f"parameters.{name}", value)
+            for name, value in self.parameters.items()
+        }
+        return self.model_copy(update={**plain, "parameters": inner})
+
+    @abstractmethod
+    def written_energy(self, F: Expr) -> Expr:
+        """The part of the energy that the user wrote [J/m^3]."""
+
+    def energy(self, F: Expr) -> Expr:
+        """See the class."""
+        return self.written_energy(F)
+
+    def _values(self, F: Expr, wanted: Any) -> dict[str, Expr]:
+        return own_names.values(F, wanted, fibre=self.fibre, fibre2=self.fibre2)
+
+
+class WithVolume(Volumetric):
+    """Adds K/2 g(J)^2 to the energy that a user writes, so that a pressure can be an unknown.
+
+    Attributes:
+        K: Bulk modulus [Pa].
+    """
+
+    K: Stress = Field(gt=0)
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """What the user wrote."""
+        return self.written_energy(F)  # type: ignore[attr-defined]
+
+    def energy(self, F: Expr) -> Expr:
+        """See the class."""
+        return Volumetric.energy(self, F)
+
+    def stress(self, F: Expr) -> Expr:
+        """See the class."""
+        return Volumetric.stress(self, F)
+
+
+class FormulaEnergy(Own):
+    """An energy that is written down as a formula.
+
+        energy = "mu/2*(I1 - 3) - mu*ln(J) + lmbda/2*ln(J)^2"
+        parameters = {mu = "0.4 MPa", lmbda = "2 MPa"}
+
+    Attributes:
+        formula: Energy per reference volume [J/m^3]; the key is `energy`.
+    """
+
+    formula: str = Field(validation_alias="energy", serialization_alias="energy")
+
+    @model_validator(mode="after")
+    def _understood(self) -> Self:
+        read = self.parsed
+        for name in self.parameters:
+            if name not in read.names:
+                raise InputError(
+                    "the energy does not use this parameter",
+                    where=f"parameters.{name}",
+                    expected=f"it uses {', '.join(sorted(read.names)) or 'no name at all'}",
+                )
+        if not read.names - set(self.parameters):
+            raise InputError(
+                "the energy does not depend on the deformation",
+                where="energy",
+                expected=f"known: {self._known()}",
+            )
+        return self
+
+    @property
+    def parsed(self) -> Formula:
+        """The formula, read.
+
+        Raises:
+            FormulaError: With the column, a caret under the fault, and what would be right.
+        """
+        fibres = {"fibre": self.fibre is not None, "fibre2": self.fibre2 is not None}
+        names = own_names.known(**fibres)
+        for name in self.parameters:
+            _check_parameter(name, names)
+        try:
+            return Formula.parse(self.formula, allowed=names | set(self.parameters))
+        except FormulaError as error:
+            raise within("energy", self._shorter(error)) from None
+
+    def _known(self) -> str:
+        fibres = {"fibre": self.fibre is not None, "fibre2": self.fibre2 is not None}
+        return ", ".join([*sorted(self.parameters), own_names.summary(**fibres)])
+
+    def _shorter(self, error: InputError) -> InputError:
+        """A list of all 40 names, as it would stand in a book."""
+        first, *picture = error.expected.split("\n")
+        if not first.startswith("known: J") and not first.startswith("known: C11"):
+            return error
+        text = "\n".join([f"known: {self._known()}", *picture])
+        return type(error)(error.what, where=error.where, expected=text)
+
+    def written_energy(self, F: Expr) -> Expr:
+        """The formula, with the names of `own_names`."""
+        read = self.parsed
+        return read.ufl(**self._values(F, read.names), **self.parameters)
+
+
+class SplitFormulaEnergy(WithVolume, FormulaEnergy):
+    """A formula and a volumetric part."""
+
+
+_NAME = r"[A-Za-z_][A-Za-z_0-9]*"
+
+
+def _check_parameter(name: str, taken: frozenset[str]) -> None:
+    where = f"parameters.{name}"
+    if not (name.isascii() and name.isidentifier()):
+        raise InputError(
+            f"{shown(name)} cannot be a name", where=where, expected="letters, digits and _"
+        )
+    if name in taken or name in FUNCTIONS or name in own_names.TENSORS:
+        raise InputError(f"the name '{name}' is taken", where=where, expected="choose another")
+    if name in CONSTANTS and name == "pi":
+        raise InputError("pi is a number already", where=where, expected="choose another name")
+
+
+def read_energy(table: Mapping[str, Any]) -> FormulaEnergy:
+    """The law of a case-file table with the key `energy`."""
+    if "law" in table:
+        raise InputError(
+            "law and energy given together",
+            where="energy",
+            expected="a material has one of them; leave the other out",
+        )
+    split = "volumetric" in table
+    if "K" in table and not split:
+        raise InputError(
+            "a bulk modulus without a volumetric part",
+            where="K",
+            expected='add volumetric = "quadratic", "log" or "simo-taylor", or put K into '
+            "parameters",
+        )
+    return (SplitFormulaEnergy if split else FormulaEnergy)(**table)
+
+
+# --- in Python ---
+
+
+class Energy(Own):
+    """An energy that is a Python function.
+
+        Energy(lambda F, mu, k: mu/2*(ufl.tr(F.T*F) - 3) - mu*ufl.ln(ufl.det(F))
+               + k/2*ufl.ln(ufl.det(F))**2, mu=1e6, k=1e7, density=1100)
+
+    The names of the function's arguments say what it is given: F, C or E the tensors; J, I1, I2,
+    I3, I1bar, I2bar, lambda1 to lambda3, with fibres I4, I5, I4bar, I6, I7, I6bar, I8, and the
+    components F11 to E33 the scalars of case files; every other argument is a parameter and
+    wants a value, a number or a text with a unit, or has a default.
+
+    Attributes:
+        function: Energy per reference volume [J/m^3] as a UFL expression.
+    """
+
+    function: Callable[..., Any]
+
+    own_keys: ClassVar[tuple[str, ...]] = (
+        "density",
+        "rho",
+        "expansion",
+        "viscosity",
+        "fibre",
+        "fibre2",
+    )
+
+    def __init__(self, function: Callable[..., Any], **given: Any) -> None:
+        keys = {key: given.pop(key) for key in self.own_keys if key in given}
+        super().__init__(function=function, parameters=_filled(function, given, keys), **keys)
+
+    def written_energy(self, F: Expr) -> Expr:
+        """What the function returns."""
+        arguments = inspect.signature(self.function).parameters
+        found = self._values(F, [name for name in arguments if name not in self.parameters])
+        result = self.function(**found, **self.parameters)
+        if not isinstance(result, Expr) or result.ufl_shape:
+            raise InputError(
+                "the function of an energy returned no scalar expression",
+                expected="expected a UFL expression, for example mu/2*(ufl.tr(F.T*F) - 3)",
+            )
+        return result
+
+
+class SplitEnergy(WithVolume, Energy):
+    """A Python function and a volumetric part: `Energy` with `volumetric` and `K`."""
+
+    own_keys: ClassVar[tuple[str, ...]] = (*Energy.own_keys, "volumetric", "K")
+
+
+def _filled(
+    function: Callable[..., Any], given: dict[str, Any], keys: Mapping[str, Any]
+) -> dict[str, Any]:
+    """A value for each of the function's parameters."""
+    fibres = {"fibre": "fibre" in keys, "fibre2": "fibre2" in keys}
+    known = own_names.known(**fibres) | {*own_names.TENSORS}
+    arguments = inspect.signature(function).parameters
+    wanted = [name for name in arguments if name not in known]
+    defaults = {
+        name: arguments[name].default
+        for name in wanted
+        if arguments[name].default is not inspect.Parameter.empty
+    }
+    values = defaults | given
+    for name in given:
+        if name not in wanted:
+            raise InputError(
+                f"the energy has no parameter '{name}'", expected=nearest(name, wanted)
+            )
+    for name in wanted:
+        if name not in values:
+            raise InputError(
+                f"'{name}' has no value", expected=f"give it, as in Energy(..., {name}=1e6)"
+            )
+    return values

@@ -1,0 +1,115 @@
+"""The names that a user's energy may use, and what they stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from functools import cache
+from typing import Any
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.model.kinematics import (
+    green_strain,
+    invariants,
+    isochoric_invariants,
+    right_cauchy_green,
+)
+from dolfin_elastic.model.materials.fibres import direction
+from dolfin_elastic.model.materials.user_spectral import principal_stretches
+
+_PAIRS = tuple((i, j) for i in range(3) for j in range(3))
+_STRETCHES = ("lambda1", "lambda2", "lambda3")
+COMPONENTS = frozenset(f"{tensor}{i + 1}{j + 1}" for tensor in "FCE" for i, j in _PAIRS)
+"""F11 to F33, C11 to C33, E11 to E33."""
+PLAIN = (*["J", "I1", "I2", "I3", "I1bar", "I2bar"], *_STRETCHES)
+"""Scalars of every material."""
+ALONG = ("I4", "I5", "I4bar")
+"""Scalars along a fibre a: a.C a, a.C^2 a, J^-2/3 a.C a."""
+ACROSS = ("I6", "I7", "I6bar", "I8")
+"""The same along a second fibre b; and a.C b (a.b) of the two."""
+TENSORS = ("F", "C", "E")
+
+
+def known(*, fibre: bool = False, fibre2: bool = False) -> frozenset[str]:
+    """Names of the scalars that a formula may use."""
+    more = (ALONG if fibre else ()) + (ACROSS if fibre and fibre2 else ())
+    return COMPONENTS | {*PLAIN, *more}
+
+
+def summary(*, fibre: bool, fibre2: bool) -> str:
+    """The names in few words, for messages."""
+    text = f"F11..F33, C11..C33, E11..E33, {', '.join(PLAIN)}"
+    text += f", {', '.join(ALONG)}" if fibre else ""
+    return text + (f", {', '.join(ACROSS)}" if fibre and fibre2 else "")
+
+
+def values(
+    F: Expr,
+    wanted: Collection[str],
+    *,
+    fibre: Sequence[Any] | None = None,
+    fibre2: Sequence[Any] | None = None,
+) -> dict[str, Expr]:
+    """UFL expressions of the names in `wanted`; other names in it are left out.
+
+    I1, I2, I3 are the invariants of C (Bonet & Wood, 6.16), I1bar = I1 J^-2/3 and I2bar = I2 J^-4/3
+    (6.51), lambda1 >= lambda2 >= lambda3 the principal stretches, I4 = a.C a, I5 = a.C^2 a
+    (G. Holzapfel, Nonlinear Solid Mechanics, 2000, section 6.7) and I8 = (a.C b)(a.b).
+
+    Args:
+        F: Deformation gradient, shape (3, 3).
+        wanted: Names, also `F`, `C`, `E` for the whole tensors.
+        fibre: Direction a, of any length.
+        fibre2: Direction b.
+    """
+    C = right_cauchy_green(F)
+    tensors: dict[str, Expr] = {"F": F, "C": C, "E": green_strain(F)}
+    makers: dict[str, Callable[[], Expr]] = {
+        "J": lambda: ufl.det(F),
+        "I1": lambda: invariants(C)[0],
+        "I2": lambda: invariants(C)[1],
+        "I3": lambda: invariants(C)[2],
+        "I1bar": lambda: isochoric_invariants(C)[0],
+        "I2bar": lambda: isochoric_invariants(C)[1],
+        **_fibres(F, C, fibre, fibre2),
+    }
+    stretches = cache(lambda: principal_stretches(F))
+    found: dict[str, Expr] = {}
+    for name in wanted:
+        if name in tensors:
+            found[name] = tensors[name]
+        elif name in COMPONENTS:
+            found[name] = tensors[name[0]][int(name[1]) - 1, int(name[2]) - 1]
+        elif name in _STRETCHES:
+            found[name] = stretches()[_STRETCHES.index(name)]
+        elif name in makers:
+            found[name] = makers[name]()
+    return found
+
+
+def _fibres(
+    F: Expr, C: Expr, fibre: Sequence[Any] | None, fibre2: Sequence[Any] | None
+) -> dict[str, Callable[[], Expr]]:
+    """Names along the fibres to what makes them."""
+    if fibre is None:
+        return {}
+    a = direction(fibre)
+    made = _along(F, C, a, ("I4", "I5", "I4bar"))
+    if fibre2 is not None:
+        b = direction(fibre2)
+        made |= _along(F, C, b, ("I6", "I7", "I6bar"))
+        made["I8"] = lambda: ufl.dot(a, C * b) * ufl.dot(a, b)
+    return made
+
+
+def _along(F: Expr, C: Expr, a: Expr, names: Sequence[str]) -> dict[str, Callable[[], Expr]]:
+    def square() -> Expr:
+        return ufl.dot(a, C * a)
+
+    made = (
+        square,
+        lambda: ufl.dot(C * a, C * a),
+        lambda: ufl.det(F) ** (-2 / 3) * square(),
+    )
+    return dict(zip(names, made, strict=True))

@@ -1,0 +1,38 @@
+"""`Placed`: what acts on named surfaces, and what results call it."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import model_validator
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.schema import Record
+
+
+class Placed(Record):
+    """Something on surfaces.
+
+    Attributes:
+        on: Name of a surface, or several.
+        name: What results call it; the surfaces' names by default.
+    """
+
+    on: str | list[str]
+    name: str = ""
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> Self:
+        if not self.on:
+            raise InputError("no name is given", where="on", expected="a surface's name")
+        return self
+
+    @property
+    def surfaces(self) -> tuple[str, ...]:
+        """Names of its surfaces."""
+        return (self.on,) if isinstance(self.on, str) else tuple(self.on)
+
+    @property
+    def label(self) -> str:
+        """What results call it."""
+        return self.name or "+".join(self.surfaces)

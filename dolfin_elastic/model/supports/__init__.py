@@ -1,0 +1,1 @@
+"""Prescribed displacements, springs, dashpots and rigid surfaces, as a user states them."""

@@ -1,0 +1,353 @@
+"""Supports: what holds named surfaces of a body, and their table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import model_validator
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.units import is_quantity, to_si
+from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.materials.fibres import Axis, along
+from dolfin_elastic.model.on_surfaces import Placed
+from dolfin_elastic.model.values import (
+    Component,
+    amplitude_of,
+    component,
+    components,
+    depends_on_time,
+    misspelt_unit,
+)
+
+Floats = npt.NDArray[np.float64]
+
+NORMAL = -1
+"""Stands for the direction of the surface's normal, where components have numbers from 0."""
+
+
+class Restraint(Placed):
+    """What all supports have."""
+
+    kind: str = ""
+
+    @property
+    def vectors(self) -> Mapping[str, tuple[Component, ...]]:
+        """Key to the vector that stands there, of as many components as the body has."""
+        return {}
+
+    @property
+    def courses(self) -> tuple[tuple[Component, ...], ...]:
+        """All that may be formulas in t."""
+        return tuple(self.vectors.values())
+
+    @property
+    def at_rest(self) -> bool:
+        """It moves nothing."""
+        return True
+
+
+class Prescribing(Restraint):
+    """A support that prescribes displacements.
+
+    Where it has a `curve`, that is the amplitude over time.  Without one, what is constant grows
+    with the load steps in statics and holds from the start in motion, and formulas in t are taken
+    as they are, component by component.
+    """
+
+    needs_flat: ClassVar[bool] = False
+    """Its surfaces must lie in a plane each."""
+
+    def held(self, dim: int) -> tuple[int, ...]:
+        """The components that are prescribed, or `NORMAL`, in a body of 2 or 3 dimensions."""
+        raise TypeError(f"{type(self).__name__} prescribes nothing")
+
+    def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
+        """Prescribed displacement [m].
+
+        Args:
+            which: One of `held`.
+            x: Reference places, of shape (n, 3).
+            t: Time [s], or load parameter.
+            default: Amplitude if none is named.
+        """
+        raise TypeError(f"{type(self).__name__} prescribes nothing")
+
+    def _scale(self, value: Component, t: float, default: Amplitude) -> float:
+        """Its curve; 1 where a formula already says how it moves; the default elsewhere."""
+        return float((amplitude_of(value, getattr(self, "curve", None)) or default).at(t))
+
+
+def _evaluated(value: Component, x: Floats, t: float) -> Floats | float:
+    if isinstance(value, Formula):
+        return value.evaluate(x=x[:, 0], y=x[:, 1], z=x[:, 2], t=t)
+    return float(value or 0.0)
+
+
+class Support(Prescribing):
+    """Displacement components prescribed on surfaces.
+
+    Attributes:
+        displacement: One entry a component [m]: a number, a text with a unit ("2 mm"), a formula
+            in the reference coordinates x, y, z [m] and in t, or "free".  None: all components
+            are held at 0.
+        curve: Its amplitude over time, see `Prescribing`.
+    """
+
+    kind: Literal["displacement"] = "displacement"
+    displacement: list[Any] | None = None
+    curve: Curve | None = None
+
+    @model_validator(mode="after")
+    def _read_components(self) -> Support:
+        _ = self.values  # fails now, not when it is used
+        return self
+
+    @cached_property
+    def values(self) -> tuple[Component, ...]:
+        """The components as numbers, formulas or None (free); none when all are held at 0."""
+        if self.displacement is None:
+            return ()
+        return components(self.displacement, "m", key="displacement", may_be_free=True)
+
+    def values_in(self, dim: int) -> tuple[Component, ...]:
+        """The components in a body of 2 or 3 dimensions.
+
+        Raises:
+            InputError: There are fewer or more.
+        """
+        values = self.values or (0.0,) * dim
+        _check_length(self, "displacement", values, dim)
+        return values
+
+    @property
+    def vectors(self) -> Mapping[str, tuple[Component, ...]]:
+        """See `Restraint`."""
+        return {"displacement": self.values}
+
+    @property
+    def amplitude(self) -> Amplitude | None:
+        """Its curve; constant where formulas already say how it moves; None: not said.
+
+        Of one component: others beside it have their own, see `components.amplitude_of`.
+        """
+        timed = self.curve is None and depends_on_time(self.values)
+        return CONSTANT if timed else self.curve
+
+    @property
+    def at_rest(self) -> bool:
+        """See `Restraint`."""
+        return all(value in (None, 0.0) for value in self.values)
+
+    def held(self, dim: int) -> tuple[int, ...]:
+        """See `Prescribing`."""
+        return tuple(i for i, value in enumerate(self.values_in(dim)) if value is not None)
+
+    def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
+        """See `Prescribing`."""
+        value = self.values[which] if self.values else 0.0
+        return self._scale(value, t, default) * _evaluated(value, x, t)
+
+
+def _check_length(support: Restraint, key: str, values: tuple[Component, ...], dim: int) -> None:
+    if len(values) != dim:
+        raise InputError(
+            f"{len(values)} components given, the body has {dim}",
+            where=f"support '{support.label}'.{key}",
+        )
+
+
+class Normal(Prescribing):
+    """A roller: the displacement along the surface's reference normal is prescribed, the rest free.
+
+    On a curved surface each node has the mean normal of the facets around it, by their areas.
+
+    Attributes:
+        displacement: Along the outward normal [m]: a number, a text with a unit, or a formula.
+        curve: Its amplitude over time, see `Prescribing`.
+    """
+
+    kind: Literal["normal", "roller"] = "normal"
+    displacement: Any = 0.0
+    curve: Curve | None = None
+
+    @model_validator(mode="after")
+    def _read(self) -> Normal:
+        _ = self.value
+        return self
+
+    @cached_property
+    def value(self) -> Component:
+        """The displacement as a number or formula."""
+        if isinstance(self.displacement, list | tuple):
+            raise InputError(
+                f"{self.displacement!r} is not a number",
+                where="displacement",
+                expected="one number along the outward normal; components need "
+                'kind = "displacement"',
+            )
+        return _read_at("displacement", self.displacement, "m")
+
+    @property
+    def at_rest(self) -> bool:
+        """See `Restraint`."""
+        return self.value == 0.0
+
+    def held(self, dim: int) -> tuple[int, ...]:
+        """See `Prescribing`."""
+        return (NORMAL,)
+
+    def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
+        """See `Prescribing`."""
+        return self._scale(self.value, t, default) * _evaluated(self.value, x, t)
+
+
+def _read_at(key: str, written: Any, unit: str) -> Component:
+    try:
+        return component(written, unit)
+    except InputError as error:
+        raise error.at(key) from None
+
+
+class Symmetry(Prescribing):
+    """A plane of symmetry: nothing leaves it.  Each of its surfaces must be flat."""
+
+    kind: Literal["symmetry"] = "symmetry"
+
+    needs_flat: ClassVar[bool] = True
+
+    def held(self, dim: int) -> tuple[int, ...]:
+        """See `Prescribing`."""
+        return (NORMAL,)
+
+    def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
+        """See `Prescribing`."""
+        return 0.0
+
+
+class Rotation(Prescribing):
+    """Rigid motion of a surface: u = (R - I)(X - c) + d, with any angle.
+
+    R = I + sin(a) K + (1 - cos(a)) K^2, K the cross product with the axis.  Source: O. Rodrigues,
+    J. Math. Pures Appl. 5 (1840) 380.
+
+    Attributes:
+        point: A point c on the axis, in the reference configuration [m].
+        axis: x, y, z or a direction; in a plane body z.
+        angle: "90 deg", a number in rad, or a formula in t; right-handed about the axis.
+        displacement: Translation d [m]: numbers, texts with units, or formulas in t.
+        curve: Amplitude of angle and translation over time, see `Prescribing`.
+    """
+
+    kind: Literal["rotation"] = "rotation"
+    point: list[Any]
+    axis: Axis | list[float] | None = None
+    angle: Any
+    displacement: list[Any] | None = None
+    curve: Curve | None = None
+
+    @model_validator(mode="after")
+    def _read(self) -> Rotation:
+        _ = self.centre, self.turn, self.shift, self.direction
+        return self
+
+    @cached_property
+    def centre(self) -> tuple[Component, ...]:
+        """The point as numbers."""
+        return self._vector("point", self.point, ())
+
+    @cached_property
+    def shift(self) -> tuple[Component, ...]:
+        """The translation as numbers and formulas; nothing where there is none."""
+        return self._vector("displacement", self.displacement, ("t",))
+
+    def _vector(
+        self, key: str, written: list[Any] | None, allowed: tuple[str, ...]
+    ) -> tuple[Component, ...]:
+        if written is None:
+            return ()
+        found = components(written, "m", key=key)
+        for item in found:
+            if isinstance(item, Formula) and not set(item.names) <= set(allowed):
+                wanted = "numbers or formulas in t" if allowed else "numbers"
+                raise InputError(
+                    "a rigid motion is the same at all places", where=key, expected=wanted
+                )
+        return found
+
+    @cached_property
+    def turn(self) -> Component:
+        """The angle [rad] as a number or formula."""
+        text = self.angle
+        formula = isinstance(text, str) and not (is_quantity(text) or misspelt_unit(text, ("t",)))
+        try:
+            return Formula.parse(text, allowed=("t",)) if formula else to_si(text, "rad")
+        except InputError as error:
+            raise error.at("angle") from None
+
+    @cached_property
+    def direction(self) -> tuple[float, ...]:
+        """Unit vector of the axis."""
+        axis = np.array(along("z" if self.axis is None else self.axis))
+        length = float(np.linalg.norm(axis))
+        if axis.shape != (3,) or not np.isfinite(length) or length == 0.0:
+            raise InputError(
+                f"{self.axis!r} is not an axis",
+                where="axis",
+                expected='"x", "y", "z" or a direction of 3 components, for example [0, 0, 1]',
+            )
+        return tuple(float(item) for item in axis / length)
+
+    @property
+    def vectors(self) -> Mapping[str, tuple[Component, ...]]:
+        """See `Restraint`."""
+        return {"point": self.centre, "displacement": self.shift}
+
+    @property
+    def courses(self) -> tuple[tuple[Component, ...], ...]:
+        """See `Restraint`."""
+        return (*super().courses, (self.turn,))
+
+    @property
+    def at_rest(self) -> bool:
+        """See `Restraint`."""
+        return all(value == 0.0 for value in (self.turn, *self.shift))
+
+    def held(self, dim: int) -> tuple[int, ...]:
+        """See `Prescribing`.
+
+        Raises:
+            InputError: The axis or a vector does not fit the body.
+        """
+        where = f"support '{self.label}'.axis"
+        if dim == 3 and self.axis is None:
+            raise InputError("this key is missing", where=where, expected='for example "z"')
+        if dim == 2 and any(self.direction[:2]):
+            raise InputError(
+                "a plane body turns about z only", where=where, expected="leave it out"
+            )
+        _check_length(self, "point", self.centre, dim)
+        if self.shift:
+            _check_length(self, "displacement", self.shift, dim)
+        return tuple(range(dim))
+
+    def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
+        """See `Prescribing`."""
+        angle = self._scale(self.turn, t, default) * _at_time(self.turn, t)
+        r = x - np.array([*map(float, self.centre), 0.0])[:3]  # type: ignore[arg-type]
+        once = np.cross(self.direction, r)
+        twice = np.cross(self.direction, once)
+        moved = np.sin(angle) * once + 2 * np.sin(angle / 2) ** 2 * twice
+        if not self.shift:
+            return np.asarray(moved[:, which])
+        shift = self.shift[which]
+        return np.asarray(moved[:, which] + self._scale(shift, t, default) * _at_time(shift, t))
+
+
+def _at_time(value: Component, t: float) -> float:
+    return float(value.evaluate(t=t)) if isinstance(value, Formula) else float(value or 0.0)

@@ -1,0 +1,191 @@
+"""Rigid surfaces: all nodes of a surface move as one rigid body with a few degrees of freedom."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, Literal
+
+from pydantic import model_validator
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.units import is_quantity
+from dolfin_elastic.model.amplitude import Amplitude, Curve
+from dolfin_elastic.model.supports.displacement import Restraint
+from dolfin_elastic.model.values import (
+    FREE,
+    Component,
+    amplitude_of,
+    component,
+    components,
+    misspelt_unit,
+)
+
+ANGLE, MOMENT = "rad", "N*m"
+
+
+class Rigid(Restraint):
+    """A rigid plate on a surface: u = d + (R(theta) - I)(X - c), with any angle.
+
+    R = I + sin(a)/a K + (1 - cos(a))/a^2 K^2 with a = |theta| and K the cross product with theta.
+    Source: O. Rodrigues, J. Math. Pures Appl. 5 (1840) 380; Bonet & Wood (2008), (2.70).
+
+    Each component of d and theta is prescribed or free; on the free ones the given force or moment
+    acts.  A moment does work on the rotation vector theta: where theta turns about one axis only
+    it is the moment about that axis.
+
+    Attributes:
+        point: The reference point c [m]; the middle of the surface by default.
+        displacement: One entry a component of d [m]: a number, a text with a unit, a formula in t,
+            or "free".  By default free where a force is given, and else held at 0.
+        rotation: The same for the rotation vector theta [rad]; in a plane one entry, about z.
+        force: One entry a component [N]; where the displacement is free.
+        moment: One entry a component of theta [N m]; where the rotation is free.
+        curve: Amplitude over time of all that is prescribed and given.
+    """
+
+    kind: Literal["rigid"] = "rigid"
+    point: list[Any] | None = None
+    displacement: list[Any] | None = None
+    rotation: Any = None
+    force: list[Any] | None = None
+    moment: Any = None
+    curve: Curve | None = None
+
+    @model_validator(mode="after")
+    def _read(self) -> Rigid:
+        _ = self.centre
+        for key in ("displacement", "rotation"):
+            self._check_pair(key, {"displacement": "force", "rotation": "moment"}[key])
+        return self
+
+    def _check_pair(self, moved: str, forced: str) -> None:
+        """Forces act on free components only."""
+        motion, action = self._parsed[moved], self._parsed[forced]
+        if motion and action and len(motion) != len(action):
+            raise InputError(
+                f"{len(action)} components, but {moved} has {len(motion)}", where=forced
+            )
+        for i, (value, applied) in enumerate(zip(motion, action, strict=False)):
+            if value is not None and applied != 0.0:
+                raise InputError(
+                    f"this component of the {moved} is prescribed",
+                    where=f"{forced}[{i}]",
+                    expected=f'0 here, or "{FREE}" in {moved}[{i}]',
+                )
+
+    @cached_property
+    def centre(self) -> tuple[Component, ...]:
+        """The reference point as numbers; nothing: the middle of the surface."""
+        found = self._components("point", self.point, "m", free=False)
+        if any(isinstance(item, Formula) for item in found):
+            raise InputError("a point of reference does not move", where="point")
+        return found
+
+    @cached_property
+    def _parsed(self) -> dict[str, tuple[Component, ...]]:
+        rotation, moment = (
+            [v] if v is not None and not isinstance(v, list | tuple) else v
+            for v in (self.rotation, self.moment)
+        )
+        return {
+            "displacement": self._components("displacement", self.displacement, "m", free=True),
+            "rotation": self._components("rotation", rotation, ANGLE, free=True),
+            "force": self._components("force", self.force, "N", free=False),
+            "moment": self._components("moment", moment, MOMENT, free=False),
+        }
+
+    def _components(
+        self, key: str, written: Any, unit: str, *, free: bool
+    ) -> tuple[Component, ...]:
+        """Numbers, formulas in t, and None for what is free; nothing where nothing is written."""
+        if written is None:
+            return ()
+        found: tuple[Component, ...]
+        try:
+            if isinstance(written, list | tuple) and len(written) == 1:
+                found = (_single(written[0], unit, free),)
+            else:
+                found = components(written, unit, may_be_free=free)
+        except InputError as error:
+            raise error.at(key) from None
+        if any(isinstance(item, Formula) and not item.names <= {"t"} for item in found):
+            raise InputError(
+                "a rigid motion is the same at all places",
+                where=key,
+                expected="numbers or formulas in t",
+            )
+        return found
+
+    @property
+    def vectors(self) -> Mapping[str, tuple[Component, ...]]:
+        """See `Restraint`."""
+        given = {"point": self.centre, **self._parsed}
+        return {key: given[key] for key in ("point", "displacement", "force") if given[key]}
+
+    @property
+    def courses(self) -> tuple[tuple[Component, ...], ...]:
+        """See `Restraint`."""
+        return tuple(self._parsed.values())
+
+    @property
+    def turns(self) -> tuple[Component, ...]:
+        """The rotation vector's components [rad], None where free; nothing where none is given."""
+        return self._parsed["rotation"]
+
+    @property
+    def at_rest(self) -> bool:
+        """See `Restraint`."""
+        return all(value in (None, 0.0) for values in self._parsed.values() for value in values)
+
+    def motion(self, dim: int) -> tuple[Component, ...]:
+        """Displacement and rotation in a body of 2 or 3 dimensions; None where free.
+
+        Raises:
+            InputError: There are fewer or more components.
+        """
+        return self._joined("displacement", "force", dim) + self._joined(
+            "rotation", "moment", 2 * dim - 3
+        )
+
+    def _joined(self, key: str, action: str, size: int) -> tuple[Component, ...]:
+        free_if_forced: Component = None if self._parsed[action] else 0.0
+        return self._sized(key, size) or (free_if_forced,) * size
+
+    def action(self, dim: int) -> tuple[Component, ...]:
+        """Force and moment in a body of 2 or 3 dimensions."""
+        size = 2 * dim - 3
+        return (self._sized("force", dim) or (0.0,) * dim) + (
+            self._sized("moment", size) or (0.0,) * size
+        )
+
+    def _sized(self, key: str, size: int) -> tuple[Component, ...]:
+        values = self._parsed[key]
+        if values and len(values) != size:
+            raise InputError(
+                f"{len(values)} components given, a body of this kind has {size}",
+                where=f"support '{self.label}'.{key}",
+            )
+        return values
+
+    def at_time(
+        self, values: tuple[Component, ...], t: float, default: Amplitude
+    ) -> tuple[float, ...]:
+        """Components at time t; 0 for what is free."""
+        return tuple(
+            (amplitude_of(v, self.curve) or default).at(t)
+            * (v.evaluate(t=t) if isinstance(v, Formula) else float(v or 0.0))
+            for v in values
+        )
+
+
+def _single(written: Any, unit: str, free: bool) -> Component:
+    if (
+        isinstance(written, str)
+        and written != FREE
+        and not is_quantity(written)
+        and not misspelt_unit(written, ("t",))
+    ):
+        return Formula.parse(written, allowed=("t",))
+    return component(written, unit, may_be_free=free)

@@ -1,0 +1,270 @@
+"""Supports that hold by forces: springs and dashpots on surfaces, and the table of all supports."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any, ClassVar, Literal, Protocol, Self, TypeVar
+
+import ufl
+from pydantic import model_validator
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.model.amplitude import Amplitude, Curve
+from dolfin_elastic.model.supports.displacement import (
+    Normal,
+    Restraint,
+    Rotation,
+    Support,
+    Symmetry,
+)
+from dolfin_elastic.model.supports.rigid_surface import Rigid
+from dolfin_elastic.model.values import Component, component, components
+
+T = TypeVar("T")
+
+
+class Ground(Protocol):
+    """What a spring finds at the surface it acts on; see `site.BodySite`."""
+
+    v: Expr
+    """Virtual displacement."""
+    u: Expr
+    """Displacement, of the unknowns: derivatives see it."""
+    velocity: Expr
+    """Velocity [m/s]; zero in statics."""
+    N: Expr
+    """Outward unit normal of the reference surface."""
+
+    def areas(self, surfaces: Sequence[str]) -> ufl.Measure:
+        """Reference area of surfaces."""
+
+    def area(self, surfaces: Sequence[str]) -> Any:
+        """The same as a number, a constant [m^2]. Collective."""
+
+    def constant(self, value: float | Sequence[float]) -> Expr:
+        """A number that can change without compiling anything."""
+
+    def vector(self, values: tuple[Component, ...], curve: Amplitude | None) -> Expr:
+        """The vector at a point of the body, each component times its amplitude."""
+
+    def value(self, value: Component) -> Expr:
+        """A number or formula at a point of the body."""
+
+
+class Resisting(Restraint):
+    """Holds a surface by a force that is linear in its displacement or in its velocity w.
+
+    The force on the body per reference area is -(n (w . N) N + s (w - (w . N) N)) with the
+    reference normal N, or -k_i w_i along each axis.
+
+    Attributes:
+        normal: Coefficient n along the reference normal.
+        tangential: Coefficient s across it.
+        total: The numbers are those of the whole surface, spread evenly over its area.
+    """
+
+    normal: Any = None
+    tangential: Any = None
+    total: bool = False
+
+    unit: ClassVar[str] = ""
+    """Of a coefficient, without the area."""
+    axes: ClassVar[str] = ""
+    """Key of the coefficients along the axes."""
+
+    @model_validator(mode="after")
+    def _read(self) -> Self:
+        _ = self.coefficients
+        return self
+
+    @cached_property
+    def coefficients(self) -> tuple[Component, ...]:
+        """Along each axis, or (n, s); numbers in SI units or formulas in x, y, z.
+
+        Raises:
+            InputError: None or both kinds are given, or a number is negative.
+        """
+        along = getattr(self, self.axes)
+        by_normal = self.normal is not None or self.tangential is not None
+        if by_normal == (along is not None):
+            raise InputError(
+                f"'{self.axes}' and 'normal' or 'tangential' given together"
+                if by_normal
+                else "no coefficient is given",
+                where="" if not by_normal else self.axes,
+                expected=f"'normal' and 'tangential', or '{self.axes}' with a component each",
+            )
+        unit = self.unit if self.total else self.unit + "^3"
+        if not by_normal:
+            return self._checked({self.axes: _located(self.axes, components, along, unit)})
+        keys = ("normal", "tangential")
+        return self._checked(
+            {key: (_located(key, component, getattr(self, key) or 0.0, unit),) for key in keys}
+        )
+
+    def _checked(self, found: Mapping[str, tuple[Component, ...]]) -> tuple[Component, ...]:
+        for key, values in found.items():
+            for value in values:
+                if isinstance(value, Formula):
+                    if self.total or "t" in value.names:
+                        raise InputError(
+                            "a total is a number" if self.total else "it does not depend on t",
+                            where=key,
+                            expected="a number" if self.total else "a formula in x, y, z",
+                        )
+                elif value is not None and value < 0:
+                    raise InputError(
+                        f"{value:g} is negative", where=key, expected="a number of at least 0"
+                    )
+        return tuple(value for values in found.values() for value in values)
+
+    @property
+    def by_normal(self) -> bool:
+        """The coefficients are those along and across the normal."""
+        return getattr(self, self.axes) is None
+
+    @property
+    def vectors(self) -> Mapping[str, tuple[Component, ...]]:
+        """See `Restraint`."""
+        return {} if self.by_normal else {self.axes: self.coefficients}
+
+    def _values(self, site: Ground) -> list[Expr]:
+        values = [site.value(c) for c in self.coefficients]
+        if not self.total:
+            return values
+        area = site.area(self.surfaces)
+        if not area.value > 0.0:
+            raise InputError("the surface has no area", where=f"support '{self.label}'.on")
+        return [value / area for value in values]
+
+    def resistance(self, site: Ground, w: Expr) -> Expr:
+        """Force per reference area against w, as a UFL expression. Collective."""
+        values = self._values(site)
+        if not self.by_normal:
+            if len(values) != len(w):
+                raise InputError(
+                    f"{len(values)} components given, the body has {len(w)}",
+                    where=f"support '{self.label}'.{self.axes}",
+                )
+            return ufl.as_vector([k * w[i] for i, k in enumerate(values)])
+        along = ufl.inner(w, site.N) * site.N
+        return values[0] * along + values[1] * (w - along)
+
+    @abstractmethod
+    def virtual_work(self, site: Ground) -> ufl.Form:
+        """Virtual work of its force on the body, linear in `site.v`. Collective."""
+
+    def bound(self, site: Ground) -> ufl.Form:
+        """Largest coefficient times each component of `site.v`: a bound of its matrix's rows."""
+        values = self._values(site)
+        most = values[0]
+        for value in values[1:]:
+            most = ufl.max_value(most, value)
+        return most * sum(site.v) * site.areas(self.surfaces)
+
+
+def _located(key: str, read: Callable[[Any, str], T], written: Any, unit: str) -> T:
+    """What a key says; faults get its name."""
+    try:
+        return read(written, unit)
+    except InputError as error:
+        raise InputError(error.what, where=key + error.where, expected=error.expected) from None
+
+
+class Spring(Resisting):
+    """Springs on a surface: an elastic foundation of given stiffness per area [N/m^3].
+
+    Source of the model: E. Winkler, Die Lehre von der Elasticitaet und Festigkeit (1867).
+
+    Attributes:
+        stiffness: Stiffness along each axis instead of along and across the normal.
+        displacement: Of the base that the springs stand on, components [m] or formulas.
+        curve: Amplitude of it, as of prescribed displacements.
+    """
+
+    kind: Literal["spring"] = "spring"
+    stiffness: list[Any] | None = None
+    displacement: list[Any] | None = None
+    curve: Curve | None = None
+
+    unit: ClassVar[str] = "N/m"
+    axes: ClassVar[str] = "stiffness"
+
+    @cached_property
+    def base(self) -> tuple[Component, ...]:
+        """Displacement of the base; nothing where it rests."""
+        if self.displacement is None:
+            return ()
+        return _located("displacement", components, self.displacement, "m")
+
+    @model_validator(mode="after")
+    def _read_base(self) -> Self:
+        _ = self.base
+        return self
+
+    @property
+    def vectors(self) -> Mapping[str, tuple[Component, ...]]:
+        """See `Restraint`."""
+        return {**super().vectors, "displacement": self.base}
+
+    @property
+    def at_rest(self) -> bool:
+        """See `Restraint`."""
+        return all(value == 0.0 for value in self.base)
+
+    def _stretch(self, site: Ground) -> Expr:
+        if not self.base:
+            return site.u
+        try:
+            return site.u - site.vector(self.base, self.curve)
+        except InputError as error:
+            where = f"support '{self.label}'.displacement"
+            raise InputError(error.what, where=where, expected=error.expected) from None
+
+    def virtual_work(self, site: Ground) -> ufl.Form:
+        """See `Resisting`."""
+        force = self.resistance(site, self._stretch(site))
+        return -ufl.inner(force, site.v) * site.areas(self.surfaces)
+
+    def energy(self, site: Ground) -> ufl.Form:
+        """Stored energy [J]."""
+        w = self._stretch(site)
+        return 0.5 * ufl.inner(self.resistance(site, w), w) * site.areas(self.surfaces)
+
+
+class Dashpot(Resisting):
+    """Dashpots on a surface: a force against its velocity.  They act in motion only.
+
+    Attributes:
+        viscosity: Coefficients along each axis [N s/m^3] instead of along and across the normal.
+    """
+
+    kind: Literal["dashpot"] = "dashpot"
+    viscosity: list[Any] | None = None
+
+    unit: ClassVar[str] = "N*s/m"
+    axes: ClassVar[str] = "viscosity"
+
+    def virtual_work(self, site: Ground) -> ufl.Form:
+        """See `Resisting`."""
+        return self.work_at(site, site.velocity)
+
+    def work_at(self, site: Ground, velocity: Expr) -> ufl.Form:
+        """Virtual work of its force at a velocity [m/s]."""
+        return -ufl.inner(self.resistance(site, velocity), site.v) * site.areas(self.surfaces)
+
+
+SUPPORTS: dict[str, type[Restraint]] = {
+    "displacement": Support,
+    "normal": Normal,
+    "roller": Normal,
+    "symmetry": Symmetry,
+    "rotation": Rotation,
+    "rigid": Rigid,
+    "spring": Spring,
+    "dashpot": Dashpot,
+}

@@ -1,0 +1,130 @@
+"""Vectors as users write them: numbers, texts with units, or formulas in x, y, z and t."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.units import PLACED, is_quantity, to_si
+from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
+
+COORDINATES = ("x", "y", "z", "t")
+FREE = "free"
+
+Component = float | Formula | None
+"""A number in SI units, a formula in x, y, z [m] and t, or None for a free component."""
+
+
+def component(written: Any, unit: str, *, may_be_free: bool = False) -> Component:
+    """Reads one component.
+
+    Args:
+        written: A number, a text such as "2 mm", a formula such as "0.1*x*t", or "free".
+        unit: SI unit of the component; formulas give values in it.
+        may_be_free: Whether "free" is allowed.
+
+    Raises:
+        InputError: None of these.
+    """
+    if written == FREE and may_be_free:
+        return None
+    if isinstance(written, str) and not is_quantity(written) and not misspelt_unit(written):
+        return Formula.parse(written, allowed=COORDINATES)
+    try:
+        return to_si(written, unit)
+    except InputError as error:
+        if unit not in PLACED or '"' not in error.expected:
+            raise
+        example = f'expected a number in {unit}, for example "{PLACED[unit]}"'
+        raise type(error)(error.what, where=error.where, expected=example) from None
+
+
+def misspelt_unit(text: str, names: Collection[str] = COORDINATES) -> bool:
+    """A number, a blank and a word, "2 mmm": meant as a unit, not as a formula."""
+    number, _, word = text.strip().partition(" ")
+    try:
+        float(number)
+    except ValueError:
+        return False
+    word = word.strip()
+    return word not in names and word.replace("/", "").replace("^", "").isalnum()
+
+
+def components(
+    written: Any, unit: str, *, key: str = "", may_be_free: bool = False
+) -> tuple[Component, ...]:
+    """Reads a vector of two or three components.
+
+    Args:
+        written: The vector.
+        unit: SI unit of the components.
+        key: Whose value it is, for messages.
+        may_be_free: Whether components may be "free".
+
+    Raises:
+        InputError: Not a list of two or three, or a component is wrong (its index is named).
+    """
+    if not isinstance(written, list | tuple) or len(written) not in (2, 3):
+        raise InputError(
+            f"{written!r} is not a vector",
+            where=key,
+            expected="expected a list of 3 components (2 in a plane), for example [0, 0, -1]",
+        )
+    found = []
+    for index, item in enumerate(written):
+        try:
+            found.append(component(item, unit, may_be_free=may_be_free))
+        except InputError as error:
+            raise error.at(f"{key}[{index}]") from None
+    return tuple(found)
+
+
+def depends_on_time(vector: tuple[Component, ...]) -> bool:
+    """True when a component's formula uses t."""
+    return any(isinstance(item, Formula) and "t" in item.names for item in vector)
+
+
+def amplitude_of(value: Component, curve: Amplitude | None) -> Amplitude | None:
+    """What a component is multiplied by over time, whatever stands beside it in its vector.
+
+    Args:
+        value: The component.
+        curve: What the user wrote.
+
+    Returns:
+        The curve; constant where a formula in t already says how it changes; None: not said.
+    """
+    return CONSTANT if curve is None and depends_on_time((value,)) else curve
+
+
+def vector_at(
+    vector: tuple[Component, ...], X: npt.NDArray[np.float64], t: float
+) -> npt.NDArray[np.float64]:
+    """The numbers of a vector at places of the undeformed body.
+
+    Args:
+        vector: Its components; free ones count as 0.
+        X: Places [m], shape (..., dim).
+        t: Time [s], or load parameter.
+
+    Returns:
+        Shape of X.
+    """
+    found = np.empty_like(X)
+    for i, item in enumerate(vector):
+        found[..., i] = number_at(item, X, t)
+    return found
+
+
+def number_at(item: Component, X: npt.NDArray[np.float64], t: float) -> npt.NDArray[np.float64]:
+    """The number that a component is at places of the undeformed body, see `vector_at`."""
+    place = dict(zip(COORDINATES, np.moveaxis(X, -1, 0), strict=False))
+    place.setdefault("z", np.zeros(X.shape[:-1]))
+    if isinstance(item, Formula):
+        return np.asarray(item.evaluate(**place, t=t))
+    return np.full(X.shape[:-1], item or 0.0)

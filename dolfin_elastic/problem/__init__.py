@@ -1,0 +1,1 @@
+"""A model on a mesh: function spaces, weak form, constraints and state."""

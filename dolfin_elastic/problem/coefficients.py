@@ -1,0 +1,343 @@
+"""Laws bound to a body: with its constants in their places, also where these vary in space.
+
+What varies becomes a function that is constant in linear elements, with the value at the
+barycentre, and linear in quadratic ones, through the values at the points of the quadrature rule
+of degree 2, where such elements integrate their laws.  Both keep the optimal rates of convergence
+and cost nothing.  Values are only taken inside cells, so a jump along facets stays where it is; and
+where the line through them would leave the possible values, a cell takes their mean.
+Formulas are evaluated, not compiled: another formula compiles nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import basix
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import InputError, MeshError
+from dolfin_elastic.core.parallel import largest, smallest, total
+from dolfin_elastic.core.units import Deferred
+from dolfin_elastic.mesh.body import Body, Indices
+from dolfin_elastic.mesh.geometry.curved import tabulated
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.spatial import (
+    PLACE,
+    ByComponents,
+    ByField,
+    ByFormula,
+    Range,
+)
+
+Floats = npt.NDArray[np.float64]
+_SHORTEST = 1e-6
+"""Length below which a direction is none; they have about 1."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A law on a body.
+
+    Attributes:
+        law: The law with UFL expressions in place of its numbers.
+        density: UFL expression [kg/m^3], or None if not given.
+        typical: The law with numbers only, for scales and choices: means of what varies, but the
+            largest Poisson's ratio.
+    """
+
+    law: Law
+    density: Expr | None
+    typical: Law
+
+
+class Binder:
+    """Binds laws to a body. All of it is collective.
+
+    Args:
+        body: The mesh and its fields.
+        order: Degree of the displacement or of the mesh, whichever is higher.
+    """
+
+    def __init__(self, body: Body, order: int) -> None:
+        self.body, self.degree = body, min(order, 2) - 1
+
+    def bind(self, law: Law, cells: Indices, where: str = "") -> Bound:
+        """The law with constants and functions in place of its numbers.
+
+        Args:
+            law: The law as it was written.
+            cells: Owned local cells that it fills.
+            where: Dotted key of the material, for messages.
+
+        Raises:
+            InputError: A name that does not exist, or a value that is impossible somewhere.
+        """
+        numbers = _numbers(law)
+        values = self.values(law, cells, where)
+        ranges = law.ranges()
+        symbols = {name: self._constant(number) for name, number in numbers.items()}
+        for name, table in values.items():
+            symbols[name] = self._function(table, cells, ranges[name])
+        typical = law
+        if values:
+            symbols = law.completed(symbols)
+            typical = self._typical(law, numbers, values)
+        return Bound(law.with_symbols(symbols), symbols.get("density"), typical)
+
+    def values(self, law: Law, cells: Indices, where: str = "") -> dict[str, Floats]:
+        """What varies, at the points of each cell: shape (cells, points), directions by 3.
+
+        Raises:
+            InputError: See `bind`.
+        """
+        found: dict[str, Floats] = {}
+        with _within(where):
+            for name, item in law.deferred().items():
+                with _within(name):
+                    directed = name in law.directions
+                    found[name] = self._at(item, cells, directed)
+                    if directed:
+                        found[name] = self._unit(found[name], cells)
+            if found:
+                self._check(law, found, cells)
+        return found
+
+    # --- where values are taken ---
+
+    @cached_property
+    def points(self) -> Floats:
+        """Points of the reference cell."""
+        dim = self.body.dim
+        if self.degree == 0:
+            return np.full((1, dim), 1 / (dim + 1))
+        kind = basix.CellType.triangle if dim == 2 else basix.CellType.tetrahedron
+        return np.asarray(basix.make_quadrature(kind, 2)[0], dtype=np.float64)
+
+    @cached_property
+    def _to_corners(self) -> Floats:
+        """From values at the points to values at the corners of the line through them."""
+        if self.degree == 0:
+            return np.ones((1, 1))
+        return np.linalg.inv(np.column_stack([1 - self.points.sum(axis=1), self.points]))
+
+    def _places(self, cells: Indices) -> Floats:
+        """Where the points are [m], shape (cells, points, 3)."""
+        mesh = self.body.mesh
+        nodes = mesh.geometry.x[mesh.geometry.dofmap[cells]]
+        return np.asarray(np.einsum("kn,cnj->ckj", tabulated(mesh, self.points), nodes))
+
+    # --- what is there ---
+
+    def _at(self, item: Deferred, cells: Indices, directed: bool) -> Floats:
+        match item:
+            case ByFormula():
+                return self._formula(item, cells)
+            case ByField() if directed:
+                return self._vector(item, cells)
+            case ByField():
+                with _within("field"):
+                    return self._scalar(item.field, cells) * item.factor
+            case ByComponents(components=parts):
+                shape = (len(cells), len(self.points))
+                return np.stack(
+                    [
+                        self._formula(part, cells)
+                        if isinstance(part, ByFormula)
+                        else np.full(shape, part)
+                        for part in parts
+                    ],
+                    axis=2,
+                )
+        raise TypeError(f"{item!r} cannot be evaluated")
+
+    def _formula(self, item: ByFormula, cells: Indices) -> Floats:
+        formula = item.known(self.body.fields)
+        values = dict(zip(PLACE, np.moveaxis(self._places(cells), 2, 0), strict=True))
+        for name in sorted(formula.names - set(PLACE)):
+            values[name] = self._scalar(name, cells)
+        return np.asarray(formula.evaluate(**values))
+
+    def _scalar(self, name: str, cells: Indices) -> Floats:
+        table = self._field(name, cells)
+        if table.shape[2] != 1:
+            raise MeshError(
+                f"the field '{name}' has {table.shape[2]} components", expected="expected a scalar"
+            )
+        return table[:, :, 0]
+
+    def _vector(self, item: ByField, cells: Indices) -> Floats:
+        with _within("field"):
+            table = self._field(item.field, cells)
+            width = table.shape[2]
+            if width not in (self.body.dim, 3):
+                raise MeshError(
+                    f"the field '{item.field}' has {width} components",
+                    expected=f"expected a vector of {self.body.dim}",
+                )
+        return np.concatenate([table, np.zeros((*table.shape[:2], 3 - width))], axis=2)
+
+    def _field(self, name: str, cells: Indices) -> Floats:
+        table = self.body.mesh_field(name).at(self.body.mesh, cells, self.points)
+        bad = ~np.isfinite(table).all(axis=2)
+        if worst := self._worst(np.where(bad, np.inf, -1.0), table[:, :, 0], cells):
+            count = int(total(self.body.comm, int(np.count_nonzero(np.any(bad, axis=1)))))
+            raise MeshError(
+                f"the field '{name}' of {self.body.source or 'the mesh'} has no finite value in "
+                f"{count} cells, near {worst[1]}"
+            )
+        return table
+
+    # --- what is possible ---
+
+    def _unit(self, table: Floats, cells: Indices) -> Floats:
+        length = np.linalg.norm(table, axis=2)
+        bad = ~(np.isfinite(length) & (length > _SHORTEST))
+        if worst := self._worst(np.where(bad, 1.0, -1.0), length, cells):
+            raise InputError(
+                f"the direction has the length {worst[0]:.3g} at {worst[1]}",
+                expected="directions are made to have length 1, so they need one",
+            )
+        return np.asarray(table / length[:, :, None])
+
+    def _check(self, law: Law, found: dict[str, Floats], cells: Indices) -> None:
+        with np.errstate(all="ignore"):
+            every = law.completed({**_numbers(law), **found})
+        ranges = law.ranges()
+        for name in [*found, *(n for n in every if n not in found)]:
+            values = every[name]
+            if isinstance(values, np.ndarray) and values.ndim == 2:
+                self._check_one(name, values, ranges[name], cells, given=name in found)
+
+    def _check_one(
+        self, name: str, values: Floats, possible: Range, cells: Indices, *, given: bool
+    ) -> None:
+        worst = self._worst(possible.distance(values), values, cells)
+        if worst is None:
+            return
+        finite = values[np.isfinite(values)]
+        low = smallest(self.body.comm, finite.min(initial=np.inf))
+        high = largest(self.body.comm, finite.max(initial=-np.inf))
+        span = f"; the values run from {low:.6g} to {high:.6g}" if low <= high else ""
+        what = f"{worst[0]:.6g} at {worst[1]} is not possible"
+        if not given:
+            what = f"no stable elastic solid: {name} is {worst[0]:.6g} at {worst[1]}"
+        raise InputError(
+            what + span,
+            where=name if given else "",
+            expected=f"{name} must be {possible}",
+        )
+
+    def _worst(self, distance: Floats, values: Floats, cells: Indices) -> tuple[float, str] | None:
+        """Value and place where the distance is largest, of all ranks; None: none is above -1."""
+        own: tuple[float, list[float], float] | None = None
+        if (distance > -1).any():
+            at = np.nonzero(distance == distance.max())
+            places = self._places(cells[at[0]])[np.arange(len(at[0])), at[1], : self.body.dim]
+            last = int(np.lexsort(places.T[::-1])[-1])  # of equals the same on any ranks
+            i, j = at[0][last], at[1][last]
+            own = float(distance[i, j]), [float(x) for x in places[last]], float(values[i, j])
+        found = [one for one in self.body.comm.allgather(own) if one is not None]
+        if not found:
+            return None
+        _, place, value = max(found, key=lambda one: one[:2])
+        return value, "(" + ", ".join(f"{x:.4g}" for x in place) + ")"
+
+    # --- as UFL ---
+
+    def _constant(self, number: Any) -> fem.Constant:
+        return fem.Constant(self.body.mesh, np.asarray(number, dtype=np.float64))
+
+    @cached_property
+    def _space(self) -> fem.FunctionSpace:
+        return fem.functionspace(self.body.mesh, ("DG", self.degree))
+
+    @cached_property
+    def _vector_space(self) -> fem.FunctionSpace:
+        return fem.functionspace(self.body.mesh, ("DG", self.degree, (3,)))
+
+    def _function(self, table: Floats, cells: Indices, possible: Range) -> Expr:
+        corners = np.einsum("nk,ck...->cn...", self._to_corners, table)
+        if table.ndim == 2:
+            beyond = (possible.distance(corners) > -1).any(axis=1)
+            corners[beyond] = table[beyond].mean(axis=1, keepdims=True)
+        V = self._space if table.ndim == 2 else self._vector_space
+        found = fem.Function(V)
+        width = V.dofmap.index_map_bs
+        rows = found.x.array.reshape(-1, width)
+        rows[V.dofmap.list[cells]] = corners.reshape(*corners.shape[:2], width)
+        found.x.scatter_forward()
+        if table.ndim == 2 or self.degree == 0:
+            return found
+        return found / ufl.sqrt(ufl.inner(found, found))  # a line between unit vectors is shorter
+
+    def joined(self, parts: Sequence[tuple[Expr | None, Indices]]) -> fem.Function:
+        """One function of constants and functions from `bind`, each in its cells; else 0."""
+        varies = any(isinstance(part, fem.Function) for part, _ in parts)
+        V = self._space if varies else fem.functionspace(self.body.mesh, ("DG", 0))
+        found = fem.Function(V)
+        for part, cells in parts:
+            dofs = V.dofmap.list[cells]
+            if isinstance(part, fem.Function):
+                found.x.array[dofs] = part.x.array[dofs]
+            elif part is not None:
+                found.x.array[dofs] = float(part.value)
+        found.x.scatter_forward()
+        return found
+
+    def _typical(self, law: Law, numbers: dict[str, Any], values: dict[str, Floats]) -> Law:
+        comm, means = self.body.comm, dict[str, Any]()
+        for name, table in values.items():
+            if table.ndim == 2:
+                sums = comm.allreduce(np.array([table.sum(), table.size]), op=MPI.SUM)
+                means[name] = float(sums[0] / max(sums[1], 1))
+        means |= _across(law, values)
+        every = law.completed({**numbers, **values})
+        nu = every.get("nu")
+        typical = law.completed({**numbers, **means})
+        if isinstance(nu, np.ndarray) and nu.ndim == 2:
+            typical["nu"] = largest(comm, float(nu.max(initial=-1.0)))
+        return law.model_copy(update=typical)
+
+
+def _across(law: Law, values: Mapping[str, Floats]) -> dict[str, tuple[float, ...]]:
+    """Directions that stand for those that vary: across each other and those given."""
+    given = [
+        np.resize(np.append(np.asarray(known, dtype=float), 0.0), 3)
+        for name in law.directions
+        if (known := getattr(law, name)) is not None and not isinstance(known, Deferred)
+    ]
+    found: dict[str, tuple[float, ...]] = {}
+    for name in law.directions:
+        if name in values:
+            axes = np.eye(3)
+            best = min(axes, key=lambda axis: max((abs(axis @ g) for g in given), default=0.0))
+            given.append(best)
+            found[name] = tuple(float(x) for x in best)
+    return found
+
+
+def _numbers(law: Law) -> dict[str, Any]:
+    """Constants that do not vary, density and directions included."""
+    numbers: dict[str, Any] = dict(law.constants())
+    for name in ("density", *law.directions):
+        value = getattr(law, name)
+        if value is not None and not isinstance(value, Deferred):
+            numbers[name] = value
+    return numbers
+
+
+@contextmanager
+def _within(key: str) -> Iterator[None]:
+    try:
+        yield
+    except InputError as error:
+        raise (error.at(key) if key else error) from None

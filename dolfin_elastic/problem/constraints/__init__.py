@@ -1,0 +1,1 @@
+"""Essential boundary conditions, skew supports and rigid surfaces on a mesh."""

@@ -1,0 +1,178 @@
+"""Normals of named surfaces at the nodes of a space."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import basix
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, la
+from dolfinx.mesh import exterior_facet_indices
+
+from dolfin_elastic.core.compat import integration_entities, interpolation_points
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.parallel import largest, smallest, total
+from dolfin_elastic.mesh.body import Body, Indices, span
+from dolfin_elastic.model.contact import Contact
+from dolfin_elastic.model.loads import Load
+from dolfin_elastic.model.supports.displacement import Restraint
+from dolfin_elastic.model.supports.springs import Resisting
+
+Floats = npt.NDArray[np.float64]
+log = logging.getLogger("dolfin_elastic")
+
+FLAT = 1e-6
+"""Deviation of unit normals, and of places over the body's size, up to which a surface is flat."""
+
+ROUND_OFF = 1e-10
+"""Deviation from an axis up to which a normal is that axis."""
+
+KINK = 0.8
+"""Length of a mean of unit normals below which a surface has an edge: two faces at 74 degrees."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A named surface as the nodes of a space see it.
+
+    Attributes:
+        nodes: Its nodes, owned and ghost, sorted.
+        normals: Outward unit normals of the reference configuration there, of shape (nodes, dim).
+        flat: All its facets have one normal.
+        unevenness: Distance between its lowest and highest node along the mean normal [m]; not a
+            number where the normals have no mean.
+    """
+
+    nodes: Indices
+    normals: Floats
+    flat: bool
+    unevenness: float
+
+
+def sheet(body: Body, V: fem.FunctionSpace, name: str) -> Sheet:
+    """The nodes of a surface and the normals there, by the areas of the facets around. Collective.
+
+    A facet's share in the normal at its node is the Jacobian's cofactor times the reference
+    facet's normal: its area times its normal, where the node is.  Source: Nanson's formula,
+    Holzapfel, Nonlinear Solid Mechanics (2000), section 2.4.
+
+    Raises:
+        MeshError: The surface lies inside the body, where it has two normals.
+    """
+    facets = body.owned_facets(name)
+    check_outside(body, name, "support")
+    shares, nodes = _shares(body, V, facets)
+    dim, index_map = body.dim, V.dofmap.index_map
+    sums = la.vector(index_map, dim + 1)
+    rows = sums.array.reshape(-1, dim + 1)
+    np.add.at(rows[:, :dim], nodes, shares)
+    np.add.at(rows[:, dim], nodes, np.linalg.norm(shares, axis=1))
+    sums.scatter_reverse(la.InsertMode.add)
+    sums.scatter_forward()
+    mean = total(body.comm, shares.sum(axis=0))
+    length = float(np.linalg.norm(mean))
+    whole = total(body.comm, float(np.linalg.norm(shares, axis=1).sum()))
+    mean = tidy(mean[None] / length)[0] if length > FLAT * whole else np.zeros(dim)
+    found = np.flatnonzero(rows[:, dim] > 0.0).astype(np.int32)
+    spread = np.linalg.norm(shares, axis=1, keepdims=True) * mean - shares
+    off = np.linalg.norm(spread, axis=1) / np.maximum(np.linalg.norm(shares, axis=1), 1e-300)
+    flat = largest(body.comm, float(np.max(off, initial=0.0))) < FLAT
+    heights = V.tabulate_dof_coordinates()[found, :dim] @ mean
+    low = smallest(body.comm, float(np.min(heights, initial=np.inf)))
+    high = largest(body.comm, float(np.max(heights, initial=-np.inf)))
+    flat = flat and high - low < FLAT * span(body)
+    sharp = np.linalg.norm(rows[found, :dim], axis=1) / rows[found, dim]
+    normals = tidy(rows[found, :dim] / np.linalg.norm(rows[found, :dim], axis=1, keepdims=True))
+    if smallest(body.comm, float(np.min(sharp, initial=1.0))) < KINK:
+        log.warning(
+            "the surface '%s' has an edge, where its nodes are held along a mean normal only: "
+            "name its sides apart",
+            name,
+        )
+    return Sheet(
+        nodes=found,
+        normals=np.broadcast_to(mean, normals.shape) if flat else normals,
+        flat=flat,
+        unevenness=high - low if np.any(mean) else np.nan,
+    )
+
+
+def check_outside(body: Body, name: str, where: str) -> None:
+    """A surface has an outward normal only where it is a part of the body's boundary. Collective.
+
+    Args:
+        body: The mesh and its names.
+        name: Name of the surface.
+        where: Key that names it, for the message.
+
+    Raises:
+        MeshError: A facet of it lies between two cells; on all ranks.
+    """
+    tdim = body.mesh.topology.dim
+    body.mesh.topology.create_connectivity(tdim - 1, tdim)
+    body.mesh.topology.create_connectivity(tdim, tdim - 1)
+    inside = ~np.isin(body.owned_facets(name), exterior_facet_indices(body.mesh.topology))
+    if total(body.comm, int(inside.sum())):
+        raise MeshError(
+            f"the surface '{name}' lies inside the body, where it has no outward normal",
+            where=where,
+            expected="a part of the body's boundary",
+        )
+
+
+def check_facing(
+    body: Body, supports: Sequence[Restraint], loads: Sequence[Load], contacts: Sequence[Contact]
+) -> None:
+    """All surfaces whose normal matters lie on the body's boundary. Collective.
+
+    Names that do not exist are left to those who use them.
+
+    Raises:
+        MeshError: One lies inside, with its key.
+    """
+    named = [
+        (f"support[{i}].on", s.surfaces)
+        for i, s in enumerate(supports)
+        if isinstance(s, Resisting) and s.by_normal
+    ]
+    named += [(f"load[{i}].on", load.parts) for i, load in enumerate(loads) if load.faces]
+    named += [(f"contact[{i}].on", contact.surfaces) for i, contact in enumerate(contacts)]
+    for where, names in named:
+        for name in names:
+            if name in body.surfaces:
+                check_outside(body, name, where)
+
+
+def tidy(normals: Floats) -> Floats:
+    """Unit vectors, exactly along an axis where they are so but for round-off."""
+    nearest = np.round(normals)
+    close = np.linalg.norm(normals - nearest, axis=1) < ROUND_OFF
+    return np.where(close[:, None], nearest + 0.0, normals)
+
+
+def _shares(body: Body, V: fem.FunctionSpace, facets: Indices) -> tuple[Floats, Indices]:
+    """Each facet's area times its normal at each of its nodes, and the nodes. Not collective."""
+    mesh, dim = body.mesh, body.dim
+    cell = getattr(basix.CellType, mesh.topology.cell_name())
+    degree = int(mesh.geometry.cmap.degree)
+    element = basix.create_element(
+        basix.ElementFamily.P, cell, degree, basix.LagrangeVariant.equispaced
+    )
+    slopes = element.tabulate(1, interpolation_points(V.element))[1:, :, :, 0]
+    normals = basix.cell.facet_outward_normals(cell)
+    areas = basix.cell.facet_reference_volumes(cell)
+    pairs = integration_entities(mesh, facets).reshape(-1, 2)
+    found, where = [np.empty((0, dim))], [np.empty(0, dtype=np.int32)]
+    for side in range(dim + 1):
+        cells = pairs[pairs[:, 1] == side, 0]
+        closure = V.dofmap.dof_layout.entity_closure_dofs(dim - 1, side)
+        x = mesh.geometry.x[mesh.geometry.dofmap[cells]][:, :, :dim]
+        J = np.einsum("tpb,cbi->cpit", slopes[:, closure], x)
+        volume = np.abs(np.linalg.det(J))[..., None]
+        turned = np.einsum("cpti,t->cpi", np.linalg.inv(J), normals[side])
+        found.append((areas[side] * volume * turned).reshape(-1, dim))
+        where.append(V.dofmap.list[cells][:, closure].reshape(-1))
+    return np.concatenate(found), np.concatenate(where)

@@ -1,0 +1,138 @@
+"""Rigid motions of surfaces, with some of their degrees of freedom unknown."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import mesh as dmesh
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
+from dolfin_elastic.model.supports.rigid_surface import Rigid
+
+Floats = npt.NDArray[np.float64]
+
+SMALL = 1e-4
+"""Angle [rad] below which series stand for quotients."""
+
+
+class RigidMotion:
+    """The motion of a rigid surface: u = d + (R(theta) - I)(X - c). Collective to make.
+
+    Degrees of freedom are d and theta, in a plane d and the angle about z.
+
+    Args:
+        support: What is prescribed.
+        body: The mesh and its names.
+
+    Attributes:
+        support: What is prescribed.
+        label: What results call it.
+        centre: The reference point c [m], of shape (3,).
+        free: Numbers of the free degrees of freedom.
+        values: Their values, which a solver changes [m, rad].
+        names: Of all degrees of freedom: ux, uy, ... rz.
+    """
+
+    needs_flat = False
+
+    def __init__(self, support: Rigid, body: Body) -> None:
+        self.support, self.label, self._dim = support, support.label, body.dim
+        self._motion, self._action = support.motion(body.dim), support.action(body.dim)
+        self.free = tuple(i for i, value in enumerate(self._motion) if value is None)
+        self.values = np.zeros(len(self.free))
+        self.names = [f"u{x}" for x in "xyz"[: body.dim]]
+        self.names += ["rx", "ry", "rz"] if body.dim == 3 else ["rz"]
+        self.centre = np.zeros(3)
+        if support.centre and len(support.centre) != body.dim:
+            raise InputError(
+                f"{len(support.centre)} components given, the body has {body.dim}",
+                where=f"support '{support.label}'.point",
+            )
+        point = np.array(support.centre, dtype=np.float64)
+        self.centre[: body.dim] = point if len(point) else middle(body, support.surfaces)
+
+    def all_at(self, t: float, default: Amplitude) -> Floats:
+        """All degrees of freedom at time t [m, rad]."""
+        found = np.array(self.support.at_time(self._motion, t, default))
+        found[list(self.free)] = self.values
+        return found
+
+    def applied(self, t: float, default: Amplitude) -> Floats:
+        """Forces and moments on the free degrees of freedom [N, N m]."""
+        return np.array(self.support.at_time(self._action, t, default))[list(self.free)]
+
+    def at(self, which: int, x: Floats, t: float, default: Amplitude = CONSTANT) -> Floats:
+        """A component of the displacement at reference places of shape (n, 3) [m]."""
+        q = self.all_at(t, default)
+        d, theta = self._apart(q)
+        r = x - self.centre
+        return np.asarray(d[which] + (r @ (rotation(theta) - np.eye(3)).T)[:, which])
+
+    def directions(self, x: Floats, t: float, default: Amplitude) -> Floats:
+        """du/dq of all degrees of freedom at reference places, of shape (n, dim, dofs).
+
+        The rotation's variation is the spin T(theta) e_i: it moves a place by its cross product
+        with R (X - c).  Source: A. Ibrahimbegovic, F. Frey, I. Kozar, Int. J. Numer. Meth. Engng
+        38 (1995) 3653.
+        """
+        _, theta = self._apart(self.all_at(t, default))
+        arms = (x - self.centre) @ rotation(theta).T
+        spins = np.cross(tangent(theta).T[None], arms[:, None])  # point, rotation, component
+        found = np.zeros((len(x), self._dim, len(self.names)))
+        found[:, range(self._dim), range(self._dim)] = 1.0
+        about = slice(None) if self._dim == 3 else slice(2, 3)
+        found[:, :, self._dim :] = spins[:, about, : self._dim].transpose(0, 2, 1)
+        return found
+
+    def place(self, t: float, default: Amplitude) -> Floats:
+        """The reference point's present place [m], of shape (3,)."""
+        d, _ = self._apart(self.all_at(t, default))
+        return np.asarray(self.centre + d)
+
+    def _apart(self, q: Floats) -> tuple[Floats, Floats]:
+        d, theta = np.zeros(3), np.zeros(3)
+        d[: self._dim] = q[: self._dim]
+        theta[0 if self._dim == 3 else 2 :] = q[self._dim :]
+        return d, theta
+
+
+def cross_matrix(v: Floats) -> Floats:
+    """K with K w = v x w."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def rotation(theta: Floats) -> Floats:
+    """Rotation matrix of a rotation vector [rad], see `Rigid`."""
+    a = float(np.linalg.norm(theta))
+    K = cross_matrix(theta)
+    first = np.sinc(a / np.pi)
+    second = 0.5 * np.sinc(a / (2 * np.pi)) ** 2  # (1 - cos a)/a^2
+    return np.asarray(np.eye(3) + first * K + second * K @ K)
+
+
+def tangent(theta: Floats) -> Floats:
+    """T with spin = T dtheta: I + (1 - cos a)/a^2 K + (a - sin a)/a^3 K^2, see `directions`."""
+    a = float(np.linalg.norm(theta))
+    K = cross_matrix(theta)
+    second = 0.5 * np.sinc(a / (2 * np.pi)) ** 2
+    third = 1 / 6 - a * a / 120 if a < SMALL else (a - np.sin(a)) / a**3
+    return np.asarray(np.eye(3) + second * K + third * K @ K)
+
+
+def middle(body: Body, surfaces: tuple[str, ...]) -> Floats:
+    """Centre of a surface's facets, taken as flat, by their areas [m]. Collective."""
+    mesh, dim = body.mesh, body.dim
+    facets = np.unique(np.concatenate([body.owned_facets(name) for name in surfaces]))
+    mesh.topology.create_connectivity(dim - 1, dim)
+    mesh.topology.create_connectivity(dim, dim - 1)
+    corners = np.empty((0, dim), dtype=np.int32)
+    if len(facets):  # DOLFINx 0.9 divides by their number
+        corners = dmesh.entities_to_geometry(mesh, dim - 1, facets.astype(np.int32))[:, :dim]
+    x = mesh.geometry.x[corners]
+    edges = x[:, 1:] - x[:, :1]
+    areas = np.linalg.norm(edges[:, 0] if dim == 2 else np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    sums = total(body.comm, np.append(areas @ x.mean(axis=1), areas.sum()))
+    return np.asarray(sums[:dim] / sums[-1])

@@ -1,0 +1,219 @@
+"""What loads, supports and obstacles find on the body they act on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.fem import Constant
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.jit import compile_forms, options
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
+from dolfin_elastic.model.dimension import Geometry, Weighted, full_gradient
+from dolfin_elastic.model.values import Component, depends_on_time
+from dolfin_elastic.problem.coefficients import Binder
+from dolfin_elastic.problem.material_regions import Part
+from dolfin_elastic.problem.measures import Measures
+from dolfin_elastic.problem.spaces import Unknowns
+
+
+class BodySite:
+    """A body as terms of virtual work see it (`model.loads.Site`). Collective.
+
+    Args:
+        body: The mesh and its names.
+        unknowns: What is solved for.
+        parts: The materials on the body.
+        measures: Where integrals are taken.
+        geometry: Kind of a two-dimensional body.
+
+    Attributes:
+        body: The mesh and its names.
+        v: Virtual displacement (UFL).
+        u: Displacement (UFL, of the unknowns, so that derivatives see it).
+        X: Reference coordinates (UFL).
+        N: Outward unit normal of the reference surface (UFL).
+        velocity: Velocity [m/s] that dashpots see; solvers of motion keep it.
+        t: Time [s] or load parameter (UFL constant).
+        unknown_numbers: Numbers that are solved for, by label.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        unknowns: Unknowns,
+        parts: Sequence[Part],
+        measures: Measures,
+        geometry: Geometry,
+    ) -> None:
+        self.body, self.unknowns, self.parts = body, unknowns, parts
+        self.measures, self.geometry = measures, geometry
+        self.v = unknowns.v
+        self.u = unknowns.motion(unknowns.w)
+        self.X = ufl.SpatialCoordinate(body.mesh)
+        self.N = ufl.FacetNormal(body.mesh)
+        self.velocity = fem.Function(unknowns.V, name="velocity of dashpots")
+        self.t = Constant(body.mesh, 0.0)
+        self.unknown_numbers: dict[str, Constant] = {}
+        self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
+
+    def constant(self, value: float | Sequence[float] | Sequence[Sequence[float]]) -> Constant:
+        """A number that forms refer to by place, so that changing it compiles nothing."""
+        return Constant(self.body.mesh, np.asarray(value, dtype=np.float64))
+
+    def unknown(self, label: str) -> Constant:
+        """A number that is solved for, the same for all who ask by this label."""
+        return self.unknown_numbers.setdefault(label, self.constant(0.0))
+
+    @property
+    def revolved(self) -> bool:
+        """A body of revolution about y."""
+        return self.geometry == "axisymmetric"
+
+    @cached_property
+    def linear(self) -> bool:
+        """All laws are linear."""
+        return all(part.law.linear for part in self.parts)
+
+    @property
+    def order(self) -> int:
+        """Degree of the displacement or of the mesh's curved cells, whichever is higher."""
+        return max(self.unknowns.degree, int(self.body.mesh.geometry.cmap.degree))
+
+    def deformation(self, w: Expr) -> Expr:
+        """The 3x3 deformation gradient of a function of all unknowns."""
+        stretch = self.unknowns.extra("stretch", w) if self.unknowns.has("stretch") else None
+        return full_gradient(self.geometry, self.unknowns.motion(w), self.X, stretch)
+
+    @cached_property
+    def F(self) -> Expr:
+        """The 3x3 deformation gradient of the present unknowns."""
+        return self.deformation(self.unknowns.w)
+
+    # --- where integrals are taken ---
+
+    def volumes(self, regions: Sequence[str]) -> Weighted:
+        """Reference volume of regions, or of the whole body."""
+        for name in regions:
+            self.body.region(name)
+        if not regions:
+            return self.measures.filled(None, 2 * self.order)
+        return self.measures.regions(regions, 2 * self.order)
+
+    def areas(self, surfaces: Sequence[str]) -> Weighted:
+        """Reference area of surfaces."""
+        for name in surfaces:
+            self.body.surface(name)
+        return self.measures.surfaces(surfaces, 2 * self.order)
+
+    def area(self, surfaces: Sequence[str]) -> Constant:
+        """Size of the reference area of surfaces [m^2]. Collective."""
+        comm = self.body.comm
+        form = self.constant(1.0) * self.areas(surfaces)
+        value = compile_forms(comm, [form], options(comm))[0]
+        return self.constant(float(total(comm, float(fem.assemble_scalar(value)))))
+
+    def densities(self, regions: Sequence[str]) -> list[tuple[Expr, Weighted]]:
+        """Density and reference volume, material by material."""
+        if regions:
+            cells = np.concatenate([self.body.region(name) for name in regions])
+            for part in self.parts:
+                if total(self.body.comm, int(np.isin(part.cells, cells).any())):
+                    self.density(part)
+            return [(self._density_field, self.volumes(regions))]
+        degree = 2 * self.order
+        return [
+            (self.density(part), self.measures.filled(part.marker, degree)) for part in self.parts
+        ]
+
+    def density(self, part: Part) -> Expr:
+        """Density of a part's material.
+
+        Raises:
+            InputError: The material has none.
+        """
+        if part.density is None:
+            raise InputError(
+                "weight and motion need a density",
+                where=f"materials.{part.name}",
+                expected='for example density = "1100 kg/m^3"',
+            )
+        return part.density
+
+    @cached_property
+    def _density_field(self) -> fem.Function:
+        return Binder(self.body, self.order).joined(
+            [(part.density, part.cells) for part in self.parts]
+        )
+
+    # --- values ---
+
+    def factor(self, amplitude: Amplitude | None) -> Constant:
+        """A constant that follows an amplitude (None: as the solver decides)."""
+        factor = self.constant(1.0)
+        self._amplitudes.append((factor, amplitude))
+        return factor
+
+    def factors(self, values: tuple[Component, ...], curve: Amplitude | None) -> list[Constant]:
+        """A constant for each component that follows its amplitude, one for all that are alike."""
+        changing = curve is None and depends_on_time(values)
+        shared: dict[bool, Constant] = {}
+        found = []
+        for value in values:
+            timed = changing and (value in (None, 0.0) or depends_on_time((value,)))
+            if timed not in shared:
+                shared[timed] = self.factor(CONSTANT if timed else curve)
+            found.append(shared[timed])
+        return found
+
+    def vector(self, values: tuple[Component, ...], curve: Amplitude | None) -> Expr:
+        """A vector at a point of the body, each component times its amplitude, in UFL.
+
+        Args:
+            values: The components.
+            curve: What the user wrote: see `components.amplitude_of`.
+        """
+        if len(values) != self.body.dim:
+            raise InputError(
+                f"{len(values)} components given, the body has {self.body.dim}", where="load"
+            )
+        factors = self.factors(values, curve)
+        if not any(isinstance(value, Formula) for value in values):
+            return factors[0] * self.constant([float(value) for value in values])  # type: ignore[arg-type]
+        items = [self.value(value) for value in values]
+        if all(factor is factors[0] for factor in factors):
+            return factors[0] * ufl.as_vector(items)
+        return ufl.as_vector([f * item for f, item in zip(factors, items, strict=True)])
+
+    def scalar(self, value: Component, amplitude: Amplitude | None) -> Expr:
+        """A number or formula at a point of the body, times its amplitude."""
+        return self.factor(amplitude) * self.value(value)
+
+    def value(self, value: Component) -> Expr:
+        """A number or a formula in x, y, z and t at a point of the body."""
+        if not isinstance(value, Formula):
+            return self.constant(float(value or 0.0))
+        X = self.X
+        z = X[2] if self.body.dim == 3 else self.constant(0.0)
+        return value.ufl(x=X[0], y=X[1], z=z, t=self.t)
+
+    # --- time ---
+
+    @property
+    def changes(self) -> bool:
+        """An amplitude changes in motion, where those without one are constant."""
+        return any(amplitude not in (None, CONSTANT) for _, amplitude in self._amplitudes)
+
+    def set_time(self, t: float, default: Amplitude) -> None:
+        """Puts all amplitudes and formulas to time t. Not collective."""
+        self.t.value = t
+        for factor, amplitude in self._amplitudes:
+            factor.value = (amplitude or default).at(t)

@@ -1,0 +1,205 @@
+"""Damping inside a body: viscous stresses and Rayleigh's damping, as virtual work.
+
+Viscous (Kelvin-Voigt): P = F S with S = 2 eta Edot, Edot = sym(F^T Fdot) the rate of Green's
+strain.  S and Edot are not changed by rotations, so neither rotations nor their speed are damped,
+and the power 2 eta Edot : Edot is never negative.  In laws of small strains P = 2 eta epsdot.
+
+Rayleigh: forces -a M v against the velocity itself, and the stress b Sdot, the rate of the elastic
+second Piola-Kirchhoff stress: b C(F) : Edot with the present material tangent C.  At rest this is b
+times the stiffness, as usual; unlike that it does not resist rotations, for the geometric part of
+the tangent is left out: P = b (Pdot - Fdot S).  Where a pressure carries the change of volume it
+has no part in it.
+
+Sources: G. A. Holzapfel, Nonlinear Solid Mechanics (2000), (2.163) and section 6.10; T. Belytschko,
+W. K. Liu & B. Moran, Nonlinear Finite Elements (2000), section 5.4 (rates that are objective);
+Lord Rayleigh, The Theory of Sound (1877), section 81; J. F. Hall, Earthq. Eng. Struct. Dyn. 35
+(2006) 525 (why the stiffness must not be that of rest).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.dimension import gradient_variation
+from dolfin_elastic.model.materials.growth import Grown
+from dolfin_elastic.problem.material_regions import Part
+from dolfin_elastic.problem.problem import Problem
+
+Vector = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """A law without what its pressure carries."""
+
+    law: Any
+
+    @property
+    def linear(self) -> bool:
+        return bool(self.law.linear)
+
+    def stress(self, F: Expr) -> Expr:
+        return self.law.shape_stress(F)
+
+
+def check_damped(problem: Problem, stiffness: float) -> None:
+    """Materials have a velocity to be damped by.
+
+    Args:
+        problem: The body.
+        stiffness: Rayleigh's factor of the stiffness [s].
+
+    Raises:
+        InputError: They have none.
+    """
+    inside = stiffness or any(part.law.viscosity is not None for part in problem.parts)
+    if not inside or not problem.unknowns.has("stretch"):
+        return
+    raise InputError(
+        "the stretch across a body in plane stress has no velocity: its material cannot be damped",
+        where="dynamics.rayleigh" if stiffness else "materials",
+        expected="plane strain, or rayleigh = [alpha, 0] and no viscosity",
+    )
+
+
+class Damping:
+    """Damping of a body by its materials.  Collective to make.
+
+    Args:
+        problem: The body.
+        mass: Rayleigh's factor of the mass [1/s].
+        stiffness: Rayleigh's factor of the stiffness [s].
+
+    Attributes:
+        rate: Velocity in the space of all unknowns [m/s], zero for scalar fields.
+
+    Raises:
+        InputError: The body cannot be damped so.
+    """
+
+    def __init__(self, problem: Problem, mass: float = 0.0, stiffness: float = 0.0) -> None:
+        self._problem = problem
+        self._mass = problem.constant(mass) if mass else None
+        self._stiffness = problem.constant(stiffness) if stiffness else None
+        self.rate = fem.Function(problem.W, name="velocity")
+        self._parts = [p for p in problem.parts if p.law.viscosity is not None]
+        check_damped(problem, stiffness)
+
+    @property
+    def inside(self) -> bool:
+        """There are stresses that damp."""
+        return bool(self._parts) or self._stiffness is not None
+
+    @property
+    def none(self) -> bool:
+        """Nothing is damped."""
+        return not self.inside and self._mass is None
+
+    def tell(self, v: Vector) -> None:
+        """Takes a velocity over, owned entries of the displacement. Collective."""
+        self.rate.x.array[self._problem.unknowns.moves] = v
+        self.rate.x.scatter_forward()
+
+    # --- virtual work ---
+
+    def drag(self) -> ufl.Form | None:
+        """Against the velocity, in space: the part that acts on a rigid motion, too."""
+        if self._mass is None:
+            return None
+        v = self._problem.unknowns.displacement(self.rate)
+        return self._mass * self._problem.inertia(v, self._problem.v)
+
+    def work(self) -> ufl.Form | None:
+        """Virtual work of all that damps, at the velocity `rate`."""
+        return None if self.none else sum(self._terms(self.rate))
+
+    def tangent(self) -> ufl.Form | None:
+        """Its derivative by the velocity, a bilinear form: symmetric."""
+        trial = ufl.TrialFunction(self._problem.W)
+        return None if self.none else sum(self._terms(trial))
+
+    def stiffening(self) -> ufl.Form | None:
+        """What of its derivative by the displacement is symmetric: grad du S : grad v.
+
+        The rest is small, of the strain within a step over one.
+        """
+        forms = []
+        for part in self._problem.parts:
+            viscous = part.law.viscosity is not None
+            if (viscous or self._stiffness is not None) and not part.law.linear:
+                S = ufl.inv(self._F) * self._stress(part, self.rate)
+                trial = self._gradient(ufl.TrialFunction(self._problem.W))
+                forms.append(ufl.inner(trial * S, self._test) * self._volume(part))
+        return sum(forms) if forms else None
+
+    def _terms(self, rate: Expr) -> list[ufl.Form]:
+        problem, terms = self._problem, []
+        if self._mass is not None:
+            v = problem.unknowns.displacement(rate)
+            terms.append(self._mass * problem.inertia(v, problem.v))
+        for part in problem.parts:
+            if part.law.viscosity is not None:
+                viscous = self._viscous(part, rate)
+                terms.append(ufl.inner(viscous, self._test) * self._volume(part))
+            if self._stiffness is not None:
+                terms.append(self._elastic(part, rate))
+        return terms
+
+    # --- stresses ---
+
+    @property
+    def _F(self) -> Expr:
+        return self._problem.F(self._problem.w)
+
+    def _gradient(self, w: Expr) -> Expr:
+        """What a displacement adds to F, of a function of all unknowns."""
+        problem = self._problem
+        u = problem.unknowns.displacement(w)
+        return gradient_variation(problem.geometry, u, problem.X, None)
+
+    @property
+    def _test(self) -> Expr:
+        return self._gradient(ufl.TestFunction(self._problem.W))
+
+    def _volume(self, part: Part) -> Any:
+        return self._problem.volume(part, self._problem.rule(part))
+
+    def _viscous(self, part: Part, rate: Expr) -> Expr:
+        eta, dF, F = part.law.viscosity, self._gradient(rate), self._F
+        assert eta is not None
+        if part.law.linear:
+            return 2 * eta * ufl.sym(dF)
+        return F * (2 * eta * ufl.sym(F.T * dF))
+
+    def _elastic_stress(self, part: Part) -> Expr:
+        law: Any = part.law if part.compliance is None else _Shape(part.law)
+        growth = self._problem.rest.get(part.name)
+        return (law if growth is None else Grown(law, growth)).stress(self._F)
+
+    def _rate_of(self, part: Part, rate: Expr) -> Expr:
+        """b F Sdot = b (Pdot - Fdot F^-1 P), b Pdot in laws of small strains."""
+        P = self._elastic_stress(part)
+        dP = ufl.derivative(P, self._problem.w, rate)
+        if not part.law.linear:
+            dP = dP - self._gradient(rate) * ufl.inv(self._F) * P
+        return self._stiffness * dP
+
+    def _elastic(self, part: Part, rate: Expr) -> ufl.Form:
+        return ufl.inner(self._rate_of(part, rate), self._test) * self._volume(part)
+
+    def _stress(self, part: Part, rate: Expr) -> Expr:
+        """All damping stress of a part."""
+        found = 0 * self._F
+        if part.law.viscosity is not None:
+            found += self._viscous(part, rate)
+        if self._stiffness is not None:
+            found += self._rate_of(part, rate)
+        return found

@@ -1,0 +1,1 @@
+"""Contacts, cavities and point loads on a mesh."""

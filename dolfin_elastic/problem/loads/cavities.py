@@ -1,0 +1,92 @@
+"""Cavities of a body, as plain records for solvers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import ufl
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
+from dolfin_elastic.model.loads import Cavity, Load
+from dolfin_elastic.problem.context import BodySite
+
+
+@dataclass
+class Enclosure:
+    """A cavity: its volume, and its pressure where that is an unknown.
+
+    Attributes:
+        label: What results call it.
+        volume: Its present volume [m^3], a form without arguments.
+        exact: The same, though all laws may be linear.
+        push: Virtual work of a unit pressure, on the deformed surface, too [m^3].
+        cavity: What is prescribed.
+        site: Where its unknown pressure is.
+        where: Key of its surfaces in the case.
+        initial: Volume of the undeformed cavity [m^3], once a solver has found it.
+        t: Time [s], or load parameter.
+        default: Amplitude where none is named.
+    """
+
+    label: str
+    volume: ufl.Form
+    exact: ufl.Form
+    push: ufl.Form
+    cavity: Cavity
+    site: BodySite
+    where: str = "load"
+    initial: float = 0.0
+    t: float = 0.0
+    default: Amplitude = CONSTANT
+
+    @property
+    def controlled(self) -> bool:
+        """The volume is prescribed, so the pressure is an unknown."""
+        return self.cavity.controlled
+
+    @property
+    def goal(self) -> float:
+        """The prescribed volume [m^3], or pressure [Pa]."""
+        return self.cavity.prescribed(self.t, self.default, self.initial)
+
+    @property
+    def pressure(self) -> float:
+        """The present pressure [Pa]."""
+        return float(self.site.unknown(self.label).value) if self.controlled else self.goal
+
+    @pressure.setter
+    def pressure(self, value: float) -> None:
+        self.site.unknown(self.label).value = value
+
+
+def enclosures(loads: Sequence[Load], site: BodySite) -> Iterator[Enclosure]:
+    """The cavities among the loads.
+
+    Raises:
+        InputError: Two have the same name, or the body has none in three dimensions.
+    """
+    labels: set[str] = set()
+    for index, load in enumerate(loads):
+        if not isinstance(load, Cavity):
+            continue
+        if load.label in labels:
+            raise InputError(
+                f"there is another cavity '{load.label}'",
+                where=f"load[{index}].name",
+                expected="a name of its own",
+            )
+        if site.geometry == "plane-stress":
+            raise InputError(
+                "in plane stress the thickness changes, and no cavity has a volume",
+                where=f"load[{index}].kind",
+                expected='"pressure"',
+            )
+        labels.add(load.label)
+        try:
+            volume, exact = (load.enclosed(site, linear) for linear in (site.linear, False))
+        except InputError as error:
+            raise error.at(f"load[{index}]" if error.where else f"load[{index}].on") from None
+        push = load.work(site, site.constant(1.0), linear=False)
+        yield Enclosure(load.label, volume, exact, push, load, site, f"load[{index}].on")

@@ -1,0 +1,342 @@
+"""`Touching`: a surface of the body and the rigid obstacle it may touch, as terms and as numbers.
+
+The pressure per reference area is p = max(0, lam - eps g), with the gap g of the current place
+X + u, the penalty eps and the multiplier lam; its virtual work is the integral of p n . v over the
+reference surface, n the obstacle's normal.  As n is the gradient of g it has the potential
+(p^2 - lam^2)/(2 eps), so the tangent is symmetric.
+
+Source: P. Wriggers, Computational Contact Mechanics, 2nd ed., Springer 2006, sections 6.3.4 and
+10.3.4 (augmented Lagrange, Uzawa); P. Alart & A. Curnier, Comput. Methods Appl. Mech. Eng. 92
+(1991) 353.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.mesh.body import Body, Indices, cell_size
+from dolfin_elastic.mesh.geometry.simplices import (
+    cell_corners,
+    facet_corners,
+    facet_places,
+    prepare_facets,
+    signed_volumes,
+)
+from dolfin_elastic.model.amplitude import Amplitude
+from dolfin_elastic.model.contact import Contact
+from dolfin_elastic.model.dimension import Weighted
+from dolfin_elastic.problem.context import BodySite
+from dolfin_elastic.problem.formulation import shear_modulus, volume_modulus
+from dolfin_elastic.problem.material_regions import Part
+
+Floats = npt.NDArray[np.float64]
+
+FACTOR = 10.0
+"""Penalty over the stiffness of the cell beside: enough for a few augmentations."""
+
+SLACK = 1e-9
+"""Gap, over the size of a cell, at which a surface still counts as touching.
+
+A body that only lies on an obstacle has a stiffness against it then, round-off or not; the pull
+that such a gap makes is 1e-8 of the modulus.
+"""
+
+ROUND = 10.0
+"""Largest bulk modulus over shear modulus in the penalty: nearly incompressible cells give way
+sideways."""
+
+
+class Touching:
+    """One contact on one body. Collective to make.
+
+    Args:
+        contact: What the user wrote.
+        site: The body.
+        measure: Reference area of its surfaces, with the rule of `rule`.
+
+    Attributes:
+        contact: What the user wrote.
+        label: What results call it.
+        lam: Multiplier [Pa], nodal values of the displacement's degree; 0 in motion.
+        penalty: eps [Pa/m], one number a cell beside the surface.
+        shift: Displacement of the obstacle [m] (UFL constant).
+        reach: Gap [m] up to which the surface counts as touching (UFL constant).
+        size: Mean height of the cells over the surface [m].
+        tolerance: Penetration that statics leaves [m].
+        nodes: Owned nodes of the surface in the space of `lam`.
+    """
+
+    def __init__(self, contact: Contact, site: BodySite, measure: Weighted) -> None:
+        body = site.body
+        self.contact, self.label, self._site, self._measure = contact, contact.label, site, measure
+        self._turned = site.geometry == "axisymmetric"
+        self.comm, self._dim = body.comm, body.dim
+        prepare_facets(body.mesh)
+        facets = np.unique(np.concatenate([body.surface(name) for name in contact.surfaces]))
+        self.lam, self.nodes, self._in_V = _nodal(site, facets)
+        self.penalty = fem.Function(fem.functionspace(body.mesh, ("DG", 0)))
+        self._heights = _heights(body, facets)
+        self.size = _mean(body, facets, self._heights)
+        self.tolerance = contact.gap_tolerance or 1e-3 * self.size
+        self._fill_penalty()
+        if self._turned:
+            self._mind_the_axis(facets)
+        self._eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
+        self._first = self.penalty.x.array.copy(), self._eps.copy()
+        self.shift = site.constant([0.0] * body.dim)
+        self.reach = site.constant(SLACK * cell_size(body))
+
+    def _fill_penalty(self) -> None:
+        cells, heights = self._heights
+        eps = np.zeros(len(cells))
+        for part in self._site.parts:
+            mine = np.isin(cells, part.cells)
+            eps[mine] = FACTOR * _modulus(part) / heights[mine]
+        if self.contact.stiffness is not None:
+            eps[:] = self.contact.stiffness
+        dofs = self.penalty.function_space.dofmap.list[:, 0]
+        self.penalty.x.array[dofs[cells]] = eps
+        # The materials are known on cells that are owned: ghosts beside the surface are told.
+        self.penalty.x.scatter_forward()
+
+    def soften(self, factor: float) -> None:
+        """Makes a penalty that was chosen here `factor` times what it was at first."""
+        if self.contact.stiffness is None:
+            self.penalty.x.array[:] = factor * self._first[0]
+            self._eps = factor * self._first[1]
+
+    def _mind_the_axis(self, facets: Indices) -> None:
+        """Weights of nodes near the axis of an axisymmetric body.
+
+        With linear elements the trapezoidal rule would give a node on the axis none of the ring
+        around it: its weight is the integral of its shape function times the radius, for which
+        the radius at a node is replaced by (r + 2 r_middle)/3, r_middle that of the facet.  The
+        vertex of a quadratic element has no such integral on the axis: it is left to its
+        neighbours.
+        """
+        if self._site.order > 1:
+            X = self.lam.function_space.tabulate_dof_coordinates()
+            off = X[self.nodes, 0] > 1e-9 * self.size
+            self.nodes, self._in_V = self.nodes[off], self._in_V[off]
+            return
+        weight = 2 * ufl.pi * (self._site.X[0] + 2 * self._middle_radius(facets)) / 3
+        self._measure = Weighted(weight, self._measure.measure)
+
+    def _middle_radius(self, facets: Indices) -> Expr:
+        """Radius of the middle of the facet at hand [m]: a cell may have several in contact.
+
+        On the reference triangle the outward normals are (1, 1)/sqrt(2), (-1, 0) and (0, -1).
+        """
+        mesh = self._site.body.mesh
+        radii = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))))
+        beside, local = facet_places(mesh, facets)
+        cells = radii.function_space.dofmap.list[beside, 0]
+        radii.x.array.reshape(-1, 3)[cells, local] = facet_corners(mesh, facets)[:, :, 0].mean(
+            axis=1
+        )
+        normal = ufl.geometry.ReferenceNormal(mesh)
+        left = ufl.conditional(ufl.lt(normal[0], -0.5), radii[1], radii[2])
+        return ufl.conditional(ufl.gt(normal[0], 0.5), radii[0], left)
+
+    # --- terms ---
+
+    @cached_property
+    def _gap(self) -> tuple[Expr, Expr]:
+        """Gap and normal of the current place."""
+        place = self._site.X + self._site.u - self.shift
+        found, normal = self.contact.obstacle.gap(
+            [place[i] for i in range(self._dim)], self._site.constant, ufl.sqrt
+        )
+        return found, ufl.as_vector(normal)
+
+    @cached_property
+    def _pushed(self) -> Expr:
+        """lam - eps g [Pa]: the pressure where it touches."""
+        return self.lam - self.penalty * self._gap[0]
+
+    @cached_property
+    def pressure(self) -> Expr:
+        """Contact pressure on the reference area [Pa]."""
+        touches = ufl.ge(self._pushed, -self.penalty * self.reach)
+        return ufl.conditional(touches, self._pushed, 0.0)
+
+    @cached_property
+    def work(self) -> ufl.Form:
+        """Virtual work of the obstacle's force on the body."""
+        return self.pressure * ufl.inner(self._gap[1], self._site.v) * self._measure
+
+    @cached_property
+    def energy(self) -> ufl.Form:
+        """Potential of the force, with the multiplier at rest [J]."""
+        q = ufl.max_value(self._pushed, 0.0)
+        return (q**2 - self.lam**2) / (2 * self.penalty) * self._measure
+
+    @cached_property
+    def bound(self) -> ufl.Form:
+        """The penalty times each component of `site.v`: bounds the rows of its part of the tangent.
+
+        At an obstacle's curvature 1/R it has the further eigenvalue eps g/R, which is smaller.
+        """
+        return self.penalty * sum(self._site.v) * self._measure
+
+    @cached_property
+    def area(self) -> ufl.Form:
+        """Reference area on which there is pressure [m^2]."""
+        return ufl.conditional(ufl.gt(self._pushed, 0.0), 1.0, 0.0) * self._measure
+
+    # --- numbers at the nodes ---
+
+    def places(self) -> Floats:
+        """Reference places of the owned nodes of the surface, shape (n, dim)."""
+        X = self.lam.function_space.tabulate_dof_coordinates()
+        return np.asarray(X[self.nodes, : self._dim])
+
+    @property
+    def nodes_of_displacement(self) -> Indices:
+        """The nodes that may touch, by their numbers in the displacement's space."""
+        return np.asarray(self._in_V)
+
+    def gaps(self) -> tuple[Floats, Floats]:
+        """Gaps [m] and obstacle's normals at the owned nodes, (n,) and (n, dim). Not collective."""
+        u = self._site.unknowns.u.x.array.reshape(-1, self._dim)
+        x = self.places() + u[self._in_V] - self.shift.value
+        found, normal = self.contact.obstacle.gap(list(x.T), float, np.sqrt)
+        normals = [np.broadcast_to(item, found.shape) for item in normal]
+        return np.asarray(found, dtype=np.float64), np.stack(normals, axis=1)
+
+    @property
+    def pressing(self) -> npt.NDArray[np.bool_]:
+        """Owned nodes of the surface at which there is pressure."""
+        return np.asarray(self.lam.x.array[self.nodes] - self._eps * self.gaps()[0] > 0.0)
+
+    def augment(self) -> None:
+        """The multiplier takes over what the penalty carries. Collective."""
+        lam = self.lam.x.array
+        lam[self.nodes] = np.maximum(0.0, lam[self.nodes] - self._eps * self.gaps()[0])
+        self.lam.x.scatter_forward()
+
+    # --- time ---
+
+    def set_time(self, t: float, default: Amplitude) -> None:
+        """Moves the obstacle to time t. Not collective."""
+        self.shift.value[:] = self.contact.moved(t, default, self._dim)
+
+
+def make_touching(contacts: Sequence[Contact], site: BodySite, order: int) -> tuple[Touching, ...]:
+    """All contacts on a body. Collective.
+
+    Args:
+        contacts: What the user wrote.
+        site: The body.
+        order: Degree of the displacement or of the mesh's curved cells, whichever is higher.
+    """
+    points = rule(order, site.body.dim)
+    return tuple(Touching(c, site, site.measures.touching(c.surfaces, points)) for c in contacts)
+
+
+def rule(degree: int, dim: int) -> dict[str, object]:
+    """Quadrature of contact integrals.
+
+    Where there is a rule at the nodes with positive weights it is taken: gap and multiplier are
+    compared there, so that a facet on a curved obstacle is not asked for more than its nodes can
+    do (trapezoidal for linear elements, Simpson's for quadratic ones in a plane).  Quadratic
+    triangles have none and take Gauss's.
+
+    Args:
+        degree: Of the displacement or of the mesh's curved cells, whichever is higher.
+        dim: Of the body.
+    """
+    if degree > 1 and dim == 3:
+        return {"quadrature_degree": 2 * degree}
+    if degree == 1:
+        return {"quadrature_rule": "vertex", "quadrature_degree": 1}
+    return {"quadrature_rule": "GLL", "quadrature_degree": 3}
+
+
+def check_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> None:
+    """Raises where a contact does not fit its body. Not collective.
+
+    Raises:
+        InputError: With the key.
+    """
+    for index, contact in enumerate(contacts):
+        try:
+            contact.check(body.dim, turned=turned)
+            for name in contact.surfaces:
+                body.surface(name)
+        except InputError as error:
+            raise error.at(f"contact[{index}]") from None
+
+
+def _modulus(part: Part) -> float:
+    """K + 4 mu/3 of a material [Pa], K bounded."""
+    mu = shear_modulus(part.typical)
+    known = part.typical.small_strain()
+    K = volume_modulus(part.typical) if known is None else known.K
+    return min(K, ROUND * mu) + 4 / 3 * mu
+
+
+def _nodal(site: BodySite, facets: Indices) -> tuple[fem.Function, Indices, Indices]:
+    """Multiplier, owned nodes of the surface, and the same nodes of the displacement. Collective.
+
+    Two spaces of one element need not number their nodes alike, but do so within each cell.
+    """
+    mesh, V = site.body.mesh, site.unknowns.V
+    S = fem.functionspace(mesh, ("Lagrange", site.unknowns.degree))
+    nodes = fem.locate_dofs_topological(S, mesh.topology.dim - 1, facets)
+    owned = np.sort(nodes[nodes < S.dofmap.index_map.size_local]).astype(np.int32)
+    number = np.zeros(S.dofmap.index_map.size_local + S.dofmap.index_map.num_ghosts, np.int32)
+    number[S.dofmap.list.ravel()] = V.dofmap.list.ravel()
+    return fem.Function(S), owned, number[owned]
+
+
+def _heights(body: Body, facets: Indices) -> tuple[Indices, Floats]:
+    """Local cells beside facets, and their smallest height over one of them [m]."""
+    mesh, d = body.mesh, body.dim
+    beside, _ = facet_places(mesh, facets)
+    corners = facet_corners(mesh, facets)
+    edges = corners[:, 1:] - corners[:, :1]
+    gram = np.linalg.det(np.einsum("nik,njk->nij", edges, edges))
+    area = np.sqrt(np.maximum(gram, np.finfo(float).tiny)) / (d - 1)
+    height = d * np.abs(signed_volumes(cell_corners(mesh, beside))) / area
+    cells, place = np.unique(beside, return_inverse=True)
+    smallest = np.full(len(cells), np.inf)
+    np.minimum.at(smallest, place, height)
+    return cells.astype(np.int32), smallest
+
+
+def _mean(body: Body, facets: Indices, heights: tuple[Indices, Floats]) -> float:
+    """Mean height over the facets that ranks own [m]. Collective."""
+    own = facets[facets < body.mesh.topology.index_map(body.dim - 1).size_local]
+    beside, _ = facet_places(body.mesh, own)
+    found = heights[1][np.searchsorted(heights[0], beside)]
+    sums = total(body.comm, np.array([found.sum(), len(found)]))
+    return float(sums[0] / max(sums[1], 1.0))
+
+
+def _at_nodes(body: Body, facets: Indices, penalty: fem.Function, S: fem.FunctionSpace) -> Floats:
+    """Harmonic mean at each owned node of the penalties around it [Pa/m]. Collective.
+
+    The softest counts most: a step of the multiplier that is too long would not converge.
+    """
+    d = body.dim
+    own = facets[facets < body.mesh.topology.index_map(d - 1).size_local]
+    beside, local = facet_places(body.mesh, own)
+    sums = [la.vector(S.dofmap.index_map, 1) for _ in range(2)]
+    eps = penalty.x.array[penalty.function_space.dofmap.list[beside, 0]]
+    closure = [S.dofmap.dof_layout.entity_closure_dofs(d - 1, i) for i in range(d + 1)]
+    nodes = S.dofmap.list[beside[:, None], np.array(closure, dtype=np.int32)[local]]
+    for k, value in enumerate((np.ones(len(own)), 1 / eps)):
+        np.add.at(sums[k].array, nodes, value[:, None])
+        sums[k].scatter_reverse(la.InsertMode.add)
+    count, inverse = (vector.array for vector in sums)
+    return np.asarray(np.divide(count, inverse, out=np.ones_like(count), where=inverse > 0))

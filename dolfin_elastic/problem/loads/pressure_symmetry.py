@@ -1,0 +1,105 @@
+"""Rims of surfaces: where pressure that follows a surface has a potential and where not.
+
+Of an even pressure p the tangent's skew part is the integral of p (v x du) . dx along the deformed
+rim (in a plane: p v x du at its end points).  It vanishes edge by edge where virtual displacements
+have one direction only, or where they stay in the plane in which the edge lies.
+
+Source: Schweizerhof & Ramm, Displacement dependent pressure loads in nonlinear finite element
+analyses, Computers & Structures 18 (1984).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import la
+
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.mesh.body import Body, Indices, span
+from dolfin_elastic.model.amplitude import RAMP
+from dolfin_elastic.problem.constraints.dirichlet import Prescribed
+
+Floats = npt.NDArray[np.float64]
+_MOMENTS = (0.3141, 0.8314)
+"""Load parameters at which prescribed values are compared."""
+
+
+def rim_held(body: Body, prescribed: Prescribed, surfaces: Sequence[str]) -> bool:
+    """Whether supports hold a surface's rim so that even pressure has a potential. Collective.
+
+    Args:
+        body: The mesh and its names.
+        prescribed: What supports prescribe.
+        surfaces: Names of the surfaces that together are loaded.
+    """
+    edges = rim(body, surfaces)
+    supports = _Supports(body, prescribed)
+    free = sum(not supports.hold(edge) for edge in edges)
+    return not total(body.comm, int(free))
+
+
+def rim(body: Body, surfaces: Sequence[str]) -> Indices:
+    """Owned edges (in a plane: points) that belong to one facet of a surface only. Collective."""
+    topology, dim = body.mesh.topology, body.dim
+    topology.create_entities(dim - 2)
+    topology.create_connectivity(dim - 1, dim - 2)
+    edges_of = topology.connectivity(dim - 1, dim - 2)
+    index_map = topology.index_map(dim - 2)
+    count = la.vector(index_map, 1)
+    facets = np.unique(np.concatenate([body.owned_facets(name) for name in surfaces]))
+    for facet in facets:
+        count.array[edges_of.links(facet)] += 1.0
+    count.scatter_reverse(la.InsertMode.add)  # ranks share edges, but each facet counts once
+    return np.flatnonzero(count.array[: index_map.size_local] == 1.0).astype(np.int32)
+
+
+@dataclass
+class _Supports:
+    """What supports do to edges. Collective to make.
+
+    Args:
+        body: The mesh and its names.
+        prescribed: What supports prescribe.
+    """
+
+    body: Body
+    prescribed: Prescribed
+
+    def __post_init__(self) -> None:
+        mesh, dim = self.body.mesh, self.body.dim
+        V = self.prescribed.values.function_space
+        mesh.topology.create_connectivity(dim - 2, dim)
+        mesh.topology.create_connectivity(dim, dim - 2)
+        self._cells = mesh.topology.connectivity(dim - 2, dim)
+        self._edges = mesh.topology.connectivity(dim, dim - 2)
+        self._dofmap, self._nodes = V.dofmap, mesh.geometry.dofmap
+        self._layout = mesh.geometry.cmap.create_dof_layout()
+        self._tolerance = 1e-9 * span(self.body)
+        entries = np.zeros(len(self.prescribed.values.x.array), dtype=bool)
+        entries[self.prescribed.dofs] = True
+        self._held = entries.reshape(-1, dim)
+        values = self.prescribed.probed(_MOMENTS, RAMP)
+        self._values = [value.reshape(-1, dim) for value in values]
+
+    def hold(self, edge: int) -> bool:
+        """No part of the tangent is lost to skewness along an edge. Not collective."""
+        dim = self.body.dim
+        cell = self._cells.links(edge)[0]
+        local = int(np.flatnonzero(self._edges.links(cell) == edge)[0])
+        points = self._dofmap.cell_dofs(cell)[
+            self._dofmap.dof_layout.entity_closure_dofs(dim - 2, local)
+        ]
+        held = self._held[points].all(axis=0)
+        if np.count_nonzero(held) >= dim - 1:
+            return True
+        nodes = self._nodes[cell][self._layout.entity_closure_dofs(dim - 2, local)]
+        return any(self._in_plane(axis, nodes, points) for axis in np.flatnonzero(held))
+
+    def _in_plane(self, axis: int, nodes: Indices, points: Indices) -> bool:
+        """The edge lies across an axis, and stays so."""
+        places = [self.body.mesh.geometry.x[nodes, axis]]
+        places += [values[points, axis] for values in self._values]
+        return all(np.ptp(place) <= self._tolerance for place in places)

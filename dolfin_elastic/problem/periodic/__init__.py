@@ -1,0 +1,1 @@
+"""Periodic unit cells: their dof map and their fluctuation field."""

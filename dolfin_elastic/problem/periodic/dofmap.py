@@ -1,0 +1,285 @@
+"""Faces of a body that are one: spaces whose nodes on paired faces are the same unknown.
+
+A periodic field has one value at the two ends of a lattice vector.  So the nodes of paired faces
+are merged in the map of unknowns itself: what is assembled, solved and exchanged between ranks
+knows nothing of it.  Nodes on several faces, at edges and corners, are merged through the chain of
+their pairs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import cpp, fem, la
+from dolfinx.graph import adjacencylist
+from mpi4py import MPI
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.mesh.body import Body, span
+
+Floats = npt.NDArray[np.float64]
+Dofs = npt.NDArray[np.int32]
+Numbers = npt.NDArray[np.int64]
+
+NEAR = 1e-6
+"""Distance over the body's diagonal within which two nodes are the same."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field of a space: a vector or a scalar, whose nodes have places.
+
+    Attributes:
+        space: Lagrange space of the field alone.
+        entries: Local indices of the whole space's map, one row a node of `space`; the fields of
+            a row are merged with those of the other row.
+    """
+
+    space: fem.FunctionSpace
+    entries: Dofs
+
+
+@dataclass(frozen=True)
+class Merged:
+    """A space whose nodes on paired faces are merged.
+
+    Attributes:
+        space: The space.
+        new: Local index of the plain space's map to that of this one, owned and ghost.
+    """
+
+    space: fem.FunctionSpace
+    new: Dofs
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Nodes of a surface from all ranks: places and global indices, one row a node."""
+
+    x: Floats
+    index: Numbers
+
+
+class Pairing:
+    """Pairs of surfaces that are one another's images. Collective.
+
+    Args:
+        body: The mesh and its names.
+        pairs: Two surfaces each: from the first to the second is a lattice vector.
+
+    Attributes:
+        vectors: Lattice vectors [m], one row a pair.
+        volume: Of the parallelepiped they span, holes included [m^dim].
+        corner: The vertex that is held [m].
+        face_nodes: How many vertices a face has, on average.
+
+    Raises:
+        MeshError: A surface does not exist.
+        InputError: The faces are no images of one another, or do not span the space.
+    """
+
+    def __init__(self, body: Body, pairs: Sequence[Sequence[str]]) -> None:
+        self.body, self.pairs = body, tuple(tuple(pair) for pair in pairs)
+        self._near = NEAR * span(body)
+        self._facets = [[body.surface(name) for name in pair] for pair in self.pairs]
+        vertices = fem.functionspace(body.mesh, ("Lagrange", 1))
+        ends = [self._ends(plain(vertices), k) for k in range(len(self.pairs))]
+        self._check_not_empty(ends)
+        self.vectors = np.array([_middle(b.x) - _middle(a.x) for a, b in ends])[:, : body.dim]
+        self._check_count()
+        self.volume = float(abs(np.linalg.det(self.vectors)))
+        self.corner = _first_corner(np.concatenate([a.x for a, _ in ends]))
+        self.face_nodes = float(np.mean([len(a.x) for a, _ in ends]))
+        # Faces of which one is no image of the other are named before what they make of the cell.
+        self._edges(vertices, [plain(vertices)])
+        self._check_span()
+
+    def _check_not_empty(self, ends: Sequence[tuple[_Points, _Points]]) -> None:
+        for k, pair in enumerate(ends):
+            for i, points in enumerate(pair):
+                if not len(points.x):
+                    raise InputError(
+                        f"the surface '{self.pairs[k][i]}' is empty", where=f"periodic.pairs[{k}]"
+                    )
+
+    def _check_count(self) -> None:
+        dim = self.body.dim
+        if len(self.pairs) != dim:
+            raise InputError(
+                f"{len(self.pairs)} pairs of surfaces",
+                where="periodic.pairs",
+                expected=f"{dim} pairs: a cell is repeated along each of its {dim} directions",
+            )
+
+    def _check_span(self) -> None:
+        scale = np.linalg.norm(self.vectors, axis=1)
+        if abs(np.linalg.det(self.vectors)) <= 1e-6 * np.prod(scale):
+            shown = "; ".join(_shown(vector) for vector in self.vectors)
+            raise InputError(
+                f"the vectors from face to face do not span the space: {shown} m",
+                where="periodic.pairs",
+                expected="opposite faces of the cell in each pair, each pair once",
+            )
+
+    # --- spaces ---
+
+    def merged(self, V: fem.FunctionSpace, fields: Sequence[Field] | None = None) -> Merged:
+        """The space with the nodes of paired faces merged. Collective.
+
+        Args:
+            V: A Lagrange space, or a mixed one.
+            fields: What a mixed space consists of; fields that are not named have no nodes on
+                faces.
+
+        Raises:
+            InputError: A node of one face has no image on the other.
+        """
+        fields = [plain(V)] if fields is None else list(fields)
+        comm = self.body.comm
+        ids, root = _classes(self._edges(V, fields))
+        owner, number, (offset, count) = _renumbered(comm, V.dofmap.index_map, ids, root)
+        mine = owner == comm.rank
+        ghosts, first, back = np.unique(number[~mine], return_index=True, return_inverse=True)
+        new = np.empty(len(number), dtype=np.int32)
+        new[mine] = number[mine] - offset
+        new[~mine] = count + back
+        index_map = cpp.common.IndexMap(comm, count, ghosts, owner[~mine][first])
+        return Merged(_space(V, index_map, new), new)
+
+    def _edges(self, V: fem.FunctionSpace, fields: Sequence[Field]) -> Numbers:
+        """Pairs of global indices that are one, shape (pairs, 2), the same on all ranks."""
+        found = []
+        for field in fields:
+            for k, vector in enumerate(self.vectors):
+                a, b = self._ends(field, k, V)
+                match = self._match(a.x, b.x, vector, k)
+                found.append(np.column_stack([a.index[match].reshape(-1), b.index.reshape(-1)]))
+        return np.concatenate(found)
+
+    def _ends(
+        self, field: Field, k: int, V: fem.FunctionSpace | None = None
+    ) -> tuple[_Points, _Points]:
+        """Nodes of the two faces of a pair, from all ranks. Collective."""
+        first, second = (
+            self._points(field, V or field.space, facets) for facets in self._facets[k]
+        )
+        return first, second
+
+    def _points(self, field: Field, V: fem.FunctionSpace, facets: Dofs) -> _Points:
+        tdim, imap, comm = self.body.mesh.topology.dim, V.dofmap.index_map, self.body.comm
+        nodes = fem.locate_dofs_topological(field.space, tdim - 1, facets)
+        nodes = nodes[field.entries[nodes, 0] < imap.size_local]
+        x = field.space.tabulate_dof_coordinates()[nodes]
+        columns = field.entries.shape[1]
+        index = imap.local_to_global(field.entries[nodes].reshape(-1)).reshape(-1, columns)
+        return _Points(np.concatenate(comm.allgather(x)), np.concatenate(comm.allgather(index)))
+
+    def _match(self, a: Floats, b: Floats, vector: Floats, k: int) -> Numbers:
+        """Index in a of the image of each point of b."""
+        shift = np.zeros(3)
+        shift[: len(vector)] = vector
+        for here, there, way, side in ((a, b, shift, 0), (b, a, -shift, 1)):
+            distance, match = cKDTree(there).query(here + way)
+            bad = np.flatnonzero(distance > self._near)
+            if len(bad):
+                first = bad[np.lexsort(here[bad].T[::-1])[0]]
+                place = np.where(np.abs(here[first]) < self._near, 0.0, here[first])
+                raise InputError(
+                    f"the node of '{self.pairs[k][side]}' at {_shown(place[: len(vector)])} m has "
+                    f"no image on '{self.pairs[k][1 - side]}': the nearest node is "
+                    f"{distance[first]:.3g} m from where it should be ({len(bad)} of {len(here)} "
+                    "nodes have none)",
+                    where=f"periodic.pairs[{k}]",
+                    expected="two faces with the same mesh, shifted by one vector (in Gmsh: "
+                    "Periodic Surface)",
+                )
+        return np.asarray(match, dtype=np.int64)
+
+    # --- the node that is held ---
+
+    def held(self, V: fem.FunctionSpace, merged: Merged) -> Dofs:
+        """Local nodes of a plain space that are the held vertex or its images. Collective."""
+        x = V.tabulate_dof_coordinates()
+        here = np.flatnonzero(np.linalg.norm(x - self.corner, axis=1) <= self._near)
+        mine = merged.space.dofmap.index_map.local_to_global(merged.new[here])
+        pinned = np.unique(np.concatenate(self.body.comm.allgather(mine)))
+        nodes = merged.space.dofmap.index_map.local_to_global(merged.new)
+        return np.flatnonzero(np.isin(nodes, pinned)).astype(np.int32)
+
+
+def plain(V: fem.FunctionSpace) -> Field:
+    """A Lagrange space as the one field that it consists of."""
+    imap = V.dofmap.index_map
+    return Field(V, np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)[:, None])
+
+
+def _middle(x: Floats) -> Floats:
+    return np.asarray((x.max(axis=0) + x.min(axis=0)) / 2)
+
+
+def _first_corner(x: Floats) -> Floats:
+    """The point that comes first along a direction in which no two corners are alike."""
+    return np.asarray(x[np.argmin((x - x.min(axis=0)) @ np.array([1.0, 1.0831, 1.1937]))])
+
+
+def _shown(vector: Floats) -> str:
+    return "(" + ", ".join(f"{x:.6g}" for x in vector) + ")"
+
+
+def _classes(edges: Numbers) -> tuple[Numbers, Numbers]:
+    """Global indices in pairs, sorted, and the smallest index of the class of each."""
+    ids, flat = np.unique(edges, return_inverse=True)
+    a, b = flat.reshape(edges.shape).T
+    graph = coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(len(ids), len(ids)))
+    _, label = connected_components(graph, directed=False)
+    _, first = np.unique(label, return_index=True)  # the first of a class is its smallest
+    return ids, ids[first[label]]
+
+
+def _renumbered(
+    comm: MPI.Comm, imap: cpp.common.IndexMap, ids: Numbers, root: Numbers
+) -> tuple[Dofs, Numbers, tuple[int, int]]:
+    """Owner and new global index of each local index; first and number of this rank's. Collective.
+
+    Args:
+        comm: The ranks that share the space.
+        imap: Of the plain space.
+        ids: Global indices that are in pairs, sorted.
+        root: What each of them becomes one with.
+    """
+    size, (start, end) = imap.size_local, imap.local_range
+    kept = np.ones(size, dtype=bool)
+    kept[ids[(root != ids) & (ids >= start) & (ids < end)] - start] = False
+    count = int(kept.sum())
+    offset = sum(comm.allgather(count)[: comm.rank])
+    numbers = la.vector(imap, 1, dtype=np.int64)
+    numbers.array[:size] = np.where(kept, offset + np.cumsum(kept) - 1, -1)
+    numbers.scatter_forward()
+    new = numbers.array.copy()
+    owner = np.concatenate([np.full(size, comm.rank, dtype=np.int32), imap.owners])
+    # What is in pairs takes number and owner of its root, which may live on any rank.
+    here = (root >= start) & (root < end)
+    about = np.full((2, len(ids)), -1, dtype=np.int64)
+    about[0, here], about[1, here] = new[root[here] - start], comm.rank
+    comm.Allreduce(MPI.IN_PLACE, about, op=MPI.MAX)
+    old = imap.local_to_global(np.arange(size + imap.num_ghosts, dtype=np.int32))
+    paired = np.isin(old, ids)
+    place = np.searchsorted(ids, old[paired])
+    new[paired], owner[paired] = about[:, place]
+    return owner, new, (offset, count)
+
+
+def _space(V: fem.FunctionSpace, index_map: cpp.common.IndexMap, new: Dofs) -> fem.FunctionSpace:
+    dofmap = V.dofmap
+    cells = adjacencylist(np.ascontiguousarray(new[dofmap.list], dtype=np.int32))
+    cells = getattr(cells, "_cpp_object", cells)
+    merged = cpp.fem.DofMap(dofmap.dof_layout, index_map, dofmap.index_map_bs, cells, dofmap.bs)
+    plain_space = V._cpp_object
+    made = type(plain_space)(plain_space.mesh, plain_space.element, merged, plain_space.value_shape)
+    return fem.FunctionSpace(V.mesh, V.ufl_element(), made)

@@ -1,0 +1,123 @@
+"""What is solved for in a periodic cell: the fluctuation about the macroscopic displacement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import basix.ufl
+import numpy as np
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from ufl.core.expr import Expr
+
+from dolfin_elastic.problem.periodic.dofmap import Field, Merged
+from dolfin_elastic.problem.periodic.unit_cell import Cell
+from dolfin_elastic.problem.spaces import (
+    Dofs,
+    Element,
+    Extra,
+    Unknowns,
+)
+
+
+def make_unknowns(mesh: Mesh, degree: int, extras: Sequence[Extra], cell: Cell | None) -> Unknowns:
+    """What is solved for; see `Unknowns`. Collective.
+
+    Args:
+        mesh: The mesh.
+        degree: Degree of the displacement.
+        extras: Scalar fields beside it.
+        cell: Of a periodic body.
+    """
+    if cell is None:
+        return Unknowns(mesh, degree, extras)
+    return Fluctuation(mesh, degree, extras, cell)
+
+
+class Fluctuation(Unknowns):
+    """Unknowns whose nodes on paired faces are merged; see `unknowns.Unknowns`. Collective.
+
+    The displacement u in V is the fluctuation w in U plus the macroscopic displacement, which
+    `tell` adds.
+
+    Args:
+        mesh: The mesh.
+        degree: Degree of the displacement.
+        extras: Scalar fields beside it; they are periodic, too.
+        cell: The macroscopic displacement, and which faces are one.
+
+    Attributes:
+        pinned: Local entries of V that are the held vertex or its images, and one of them for each
+            unknown of the vertex that this rank owns.
+    """
+
+    def __init__(self, mesh: Mesh, degree: int, extras: Sequence[Extra], cell: Cell) -> None:
+        self.cell, self._dim = cell, int(mesh.geometry.dim)
+        super().__init__(mesh, degree, extras)
+        self._x = self.V.tabulate_dof_coordinates()
+        self.pinned = self._pinned()
+
+    def _pinned(self) -> tuple[Dofs, Dofs]:
+        nodes = self.cell.pairing.held(self.V, self._merged)
+        new = self._merged.new[nodes]
+        owned = nodes[new < self.U.dofmap.index_map.size_local]
+        return self._unrolled(nodes), self._unrolled(owned[:1])
+
+    def _unrolled(self, nodes: Dofs) -> Dofs:
+        return (nodes[:, None] * self._dim + np.arange(self._dim, dtype=np.int32)).reshape(-1)
+
+    def _spaces(
+        self, mesh: Mesh, elements: Sequence[Element]
+    ) -> tuple[fem.FunctionSpace, fem.FunctionSpace, fem.FunctionSpace, Dofs]:
+        pairing = self.cell.pairing
+        if not self.extras:
+            V = fem.functionspace(mesh, elements[0])
+            self._merged = pairing.merged(V)
+            return V, self._merged.space, self._merged.space, self._unrolled(self._merged.new)
+        plain = fem.functionspace(mesh, basix.ufl.mixed_element(list(elements)))
+        V, dofs = plain.sub(0).collapse()
+        dofs = np.asarray(dofs, dtype=np.int32)
+        fields = [Field(V, dofs.reshape(-1, self._dim))]
+        for k, extra in enumerate(self.extras, start=1):
+            if extra.continuous:
+                Q, entries = plain.sub(k).collapse()
+                fields.append(Field(Q, np.asarray(entries, dtype=np.int32)[:, None]))
+        whole: Merged = pairing.merged(plain, fields)
+        self._merged = pairing.merged(V)
+        return V, self._merged.space, whole.space, whole.new[dofs]
+
+    def motion(self, w: Expr) -> Expr:
+        """The whole displacement of the body [m], of a function of W."""
+        return self.displacement(w) + self.cell.affine(self.cell.H)
+
+    def local(self, dofs: Dofs) -> Dofs:
+        """Entries of the displacement's local array as entries of U."""
+        return (self._merged.new[dofs // self._dim] * self._dim + dofs % self._dim).astype(np.int32)
+
+    @property
+    def moves(self) -> Dofs:
+        """Owned entries of all unknowns that belong to the fluctuation, in the order of U."""
+        imap = self.U.dofmap.index_map
+        entries = np.empty((imap.size_local + imap.num_ghosts) * self._dim, dtype=np.int32)
+        assert self._dofs is not None
+        entries[self._unrolled(self._merged.new)] = self._dofs
+        return entries[: imap.size_local * self._dim]
+
+    def linear(self) -> tuple[fem.FunctionSpace, Dofs]:
+        """U with linear elements, and its owned entries that are held. Collective."""
+        pairing = self.cell.pairing
+        plain = fem.functionspace(self.V.mesh, ("Lagrange", 1, (self._dim,)))
+        merged = pairing.merged(plain)
+        nodes = np.unique(merged.new[pairing.held(plain, merged)])
+        owned = nodes[nodes < merged.space.dofmap.index_map.size_local]
+        return merged.space, self._unrolled(owned.astype(np.int32))
+
+    def tell(self) -> None:
+        """Makes the displacement of fluctuation and macroscopic displacement."""
+        super().tell()
+        self.u.x.array[:] += self.cell.affine_at(self._x).reshape(-1)
+
+    def take(self) -> None:
+        """Makes the fluctuation of the displacement."""
+        assert self._dofs is not None
+        self.w.x.array[self._dofs] = self.u.x.array - self.cell.affine_at(self._x).reshape(-1)

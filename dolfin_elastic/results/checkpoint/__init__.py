@@ -1,0 +1,1 @@
+"""Checkpoints: states on disk, readable on any number of ranks."""

@@ -1,0 +1,394 @@
+"""Checkpoints: all that a run needs to go on, on any number of ranks.
+
+What is on disk, in the folder `checkpoints` of the results:
+
+    case.toml           the case, with paths that hold from everywhere
+    step_000012.h5      the solver's fields after step 12, in the mesh's own order (order.py)
+    step_000012.json    everything else, and the sums of the fields
+
+Each file is written under another name, brought to the disk, and renamed, the `.json` last: it
+makes the checkpoint.  An older one goes only after that.  So a kill at any moment, also in the
+midst of it, leaves a whole one behind if there has ever been one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import re
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+from pydantic import Field, model_validator
+
+from dolfin_elastic.core.errors import InputError, RestartError
+from dolfin_elastic.core.parallel import agree, largest, on_root
+from dolfin_elastic.core.schema import Idle, Record, refuse_idle
+from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.units import Time
+from dolfin_elastic.core.version import __version__
+from dolfin_elastic.problem.restart_state import Kept
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.results import hdf5 as heavy
+from dolfin_elastic.results.checkpoint.checksums import sum_of
+from dolfin_elastic.results.checkpoint.mesh_order import Order
+from dolfin_elastic.results.files import (
+    make_folder,
+    replace_text,
+    sync,
+    writing,
+)
+from dolfin_elastic.results.writer import Every, Steps
+
+Array = npt.NDArray[Any]
+log = logging.getLogger("dolfin_elastic")
+
+FOLDER, CASE = "checkpoints", "case.toml"
+FORMAT = 3
+_NAME = re.compile(r"step_(\d{6,})\.json")
+_UNREADABLE = (OSError, KeyError, RuntimeError, TypeError, ValueError)
+
+
+class Checkpoint(Record):
+    """When checkpoints are written.  In a case file false, or a text with the time, stand for it.
+
+    Attributes:
+        time: Wall time from one to the next [s].
+        every: Also the first state at or after each n-th step.
+        keep: So many of them stay, the newest.
+        off: None are written.
+    """
+
+    time: Time = Field(default=900.0, gt=0)
+    every: Steps | None = None
+    keep: int = Field(default=2, ge=1)
+    off: bool = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short(cls, value: Any) -> Any:
+        if isinstance(value, bool):
+            return {"off": not value}
+        if isinstance(value, int | float):
+            raise InputError(
+                f"{value:g} is wrong",
+                expected=f'for example "10 min", {{every = {value:g}}} for steps, or false',
+            )
+        return {"time": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _off(self) -> Self:
+        if self.off:
+            rule = Idle(["time", "every", "keep"], "there are no checkpoints with off = true")
+            refuse_idle(self, [rule])
+        return self
+
+
+@dataclass
+class About:
+    """What a run is, for its checkpoints.
+
+    Attributes:
+        case: The case as text, which a run can be made from; empty if there is no such text.
+        file: Where the case came from.
+        mesh: See `sums.fingerprint`.
+        petsc: PETSc options from outside the case.
+    """
+
+    case: str
+    file: str
+    mesh: Mapping[str, Any]
+    petsc: Mapping[str, Any]
+
+
+class Spaces:
+    """Orders of the spaces that have been met."""
+
+    def __init__(self) -> None:
+        self._known: list[tuple[fem.FunctionSpace, Order]] = []
+
+    def order(self, V: fem.FunctionSpace) -> Order:
+        """The order of a space. Collective."""
+        for space, order in self._known:
+            if space is V or space == V:
+                return order
+        self._known.append((V, Order(V)))
+        return self._known[-1][1]
+
+
+class Checkpoints:
+    """Writes the checkpoints of one run.  All of it is collective.
+
+    Args:
+        comm: The ranks that compute.
+        folder: Of the results.
+        settings: When.
+        about: What is computed.
+        step: Of the checkpoint that the run goes on from, if it does.
+
+    Attributes:
+        saved: Step of the last one; 0 before, for of the initial state there is none.
+        off: None are written.
+    """
+
+    def __init__(
+        self, comm: MPI.Comm, folder: Path, settings: Checkpoint, about: About, *, step: int = 0
+    ) -> None:
+        self._comm, self._folder, self._settings, self._about = comm, folder, settings, about
+        self._path = folder / FOLDER
+        self._spaces, self._written = Spaces(), time.monotonic()
+        self._every = Every(settings.every or 1)
+        self._every.takes(step)
+        self.saved, self.off = step, settings.off
+
+    def due(self, state: State, *, asked: bool = False) -> bool:
+        """Whether a checkpoint is to be written now.
+
+        Args:
+            state: Where the run is; at its end there is nothing more to go on to.
+            asked: Somebody wants one.
+        """
+        if self.off:
+            return False
+        by_step = self._every.takes(state.step) and self._settings.every is not None
+        # Clocks differ between ranks: the first one decides for all.
+        late = time.monotonic() - self._written >= self._settings.time and self._comm.rank == 0
+        wanted = largest(self._comm, float(asked or late or by_step)) > 0
+        return wanted and state.done < 1.0
+
+    def save(self, state: State, kept: Kept, outputs: Sequence[Mapping[str, Any]]) -> None:
+        """Writes a checkpoint, if there is none of this step.
+
+        Args:
+            state: The last step.
+            kept: What its solver needs to go on.
+            outputs: What the writers of results need, in their order.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
+        if state.step == self.saved:
+            return
+        with stage("output"):
+            on_root(self._comm, self._begin)
+            orders = {name: self._spaces.order(f.function_space) for name, f in kept.fields.items()}
+            rows = {name: orders[name].rows(f) for name, f in kept.fields.items()}
+            draft = self._path / ".part.h5"
+            heavy.write(self._comm, draft, rows, lasting=True)
+            arrays = {
+                name: {"shape": list(r.shape), "sum": sum_of(self._comm, r)}
+                for name, r in rows.items()
+            }
+            content = {
+                "step": state.step,
+                "t": state.t,
+                "done": state.done,
+                "written": datetime.now(UTC).isoformat(timespec="seconds"),
+                "ranks": self._comm.size,
+                "version": __version__,
+                "mesh": self._about.mesh,
+                "case": digest(self._about.case),
+                "file": self._about.file,
+                "petsc": self._about.petsc,
+                "arrays": arrays,
+                "numbers": kept.numbers,
+                "outputs": list(outputs),
+            }
+            on_root(self._comm, lambda: self._commit(state.step, draft, content))
+            self.saved, self._written = state.step, time.monotonic()
+        log.debug("checkpoint of step %d in %s", state.step, self._path)
+
+    def _begin(self) -> None:
+        make_folder(self._path)
+        case = self._path / CASE
+        if not case.is_file() or case.read_text(encoding="utf-8") != self._about.case:
+            _replace(case, self._about.case)
+
+    def _commit(self, step: int, draft: Path, content: Mapping[str, Any]) -> None:
+        """Makes what has been written a checkpoint. On rank 0."""
+        fields, manifest = _files(self._path, step)
+        with writing(fields):
+            sync(draft)
+            draft.replace(fields)
+        text = json.dumps(content, ensure_ascii=False, default=_plain)
+        _replace(manifest, json.dumps({"format": FORMAT, "digest": digest(text), "text": text}))
+        steps = _steps(self._path)
+        _remove(self._path, steps[self._settings.keep :])
+
+    def go_on(self) -> None:
+        """Removes the later checkpoints: what they tell of is computed again."""
+        on_root(
+            self._comm,
+            lambda: _remove(self._path, [s for s in _steps(self._path) if s > self.saved]),
+        )
+
+    def clear(self) -> int:
+        """Removes all checkpoints of any run into this folder, and says how many."""
+        return on_root(self._comm, lambda: clear(self._folder))
+
+
+def clear(folder: Path) -> int:
+    """Removes all checkpoints in a folder of results, and says how many. Not collective."""
+    path = folder / FOLDER
+    if not path.is_dir():
+        return 0
+    steps = _steps(path)
+    with writing(path):
+        _remove(path, steps)
+        ours = [*path.glob("step_*.h5"), path / ".part.h5", path / CASE, *path.glob(".*.part")]
+        for file in ours:
+            file.unlink(missing_ok=True)
+        if not any(path.iterdir()):
+            path.rmdir()
+    return len(steps)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A checkpoint that is whole.
+
+    Attributes:
+        comm: The ranks that go on.
+        path: File of its fields.
+        content: Everything else.
+    """
+
+    comm: MPI.Comm
+    path: Path
+    content: Mapping[str, Any]
+
+    def restore(self, fields: Mapping[str, fem.Function]) -> Mapping[str, Any]:
+        """Fills these fields of a solver, and returns its numbers. Collective; see `kept.Restore`.
+
+        Raises:
+            RestartError: The checkpoint is of another solver, or got damaged just now.
+        """
+        spaces = Spaces()
+        for name, function in fields.items():
+            order = spaces.order(function.function_space)
+            shape = [order.count, function.function_space.dofmap.index_map_bs]
+            if self.content["arrays"].get(name, {}).get("shape") != shape:
+                raise RestartError(
+                    f"it has no field '{name}' of {order.count} values",
+                    where=str(self.path),
+                    expected="a checkpoint of this very case",
+                )
+            rows: Array = np.empty((0, shape[1]))
+            error = None
+            try:
+                rows = heavy.read(self.path, name, order.first, order.mine)
+            except _UNREADABLE as caught:
+                error = RestartError(f"cannot be read: {caught}", where=str(self.path))
+            agree(self.comm, error)
+            order.fill(function, rows)
+        return dict(self.content["numbers"])
+
+
+def newest(comm: MPI.Comm, folder: Path) -> Found | None:
+    """The newest whole checkpoint in a folder of results; damaged ones are warned of. Collective.
+
+    Every number is read and compared with the sums, by all ranks together.
+    """
+    path = folder / FOLDER
+    for step in on_root(comm, lambda: _steps(path)):
+        fields, manifest = _files(path, step)
+        content, fault = on_root(comm, partial(_content, manifest))
+        fault = fault or _damage(comm, fields, content["arrays"])
+        if not fault:
+            return Found(comm, fields, content)
+        log.warning("the checkpoint of step %d is damaged (%s): going back further", step, fault)
+    return None
+
+
+def _content(manifest: Path) -> tuple[dict[str, Any], str]:
+    """What a checkpoint says, or what is wrong with it. Not collective."""
+    try:
+        outer = json.loads(manifest.read_text(encoding="utf-8"))
+        if outer["format"] != FORMAT:
+            return {}, f"it has the format {outer['format']}, this program knows {FORMAT}"
+        if digest(outer["text"]) != outer["digest"]:
+            return {}, f"{manifest.name} has been changed"
+        return json.loads(outer["text"]), ""
+    except _UNREADABLE as error:
+        return {}, f"{manifest.name} cannot be read: {error}"
+
+
+def _damage(comm: MPI.Comm, fields: Path, arrays: Mapping[str, Any]) -> str:
+    """What is wrong with the fields of a checkpoint. Collective."""
+    for name, known in arrays.items():
+        count = known["shape"][0]
+        first, last = (count * rank // comm.size for rank in (comm.rank, comm.rank + 1))
+        try:
+            rows = heavy.Rows(heavy.read(fields, name, first, last - first), first, count)
+            failed = list(rows.shape) != known["shape"]
+        except _UNREADABLE:
+            failed = True
+        if largest(comm, float(failed)) or sum_of(comm, rows) != known["sum"]:
+            return f"{fields.name} is not as it was written"
+    return ""
+
+
+def read_case_text(folder: Path) -> str:
+    """The case of a folder's checkpoints. Not collective.
+
+    Raises:
+        RestartError: It cannot be read.
+    """
+    file = folder / FOLDER / CASE
+    try:
+        return file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RestartError(f"cannot be read: {error}", where=str(file)) from None
+
+
+def last_step(folder: Path) -> int | None:
+    """Step of the newest checkpoint in a folder of results, if there is one. Not collective."""
+    return next(iter(_steps(folder / FOLDER)), None)
+
+
+def _files(path: Path, step: int) -> tuple[Path, Path]:
+    """Fields and everything else of a checkpoint."""
+    return path / f"step_{step:06d}.h5", path / f"step_{step:06d}.json"
+
+
+def _steps(path: Path) -> list[int]:
+    """Steps of which there are checkpoints, the newest first. Not collective."""
+    if not path.is_dir():
+        return []
+    found = [int(m[1]) for file in path.iterdir() if (m := _NAME.fullmatch(file.name))]
+    return sorted(found, reverse=True)
+
+
+def _remove(path: Path, steps: Sequence[int]) -> None:
+    """Removes checkpoints: first what makes them such. Not collective."""
+    for step in steps:
+        fields, manifest = _files(path, step)
+        with writing(manifest):
+            manifest.unlink(missing_ok=True)
+            fields.unlink(missing_ok=True)
+
+
+def _replace(path: Path, text: str) -> None:
+    """As `replace_text`, and it is on the disk itself."""
+    replace_text(path, text, lasting=True)
+    sync(path.parent)
+
+
+def _plain(value: Any) -> Any:
+    """What JSON does not know: numbers of numpy, and options that are anything."""
+    return value.item() if isinstance(value, np.generic) else str(value)
+
+
+def digest(text: str) -> str:
+    """What tells a text from another one."""
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,71 @@
+"""Sums that tell whether numbers, or a mesh, are the same as before, on whatever ranks they are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.results.hdf5 import Rows
+
+_ALL = (1 << 64) - 1
+_ROWS = 1 << 16
+_GOLDEN, _FIRST, _SECOND = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
+
+
+def checksum(values: npt.NDArray[Any], places: npt.NDArray[Any]) -> int:
+    """Sum of the mixed bits of numbers and their places, modulo 2^64. Not collective.
+
+    The sums of parts add up to that of the whole.  Mixing by splitmix64: G. L. Steele, D. Lea,
+    C. H. Flood, Fast splittable pseudorandom number generators, OOPSLA 2014.
+
+    Args:
+        values: Numbers of 8 bytes, shape (n, columns).
+        places: Number of each row in the whole.
+    """
+    cuts = range(0, len(values), _ROWS)
+    return sum(_mixed(values[i : i + _ROWS], places[i : i + _ROWS]) for i in cuts) & _ALL
+
+
+def _mixed(values: npt.NDArray[Any], places: npt.NDArray[Any]) -> int:
+    bits = np.ascontiguousarray(values).view(np.uint64)
+    columns = np.arange(bits.shape[1], dtype=np.uint64)
+    place = places.astype(np.uint64)[:, None] * np.uint64(bits.shape[1]) + columns
+    z = bits ^ ((place + np.uint64(1)) * np.uint64(_GOLDEN))
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(_FIRST)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(_SECOND)
+    return int(np.sum(z ^ (z >> np.uint64(31)), dtype=np.uint64))
+
+
+def sum_of(comm: Any, rows: Rows) -> str:
+    """Checksum of a whole array. Collective."""
+    places = np.arange(rows.first, rows.first + len(rows.values))
+    return _text(total(comm, checksum(rows.values, places)))
+
+
+def fingerprint(body: Body) -> dict[str, Any]:
+    """What tells a mesh from another one: its cells with their places, and its names. Collective.
+
+    It does not depend on the number of ranks.
+    """
+    mesh, cells = body.mesh, body.owned_cells()
+    original = np.asarray(mesh.topology.original_cell_index)
+    x = mesh.geometry.x[mesh.geometry.dofmap[cells], : body.dim]
+    geometry = checksum(x.reshape(len(cells), x.shape[1] * x.shape[2]), original[cells])
+    named = {}
+    for name in sorted(body.regions):
+        own = original[body.owned_cells(name)].astype(np.int64)
+        named[name] = _text(total(body.comm, checksum(own[:, None], own)))
+    return {
+        "cells": body.num_cells,
+        "geometry": _text(total(body.comm, geometry)),
+        "regions": named,
+        "surfaces": {name: body.count(name) for name in sorted(body.surfaces)},
+    }
+
+
+def _text(value: int) -> str:
+    return f"{value & _ALL:016x}"

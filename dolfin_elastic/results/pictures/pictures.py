@@ -1,0 +1,323 @@
+"""Pictures of the deformed body, without a display.
+
+The surface goes to rank 0, which has it drawn by another process (`drawing.py`): what VTK does
+wrong there, down to a crash, becomes an error message here and not the end of the run.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import la
+from dolfinx.common import IndexMap
+from mpi4py import MPI
+
+from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.parallel import agree, on_root
+from dolfin_elastic.core.timing import stage
+from dolfin_elastic.mesh.body import span
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.files import make_folder, writing
+from dolfin_elastic.results.grid import to_nodes
+from dolfin_elastic.results.pictures.colour_bar import bar
+from dolfin_elastic.results.pictures.renderer import SHARED
+from dolfin_elastic.results.pictures.surface import Surface, gather
+from dolfin_elastic.results.writer import Every, Kept, Numbers
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem.problem import Problem
+
+Array = npt.NDArray[Any]
+View = Literal["isometric", "x", "y", "z", "-x", "-y", "-z"]
+
+_NAP = 0.02
+_NAMED = ("material", "region")
+_LABELS = {
+    "von_mises": "von Mises stress",
+    "von_mises_nodal": "von Mises stress",
+    "cauchy_stress": "Cauchy stress",
+    "first_piola": "first Piola stress",
+    "green_strain": "Green strain",
+    "jacobian": "det F",
+    "young_modulus": "Young's modulus",
+}
+
+
+def drawable(name: str) -> str:
+    """The name of a field, if a picture can show it.
+
+    Raises:
+        InputError: There is no such field, or it is one of numbers without order or names.
+    """
+    allowed = [
+        name for name, row in FIELDS.items() if name in _NAMED or row.formula or not row.fixed
+    ]
+    if name not in FIELDS:
+        raise InputError(f"there is no field '{name}'", expected=nearest(name, allowed))
+    if name not in allowed:
+        raise InputError(f"a picture cannot show '{name}'", expected=f"one of {', '.join(allowed)}")
+    return name
+
+
+def picture(
+    problem: Problem,
+    state: State,
+    file: Path | str,
+    *,
+    field: str = "von_mises",
+    scale: float = 1.0,
+    view: View = "isometric",
+    title: str = "",
+) -> None:
+    """Draws the deformed body, coloured by a field, over its undeformed edges. Collective.
+
+    Args:
+        problem: The problem that was solved.
+        state: What is shown.
+        file: The PNG file.
+        field: Name from `FIELDS`; of vectors and tensors the length is shown; values of cells are
+            averaged at the nodes, but for materials and regions.
+        scale: Magnification of the displacement.
+        view: Along which axis it is looked at; plane bodies are always seen from the front.
+        title: Stands above the body, before load or time.
+
+    Raises:
+        InputError: The field cannot be shown.
+        OutputError: The picture cannot be drawn or written.
+    """
+    painter = Painter(problem, field)
+    try:
+        painter.paint(state, Path(file), scale=scale, view=view, title=title)
+    finally:
+        painter.close()
+
+
+class PictureWriter:
+    """Draws pictures during a run, or of its last step.  All of it is collective.
+
+    A new run removes the pictures of an older one that carry its names.
+
+    Args:
+        problem: The problem that is solved.
+        path: The PNG file.
+        every: Each n-th step (see `Every`) and the last one, with the step's number in the
+            file's name; None: the last only, without it.
+        field: See `picture`.
+        kept: Where it goes on after a checkpoint: pictures of later steps are removed.
+        options: `scale`, `view` and `title` of `picture`.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        path: Path,
+        *,
+        every: int | None = None,
+        field: str = "von_mises",
+        kept: Numbers | None = None,
+        **options: Any,
+    ) -> None:
+        self.path, self.options = path, options
+        self._every = None if every is None else Every(every, -1 if kept is None else kept["taken"])
+        self._drawn = -1 if kept is None else int(kept["drawn"])
+        self._kept = Kept()
+        with stage("output"):
+            on_root(problem.body.comm, self._clear)
+            self._painter = Painter(problem, field)
+
+    def _clear(self) -> None:
+        make_folder(self.path.parent)
+        with writing(self.path):
+            for file in own_files(self.path):
+                if file == self.path or _number(self.path, file) > self._drawn:
+                    file.unlink()
+
+    def kept(self) -> Numbers:
+        """Which pictures there are now."""
+        return {"drawn": self._drawn, "taken": -1 if self._every is None else self._every.taken}
+
+    def write(self, state: State) -> None:
+        """Draws the step, or keeps it for the end."""
+        with stage("output"):
+            if self._every is None or not self._every.takes(state.step):
+                self._kept.keep(state)
+            else:
+                self._kept.state = None
+                self._paint(state)
+
+    def _paint(self, state: State) -> None:
+        name = f"{self.path.stem}_{state.step:04d}{self.path.suffix}"
+        file = self.path if self._every is None else self.path.with_name(name)
+        self._painter.paint(state, file, **self.options)
+        self._drawn = state.step
+
+    def close(self, status: str = "completed", error: object = None) -> None:
+        """Draws the last converged step if it has not been drawn."""
+        try:
+            if self._kept.state:
+                with stage("output"):
+                    self._paint(self._kept.state)
+        finally:
+            self._painter.close()
+
+
+def own_files(path: Path) -> list[Path]:
+    """Pictures that a run has drawn as `path`, in their order. Not collective."""
+    found = [(number, p) for p in path.parent.iterdir() if (number := _number(path, p)) >= 0]
+    return [*([path] if path.is_file() else []), *(p for _, p in sorted(found))]
+
+
+def _number(path: Path, file: Path) -> int:
+    """Number of the step that a picture shows, -1 if the file is no such picture."""
+    stem, suffix = re.escape(path.stem), re.escape(path.suffix)
+    found = re.fullmatch(rf"{stem}_(\d{{4,}}){suffix}", file.name)
+    return int(found[1]) if found else -1
+
+
+class Painter:
+    """A field of a problem, ready to be drawn again and again."""
+
+    def __init__(self, problem: Problem, field: str) -> None:
+        self.problem, self.comm, self.field = problem, problem.body.comm, drawable(field)
+        self.dim = problem.body.dim
+        self._noise = _noise(problem, FIELDS[field].unit)
+        self._evaluate = Evaluator(problem, [field])
+
+    def close(self) -> None:
+        """There is nothing more to draw."""
+        SHARED.release(self)
+
+    def paint(
+        self,
+        state: State,
+        file: Path,
+        *,
+        scale: float = 1.0,
+        view: View = "isometric",
+        title: str = "",
+    ) -> None:
+        """Draws a state. Collective; see `picture`."""
+        values = self._evaluate(state)[self.field]
+        grid = self._evaluate.grid
+        u = state.u.x.array.reshape(-1, self.dim)
+        fields, of_cells = {"u": np.pad(u, ((0, 0), (0, 3 - self.dim)))}, None
+        if self.field in _NAMED:
+            cells = grid.mesh.topology.index_map(grid.mesh.topology.dim)
+            of_cells = _with_ghosts(cells, values)[:, 0].astype(np.int64)
+        else:
+            fields["value"] = self._at_local_nodes(values)
+        surface = gather(grid, fields, of_cells)
+        settings = {
+            "scale": scale,
+            "view": "z" if self.dim == 2 else view,
+            "title": _headline(state, title, scale),
+            "plane": self.dim == 2,
+        }
+        _on_root_alone(self.comm, lambda: self._draw(surface, file, settings))
+
+    def _at_local_nodes(self, values: Array) -> Array:
+        grid, field = self._evaluate.grid, FIELDS[self.field]
+        if field.columns > 1:
+            values = np.linalg.norm(values, axis=1, keepdims=True)
+        if field.centre == "cell":
+            return to_nodes(grid.V, values)
+        return _with_ghosts(grid.V.dofmap.index_map, values)
+
+    def _draw(self, surface: Surface | None, file: Path, settings: Mapping[str, Any]) -> None:
+        assert surface is not None
+        with writing(file), tempfile.TemporaryDirectory() as scratch:
+            data, drawn = Path(scratch) / "surface.npz", Path(scratch) / "picture.png"
+            np.savez(
+                data,
+                points=surface.points,
+                triangles=surface.triangles,
+                u=surface.values["u"],
+                **self._coloured(surface),
+                **settings,
+            )
+            SHARED.draw(self, data, drawn)
+            draft = file.with_name(f".{file.name}.part")
+            draft.write_bytes(drawn.read_bytes())
+            draft.replace(file)
+
+    def _coloured(self, surface: Surface) -> dict[str, Any]:
+        """Values with the colour bar's range, ticks and label, or with names."""
+        field, label = FIELDS[self.field], _LABELS.get(self.field, self.field.replace("_", " "))
+        if surface.of_cells is not None:
+            first, names = self._names()
+            return {"value": surface.of_cells - first, "names": names, "label": label}
+        values = surface.values["value"][:, 0]
+        found = bar(values, field.unit, self._noise)
+        unit = f"[{found.unit}]" if found.unit else ""
+        if field.shape == "tensor":
+            unit = f"norm of the tensor\n{unit}"
+        return {
+            "value": values / found.factor,
+            "ticks": found.ticks,
+            "form": found.form,
+            "label": f"{label}\n{unit}".strip(),
+        }
+
+    def _names(self) -> tuple[int, list[str]]:
+        """The first number of a field of names, and the names."""
+        if self.field == "material":
+            return 0, [part.name for part in self.problem.parts]
+        return -1, ["no region", *sorted(self.problem.body.regions)]
+
+
+def _headline(state: State, title: str, scale: float) -> str:
+    """Title, load or time, and magnification, as far as there is something to say."""
+    moving = state.v is not None
+    place = f"t = {state.t:.4g} s" if moving else f"load {100 * state.load_factor:.4g} %"
+    if math.isnan(state.load_factor):  # a mode, which the title names
+        place = ""
+    larger = "" if scale == 1.0 else f"displacements \u00d7 {scale:g}"
+    return "   |   ".join(filter(None, (title, place, larger)))
+
+
+def _noise(problem: Problem, unit: str) -> float:
+    """Values of a field below this are rounding errors. Collective.
+
+    Stresses and strains are differences of displacements, and lose digits to them.
+    """
+    stiff = min(float(part.shear.value) for part in problem.parts)
+    scales = {
+        "Pa": 1e-9 * stiff,
+        "J/m^3": 1e-14 * stiff,
+        "": 1e-9,
+        "m": 1e-14 * span(problem.body),
+        "N": 1e-14 * stiff * span(problem.body) ** 2,
+    }
+    return scales.get(unit, 0.0)
+
+
+def _on_root_alone(comm: MPI.Comm, action: Callable[[], None]) -> None:
+    """`on_root` for long work: the other ranks sleep, and leave it their processors. Collective."""
+    error: Exception | None = None
+    if comm.rank == 0:
+        try:
+            action()
+        except Exception as caught:  # told to all ranks just below
+            error = caught
+    done = comm.Ibarrier()
+    while not done.Test():
+        time.sleep(_NAP)
+    agree(comm, error)
+
+
+def _with_ghosts(index_map: IndexMap, values: Array) -> Array:
+    """Values of what this rank owns, one each, completed by those of the ghosts. Collective."""
+    work = la.vector(index_map, 1)
+    work.array[: len(values)] = values[:, 0]
+    work.scatter_forward()
+    return work.array[:, None].copy()

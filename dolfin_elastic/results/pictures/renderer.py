@@ -1,0 +1,148 @@
+"""The process that draws pictures (`_draw.py`), and the display it draws on.
+
+Starting both takes far longer than a picture: they are kept until nobody wants them any more.
+They end by themselves, should this program die: the one when its input ends, the other when
+nobody is connected to it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import select
+import subprocess
+import sys
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from shutil import which
+from typing import IO, cast
+
+from dolfin_elastic.core.errors import OutputError
+
+_TIMEOUT = 300
+
+
+class Drawer:
+    """Draws one picture after the other.  Not collective: for rank 0."""
+
+    def __init__(self) -> None:
+        self._display, environment = _display()
+        self._said = cast(IO[str], tempfile.TemporaryFile("w+", encoding="utf-8"))  # noqa: SIM115
+        script = Path(__file__).with_name("_draw.py")
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", str(script)],
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._said,
+            text=True,
+            start_new_session=True,  # Ctrl-C is for the run, which wants its last picture
+        )
+
+    def draw(self, data: Path, drawn: Path) -> None:
+        """Draws what is in the file `data` into the file `drawn`.
+
+        Raises:
+            OutputError: It could not, with the last thing that was said; the drawer is of no use
+                any more.
+        """
+        into, back = self._process.stdin, self._process.stdout
+        assert into is not None
+        assert back is not None
+        try:
+            into.write(f"{data}\t{drawn}\n")
+            into.flush()
+        except BrokenPipeError:
+            raise self._fault() from None
+        if not select.select([back], [], [], _TIMEOUT)[0]:
+            raise OutputError(f"drawing a picture took longer than {_TIMEOUT} s")
+        if not back.readline() or not drawn.exists():
+            raise self._fault()
+
+    def _fault(self) -> OutputError:
+        code = self._process.wait()
+        self._said.seek(0)
+        said = (self._said.read().strip().splitlines() or [f"exit code {code}"])[-1]
+        # Faults of files, such as a full disk, have numbers.
+        needed = "" if "Errno" in said else "; pyvista and Xvfb are needed"
+        return OutputError(f"cannot draw a picture: {said}{needed}")
+
+    def close(self) -> None:
+        """Ends the process and the display."""
+        for process in (self._process, self._display):
+            if process is not None:
+                process.terminate()
+                process.wait()
+        for stream in (self._process.stdin, self._process.stdout, self._said):
+            if stream is not None:
+                _close_quietly(stream)
+
+
+class Shared:
+    """The one drawer of this program: started when it is needed, ended when nobody wants it."""
+
+    def __init__(self) -> None:
+        self._drawer: Drawer | None = None
+        self._users: set[int] = set()
+
+    def draw(self, user: object, data: Path, drawn: Path) -> None:
+        """Draws, and keeps the drawer until this user has called `release`. See `Drawer.draw`."""
+        self._users.add(id(user))
+        if self._drawer is None:
+            self._drawer = Drawer()
+        try:
+            self._drawer.draw(data, drawn)
+        except OutputError:
+            self._end()
+            raise
+
+    def release(self, user: object) -> None:
+        """This user has drawn its last picture."""
+        self._users.discard(id(user))
+        if not self._users:
+            self._end()
+
+    def _end(self) -> None:
+        if self._drawer is not None:
+            self._drawer.close()
+            self._drawer = None
+
+
+def _close_quietly(stream: IO[str]) -> None:
+    with suppress(BrokenPipeError):  # what was still to be said to a process that has died
+        stream.close()
+
+
+def _display() -> tuple[subprocess.Popen[bytes] | None, dict[str, str]]:
+    """A display of our own, for a real one would flash windows, and an environment with it."""
+    # A child that believes to be an MPI rank may try to join the run.
+    mine = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_", "PMI_"))}
+    if not which("Xvfb"):
+        return None, mine
+    server, number = _start_xvfb()
+    return server, {**mine, "DISPLAY": f":{number}"}
+
+
+def _start_xvfb() -> tuple[subprocess.Popen[bytes], int]:
+    """Starts a server on a display number that it finds free itself."""
+    read, write = os.pipe()
+    size = ["-screen", "0", "1600x1200x24"]
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), *size, "-nolisten", "tcp", "-terminate"],
+        pass_fds=[write],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    os.close(write)
+    with os.fdopen(read) as answer:
+        number = answer.readline().strip()
+    if not number:
+        server.wait()
+        raise OutputError("cannot draw a picture: Xvfb did not start")
+    return server, int(number)
+
+
+SHARED = Shared()
+atexit.register(SHARED._end)

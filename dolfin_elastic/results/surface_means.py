@@ -1,0 +1,130 @@
+"""Means of fields over surfaces of the undeformed body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.compat import integration_entities
+from dolfin_elastic.core.errors import InputError, MeshError
+from dolfin_elastic.core.jit import compile_forms
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.schema import within
+from dolfin_elastic.model.dimension import weight
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.fields import FIELDS
+
+if TYPE_CHECKING:
+    from dolfin_elastic.mesh.body import Body
+    from dolfin_elastic.model.materials.law import Law
+    from dolfin_elastic.problem.material_regions import Part
+    from dolfin_elastic.problem.problem import Problem
+
+Array = npt.NDArray[np.float64]
+NODAL = {"displacement": "u", "velocity": "v", "acceleration": "a"}
+"""Fields that are read off a state's functions."""
+
+
+def check_surface(body: Body, name: str, where: str = "") -> None:
+    """Raises where a mean over a surface is none. Collective.
+
+    Raises:
+        MeshError: The body has no such surface, or it has no facets.
+    """
+    try:
+        body.surface(name)
+    except MeshError as error:
+        raise within(where, error) from None
+    if not total(body.comm, len(body.owned_facets(name))):
+        raise MeshError(f"the surface '{name}' has no facets", where=where)
+
+
+class SurfaceMean:
+    """Means over the undeformed area of one surface.  All of it is collective.
+
+    The fields are integrated as the elements have them, those of cells with the gradient beside the
+    surface; in an axisymmetric body over the surface of revolution.
+
+    Args:
+        problem: The problem that is solved.
+        surface: Its name.
+        fields: Names from `FIELDS`, as probes take them.
+
+    Raises:
+        InputError: A field that a material of the surface does not have.
+    """
+
+    def __init__(self, problem: Problem, surface: str, fields: Sequence[str]) -> None:
+        check_surface(problem.body, surface)
+        self.problem, self.fields = problem, tuple(fields)
+        mesh = problem.body.mesh
+        self._w = fem.Function(problem.W)
+        self._nodal = {n: fem.Function(problem.V) for n in self.fields if n in NODAL}
+        self._widths = [
+            problem.body.dim if name in NODAL else FIELDS[name].columns for name in self.fields
+        ]
+        size = 1 + sum(self._widths)
+        space = fem.functionspace(mesh, ("DG", 0, (size,)))
+        test, form = ufl.TestFunction(space), 0
+        ds = self._measure(surface)
+        for k, part in enumerate(problem.parts):
+            components = [problem.constant(1.0), *self._components(part)]
+            rho = weight(problem.geometry, problem.X, None)
+            integrand = ufl.inner(ufl.as_vector(components), test)
+            form += (integrand if rho is None else integrand * rho) * ds(1 + k)
+        self._form = compile_forms(mesh.comm, [form], problem.jit)[0]
+        self._sums = fem.Function(space).x.array.reshape(-1, size)
+
+    def _measure(self, surface: str) -> Any:
+        """The surface's facets, material by material."""
+        body = self.problem.body
+        mesh, tdim = body.mesh, body.mesh.topology.dim
+        mesh.topology.create_connectivity(tdim, tdim - 1)
+        mesh.topology.create_connectivity(tdim - 1, tdim)
+        sides = integration_entities(mesh, np.asarray(body.owned_facets(surface))).reshape(-1, 2)
+        data = [
+            (1 + k, sides[np.isin(sides[:, 0], part.cells)].reshape(-1))
+            for k, part in enumerate(self.problem.parts)
+        ]
+        degree = {"quadrature_degree": 2 * self.problem.site.order}
+        return ufl.Measure("ds", domain=mesh, subdomain_data=data, metadata=degree)
+
+    def _components(self, part: Part) -> list[Expr]:
+        law = cast("Law", self.problem.response(part, self._w))
+        F, found = self.problem.F(self._w), []
+        for name in self.fields:
+            if name in NODAL:
+                found += [*self._nodal[name]]
+                continue
+            if name == "energy_density" and not law.has_energy:
+                raise InputError(
+                    f"the law of '{part.name}' has no strain energy", where="output.probes"
+                )
+            tensor = FIELDS[name].formula(law, F)  # type: ignore[misc]
+            missing = [self.problem.constant(float("nan"))] * FIELDS[name].columns
+            found += missing if tensor is None else _flat(tensor)
+        return found
+
+    def __call__(self, state: State) -> dict[str, Array]:
+        """Field to the means of its components, the same on every rank."""
+        self._w.x.array[:] = (state.w or state.u).x.array
+        for name, function in self._nodal.items():
+            values = getattr(state, NODAL[name])
+            if values is None:
+                raise InputError(f"there is no '{name}' in statics", where="output.probes")
+            function.x.array[:] = values.x.array
+        self._sums[:] = 0.0
+        fem.assemble_vector(self._sums.reshape(-1), self._form)
+        sums = np.asarray(total(self.problem.body.comm, self._sums.sum(axis=0)))
+        parts = np.split(sums[1:] / sums[0], np.cumsum(self._widths)[:-1])
+        return dict(zip(self.fields, parts, strict=True))
+
+
+def _flat(tensor: Expr) -> list[Expr]:
+    return [tensor[i, j] for i in range(3) for j in range(3)] if tensor.ufl_shape else [tensor]

@@ -1,0 +1,262 @@
+"""`summary.json`: a run in numbers, for scripts and for a first look."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import dolfinx
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfin_elastic.core import timing
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.version import __version__
+from dolfin_elastic.problem.state import Mode, State, plain
+from dolfin_elastic.results.extremes import Extremes
+from dolfin_elastic.results.files import make_folder, replace_text
+from dolfin_elastic.results.writer import Kept, Numbers
+from dolfin_elastic.results.writers.audit_summary import Worst
+from dolfin_elastic.results.writers.modes import row
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem.problem import Problem
+
+_INTERVAL = 1.0
+_STAGES = (*timing.STAGES, "total")
+UNITS = {
+    "t": "s (in statics the load parameter)",
+    "max_displacement": "m",
+    "energies": "J",
+    "strain_energy": "J",
+    "reactions": "N",
+    "place": "m",
+    "von_mises": "Pa",
+    "frequency": "Hz",
+    "omega": "rad/s",
+    "mass": "kg",
+    "effective": "kg (about axes kg m^2)",
+    "timings": "s",
+    "peak_memory": "byte",
+}
+
+
+class SummaryWriter:
+    """Keeps `summary.json` up to date, about once a second.  All of it is collective.
+
+    The file is complete at every moment.  Its ``status`` is "running", then "completed" or
+    "failed" with the ``reason``; a run that was killed stays "running".  The numbers are those of
+    the last converged step.  ``extremes`` come at the end.
+
+    Args:
+        problem: The problem that is solved.
+        path: The file; an old one is overwritten.
+        kept: Where it goes on after a checkpoint; numbers and seconds are then of both together.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+
+    def __init__(self, problem: Problem, path: Path, kept: Numbers | None = None) -> None:
+        self.problem, self.path, self.comm = problem, path, problem.body.comm
+        self._begin = self._written = time.monotonic()
+        before = dict(kept or {})
+        self._started = before.get("started", _now())
+        self._newton, self._krylov = before.get("newton", 0), before.get("krylov", 0)
+        self._last: dict[str, Any] = before.get("last", _NUMBERS)
+        self._spent: dict[str, float] = before.get("timings", {})
+        self._restarts: list[dict[str, Any]] = before.get("restarts", [])
+        if kept is not None:
+            again = {"step": self._last["steps"], "t": self._last["t"], "ranks": self.comm.size}
+            self._restarts = [*self._restarts, {**again, "at": _now()}]
+        self._kept = Kept()
+        self._audit = Worst(before.get("audits", ()))
+        self._extremes: Extremes | None = None
+        self._modes: list[Mode] = []
+        with timing.stage("output"):
+            on_root(self.comm, lambda: make_folder(path.parent))
+            self._save("running")
+
+    def write(self, state: State) -> None:
+        """Takes in one step; writes the file if it is older than a second."""
+        with timing.stage("output"):
+            if self._extremes is None:
+                self._extremes = Extremes(self.problem)
+            self._newton += state.newton
+            self._krylov += state.krylov
+            self._kept.keep(state)
+            self._last = _numbers(state)
+            self._audit.take(state)
+            self._save_now_and_then()
+
+    def write_mode(self, mode: Mode) -> None:
+        """Takes in one mode; writes the file if it is older than a second."""
+        with timing.stage("output"):
+            self._modes.append(mode)
+            self._save_now_and_then()
+
+    def _save_now_and_then(self) -> None:
+        # Clocks differ between ranks: the first one decides for all.
+        if self.comm.bcast(time.monotonic() - self._written > _INTERVAL):
+            self._save("running")
+
+    def kept(self) -> Numbers:
+        """The numbers so far. Collective."""
+        found = {
+            "started": self._started,
+            "newton": self._newton,
+            "krylov": self._krylov,
+            "last": _plain(self._last),
+            "timings": self._timings(),
+            "restarts": self._restarts,
+            "audits": self._audit.kept(),
+        }
+        return self.comm.bcast(found)  # clocks differ
+
+    def close(self, status: str = "completed", error: object = None) -> None:
+        """Writes the file for the last time, with the extremes of the last converged step."""
+        with timing.stage("output"):
+            state = self._kept.state
+            found = self._extremes.of(state) if state and self._extremes else {}
+            extra: dict[str, Any] = {
+                "finished": _now(),
+                "extremes": {k: asdict(e) for k, e in found.items()},
+            }
+            if (diagnosis := getattr(error, "diagnosis", None)) is not None:
+                extra["diagnosis"] = asdict(diagnosis)
+            if self.problem.mixed and found:
+                J = [found[name].value for name in ("min_jacobian", "max_jacobian")]
+                extra["volume_change"] = max(abs(value - 1) for value in J)
+            self._save(status, str(error) if error else "", extra)
+
+    def _save(self, status: str, reason: str = "", extra: Mapping[str, Any] | None = None) -> None:
+        content = {
+            "status": status,
+            "reason": reason,
+            **self._sizes(),
+            **self._numbers(),
+            "extremes": {},
+            "timings": self._timings(),
+            "peak_memory": peak_memory(self.comm),
+            "versions": versions(),
+            "units": UNITS,
+            "started": self._started,
+            "restarts": self._restarts,
+            **(extra or {}),
+        }
+        text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        on_root(self.comm, lambda: replace_text(self.path, text))
+        self._written = time.monotonic()
+
+    def _sizes(self) -> dict[str, Any]:
+        return {
+            "dofs": self.problem.num_dofs,
+            "cells": self.problem.body.num_cells,
+            "ranks": self.comm.size,
+            "degree": self.problem.degree,
+        }
+
+    def _numbers(self) -> dict[str, Any]:
+        counts = {"newton_iterations": self._newton, "krylov_iterations": self._krylov}
+        return {**self._last, **counts, "audit": self._audit.told(), **self._of_modes()}
+
+    def _of_modes(self) -> dict[str, Any]:
+        """The modes, the whole body's masses, and the share of them that the modes carry."""
+        if not self._modes:
+            return {}
+        whole, rows = self._modes[0].whole, [row(mode) for mode in self._modes]
+        if not whole:
+            return {"modes": rows}
+        sums = {name: sum(mode.effective[name] for mode in self._modes) for name in whole}
+        shares = {name: sums[name] / whole[name] for name in whole if whole[name] > 0.0}
+        return {"modes": rows, "whole": dict(whole), "effective_shares": shares}
+
+    def _timings(self) -> dict[str, float]:
+        measured = {"total": time.monotonic() - self._begin, **timing.totals()}
+        names = dict.fromkeys((*_STAGES, *measured))
+        return {
+            name: round(measured.get(name, 0.0) + self._spent.get(name, 0.0), 4) for name in names
+        }
+
+
+_NUMBERS: dict[str, Any] = {
+    "steps": 0,
+    "t": None,
+    "load_factor": None,
+    "newton_iterations": 0,
+    "krylov_iterations": 0,
+    "max_displacement": None,
+    "strain_energy": None,
+    "energies": {},
+    "reactions": {},
+    "numbers": {},
+    "limit_points": [],
+}
+"""What is told of the last step, before there is one; in this order."""
+
+
+def _numbers(state: State) -> dict[str, Any]:
+    """What is told of a step."""
+    return {
+        **_NUMBERS,
+        "steps": state.step,
+        "t": plain(state.t),
+        "load_factor": plain(state.load_factor),
+        "max_displacement": state.max_displacement,
+        "strain_energy": state.energies.get("strain"),
+        "energies": dict(state.energies),
+        "reactions": dict(state.reactions),
+        "numbers": dict(state.numbers),
+        "limit_points": list(state.limit_points),
+    }
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def peak_memory(comm: MPI.Comm) -> dict[str, int]:
+    """Largest memory in use so far [byte]: of all ranks together, and of the largest. Collective.
+
+    Each rank's own peak (Linux VmHWM); the sum counts shared pages once per rank.
+    """
+    own = _high_water()
+    return {"sum": comm.allreduce(own), "largest_rank": comm.allreduce(own, op=MPI.MAX)}
+
+
+def _high_water() -> int:
+    try:
+        status = Path("/proc/self/status").read_text(encoding="ascii")
+    except OSError:
+        return 0
+    line = next((x for x in status.splitlines() if x.startswith("VmHWM")), "VmHWM: 0 kB")
+    return int(line.split()[1]) * 1024
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of what its numbers depend on. Not collective."""
+    petsc = ".".join(str(number) for number in PETSc.Sys.getVersion())
+    return {
+        "dolfin_elastic": __version__,
+        "dolfinx": dolfinx.__version__,
+        "petsc": petsc,
+        "numpy": np.__version__,
+    }
+
+
+def _plain(value: Any) -> Any:
+    """JSON's own types; what is not finite becomes null, for JSON has no word for it."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,84 @@
+"""Macroscopic stress of a periodic cell.
+
+The macroscopic first Piola-Kirchhoff stress is the mean of P over the reference volume of the cell,
+where holes count with P = 0; it is work-conjugate to the macroscopic deformation gradient: the
+lemma of R. Hill, Proc. R. Soc. Lond. A 326 (1972) 131.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from dolfin_elastic.core.jit import compile_forms
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.problem.problem import Problem
+
+Vector = npt.NDArray[np.float64]
+
+
+class Macroscopic:
+    """Mean stress of a periodic problem. Collective to make.
+
+    Args:
+        problem: With a cell.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        assert problem.cell is not None
+        self.problem, self.cell = problem, problem.cell
+        self._pick = problem.constant([[0.0] * 3] * 3)
+        F = problem.F(problem.w)
+        self.mean = sum(
+            ufl.inner(self._pick, problem.response(part, problem.w).stress(F))
+            * problem.volume(part, problem.rule(part))
+            for part in problem.parts
+        )
+        self._form = self.compiled([self.mean])[0]
+
+    def compiled(self, forms: list[ufl.Form]) -> list[fem.Form]:
+        """Compiles forms. Collective."""
+        return compile_forms(self.problem.body.comm, forms, self.problem.jit)
+
+    def choose(self, i: int, j: int) -> None:
+        """Makes `mean` the integral of P_ij."""
+        self._pick.value[:] = 0.0
+        self._pick.value[i, j] = 1.0
+
+    def component(self, i: int, j: int) -> float:
+        """Mean of P_ij over the cell [Pa]. Collective."""
+        self.choose(i, j)
+        own = float(fem.assemble_scalar(self._form))
+        return float(total(self.problem.body.comm, own)) / self.cell.volume
+
+    def stress(self) -> Vector:
+        """Mean of P over the cell, dim x dim [Pa]. Collective."""
+        dims = range(self.problem.body.dim)
+        return np.array([[self.component(i, j) for j in dims] for i in dims])
+
+    def force(self) -> float:
+        """Size of the nodal forces by which its neighbours hold the cell [N]. Collective.
+
+        A face carries the stress times its area, spread over its nodes.  A state without a finite
+        stress is no equilibrium, whatever the forces.
+        """
+        stress = self.stress()
+        own = np.abs(stress).max() if np.isfinite(stress).all() else 0.0
+        given = np.nan_to_num(np.abs(self.cell.stress)).max()
+        area = self.cell.volume / self.cell.length
+        return float(max(own, given) * area / np.sqrt(self.cell.pairing.face_nodes))
+
+    def work(self) -> tuple[Vector, Vector]:
+        """Macroscopic forces V P [J] and what they do work on, F. Collective."""
+        return self.cell.volume * self.stress().reshape(-1), self.cell.gradient.reshape(-1)
+
+    def numbers(self) -> dict[str, float]:
+        """Macroscopic stress [Pa] and deformation gradient by name. Collective."""
+        dims = range(self.problem.body.dim)
+        P, F = self.stress(), self.cell.gradient
+        found = {f"P{i + 1}{j + 1}": float(P[i, j]) for i in dims for j in dims}
+        if len(dims) == 2:
+            found["P33"] = self.component(2, 2)
+        return found | {f"F{i + 1}{j + 1}": float(F[i, j]) for i in dims for j in dims}

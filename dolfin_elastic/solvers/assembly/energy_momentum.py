@@ -1,0 +1,132 @@
+"""What is measured of a moving body: energies, momenta, work."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from mpi4py import MPI
+
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
+
+Vector = npt.NDArray[np.float64]
+
+
+def _cross(r: ufl.core.expr.Expr, w: ufl.core.expr.Expr) -> list[ufl.core.expr.Expr]:
+    if len(r) == 2:
+        return [r[0] * w[1] - r[1] * w[0]]
+    c = ufl.cross(r, w)
+    return [c[0], c[1], c[2]]
+
+
+class Strain:
+    """Stored energy; not a number for a law that has none. Collective to make.
+
+    Args:
+        problem: Whose energy.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        form = problem.strain_energy
+        self._problem = problem
+        self._form = compiled(problem, [form])[0] if form is not None else None
+        springs = problem.spring_energy
+        self._springs = compiled(problem, [springs])[0] if springs is not None else None
+
+    def energy(self) -> float:
+        """Strain energy of the present displacement [J]. Collective."""
+        return float("nan") if self._form is None else integral(self._problem, self._form)
+
+    @property
+    def none(self) -> bool:
+        """A law has no energy."""
+        return self._form is None
+
+    def springs(self) -> dict[str, float]:
+        """Energy stored in supports [J] by its name; nothing without springs. Collective."""
+        if self._springs is None:
+            return {}
+        return {"springs": integral(self._problem, self._springs)}
+
+
+class ConsistentMass:
+    """Kinetic energy and momenta as integrals over the body.
+
+    Args:
+        problem: The body; its displacement gives the current places.
+        v: Velocity.
+    """
+
+    def __init__(self, problem: Problem, v: fem.Function) -> None:
+        x = ufl.SpatialCoordinate(problem.body.mesh) + problem.u
+        terms = [ufl.inner(v, v) / 2, *v, *_cross(x, v)]
+        degree = 2 * problem.degree + 1
+        forms = [
+            sum(
+                problem.site.density(part) * term * problem.volume(part, degree)
+                for part in problem.parts
+            )
+            for term in terms
+        ]
+        self._problem, self._forms = problem, compiled(problem, forms)
+
+    def measure(self) -> tuple[float, Vector, Vector]:
+        """Kinetic energy [J], linear [kg m/s] and angular [kg m^2/s] momentum. Collective."""
+        local = np.array([fem.assemble_scalar(form) for form in self._forms])
+        return _summed(self._problem, local)
+
+
+class LumpedMass:
+    """The same sums for a mass lumped at the nodes, as the explicit schemes see it.
+
+    Args:
+        problem: The body; its displacement gives the current places.
+        v: Velocity.
+        mass: Mass at every owned entry, unrolled [kg].
+    """
+
+    def __init__(self, problem: Problem, v: fem.Function, mass: Vector) -> None:
+        self._problem, self._v = problem, v
+        self._mass = mass.reshape(-1, problem.V.dofmap.index_map_bs)
+        self._X = problem.V.tabulate_dof_coordinates()[: len(self._mass)]
+
+    def measure(self) -> tuple[float, Vector, Vector]:
+        """Kinetic energy [J], linear [kg m/s] and angular [kg m^2/s] momentum. Collective."""
+        shape = self._mass.shape
+        u = self._problem.u.x.array[: self._mass.size].reshape(shape)
+        v = self._v.x.array[: self._mass.size].reshape(shape)
+        p = self._mass * v
+        x = self._X[:, : shape[1]] + u
+        spin = (
+            np.atleast_2d(np.cross(x, p).T).sum(axis=1)
+            if shape[1] == 3
+            else (np.array([np.sum(x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0])]))
+        )
+        local = np.concatenate([[0.5 * np.sum(p * v)], p.sum(axis=0), spin])
+        return _summed(self._problem, local)
+
+
+def _summed(problem: Problem, local: Vector) -> tuple[float, Vector, Vector]:
+    """Energy, linear and angular momentum of all ranks. Collective."""
+    sums, dim = problem.body.comm.allreduce(local, op=MPI.SUM), problem.body.dim
+    if problem.geometry == "axisymmetric":  # what a section has is not the ring's
+        sums[1], sums[1 + dim :] = 0.0, 0.0
+    return float(sums[0]), sums[1 : 1 + dim], sums[1 + dim :]
+
+
+def lumped(problem: Problem, assembler: Assembler) -> Vector:
+    """Row sums of the mass matrix at the owned displacements [kg]. Collective."""
+    ones = ufl.as_vector([problem.constant(1.0)] * problem.body.dim)
+    form = compiled(problem, [problem.inertia(ones, problem.v)])[0]
+    index_map, bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
+    mass = la.vector(index_map, bs)
+    fem.assemble_vector(mass.array, form)
+    mass.scatter_reverse(la.InsertMode.add)
+    return np.asarray(mass.array[assembler.moves])
+
+
+def work(problem: Problem, forces: Vector, du: Vector) -> float:
+    """Work of owned nodal forces over owned nodal displacements [J]. Collective."""
+    return float(problem.body.comm.allreduce(float(np.dot(forces, du)), op=MPI.SUM))

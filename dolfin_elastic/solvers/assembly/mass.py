@@ -1,0 +1,147 @@
+"""The consistent mass: accelerations from forces."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from petsc4py import PETSc
+
+from dolfin_elastic.core.errors import ConvergenceError
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
+from dolfin_elastic.solvers.assembly.matrix import TangentMatrix
+from dolfin_elastic.solvers.petsc.options import ksp_reason
+
+Vector = npt.NDArray[np.float64]
+
+TOLERANCE = 1e-14
+"""Relative residual: the acceleration of the start is as exact as numbers are."""
+
+
+def initial_acceleration(assembler: Assembler, held: Vector, a: fem.Function) -> None:
+    """Finds the acceleration that goes with the forces in `assembler.balance`. Collective.
+
+    M a = -R where nothing is prescribed, R the forces out of balance without inertia; prescribed
+    components keep what is given.  The mass matrix is made, used once by conjugate gradients with
+    its diagonal, whose iterations do not depend on the mesh (A. J. Wathen, IMA J. Numer. Anal. 7
+    (1987) 449), and freed.
+
+    Args:
+        assembler: Of the moving body; its `balance` holds no inertia.
+        held: Prescribed accelerations [m/s^2], like `Prescribed.targets`.
+        a: Receives the acceleration [m/s^2].
+
+    Raises:
+        ConvergenceError: A part of the body has no mass.
+    """
+    problem, size = assembler.problem, len(assembler.moves)
+    a.x.array[:] = 0.0
+    problem.prescribed.impose(a.x.array, held)
+    a.x.scatter_forward()
+    rows = assembler.balance.array[assembler.moves] + _inertia(problem, a)[:size]
+    matrix = _matrix(problem)
+    x, b = matrix.petsc.createVecs()
+    b.array_w[:] = -free(problem, rows)
+    ksp = PETSc.KSP().create(problem.body.comm)
+    ksp.setType("cg")
+    ksp.getPC().setType("jacobi")
+    ksp.setOperators(matrix.petsc)
+    ksp.setTolerances(rtol=TOLERANCE, atol=1e-300, max_it=5000)
+    ksp.solve(b, x)
+    reason, found = ksp.getConvergedReason(), free(problem, x.array_r)
+    for thing in (ksp, x, b, matrix):
+        thing.destroy()
+    # Round-off may keep it just above the tolerance: only a breakdown is a fault.
+    if reason < 0 and reason != PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
+        raise ConvergenceError(
+            f"the initial acceleration cannot be found: {ksp_reason(reason)}",
+            advice="is every density positive, and are all initial values finite?",
+        )
+    a.x.array[:size] += found
+    a.x.scatter_forward()
+
+
+def mass_diagonal(assembler: Assembler) -> PETSc.Vec:
+    """Diagonal of the mass matrix at all unknowns that are free [kg]. Collective.
+
+    The caller destroys it.
+    """
+    matrix, out = _matrix(assembler.problem), assembler.create_vector()
+    diagonal = matrix.petsc.getDiagonal()
+    out.array_w[assembler.moves] = free(assembler.problem, diagonal.array_r)
+    diagonal.destroy()
+    matrix.destroy()
+    return out
+
+
+def held_acceleration(problem: Problem, h: float) -> Vector:
+    """Second derivative of what is prescribed, at time 0 [m/s^2], like `Prescribed.targets`.
+
+    By differences forward in time, of second order.  Not collective.
+
+    Args:
+        problem: Its time is 0 afterwards.
+        h: Step of the differences [s].
+    """
+    values = problem.prescribed.targets_at(k * h for k in range(4))
+    problem.set_time(0.0)
+    found = (2 * values[0] - 5 * values[1] + 4 * values[2] - values[3]) / h**2
+    return np.asarray(np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0))
+
+
+def held_rates(problem: Problem, t: float, h: float) -> tuple[Vector, Vector]:
+    """Velocity [m/s] and acceleration [m/s^2] of what is prescribed, like `Prescribed.targets`.
+
+    By central differences: the velocity over h/4, the acceleration as the difference of velocities
+    half a step before and after, so that over all steps it sums up to the change of velocity,
+    kinks of curves included.  Where there is no value any more after t it is taken as unchanged.
+    Changes the time of what is prescribed.  Not collective.
+
+    Args:
+        problem: Whose supports.
+        t: Time [s].
+        h: The step [s].
+    """
+
+    def velocity(at: float) -> Vector:
+        times = (max(time, 0.0) for time in (at - h / 8, at + h / 8))
+        before, after = problem.prescribed.targets_at(times)
+        return np.asarray((after - before) * 4 / h)
+
+    before, now, after = (velocity(at) for at in (t - h / 2, t, t + h / 2))
+    now, after = (np.where(np.isfinite(v), v, before) for v in (now, after))
+    return now, np.asarray((after - before) / h)
+
+
+def free(problem: Problem, rows: Vector) -> Vector:
+    """What supports leave of a vector at the owned displacements. Not collective."""
+    held, out = problem.prescribed, rows.copy()
+    held.impose(out, np.zeros(len(held.targets)))
+    return out
+
+
+def _inertia(problem: Problem, a: fem.Function) -> Vector:
+    """M a, local entries of which the owned ones are complete. Collective."""
+    V = problem.V
+    form = compiled(problem, [problem.inertia(a, ufl.TestFunction(V))])[0]
+    out = la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
+    fem.assemble_vector(out.array, form)
+    out.scatter_reverse(la.InsertMode.add)
+    return out.array
+
+
+def _matrix(problem: Problem) -> TangentMatrix:
+    """The mass matrix with supports; the caller destroys it. Collective."""
+    V, held, dim = problem.V, problem.prescribed, problem.body.dim
+    trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
+    form = compiled(problem, [problem.inertia(trial, test)])[0]
+    if (tilted := held.tilted) is None:
+        matrix = TangentMatrix(form)
+    else:
+        nodes = tilted.nodes[: tilted.count]
+        entries = (nodes[:, None] * dim + np.arange(dim)).astype(np.int32)
+        matrix = TangentMatrix(form, entries, tilted.P[: tilted.count])
+    matrix.assemble(held.bcs)
+    return matrix

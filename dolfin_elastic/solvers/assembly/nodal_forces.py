@@ -1,0 +1,132 @@
+"""Nodal forces, again and again: what explicit motion spends its time with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, la
+from dolfinx.cpp.fem import pack_coefficients, pack_constants
+
+from dolfin_elastic.problem.problem import Problem
+
+Vector = npt.NDArray[np.float64]
+
+
+class Forces:
+    """One virtual work as nodal forces in one vector, without allocating anything.
+
+    A form's coefficients and constants are packed once.  What changes from step to step, the
+    displacement and the velocity that dashpots see, is read into the packed arrays again; numbers
+    that change with time are taken over by `renew`.
+
+    Args:
+        problem: Whose displacement; linear elements, no unknowns beside it.
+        form: Compiled linear form.
+        vector: Receives the forces [N], ghosts included.
+        points: What the forces at points and lines are multiplied by.
+
+    Attributes:
+        owned: The forces at owned entries [N].
+    """
+
+    def __init__(
+        self, problem: Problem, form: fem.Form, vector: la.Vector, *, points: float = 0.0
+    ) -> None:
+        self._problem, self._form, self._vector = problem, form, vector
+        self._array = vector.array
+        self.owned = self._array[: problem.u.x.index_map.size_local * problem.u.x.block_size]
+        self._points = points if problem.nodal_loads else 0.0
+        self._packed = pack_coefficients(form._cpp_object)
+        self._reads = [
+            read
+            for field in (problem.u, problem.site.velocity)
+            for read in _reads(form, field, self._packed)
+        ]
+        self._constants = pack_constants(form._cpp_object)
+        self._at_points: Vector = np.empty(0)
+        self.renew()
+
+    def renew(self) -> None:
+        """Takes over the numbers of the present time. Not collective."""
+        self._constants = pack_constants(self._form._cpp_object)
+        if self._points:
+            self._at_points = self._points * self._problem.nodal_loads.nodal()
+
+    def assemble(self) -> None:
+        """The forces at the present displacement, summed over the ranks. Collective."""
+        for read in self._reads:
+            read.again()
+        self._array.fill(0.0)
+        fem.assemble_vector(self._array, self._form, self._constants, self._packed)
+        if self._points:
+            self._array += self._at_points
+        self._vector.scatter_reverse(la.InsertMode.add)
+
+
+class _Read:
+    """The values of one field in the packed coefficients of one integral.
+
+    Args:
+        field: A function of linear elements.
+        packed: Coefficients of all cells, one row each.
+        cells: Cell of each row.
+        first: Column of the field's first value.
+    """
+
+    def __init__(
+        self,
+        field: fem.Function,
+        packed: Vector,
+        cells: npt.NDArray[np.int32],
+        first: int,
+    ) -> None:
+        dofmap = field.function_space.dofmap
+        self._rows = field.x.array.reshape(-1, dofmap.bs)
+        self._dofs = dofmap.list[cells].astype(np.intp)  # others would be converted each time
+        width = self._dofs.shape[1] * dofmap.bs
+        shape = (*self._dofs.shape, dofmap.bs)
+        self._whole = packed.shape[1] == width
+        self._columns = packed[:, first : first + width]
+        self._values = packed.reshape(shape) if self._whole else np.empty(shape)
+
+    def again(self) -> None:
+        """Reads the field's present values."""
+        np.take(self._rows, self._dofs, axis=0, out=self._values, mode="clip")
+        if not self._whole:
+            self._columns[...] = self._values.reshape(self._columns.shape)
+
+
+def _reads(
+    form: fem.Form, field: fem.Function, packed: dict[tuple[fem.IntegralType, int], Vector]
+) -> Sequence[_Read]:
+    """Where an assembly finds a field's values."""
+    inner = form._cpp_object
+    first = 0
+    for coefficient in inner.coefficients:
+        if coefficient is field._cpp_object:
+            break
+        first += coefficient.function_space.element.space_dimension
+    else:
+        return []
+    used = _used(form, field, first)
+    return [
+        _Read(field, values, _cells(inner.domains(*key), len(values)), first)
+        for key, values in packed.items()
+        if len(values) and key in used
+    ]
+
+
+def _used(form: fem.Form, field: fem.Function, first: int) -> set[tuple[fem.IntegralType, int]]:
+    """Integrals that read a field: the others leave its columns empty."""
+    kept = field.x.array.copy()
+    field.x.array[:] = 1.0
+    found = pack_coefficients(form._cpp_object)
+    field.x.array[:] = kept
+    return {key for key, values in found.items() if len(values) and values[0, first] == 1.0}
+
+
+def _cells(entities: npt.NDArray[np.int32], rows: int) -> npt.NDArray[np.int32]:
+    """Cells of an integral over cells, or over facets as pairs of cell and local facet."""
+    return entities.ravel()[:: max(entities.size // max(rows, 1), 1)]

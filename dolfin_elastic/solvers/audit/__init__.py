@@ -1,0 +1,1 @@
+"""Whether a state is in equilibrium and whether its energy follows the path."""

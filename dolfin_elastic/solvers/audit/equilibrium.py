@@ -1,0 +1,337 @@
+"""Audit of equilibria: force, moment and energy, from nodal vectors that are there already.
+
+Whatever the mesh, the nodal forces inside a body sum up to nothing, and so do their moments where
+the stress is symmetric; so what acts on it from outside must, too.  And what acts on it has done
+the work that is stored in it.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.state import Audit
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.assembly.cell_stress import Macroscopic
+from dolfin_elastic.solvers.audit.path_energy import SMALL, round_off
+from dolfin_elastic.solvers.messages import coordinates
+from dolfin_elastic.solvers.nonlinear.contact import off_obstacle
+from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
+from dolfin_elastic.solvers.nonlinear.small_strains import SmallStrains
+
+log = logging.getLogger("dolfin_elastic")
+Floats = npt.NDArray[np.float64]
+
+BALANCED = 1e-6
+"""Unbalanced share of the forces that is let pass: a hundred times what Newton's method leaves with
+its default tolerance."""
+
+STORED = 1e-6
+"""Share of work and energy that is let pass beyond the bound of the trapezoidal rule."""
+
+
+@dataclass
+class _Last:
+    """What the step before left behind: owned entries of displacement and of forces from outside.
+
+    Attributes:
+        u: Displacement [m].
+        forces: Loads, springs and supports [N].
+        energy: Stored energy [J].
+        change: |change of forces . change of displacement| of the step that led there [J].
+    """
+
+    u: Floats
+    forces: Floats
+    energy: float
+    change: float
+
+
+@dataclass
+class Found:
+    """What was measured of a step, see `Audit`."""
+
+    force: float
+    moment: float
+    work: float
+    energy: float
+
+
+class Auditor:
+    """Judges one converged step after another. Collective.
+
+    Args:
+        problem: What is solved.
+        assembler: Whose `balance` holds the step's nodal forces.
+        watch: Of det F.
+    """
+
+    def __init__(self, problem: Problem, assembler: Assembler, watch: JacobianWatch) -> None:
+        self._problem, self._assembler, self._watch = problem, assembler, watch
+        self._comm, self._dim = problem.body.comm, problem.body.dim
+        self._X = problem.V.tabulate_dof_coordinates()[: len(assembler.moves) // self._dim]
+        self._places = _places(problem)
+        self._last: _Last | None = None
+        self._work = self._stored = self._blur = 0.0
+        self._unbalanced = False  # the last state was no equilibrium
+        self._warned: dict[str, str] = {}
+        self._strains = SmallStrains(problem, watch)
+
+    def of(self, t: float, energy: float) -> Audit:
+        """The audit of the step that the problem and the assembler are in. Collective.
+
+        Args:
+            t: Load parameter, for messages.
+            energy: Stored energy [J]; nan where a law has none.
+        """
+        reasons: dict[str, str] = {}
+        self._blur = 0.0
+        noise, energy_noise = round_off(self._assembler)
+        outside, forces, u = self._present()
+        force = moment = np.nan
+        if outside:
+            force = self._sum(outside, noise, reasons)
+            moment = self._moment(outside, noise, reasons)
+            if self._last is None and reasons:  # loads that are on before anything has moved
+                reasons.clear()
+                forces, self._unbalanced = self._inside(forces.shape), True
+        if self._last is not None:  # what begins in an obstacle has not been pushed out yet
+            self._touch(reasons)
+        if np.isfinite(energy) or self._problem.strain_energy is None:
+            self._follow(forces, u, energy, energy_noise, reasons)
+        else:
+            reasons["energy"] = "the strain energy has no finite value"
+        stored = self._stored if np.isfinite(energy) else np.nan
+        found = Found(force, moment, self._work, stored)
+        self._strains.look(self._when(t))
+        return self._verdict(t, reasons, found, self._notes(energy))
+
+    def _verdict(
+        self, t: float, reasons: dict[str, str], found: Found, notes: tuple[str, ...]
+    ) -> Audit:
+        """The audit, once det F has been looked at and reasons have been told. Collective."""
+        low, high = self._watch.extremes()
+        if not low[0] > 0.0:
+            reasons["jacobian"] = (
+                f"a cell is inside out: det F = {low[0]:.3g} at {coordinates(low[1])} m"
+            )
+        self._warn(t, reasons)
+        return Audit(
+            **vars(found),
+            min_jacobian=low[0],
+            max_jacobian=high[0],
+            min_place=tuple(float(x) for x in low[1][: self._dim]),
+            max_place=tuple(float(x) for x in high[1][: self._dim]),
+            verdict="warn" if reasons else "pass",
+            reasons=tuple(reasons.values()),
+            so_far=tuple(self._warned.values()),
+            notes=notes,
+        )
+
+    def kept(self) -> dict[str, Any]:
+        """What the next audit needs of those before, but for what the state itself tells."""
+        last = self._last
+        return {
+            "work": self._work,
+            "stored": self._stored,
+            "warned": dict(self._warned),
+            "energy": last.energy if last else 0.0,
+            "change": last.change if last else 0.0,
+            "unbalanced": self._unbalanced,
+            "far": self._strains.note,
+        }
+
+    def go_on(self, kept: Mapping[str, Any]) -> None:
+        """Takes up what `kept` has told, in the state it was told in. Collective."""
+        _, forces, u = self._present()
+        if kept["unbalanced"]:
+            forces = self._inside(forces.shape)
+        self._last = _Last(u, forces, kept["energy"], kept["change"])
+        self._work, self._stored = kept["work"], kept["stored"]
+        self._warned, self._strains.note = dict(kept["warned"]), kept["far"]
+
+    def _present(self) -> tuple[list[Floats], Floats, Floats]:
+        """Nodal forces by origin (none of a cell), their sum, and what they move. Collective."""
+        if self._assembler.cell is not None:
+            return [], *self._macroscopic(self._assembler.cell)
+        outside = self._outside()
+        forces = np.asarray(np.sum(outside, axis=0))
+        u = self._problem.u.x.array[: forces.size].reshape(forces.shape).copy()
+        return outside, forces, u
+
+    def _notes(self, energy: float) -> tuple[str, ...]:
+        notes = [self._strains.note] if self._strains.note else []
+        if self._problem.cell is not None:
+            notes.append("no balance of forces and moments: its neighbours hold a periodic cell")
+        elif self._problem.geometry == "axisymmetric":
+            notes.append("no balance of moments and radial forces: they cancel round the axis")
+        elif self._places == "none":
+            notes.append(
+                "no balance of moments: the stress of linear laws is in balance on the undeformed "
+                "body, that of the others on the deformed one"
+            )
+        if self._blur > 0.0:
+            notes.append(
+                f"forces balance to {self._blur:.1g} of their sum only: rounding errors of the "
+                "stiffest cells"
+            )
+        if self._problem.strain_energy is None:
+            notes.append("no balance of energy: a law has none")
+        elif self._problem.rest:
+            notes.append("no balance of energy: heat or growth stores some of its own")
+        elif self._problem.unknowns.stabilised:
+            notes.append("no balance of energy: the stabilised pressure stores some of its own")
+        return tuple(notes)
+
+    def _warn(self, t: float, reasons: dict[str, str]) -> None:
+        for kind, reason in reasons.items():
+            if kind not in self._warned:
+                self._warned[kind] = f"{reason} ({self._when(t)})"
+                log.warning("audit: %s", self._warned[kind])
+
+    def _when(self, t: float) -> str:
+        return f"load factor {t:.6g}"
+
+    # --- forces and moments ---
+
+    def _outside(self) -> list[Floats]:
+        """Nodal forces of loads, springs and supports, shape (nodes, dim) each [N]."""
+        a = self._assembler
+        reactions = a.constraint_forces(a.balance.array[: a.size])
+        forces = [a.external_forces()[a.moves], reactions[a.moves]]
+        if self._problem.holding:
+            forces.append(a.holding_forces()[a.moves])
+        return [force.reshape(-1, self._dim) for force in forces]
+
+    def _inside(self, shape: tuple[int, ...]) -> Floats:
+        """Internal nodal forces, which are those from outside only in equilibrium [N]."""
+        a = self._assembler
+        forces = a.balance.array[: a.size] + a.external_forces() + a.holding_forces()
+        return np.asarray(forces[a.moves].reshape(shape))
+
+    def _touch(self, reasons: dict[str, str]) -> None:
+        """Nothing is deeper in an obstacle, or presses farther off it, than was promised."""
+        for touch in self._problem.touching:
+            if (off := off_obstacle(touch)) > touch.tolerance:
+                reasons[f"contact {touch.label}"] = (
+                    f"contact '{touch.label}': a node that presses is {off:.3g} m off the "
+                    f"obstacle, above gap_tolerance = {touch.tolerance:.3g} m; a larger stiffness "
+                    "or more load steps help"
+                )
+
+    def _macroscopic(self, cell: Macroscopic) -> tuple[Floats, Floats]:
+        """What does work on a periodic cell, V P [N], on what, F [m], by its length. Collective.
+
+        All of it is on one rank; the others have nothing.
+        """
+        length = cell.cell.length
+        forces, moved = cell.work()
+        here = slice(None) if self._comm.rank == 0 else slice(0)
+        return np.asarray(forces[here] / length), moved[here] * length
+
+    def _sum(self, outside: list[Floats], noise: float, reasons: dict[str, str]) -> float:
+        rows = outside
+        if self._problem.geometry == "axisymmetric":  # radial forces need not sum up to anything
+            rows = [force[:, 1:] for force in outside]
+        share, size, allowed = self._share(rows, noise)
+        if share > allowed:
+            reasons["force"] = (
+                f"loads and reactions do not balance: {share:.2g} of their {size:.3g} N is left"
+            )
+        return share
+
+    def _moment(self, outside: list[Floats], noise: float, reasons: dict[str, str]) -> float:
+        if self._places == "none":
+            return float("nan")
+        x = self._X[:, : self._dim]
+        if self._places == "current":
+            x = x + self._moved().reshape(x.shape)
+        rows = [_cross(x, force) for force in outside]
+        arm = float(self._comm.allreduce(float(np.max(np.abs(x), initial=0.0)), op=MPI.MAX))
+        share, size, allowed = self._share(rows, noise * arm)
+        if share > allowed:
+            reasons["moment"] = (
+                f"the moments of loads and reactions about the origin do not balance: {share:.2g} "
+                f"of their {size:.3g} N m is left"
+            )
+        return share
+
+    def _moved(self) -> Floats:
+        """Displacement of the owned nodes, with which forces and moments balance [m]."""
+        return np.asarray(self._problem.u.x.array[: self._dim * len(self._X)])
+
+    def _share(self, rows: list[Floats], noise: float) -> tuple[float, float, float]:
+        """What is left of a sum, over the sum of lengths; this sum; and the share that may be.
+
+        Where round-off is a large part of small loads it excuses what it is, but is not taken off.
+        """
+        lengths = [float(np.linalg.norm(row, axis=1).sum()) for row in rows]
+        sums = np.sum([row.sum(axis=0) for row in rows], axis=0)
+        found = total(self._comm, np.array([*lengths, *sums]))
+        size = float(np.max(found[: len(rows)]))
+        left = float(np.linalg.norm(found[len(rows) :]))
+        if BALANCED * size < noise < size:
+            self._blur = max(self._blur, noise / size)
+            return left / size, size, noise / size
+        return (max(left - noise, 0.0) / size if size > 0 else 0.0), size, BALANCED
+
+    # --- energy ---
+
+    def _follow(
+        self, forces: Floats, u: Floats, energy: float, noise: float, reasons: dict[str, str]
+    ) -> None:
+        """Adds the work of a step and compares it with what has been stored.
+
+        Where forces change steadily along a step, the trapezoidal rule is wrong by at most half
+        the change of forces times the change of displacement.  Where they turn around within the
+        step, this product is small and that of the step before says how they change.
+        """
+        if (last := self._last) is None:
+            self._last = _Last(u, forces, energy, 0.0)
+            return
+        du, df = u - last.u, forces - last.forces
+        own = [np.sum((forces + last.forces) * du) / 2, np.sum(df * du), np.sum(du**2)]
+        work, change, moved = map(float, total(self._comm, np.array(own)))
+        stored = energy - last.energy
+        self._work += work
+        self._stored += stored
+        bound = max(abs(change), last.change) / 2
+        allowed = bound + STORED * max(abs(work), abs(stored))
+        allowed += self._assembler.free * float(np.sqrt(moved)) + noise
+        if self._problem.touching:
+            allowed += SMALL * max(abs(energy), abs(last.energy))
+        judged = not (self._problem.unknowns.stabilised or self._problem.rest)
+        if abs(work - stored) > allowed and judged:
+            reasons["energy"] = (
+                f"the work of the step, {work:.4g} J, and what it has stored, {stored:.4g} J, "
+                f"differ by more than a smooth path allows ({allowed:.2g} J): the body has jumped "
+                "to another equilibrium, or a force is not what it should be"
+            )
+        self._last, self._unbalanced = _Last(u, forces, energy, abs(change)), False
+
+
+def _places(problem: Problem) -> str:
+    """On which body moments balance: "reference", "current", or "none".
+
+    The stress P of a small-strain law is symmetric itself, that of all others is where it acts:
+    P F^T is symmetric (Bonet & Wood (2008), section 5.2).
+    """
+    linear = [part.law.linear for part in problem.parts]
+    if problem.geometry == "axisymmetric" or (any(linear) and not all(linear)):
+        return "none"
+    return "reference" if all(linear) else "current"
+
+
+def _cross(x: Floats, force: Floats) -> Floats:
+    """Moments about the origin, shape (nodes, 3), in a plane (nodes, 1)."""
+    if x.shape[1] == 2:
+        return np.asarray(x[:, :1] * force[:, 1:] - x[:, 1:] * force[:, :1])
+    return np.asarray(np.cross(x, force))

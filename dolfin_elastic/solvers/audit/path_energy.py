@@ -1,0 +1,94 @@
+"""Whether a step stayed on its path or has jumped to an equilibrium of another one.
+
+Where the load grows little by little, the energy that a body takes up lies between what the nodal
+forces before and after the step would have done over it.  A body that has passed an energy barrier
+within the step breaks this: the forces before and after may be alike, and yet the energy is not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.mesh.body import cell_size
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.assembly.energy_momentum import Strain
+
+Vector = npt.NDArray[np.float64]
+
+SLACK = 0.02
+"""Share of the step's energy that is no sign of anything."""
+
+SMALL = 2e-3
+"""Share of all stored energy that is none: where nodes touch an obstacle one after the other, the
+energy of a discrete body goes up and down a little."""
+
+
+class PathWatch:
+    """Compares the energy of steps with the work of the internal forces over them.
+
+    Args:
+        assembler: Of a problem at rest.
+
+    Attributes:
+        strain: Measures the stored energy.
+    """
+
+    def __init__(self, assembler: Assembler) -> None:
+        self._assembler = assembler
+        self.strain = Strain(assembler.problem)
+        self._before: tuple[float, Vector, Vector] | None = None
+        self._now: tuple[float, Vector, Vector] | None = None
+
+    def look(self) -> None:
+        """Takes in the present equilibrium, whose forces are in the assembler. Collective."""
+        a = self._assembler
+        forces = a.balance.array[: a.size] + a.external_forces() + a.holding_forces()
+        forces, moved = forces[a.moves], a.problem.w.x.array[a.moves].copy()
+        if a.cell is not None:
+            whole = a.cell.work()
+            if a.comm.rank == 0:
+                forces, moved = np.append(forces, whole[0]), np.append(moved, whole[1])
+        self._now = self.strain.energy(), forces, moved
+
+    def finite(self) -> bool:
+        """Whether the energy looked at last is finite, if there is one."""
+        return self.strain.none or self._now is None or bool(np.isfinite(self._now[0]))
+
+    def accept(self) -> None:
+        """The state looked at last is where the next step begins."""
+        self._before = self._now
+
+    def jumped(self, unsure: float) -> bool:
+        """Whether the energy between the last two states came from somewhere else. Collective.
+
+        Args:
+            unsure: Norm of the forces that Newton's method leaves undetermined [N].
+        """
+        problem = self._assembler.problem
+        if self.strain.none or problem.rest or problem.unknowns.stabilised:
+            return False  # what is stored does not tell what has been done
+        if self._before is None or self._now is None:
+            return False
+        (was, f, u), (now, g, v) = self._before, self._now
+        du = v - u
+        sums = np.array([np.dot(f, du), np.dot(g, du), np.dot(du, du)])
+        before, after, square = total(self._assembler.comm, sums)
+        gained = now - was
+        slack = SLACK * max(abs(gained), abs(before), abs(after))
+        slack += SMALL * max(abs(was), abs(now)) + 2 * unsure * np.sqrt(square)
+        slack += round_off(self._assembler)[1]
+        return bool(abs(gained - (before + after) / 2) > abs(after - before) / 2 + slack)
+
+
+def round_off(assembler: Assembler) -> tuple[float, float]:
+    """Size of the round-off of all nodal forces [N] and of the stored energy [J]. Collective.
+
+    The stress is known to machine precision of the stiffness, because F = I + grad u is.
+    """
+    diagonal = assembler.matrix.getDiagonal()
+    stiff, sum_of_all = float(diagonal.norm()), float(diagonal.norm(0))
+    diagonal.destroy()
+    small, h = 40 * np.finfo(float).eps, cell_size(assembler.problem.body)
+    return small * stiff * h, small * sum_of_all * h**2

@@ -1,0 +1,82 @@
+"""What steps must not pass over: times asked for, corners of curves, obstacles that move far."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.amplitude import PROPORTIONAL, Amplitude
+from dolfin_elastic.model.values import depends_on_time
+from dolfin_elastic.problem.problem import Problem
+
+STRIDE = 0.5
+"""Share of an obstacle's radius that it may move in one step, lest it jump over a surface."""
+
+HALVINGS = 30
+"""Of a step in which an obstacle moves too far."""
+
+
+def refuse_beyond(times: Sequence[float], end: float, key: str, unit: str = "") -> None:
+    """Times that would never be met.
+
+    Args:
+        times: Those that are to be met exactly.
+        end: Where the run ends.
+        key: Dotted key of the end.
+        unit: Of all of them.
+
+    Raises:
+        InputError: The first one beyond the end.
+    """
+    unit = f" {unit}" if unit else ""
+    for index, time in enumerate(times):
+        if time > end:
+            raise InputError(
+                f"{time:g}{unit} lies beyond the end",
+                where=f"times[{index}]",
+                expected=f"at most {key} = {end:g}{unit}",
+            )
+
+
+def corners(problem: Problem) -> list[float]:
+    """Times at which a curve has a corner, also where it turns around [s]."""
+    return sorted({t for curve in _curves(problem) for t in curve.corners})
+
+
+def winds(problem: Problem) -> bool:
+    """A formula in t says how something changes: it may turn around at any time."""
+    formulas = [load.values for load in problem.loads]
+    formulas += [course for support in problem.supports for course in support.courses]
+    formulas += [touch.contact.values for touch in problem.touching]
+    curves = any(curve.winding for curve in _curves(problem))
+    return curves or any(depends_on_time(vector) for vector in formulas)
+
+
+def _curves(problem: Problem) -> Iterator[Amplitude]:
+    things = [*problem.loads, *problem.supports, *(touch.contact for touch in problem.touching)]
+    for thing in things:
+        curve = getattr(thing, "curve", None)
+        if isinstance(curve, Amplitude):
+            yield curve
+
+
+def gentle(problem: Problem, t: float, goal: float) -> float:
+    """The load factor up to which no obstacle moves farther than it is thick.
+
+    Args:
+        problem: What may touch.
+        t: Where the step begins.
+        goal: Where it should end.
+    """
+    dim = problem.body.dim
+    for contact in (touch.contact for touch in problem.touching):
+        if not (contact.values and np.isfinite(stride := STRIDE * contact.obstacle.thickness)):
+            continue
+        start = np.array(contact.moved(t, PROPORTIONAL, dim))
+        for _ in range(HALVINGS):
+            if np.linalg.norm(np.array(contact.moved(goal, PROPORTIONAL, dim)) - start) <= stride:
+                break
+            goal = t + (goal - t) / 2
+    return goal

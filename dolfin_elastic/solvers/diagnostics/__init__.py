@@ -1,0 +1,1 @@
+"""Why a solve failed, where in the body, and what to try."""

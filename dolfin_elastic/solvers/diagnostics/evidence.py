@@ -1,0 +1,211 @@
+"""What a state that is no solution looks like: its cells, and terms without a finite value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import basix
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+
+from dolfin_elastic.core.errors import BadCell
+from dolfin_elastic.core.jit import compile_expression
+from dolfin_elastic.core.parallel import (
+    first_of,
+    largest,
+    smallest,
+    total,
+)
+from dolfin_elastic.material_point.checks import finite_twin
+from dolfin_elastic.material_point.domain import outside
+from dolfin_elastic.problem.material_regions import Part
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
+from dolfin_elastic.solvers.messages import coordinates, count
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+WORST = 10
+"""Cells that a diagnosis lists."""
+
+_SHOWN = 200
+"""Points at which an energy's operations are looked at, of each rank."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A term that is not finite.
+
+    Attributes:
+        text: Its name, what is wrong, how often and where.
+        place: A place of it [m].
+        inverted: Its cells have turned inside out, which is why.
+        load: It belongs to a load or holding force, not to a material.
+    """
+
+    text: str
+    place: tuple[float, ...]
+    inverted: bool = False
+    load: bool = False
+
+
+class Cells:
+    """The cells of a problem, looked at where their energy is integrated. Collective to make.
+
+    Args:
+        assembler: Of the problem.
+    """
+
+    def __init__(self, assembler: Assembler) -> None:
+        self.assembler, self.problem = assembler, assembler.problem
+        self.comm, mesh = assembler.comm, assembler.problem.body.mesh
+        kind = getattr(basix.CellType, mesh.topology.cell_name())
+        problem = self.problem
+        self.points, _ = basix.make_quadrature(kind, max(map(problem.rule, problem.parts)))
+        self._F = compile_expression(
+            self.comm, _flat(problem.F(problem.w)), self.points, problem.jit
+        )
+        self.own = problem.body.owned_cells()
+        corners = mesh.geometry.dofmap[self.own][:, : mesh.topology.dim + 1]
+        self.middles = mesh.geometry.x[corners].mean(axis=1)[:, : problem.body.dim]
+
+    def gradients(self) -> Array:
+        """F of the present displacement at owned cells, of shape (cells, points, 3, 3)."""
+        values = self._F.eval(self.problem.body.mesh, self.own)
+        return np.asarray(values).reshape(len(self.own), len(self.points), 3, 3)
+
+    def jacobians(self) -> Array:
+        """Smallest det F of each owned cell; NaN where there is none."""
+        with np.errstate(all="ignore"):
+            return np.asarray(np.linalg.det(self.gradients()).min(axis=1, initial=np.inf))
+
+    def residuals(self) -> Array:
+        """Largest free force out of balance at the nodes of each owned cell [N]. Collective."""
+        problem, a = self.problem, self.assembler
+        out = a.balance.array[: a.size]
+        free = la.vector(problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs)
+        with np.errstate(invalid="ignore"):
+            free.array[: a.size] = out - a.constraint_forces(out)
+        free.scatter_forward()
+        entries = np.arange(len(problem.u.x.array), dtype=np.int32)
+        forces = free.array[problem.unknowns.places(entries)]
+        with np.errstate(all="ignore"):
+            norms = np.linalg.norm(forces.reshape(-1, problem.body.dim), axis=1)
+        norms = np.where(np.isfinite(norms), norms, np.inf)
+        return np.asarray(norms[problem.V.dofmap.list[self.own]].max(axis=1, initial=0.0))
+
+    def worst(self) -> tuple[BadCell, ...]:
+        """Cells without a finite force, then those inside out, then by force. Collective."""
+        J, force = self.jacobians(), self.residuals()
+        # The last digits differ with the number of ranks; places decide between equals.
+        keys = [
+            (np.isfinite(f), _rounded(j) if j <= 0.0 else 0.0, -_rounded(f), *np.round(x, 12))
+            for j, f, x in zip(J, force, self.middles, strict=True)
+        ]
+        first = sorted(range(len(keys)), key=keys.__getitem__)[:WORST]
+        mine = [(keys[k], self._bad(k, float(J[k]), float(force[k]))) for k in first]
+        found = [pair for part in self.comm.allgather(mine) for pair in part]
+        return tuple(cell for _, cell in sorted(found, key=lambda pair: pair[0])[:WORST])
+
+    def _bad(self, cell: int, J: float, force: float) -> BadCell:
+        body = self.problem.body
+        material = next((p.name for p in self.problem.parts if cell in p.cells), "")
+        regions = tuple(sorted(n for n, cells in body.regions.items() if cell in cells))
+        return BadCell(plain(self.middles[cell]), material, regions, J, force)
+
+    def first(self, where: Mask) -> tuple[float, ...]:
+        """Middle of a marked cell, on any number of ranks the same one. Collective."""
+        return first_of(self.comm, map(plain, self.middles[where])) or ()
+
+
+# --- terms without a finite value ---
+
+
+def not_finite(cells: Cells) -> Fault | None:
+    """The first term of the residual that has no finite value in the present state. Collective."""
+    problem = cells.problem
+    for part in problem.parts:
+        if (fault := _of_material(cells, part)) is not None:
+            return fault
+    terms = [(f"the load '{load.kind}'" + _on(load.parts), work) for load, work in problem.works]
+    terms += [(f"the force of '{label}'", work) for label, work in problem.holding.items()]
+    for name, work in terms:
+        if (fault := _of_term(problem, name, work)) is not None:
+            return fault
+    return None
+
+
+def _of_material(cells: Cells, part: Part) -> Fault | None:
+    problem = cells.problem
+    law, F = problem.response(part, problem.w), problem.F(problem.w)
+    entries = [*_flat(law.stress(F)), *([law.energy(F)] if law.has_energy else [])]
+    kernel = compile_expression(cells.comm, ufl.as_vector(entries), cells.points, problem.jit)
+    values = np.zeros((0, 1))
+    if len(part.cells):
+        values = kernel.eval(problem.body.mesh, part.cells).reshape(len(part.cells), -1)
+    bad = np.zeros(len(cells.own), dtype=bool)
+    bad[part.cells] = ~np.isfinite(values).all(axis=1)
+    bad_ones = int(total(cells.comm, int(bad.sum())))
+    if not bad_ones:
+        return None
+    F = cells.gradients()[bad].reshape(-1, 3, 3)
+    with np.errstate(all="ignore"):
+        J = np.linalg.det(F)
+    upright = bool(largest(cells.comm, float(np.any(J > 0.0))))
+    place = cells.first(bad)
+    why = _why(cells, part, F) or "stress or energy is not finite"
+    low = smallest(cells.comm, float(np.min(J, initial=np.inf)))
+    inverted = not upright and not np.isnan(low)
+    why = f"det F falls to {low:.3g}" if inverted else why
+    text = (
+        f"material '{part.name}': {why}, in {count(bad_ones, 'cell')} near {coordinates(place)} m"
+    )
+    return Fault(text, place, inverted=inverted)
+
+
+def _why(cells: Cells, part: Part, F: Array) -> str:
+    """The operation to blame, the words of the lowest rank that knows. Collective."""
+    with np.errstate(all="ignore"):
+        said = outside(finite_twin(part.typical), F[:_SHOWN]) if len(F) else ""
+    formula = "the formula of its energy" if part.law.has_energy else "the formula of its stress"
+    said = next((text for text in cells.comm.allgather(said) if text), "")
+    return f"{formula} takes the {said}" if said else ""
+
+
+def _of_term(problem: Problem, name: str, work: ufl.Form) -> Fault | None:
+    form = compiled(problem, [work])[0]
+    force = la.vector(problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs)
+    fem.assemble_vector(force.array, form)
+    force.scatter_reverse(la.InsertMode.add)
+    size = problem.V.dofmap.index_map.size_local * problem.body.dim
+    entries = problem.unknowns.places(np.arange(size, dtype=np.int32))
+    bad = ~np.isfinite(force.array[entries].reshape(-1, problem.body.dim)).all(axis=1)
+    bad_ones = int(total(problem.body.comm, int(bad.sum())))
+    if not bad_ones:
+        return None
+    places = problem.V.tabulate_dof_coordinates()[: len(bad), : problem.body.dim][bad]
+    place = first_of(problem.body.comm, map(plain, places)) or ()
+    at = f"at {count(bad_ones, 'node')} near {coordinates(place)} m"
+    return Fault(f"{name} is not finite {at}", place, load=True)
+
+
+# --- words ---
+
+
+def _on(parts: tuple[str, ...]) -> str:
+    return f" on '{', '.join(parts)}'" if parts else ""
+
+
+def _flat(tensor: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
+    return ufl.as_vector([tensor[i, j] for i in range(3) for j in range(3)])
+
+
+def plain(place: Array) -> tuple[float, ...]:
+    """A place as numbers that are the same, and compare alike, on any number of ranks."""
+    return tuple(float(x) + 0.0 for x in np.round(place, 12))
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6e}")

@@ -1,0 +1,307 @@
+"""Evidence of instability: negative eigenvalues, lost stiffness, and the motion they belong to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.material_point.checks import finite_twin
+from dolfin_elastic.material_point.ellipticity import acoustic
+from dolfin_elastic.material_point.ufl_to_numpy import Point
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers import messages as words
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.diagnostics.evidence import Cells
+from dolfin_elastic.solvers.diagnostics.stability import (
+    LIMIT,
+    Mode,
+    Stability,
+    curvature,
+)
+from dolfin_elastic.solvers.messages import coordinates
+
+Array = npt.NDArray[np.float64]
+Put = Callable[[Array], None]
+
+SOFT = 0.5
+"""Share of its stiffness at rest that a motion may keep where the last iterate is unstable."""
+
+LOST = 0.1
+"""Share below which it counts as lost whatever the last iterate is."""
+
+SIDEWAYS = 0.02
+"""Cosine between mode and load up to which the load does no work on the mode: a bifurcation."""
+
+HUGE = 1.0
+"""Green-Lagrange strain from which the load itself is doubted: a stretch of 1.7."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """A tangent's signs and weakest mode.
+
+    Attributes:
+        negative: Negative eigenvalues; None: not counted.
+        mode: The weakest one, or None.
+    """
+
+    negative: int | None
+    mode: Mode | None
+
+    @property
+    def unstable(self) -> bool:
+        """There is a motion that the body does not resist."""
+        return bool(self.negative) or (
+            self.negative is None and self.mode is not None and self.mode.stiffness < 0.0
+        )
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was found of stability.
+
+    Attributes:
+        text: In words; empty if there is no evidence of an instability.
+        advice: What to try.
+        place: Where the motion or the material's instability is [m].
+        unseen: What was not looked at, for other diagnoses.
+    """
+
+    text: str = ""
+    advice: str = ""
+    place: tuple[float, ...] = ()
+    unseen: str = ""
+
+
+def unstable(
+    assembler: Assembler, put: Put, good: Array, failed: Array, *, settled: bool = False
+) -> Finding:
+    """Looks for an instability. Collective.
+
+    Args:
+        assembler: Residual and tangent.
+        put: Makes an array the problem's unknowns.
+        good: The last equilibrium.
+        failed: The last iterate.
+        settled: That is an equilibrium, too.
+    """
+    problem = assembler.problem
+    if problem.num_dofs > LIMIT[problem.body.dim]:
+        return _by_curvature(assembler, put, good, failed)
+    at_good = _look(assembler, put, good)
+    if at_good is None or at_good.unstable:
+        return Finding() if at_good is None else _told(assembler, put, good, at_good)
+    at_failed = _look(assembler, put, failed)
+    lost = at_failed is not None and at_failed.unstable
+    if settled and lost and at_failed is not None:
+        return _told(assembler, put, failed, at_failed, which="equilibrium that was found")
+    if at_good.mode is None or at_failed is None:
+        return Finding()
+    left = _left(_look(assembler, put, np.zeros_like(good)), at_good.mode)
+    near = left <= (SOFT if lost else LOST)
+    return _told(assembler, put, good, at_good, left=left) if near else Finding()
+
+
+def _left(at_rest: Look | None, mode: Mode) -> float:
+    """Share of the stiffness at rest that is left; 1 where that is not known."""
+    if at_rest is None or at_rest.mode is None or at_rest.mode.stiffness <= 0.0:
+        return 1.0
+    return mode.stiffness / at_rest.mode.stiffness
+
+
+def _look(assembler: Assembler, put: Put, values: Array) -> Look | None:
+    """Factorises the tangent of a state; None where it has none."""
+    if not tangent(assembler, put, values):
+        return None
+    stability = Stability(assembler)
+    try:
+        return Look(stability.negative, stability.weakest()) if stability.sound else None
+    finally:
+        stability.destroy()
+
+
+def _by_curvature(assembler: Assembler, put: Put, good: Array, failed: Array) -> Finding:
+    """For large bodies: whether the way Newton's method went has a negative stiffness."""
+    unseen = "; the tangent's eigenvalues were not looked at, the body is too large for that"
+    way = (failed - good)[: assembler.size]
+    motion = way[assembler.moves]
+    size = float(np.sqrt(total(assembler.comm, float(np.sum(motion**2)))))
+    if not (np.isfinite(size) and size > 0.0):
+        return Finding(unseen=unseen)
+    for state in (good, failed):
+        if tangent(assembler, put, state) and (k := curvature(assembler, way)) < 0.0:
+            look = Look(None, Mode(k, np.asarray(motion / size, dtype=np.float64)))
+            return replace(_told(assembler, put, good, look, way=True), unseen=unseen)
+    return Finding(unseen=unseen)
+
+
+def tangent(assembler: Assembler, put: Put, values: Array) -> bool:
+    """Assembles the tangent of a state; whether its diagonal is finite. Collective."""
+    put(values)
+    x = assembler.create_vector()
+    assembler.get(x)
+    assembler.tangent(x)
+    x.destroy()
+    diagonal = assembler.matrix.getDiagonal()
+    bad = not np.isfinite(diagonal.array_r).all()
+    diagonal.destroy()
+    return largest(assembler.comm, float(bad)) == 0.0
+
+
+def take_newton_step(assembler: Assembler) -> bool:
+    """Takes a full step of Newton's method with the tangent as it is assembled. Collective.
+
+    Returns:
+        Whether there is such a step.
+    """
+    stability = Stability(assembler)
+    x, f, step = (assembler.create_vector() for _ in range(3))
+    if stability.sound:
+        assembler.get(x)
+        assembler.residual(x, f)
+        stability.solve(f, step)
+        x.axpy(-1.0, step)
+        assembler.put(x)
+    for thing in (x, f, step, stability):
+        thing.destroy()
+    return stability.sound
+
+
+# --- what it says ---
+
+
+def _told(
+    assembler: Assembler,
+    put: Put,
+    good: Array,
+    look: Look,
+    *,
+    left: float = 0.0,
+    way: bool = False,
+    which: str = "last equilibrium",
+) -> Finding:
+    """What to say.
+
+    Args:
+        assembler: Residual and tangent.
+        put: Makes an array the problem's unknowns.
+        good: The last equilibrium.
+        look: What was seen of it.
+        left: Share of its stiffness at rest that the weakest mode has left.
+        which: What the state is.
+        way: The mode is but the way from the last equilibrium to the last iterate.
+    """
+    put(good)
+    mode = look.mode
+    text = (
+        f"the {which} is unstable: its tangent has {_eigenvalues(look.negative)}"
+        if look.unstable
+        else "near the last equilibrium stability is lost: the stiffness against one motion has "
+        f"fallen to {100 * left:.2g} % of that at rest"
+    )
+    if way:
+        text = "the body has a negative stiffness along the way that Newton's method went"
+    if mode is None:
+        return Finding(text, words.BUCKLING)
+    if (place := _material_fails(assembler)) is not None:
+        text += (
+            f"; the material itself is unstable there (not elliptic) near {coordinates(place)} m"
+        )
+        return Finding(f"material instability: {text}", words.MATERIAL, place)
+    place, direction, names = _largest_motion(assembler.problem, mode.motion)
+    strain = _largest_strain(assembler)
+    if strain > HUGE:
+        kind, advice = f"the material is strained by {100 * strain:.2g} %", words.HUGE
+    else:
+        kind, advice = _kind(assembler, mode.motion)
+    along = coordinates(direction)
+    text += f"; {kind}; the motion is largest at {coordinates(place)} m{names}, along {along}"
+    return Finding(text, advice, place)
+
+
+def _eigenvalues(negative: int | None) -> str:
+    if negative is None:
+        return "at least one negative eigenvalue"
+    return words.count(negative, "negative eigenvalue")
+
+
+def _largest_strain(assembler: Assembler) -> float:
+    """Largest entry of the Green-Lagrange strain of the present state. Collective."""
+    F = Cells(assembler).gradients()
+    strains = (np.einsum("cpki,cpkj->cpij", F, F) - np.eye(3)) / 2
+    return largest(assembler.comm, float(np.max(np.abs(strains), initial=0.0)))
+
+
+def _kind(assembler: Assembler, motion: Array) -> tuple[str, str]:
+    """Buckling, to which the load does no work, or a limit point.
+
+    Source: E. Riks, Int. J. Solids Structures 15 (1979) 529: at a bifurcation the mode is
+    orthogonal to the load, at a limit point it is not.
+    """
+    forces = assembler.external_forces().copy()
+    load = (forces - assembler.constraint_forces(forces))[assembler.moves]
+    sums = total(assembler.comm, np.array([np.sum(load * motion), np.sum(load**2)]))
+    if sums[1] == 0.0:
+        return "it buckles or snaps through", words.BUCKLING
+    if abs(sums[0]) <= SIDEWAYS * np.sqrt(sums[1]):
+        return "it buckles, sideways to the load", words.BUCKLING
+    return "a limit point of the load", words.LIMIT_POINT
+
+
+def _largest_motion(
+    problem: Problem, motion: Array
+) -> tuple[tuple[float, ...], tuple[float, ...], str]:
+    """Place and direction of the largest nodal motion, and the material there. Collective."""
+    dim, comm = problem.body.dim, problem.body.comm
+    rows = motion.reshape(-1, dim)
+    lengths = np.linalg.norm(rows, axis=1)
+    top = largest(comm, float(np.max(lengths, initial=0.0)))
+    places = problem.unknowns.U.tabulate_dof_coordinates()[: len(rows), :dim]
+    # Nodes that move alike: the same one on any number of ranks.
+    near = np.flatnonzero(lengths >= (1 - 1e-3) * top)
+    node = min(near, key=lambda n: tuple(places[n].round(12)), default=None)
+    mine = None
+    if node is not None:
+        mine = (
+            tuple((places[node].round(12) + 0.0).tolist()),
+            rows[node],
+            _material_at(problem, node),
+        )
+    found = [one for one in comm.allgather(mine) if one is not None]
+    place, moved, name = min(found, key=lambda one: one[0])
+    unit = np.array(moved) / np.linalg.norm(moved)
+    unit *= np.sign(unit[np.argmax(np.abs(unit))])  # a mode has no sign of its own
+    return place, tuple(float(c) for c in unit.round(3) + 0.0), name
+
+
+def _material_at(problem: Problem, node: int) -> str:
+    if len(problem.parts) == 1:
+        return ""
+    nodes = problem.unknowns.U.dofmap.list
+    names = sorted(p.name for p in problem.parts if np.any(nodes[p.cells] == node))
+    return f" ({words.material(problem, names)})" if names else ""
+
+
+def _material_fails(assembler: Assembler) -> tuple[float, ...] | None:
+    """A place where the law is not strongly elliptic in the present state. Collective.
+
+    Cells are looked at with the mean of what varies in space; of plane and axisymmetric bodies
+    only the motions in their plane count.
+    """
+    cells = Cells(assembler)
+    F, bad = cells.gradients(), np.zeros(len(cells.own), dtype=bool)
+    flat = assembler.problem.body.dim == 2
+    for part in assembler.problem.parts:
+        if part.compliance is not None:  # the pressure of the present state is not in F
+            continue
+        inside = F[part.cells].reshape(-1, 3, 3)
+        # Many cells: the most strained are enough.
+        chosen = np.argsort(-np.linalg.norm(inside - np.eye(3), axis=(1, 2)), kind="stable")[:300]
+        least = acoustic(Point(finite_twin(part.typical)), inside[chosen], flat=flat)
+        bad[part.cells[np.unique(chosen[least < 0.0] // F.shape[1])]] = True
+    place = cells.first(bad)
+    return place or None

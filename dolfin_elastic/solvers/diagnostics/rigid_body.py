@@ -1,0 +1,230 @@
+"""What is left free to move as a rigid body, of which no equilibrium is unique.
+
+Supports hold nodes in directions; applied to translations and small rotations of a body these
+directions are rows of numbers, whose products sum up to one small matrix a body.  Its null space is
+what is left free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.diagnostics.connectivity import Bodies
+from dolfin_elastic.solvers.diagnostics.rigid_body_names import Floats, motions_in_words, planes
+from dolfin_elastic.solvers.diagnostics.rigid_surfaces import couple, restricted, turns_alone
+from dolfin_elastic.solvers.nonlinear.contact import (
+    check_start,
+    nearest_gap,
+    rows_of,
+    touches,
+)
+
+_ROUND_OFF = 1e-10
+LOOSE = "float about"
+"""What a body in a periodic cell can do that hangs together with nothing."""
+_SHOWN = 5
+"""Bodies that one message names."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """Directions in which this rank's nodes are held.
+
+    Attributes:
+        nodes: Owned node of each direction, shape (rows,).
+        directions: Unit vectors, shape (rows, dim).
+    """
+
+    nodes: npt.NDArray[np.int32]
+    directions: Floats
+
+
+@dataclass(frozen=True)
+class FreeBody:
+    """A connected body and its rigid motions that nothing prevents.
+
+    Attributes:
+        name: Of the regions it is made of; empty if it is the only body.
+        motions: In words; none: it is held.
+    """
+
+    name: str
+    motions: tuple[str, ...]
+
+
+def check_held(problem: Problem) -> None:
+    """Each connected body in equilibrium must be held against every rigid motion. Collective.
+
+    Raises:
+        InputError: One is not.
+    """
+    if problem.touching:
+        check_start(problem, moving=False)
+    bodies = free_bodies(problem)
+    free = [body for body in bodies if body.motions]
+    if not free:
+        return
+    if problem.cell is not None:
+        said = ", ".join(f"`{body.name}`" for body in free[:_SHOWN])
+        raise InputError(
+            f"{said} can {LOOSE}: the cell has {len(bodies)} bodies that share no nodes, through "
+            "its faces neither",
+            where="periodic",
+            expected="a cell that hangs together; a soft filling binds what lies in a hole",
+        )
+    if problem.touching:
+        _say_what_is_away(problem, free)
+    what = "the supports leave the body free" if problem.supports else "there is no support"
+    said = f"as a rigid body it can {', '.join(free[0].motions)}"
+    if len(bodies) > 1:
+        what = "the supports leave bodies free" if problem.supports else what
+        said = "; ".join(f"`{b.name}` can {', '.join(b.motions)}" for b in free[:_SHOWN])
+        more = f" and {len(free) - _SHOWN} more bodies" if len(free) > _SHOWN else ""
+        said = f"of {len(bodies)} bodies that share no nodes, {said}{more}"
+    raise InputError(
+        f"{what}: {said}",
+        where="support",
+        expected="equilibrium needs supports that hold "
+        f"{'each body' if len(bodies) > 1 else 'it'}; [dynamics] does not",
+    )
+
+
+def _say_what_is_away(problem: Problem, free: list[FreeBody]) -> None:
+    """Raises if obstacles would hold the body once they touched. Collective."""
+    if free_motions(problem, reached=True):
+        return
+    away = {touch.label: nearest_gap(touch) for touch in problem.touching if not touches(touch)}
+    said = ", ".join(f"'{label}' is {gap:.3g} m away" for label, gap in away.items())
+    raise InputError(
+        f"no obstacle holds the body yet ({said or 'they touch elsewhere'}): as a rigid body it "
+        f"can {', '.join(free[0].motions)}",
+        where="contact",
+        expected="equilibrium needs supports that hold it, or an obstacle that touches from the "
+        "start; [dynamics] does not",
+    )
+
+
+def free_motions(problem: Problem, *, reached: bool = False) -> list[str]:
+    """Rigid motions of any body that no support prevents, in words. Collective.
+
+    Args:
+        problem: Whose bodies.
+        reached: Count every surface that may touch an obstacle as touching.
+    """
+    bodies = free_bodies(problem, reached=reached)
+    return list(dict.fromkeys(motion for body in bodies for motion in body.motions))
+
+
+def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
+    """All connected bodies, each with the rigid motions that no support prevents. Collective."""
+    bodies = Bodies(problem)
+    if problem.cell is not None:
+        return _parts_of_cell(problem, bodies)
+    centres, sizes = _frames(bodies)
+    sums = _products(bodies, held_directions(problem, reached=reached), centres, sizes)
+    nulls = [_null(problem, matrix) for matrix in sums]
+    stray = False
+    if any(len(motion.free) for motion in problem.prescribed.motions):
+
+        def motions_at(nodes: npt.NDArray[np.int32]) -> Floats:
+            of = bodies.of_node[nodes]
+            return rigid_motions((bodies.places[nodes] - centres[of]) / sizes[of, None])
+
+        which, joint = couple(problem, bodies, sums, motions_at, sizes)
+        n = sums.shape[1]
+        null = _null(problem, joint)
+        for k, body in enumerate(which):
+            nulls[body] = restricted(null, k, n)
+        stray = turns_alone(null, len(which) * n)
+    found = [
+        FreeBody(name, tuple(_motions(problem, null, centre, float(size))))
+        for name, null, centre, size in zip(bodies.names(), nulls, centres, sizes, strict=True)
+    ]
+    if stray:
+        found[0] = FreeBody(found[0].name, (*found[0].motions, "let a rigid surface turn alone"))
+    return found
+
+
+def _parts_of_cell(problem: Problem, bodies: Bodies) -> list[FreeBody]:
+    """Of a periodic cell all that hangs together with its held vertex is held. Collective."""
+    nodes = problem.unknowns.local(problem.prescribed.dofs) // problem.body.dim
+    marks = np.bincount(bodies.of_node[nodes], minlength=bodies.count)
+    held = total(bodies.comm, marks) > 0
+    return [
+        FreeBody(name, () if fast else (LOOSE,))
+        for name, fast in zip(bodies.names(), held, strict=True)
+    ]
+
+
+def held_directions(problem: Problem, *, reached: bool = False) -> Held:
+    """What holds this rank's nodes, and in which directions. Not collective.
+
+    Prescribed components and directions, springs, and obstacles that touch, as if they could pull,
+    too; dashpots hold nothing.
+    """
+    dim, prescribed = problem.body.dim, problem.prescribed
+    held = prescribed.owned
+    rows = [Held((held // dim).astype(np.int32), np.eye(dim)[held % dim])]
+    more = list(problem.resisting)
+    if (tilted := prescribed.tilted) is not None:
+        more.append((tilted.nodes[: tilted.count], tilted.P[: tilted.count]))
+    rows += [Held(np.repeat(nodes, dim), P.reshape(-1, dim)) for nodes, P in more]
+    for touch in problem.touching:
+        within = np.inf if reached else float(touch.reach.value)
+        rows.append(Held(*rows_of(touch, within)))
+    return Held(
+        np.concatenate([row.nodes for row in rows]).astype(np.int32),
+        np.concatenate([row.directions for row in rows]),
+    )
+
+
+def _frames(bodies: Bodies) -> tuple[Floats, Floats]:
+    """Middle, shape (bodies, dim), and size of each body's bounding box. Collective."""
+    x, of = bodies.places, bodies.of_node
+    corners = np.full((bodies.count, 2 * x.shape[1]), -np.inf)
+    np.maximum.at(corners, of, np.concatenate([x, -x], axis=1))
+    bodies.comm.Allreduce(MPI.IN_PLACE, corners, op=MPI.MAX)
+    high, low = np.split(corners, 2, axis=1)
+    return (high - low) / 2, np.max(high + low, axis=1)
+
+
+def _products(bodies: Bodies, held: Held, centres: Floats, sizes: Floats) -> Floats:
+    """The matrix of each body, shape (bodies, motions, motions). Collective."""
+    of = bodies.of_node[held.nodes]
+    arms = (bodies.places[held.nodes] - centres[of]) / sizes[of, None]
+    rows = np.einsum("rc,rcm->rm", held.directions, rigid_motions(arms))
+    sums = np.zeros((bodies.count, rows.shape[1], rows.shape[1]))
+    np.add.at(sums, of, rows[:, :, None] * rows[:, None, :])
+    return np.asarray(total(bodies.comm, sums))
+
+
+def _null(problem: Problem, matrix: Floats) -> Floats:
+    """Orthonormal null space of a matrix of products."""
+    if problem.geometry == "axisymmetric":  # of rigid motions only the one along the axis is one
+        matrix = matrix[1:2, 1:2]
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray(vectors[:, values <= _ROUND_OFF * max(values[-1], 1.0)])
+
+
+def _motions(problem: Problem, null: Floats, centre: Floats, size: float) -> list[str]:
+    if problem.geometry == "axisymmetric":
+        return ["move along y"] * null.shape[1]
+    return motions_in_words(null, centre, size)
+
+
+def rigid_motions(x: Floats) -> Floats:
+    """Displacement of points under unit rigid motions, shape (points, component, motion)."""
+    points, dim = x.shape
+    turns = planes(dim)
+    moved = np.zeros((points, dim, dim + len(turns)))
+    moved[:, range(dim), range(dim)] = 1.0
+    for k, (i, j) in enumerate(turns, start=dim):
+        moved[:, i, k], moved[:, j, k] = -x[:, j], x[:, i]
+    return moved

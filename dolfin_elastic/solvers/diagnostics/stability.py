@@ -1,0 +1,186 @@
+"""Whether an equilibrium is stable: signs of the tangent's eigenvalues, and the weakest mode.
+
+By Sylvester's law of inertia the factors L D L^T of a symmetric matrix have as many negative pivots
+as it has negative eigenvalues.  With a pressure beside the displacement the tangent is that of a
+saddle point: a stable one has exactly as many negative eigenvalues as there are pressures.
+
+Sources: G. Golub and C. Van Loan, Matrix Computations (2013), section 8.1.5; M. Benzi, G. Golub and
+J. Liesen, Acta Numerica 14 (2005), section 3.4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+from slepc4py import SLEPc
+
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.mesh.body import span
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+
+Array = npt.NDArray[np.float64]
+LIMIT = {2: 200_000, 3: 40_000}
+"""Unknowns up to which tangents are factorised here, by dimension.
+
+At the limit a state takes about six seconds on one core, and up to four states are looked at.
+"""
+
+_DIGITS = 1e-3
+"""Relative accuracy of the weakest mode's stiffness."""
+
+
+@dataclass(frozen=True)
+class Mode:
+    """The motion of the displacements that the tangent resists least.
+
+    Attributes:
+        stiffness: v . K v / v . v, scalar fields following the displacement [N/m].
+        motion: Owned entries of the displacement, of Euclidean norm 1.
+    """
+
+    stiffness: float
+    motion: Array
+
+
+class Stability:
+    """A factorised tangent. Collective; `destroy` it.
+
+    Args:
+        assembler: Its `matrix` is the tangent to be looked at.
+
+    Attributes:
+        sound: The factors exist and are finite; without, nothing else here is of use.
+        negative: Negative eigenvalues beyond those of a stable body; None where the tangent is not
+            symmetric, so that its pivots say nothing.
+    """
+
+    def __init__(self, assembler: Assembler) -> None:
+        self.assembler, self.comm = assembler, assembler.comm
+        self._symmetric = bool(assembler.problem.symmetric)
+        self._ksp = PETSc.KSP().create(self.comm)
+        self._ksp.setOptionsPrefix("elastic_doctor_")
+        self._ksp.setOperators(assembler.matrix)
+        self._ksp.setType("preonly")
+        self.sound, self.negative = self._factorise(), None
+        if self.sound and self._symmetric:
+            negative, _, _ = self._ksp.getPC().getFactorMatrix().getInertia()
+            self.negative = int(negative) - assembler.pressures
+
+    def _factorise(self) -> bool:
+        pc = self._ksp.getPC()
+        pc.setType("cholesky" if self._symmetric else "lu")
+        pc.setFactorSolverType("mumps")
+        pc.setFactorSetUpSolverType()
+        factors = pc.getFactorMatrix()
+        # Room for pivots; without ScaLAPACK at the root, which hides signs; null pivots are met.
+        for number, value in ((14, 80), (13, 1), (24, 1), (20, 0)):
+            factors.setMumpsIcntl(number, value)
+        try:
+            self._ksp.setUp()
+            good = pc.getFailedReason() == PETSc.PC.FailedReason.NOERROR
+        except PETSc.Error:
+            good = False
+        return largest(self.comm, float(not good)) == 0.0
+
+    def solve(self, f: PETSc.Vec, x: PETSc.Vec) -> None:
+        """x = K^-1 f. Collective."""
+        self._ksp.solve(f, x)
+
+    def weakest(self) -> Mode | None:
+        """The mode of the most negative compliance, or else of the largest; None if none is found.
+
+        The compliances, inverse stiffnesses, are eigenvalues of the displacement block of the
+        inverse tangent, found by Krylov-Schur iterations.
+        """
+        shell = PETSc.Mat().createPython(
+            ((self.assembler.size, None),) * 2, context=_Compliance(self), comm=self.comm
+        )
+        eps = SLEPc.EPS().create(self.comm)
+        try:
+            eps.setOptionsPrefix("elastic_doctor_")
+            eps.setOperators(shell)
+            kind = SLEPc.EPS.ProblemType
+            eps.setProblemType(kind.HEP if self._symmetric else kind.NHEP)
+            eps.setTolerances(tol=_DIGITS, max_it=50)
+            which = SLEPc.EPS.Which
+            order = [which.SMALLEST_REAL] if self.negative else [which.LARGEST_MAGNITUDE]
+            return self._solved(eps, order[0])
+        except PETSc.Error:  # "invalid inner product": the factors are not those of a matrix
+            return None
+        finally:
+            eps.destroy()
+            shell.destroy()
+
+    def _solved(self, eps: Any, which: Any) -> Mode | None:
+        eps.setWhichEigenpairs(which)
+        eps.setDimensions(nev=1)
+        start = self.assembler.create_vector()
+        start.array_w[self.assembler.moves] = uneven(self.assembler)
+        self.assembler.hold(start)
+        eps.setInitialSpace(start)
+        eps.solve()
+        start.destroy()
+        if not eps.getConverged():
+            return None
+        vector = self.assembler.create_vector()
+        compliance = complex(eps.getEigenpair(0, vector)).real
+        motion = vector.array_r[self.assembler.moves].copy()
+        vector.destroy()
+        size = float(np.sqrt(total(self.comm, float(np.sum(motion**2)))))
+        if not (np.isfinite(compliance) and compliance != 0.0 and size > 0.0):
+            return None
+        return Mode(1.0 / compliance, motion / size)
+
+    def destroy(self) -> None:
+        """Frees the factors. Collective."""
+        self._ksp.destroy()
+
+
+class _Compliance:
+    """The displacement block of the inverse tangent, zero where displacements are prescribed."""
+
+    def __init__(self, stability: Stability) -> None:
+        self._of = stability
+        self._keep = np.zeros(stability.assembler.size)
+        self._keep[stability.assembler.moves] = 1.0
+        self._f = stability.assembler.create_vector()
+
+    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """See PETSc's MatMult. Collective."""
+        self._f.array_w[:] = x.array_r * self._keep
+        self._of.assembler.hold(self._f)
+        self._of.solve(self._f, y)
+        y.array_w[:] *= self._keep
+        self._of.assembler.hold(y)
+
+    def destroy(self, matrix: PETSc.Mat) -> None:
+        """Frees what it owns. Collective."""
+        self._f.destroy()
+
+
+def uneven(assembler: Assembler) -> Array:
+    """Owned displacements that have a part in every mode, the same on any number of ranks."""
+    problem = assembler.problem
+    dim = problem.body.dim
+    x = problem.unknowns.U.tabulate_dof_coordinates()[: len(assembler.moves) // dim, :dim]
+    waves = np.sin(1.7 * x.sum(axis=1)[:, None] / span(problem.body) + 2.3 * np.arange(dim))
+    return np.asarray((1.0 + waves).ravel())
+
+
+def curvature(assembler: Assembler, direction: Array) -> float:
+    """d . K d / d . d of the tangent as it is assembled, free entries only [N/m]. Collective.
+
+    A negative one proves that the tangent is not positive definite, without any factors.
+    """
+    d, image = assembler.create_vector(), assembler.create_vector()
+    d.array_w[:] = direction
+    assembler.hold(d)
+    assembler.matrix.mult(d, image)
+    square, work = d.dot(d), d.dot(image)
+    d.destroy()
+    image.destroy()
+    return float(work / square) if square > 0.0 else np.inf

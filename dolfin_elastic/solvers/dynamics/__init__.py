@@ -1,0 +1,1 @@
+"""Motion: what implicit and explicit time integration share."""

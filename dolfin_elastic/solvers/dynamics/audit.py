@@ -1,0 +1,162 @@
+"""Audit of motion: forces from outside change the momenta, and energy has a source."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.state import Audit
+from dolfin_elastic.solvers.audit.equilibrium import Auditor, Found
+from dolfin_elastic.solvers.audit.path_energy import round_off
+from dolfin_elastic.solvers.dynamics.energy_balance import Ledger
+from dolfin_elastic.solvers.dynamics.residual import Forces, Moving
+from dolfin_elastic.solvers.dynamics.rotation_error import Chords
+from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
+
+if TYPE_CHECKING:
+    from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
+
+Floats = npt.NDArray[np.float64]
+
+GAINED = 0.02
+"""Share of the largest energy that may appear from nowhere: the schemes keep the energy of a
+nonlinear body to the second order of the step only."""
+
+LOST = 0.1
+"""Share of the largest energy that a scheme may damp away before it is said."""
+
+GROWS = 2.0
+"""While the largest energy grows by more from one state to the next its shares say little: of a
+motion that has just begun, or of a support that has just been set going, whose work comes a step
+later than its speed, everything may be off."""
+
+MOST = 0.5
+"""Share of the largest energy that is most of it."""
+
+
+class MotionAuditor(Auditor):
+    """Judges one step of a motion after another. Collective.
+
+    Args:
+        problem: What moves.
+        moving: Its forces.
+        watch: Of det F.
+        settings: Of the motion: whether its scheme is meant to damp.
+    """
+
+    def __init__(
+        self, problem: Problem, moving: Moving, watch: JacobianWatch, settings: DynamicsSettings
+    ) -> None:
+        super().__init__(problem, moving.assembler, watch)
+        self._moving, self._settings = moving, settings
+        self._forces: Forces | None = None
+        self._chords = Chords(problem, settings)
+        self._du: Floats = np.empty(0)
+        self._worst = [0.0, 0.0]
+        self._reasons: dict[str, str] = {}
+        self._off = self._scale = 0.0
+
+    def look(self, forces: Forces, du: Floats) -> None:
+        """Takes in a step. Collective.
+
+        Args:
+            forces: Of its stage, at the places of the stage.
+            du: Change of the displacement, owned entries [m].
+        """
+        self._forces, self._du = forces, du
+        noise, _ = round_off(self._assembler)
+        outside = self._outside()
+        found = (
+            self._sum(outside, noise, self._reasons),
+            self._moment(outside, noise, self._reasons),
+        )
+        self._worst = [max(pair) for pair in zip(self._worst, found, strict=True)]
+
+    def _outside(self) -> list[Floats]:
+        assert self._forces is not None
+        f, moves = self._forces, self._moving.moves
+        rows = [f.loads, f.reactions, f.holding, -f.inertia, -f.drag]
+        return [row[moves].reshape(-1, self._dim) for row in rows]
+
+    def _moved(self) -> Floats:
+        assert self._forces is not None
+        return self._forces.u
+
+    def judge(self, t: float, ledger: Ledger, energies: Mapping[str, float]) -> Audit:
+        """The audit of all steps since the last one. Collective.
+
+        Args:
+            t: Time [s].
+            ledger: What energy has come from.
+            energies: Of the state [J].
+        """
+        reasons = dict(self._reasons)
+        stabilised = self._problem.unknowns.stabilised
+        if not (stabilised or self._problem.rest):
+            off = ledger.off(energies)
+            reasons.update(self._lasting(self._energy(off), off, ledger.scale, t))
+        if self._forces is not None and (chords := self._chords.reason(self._du)):
+            reasons["chords"] = chords
+        force, moment = self._worst
+        if self._places == "none":  # not judged, as in statics
+            moment = np.nan
+        self._reasons, self._worst = {}, [0.0, 0.0]
+        strain = energies["strain"]
+        found = Found(force, moment, energies["external"], energies["total"])
+        self._strains.look(self._when(t))
+        return self._verdict(t, reasons, found, self._notes(strain))
+
+    def _lasting(
+        self, reasons: dict[str, str], off: float, scale: float, t: float
+    ) -> dict[str, str]:
+        """Reasons that hold in two states running, or in the last one.
+
+        While the energy still grows fast they hold if most of it is off: then that is why.
+        """
+        before, settled = self._off, scale <= GROWS * self._scale
+        self._off, self._scale = abs(off) if reasons else 0.0, scale
+        last = t >= self._settings.end * (1 - 1e-9)
+        again = before > 0.0 and (settled or min(before, self._off) > MOST)
+        return reasons if last or again else {}
+
+    def _energy(self, off: float) -> dict[str, str]:
+        if off > GAINED:
+            what = f"{100 * off:.3g} % of the energy has come from nowhere: a smaller dt is needed"
+            return {"energy": what}
+        if off < -LOST and not self._settings.damps:
+            radius = ", or a larger spectral_radius," if self._settings.dissipates else ""
+            what = (
+                f"the scheme has damped {-100 * off:.3g} % of the energy away: a smaller dt"
+                f"{radius} keeps it"
+            )
+            return {"energy": what}
+        return {}
+
+    def _when(self, t: float) -> str:
+        return f"t = {t:.6g} s"
+
+    # --- restarts ---
+
+    def kept(self) -> dict[str, Any]:
+        """All that it has to know later on."""
+        return {
+            "warned": dict(self._warned),
+            "worst": self._worst,
+            "reasons": dict(self._reasons),
+            "far": self._strains.note,
+            "off": self._off,
+            "scale": self._scale,
+            "chords": self._chords.kept(),
+        }
+
+    def restore(self, numbers: Mapping[str, Any]) -> None:
+        """Goes on from there."""
+        self._warned, self._reasons = dict(numbers["warned"]), dict(numbers["reasons"])
+        self._worst = [float(value) for value in numbers["worst"]]
+        self._strains.note = str(numbers.get("far", ""))
+        self._off, self._scale = float(numbers["off"]), float(numbers["scale"])
+        self._chords.restore(numbers["chords"])

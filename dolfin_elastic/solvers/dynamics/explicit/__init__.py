@@ -1,0 +1,1 @@
+"""Explicit time integration with a lumped mass and a stable step."""

@@ -1,0 +1,253 @@
+"""Why an explicit motion was lost: from its last sound state it is gone through again.
+
+A value that is not finite is everywhere within a few steps, and no step is looked at while all goes
+well.  So the last state is kept, and what came after it is done once more with a look at each step:
+at the cells, at how far nodes are thrown, and at whether forces and energies are finite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from dolfin_elastic.core.errors import Diagnosis, StabilityError
+from dolfin_elastic.core.parallel import first_of, total
+from dolfin_elastic.core.timing import stage
+from dolfin_elastic.mesh.body import span
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.restart_state import Kept, Restore
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.solvers import messages as words
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.diagnostics.evidence import Cells, not_finite, plain
+from dolfin_elastic.solvers.dynamics.explicit.monitor import RESISTS, Lookout
+from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
+from dolfin_elastic.solvers.messages import coordinates
+
+Vector = npt.NDArray[np.float64]
+Place = tuple[float, ...]
+
+FAR = 1e6
+"""Sizes of the body from which a displacement is no motion any more."""
+
+SHORTER = "a smaller dt or safety"
+CRUSHED = f"{SHORTER}, a finer mesh where the cells are crushed, or a smaller load or velocity"
+STRAINED = (
+    "a smaller load or velocity; the material cannot be strained further than its formula has "
+    f"values; or {SHORTER}"
+)
+
+
+class March(Protocol):
+    """An explicit motion, as far as it can be gone through again."""
+
+    problem: Problem
+    assembler: Assembler
+    size: StepSize
+
+    @property
+    def now(self) -> tuple[int, float]:
+        """Steps done, and the time [s]."""
+
+    def kept(self) -> Kept:
+        """All that the next step needs to know."""
+
+    def restore(self, restore: Restore) -> None:
+        """Brings back what was kept. Collective."""
+
+    def forward(self) -> None:
+        """One step. Collective."""
+
+    def finite(self) -> bool:
+        """Whether energies and forces are. Collective."""
+
+    def reached(self, *, moved: bool) -> State:
+        """The present state. Collective."""
+
+
+class LastState:
+    """The last sound state of a motion."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, Vector] = {}
+        self.plain: Mapping[str, Any] = {}
+
+    def __bool__(self) -> bool:
+        """There has been one."""
+        return bool(self.plain)
+
+    def keep(self, kept: Kept) -> None:
+        """Takes in the present one, which is finite. Not collective."""
+        for name, field in kept.fields.items():
+            if name in self._values:
+                self._values[name][:] = field.x.array
+            else:
+                self._values[name] = field.x.array.copy()
+        self.plain = kept.numbers
+
+    def give(self, fields: Mapping[str, fem.Function]) -> Mapping[str, Any]:
+        """Fills fields with it, see `Restore`."""
+        for name, field in fields.items():
+            field.x.array[:] = self._values[name]
+        return self.plain
+
+
+class Rerun:
+    """Looks for what went wrong since the last sound state of a motion.
+
+    Made when it has: a motion that held one would be freed on each rank when it likes.
+
+    Args:
+        march: The motion.
+        lookout: What has been seen of it.
+        last: Its last sound state.
+    """
+
+    def __init__(self, march: March, lookout: Lookout, last: LastState) -> None:
+        self._march, self._lookout, self._last = march, lookout, last
+        self._crushed: tuple[int, str, Place] | None = None
+        self._far: tuple[int, str, Place] | None = None
+
+    def lost(self) -> StabilityError:
+        """Why the present state has no finite forces or energies. Collective.
+
+        The motion has the last sound state afterwards.
+
+        Raises:
+            InputError: Because a support or a load has no finite value.
+        """
+        march = self._march
+        with stage("diagnose"), np.errstate(all="ignore"):
+            last, t = march.now
+            if self._last:
+                t = self._again(last)
+            self._lookout.check_given(march.now[1])
+            found = self._diagnosis()
+            state = self._before(march.now[0])
+        text = f"no finite motion after t = {t:.6g} s: {found.text}"
+        return StabilityError(text, advice=found.advice, state=state, diagnosis=found)
+
+    def _before(self, first: int) -> State:
+        """The state before a step that was lost; an earlier one where it began earlier. Collective.
+
+        What has grown beyond all bounds can be computed with for a while, but not looked at.
+        """
+        march, goal = self._march, first - 1
+        if self._crushed is not None:
+            goal = min(goal, self._crushed[0])
+        if self._far is not None:
+            goal = min(goal, self._far[0] - 1)
+        if self._last:
+            march.restore(self._last.give)
+        begin, _ = march.now
+        while march.now[0] < goal:
+            march.forward()
+        return march.reached(moved=march.now[0] > begin)
+
+    def refused(self, error: StabilityError) -> StabilityError:
+        """An error of the step's length, with where and what; or why the state is lost. Collective.
+
+        Args:
+            error: The same on all ranks.
+        """
+        march = self._march
+        if not march.finite():
+            return self.lost()
+        state, place = march.reached(moved=True), march.size.place()
+        text = error.what + (f"; cells at {coordinates(place)} m ask for it" if place else "")
+        cells = Cells(march.assembler).worst()
+        found = Diagnosis("step", text, error.advice, place, cells)
+        return StabilityError(text, advice=error.advice, state=state, diagnosis=found)
+
+    # --- step by step ---
+
+    def _again(self, last: int) -> float:
+        """Up to the first step after which not all is finite, at the most `last`. Collective.
+
+        Returns:
+            The time before that step [s].
+        """
+        march = self._march
+        march.restore(self._last.give)
+        before = march.now[1]
+        self._look("by")
+        while march.finite() and march.now[0] < last:
+            before = march.now[1]
+            march.forward()
+            self._look("in the step to")
+        return before
+
+    def _look(self, when: str) -> None:
+        """Notes when and where the first cells turn inside out, and the first node is far."""
+        step, t = self._march.now
+        when = f"{when} t = {t:.6g} s"
+        if self._lookout.nonlinear and self._crushed is None:
+            J, middle = self._lookout.watch.smallest()
+            if J <= 0.0 and np.isfinite(J):
+                self._crushed = step, *self._inside_out(J, plain(middle), when)
+        if self._far is None:
+            far, place = self._farthest()
+            if far > FAR * span(self._march.problem.body):
+                at = f"max |u| = {far:.3g} m, at {coordinates(place)} m"
+                self._far = step, f"it has grown beyond all bounds {when} ({at})", place
+
+    def _inside_out(self, J: float, place: Place, when: str) -> tuple[str, Place]:
+        place = place[: self._march.problem.body.dim]
+        cells = Cells(self._march.assembler)
+        many = total(cells.comm, int(np.sum(cells.jacobians() <= 0.0)))
+        at = f"det F = {J:.3g}, at {coordinates(place)} m"
+        return f"{words.count(many, 'cell')} turned inside out {when} ({at})", place
+
+    def _farthest(self) -> tuple[float, Place]:
+        """Largest nodal displacement, and where; what is not finite is infinite. Collective."""
+        problem = self._march.problem
+        dim, nodes = problem.body.dim, problem.V.dofmap.index_map.size_local
+        u = problem.u.x.array[: nodes * dim].reshape(-1, dim)
+        far = np.nan_to_num(np.linalg.norm(u, axis=1), nan=np.inf, posinf=np.inf)
+        mine: tuple[float, Place] = (-1.0, ())
+        if nodes:
+            node = int(np.argmax(far))
+            mine = float(far[node]), plain(problem.V.tabulate_dof_coordinates()[node, :dim])
+        return max(problem.body.comm.allgather(mine))
+
+    # --- why ---
+
+    def _diagnosis(self) -> Diagnosis:
+        """Of the present state, the first whose forces or energies are not finite. Collective."""
+        cells, dim = Cells(self._march.assembler), self._march.problem.body.dim
+        cause, (text, advice, place) = self._why(cells)
+        return Diagnosis(cause, text, advice, place[:dim], cells.worst())
+
+    def _why(self, cells: Cells) -> tuple[str, tuple[str, str, Place]]:
+        step, t = self._march.now
+        lets = f"{RESISTS}, or {SHORTER}"
+        if before := self._lookout.inside_out:
+            return "inverted", (before, lets, self._lookout.place)
+        if self._crushed is not None:
+            when, text, place = self._crushed
+            # Where a law lets cells turn, the forces come to an end only later.
+            return "inverted", (text, CRUSHED if when == step else lets, place)
+        if self._far is not None:
+            _, text, place = self._far
+            return "unbounded", (text, SHORTER, place)
+        if (fault := not_finite(cells)) is not None:
+            text = f"{fault.text}, at t = {t:.6g} s"
+            if fault.inverted:
+                return "inverted", (text, CRUSHED, fault.place)
+            return "nan", (text, words.LOAD if fault.load else STRAINED, fault.place)
+        place = self._first_without_force()
+        at = f" at {coordinates(place)} m" if place else ""
+        return "nan", (f"forces or energies have no finite value{at}", SHORTER, place)
+
+    def _first_without_force(self) -> Place:
+        """The least place of a node whose force is not finite. Collective."""
+        assembler, problem = self._march.assembler, self._march.problem
+        dim = problem.body.dim
+        forces = assembler.balance.array[: assembler.size].reshape(-1, dim)
+        bad = ~np.isfinite(forces).all(axis=1)
+        places = problem.V.tabulate_dof_coordinates()[: len(forces), :dim][bad]
+        return first_of(problem.body.comm, map(plain, places)) or ()

@@ -1,0 +1,353 @@
+"""The step of explicit schemes: how long it may be, and when to look again."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+from slepc4py import SLEPc
+
+from dolfin_elastic.core.errors import InputError, StabilityError
+from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.timing import stage
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.diagnostics.stability import uneven
+from dolfin_elastic.solvers.dynamics.explicit.frequency_bound import Rates, extremes, rows_over_mass
+from dolfin_elastic.solvers.nonlinear.contact import all_touching
+
+log = logging.getLogger("dolfin_elastic")
+Floats = npt.NDArray[np.float64]
+
+LOOKS = (10, 200)
+"""Fewest and most steps between two looks at the stable step: the less it changes, the more."""
+
+AT_CONTACT = 50
+"""The most where an obstacle may be hit meanwhile."""
+
+SPACING = 100
+"""Fewest steps between two eigenvalues of the whole body, each of which costs about 15."""
+
+RESONANCE = 0.6
+"""Largest share of the stable step where obstacles are hit, which shakes the stiffest motions.
+
+At omega dt = sqrt(2) and sqrt(3) four and three steps are a period of a motion, and what is not
+linear about it feeds it at each (T. Schlick, M. Mandziuk, R. Skeel and K. Srinivas, J. Comput.
+Phys. 140 (1998) 1): at 0.7 and above corners of cubes that bounce were thrown off after a second,
+one node in a rhythm of four steps; at 0.65 and below cubes of 5 to 8 cells an edge kept their
+energy to 1.5 % for 5,000 to 10,000 steps.  0.6 leaves them room to become stiffer by a third
+between two looks.
+"""
+
+HIT = 1.0
+"""Largest (omega dt)^2 of a node on an obstacle's penalty.
+
+A node hits in the middle of a step and leaves in that of another.  Of a bar thrown at a wall the
+energy grew by 0.1 % at 0.7, 1 % at 1.1 and 2 % at 1.3, but fivefold at 1.5 and more.
+"""
+
+WORTH = 0.1
+"""Change of the nodes' rates, since that of the body was found, from which it is found anew."""
+
+
+class StepSize:
+    """Stable step and step of an explicit scheme. Collective to make.
+
+    The limit 2/omega_max follows from the largest eigenvalue of M^-1 K, found by Lanczos' method
+    (`sharp`), or from the bound by cells (`Rates`) if that is lower.  Between two of these the
+    bound alone is looked at, for a seventh of the cost: where cells have become stiffer the body's
+    rate is taken to grow with the most that any node's which could set it has grown.
+
+    Args:
+        problem: What moves.
+        assembler: Of this problem.
+        mass: Lumped mass at every owned entry [kg].
+        chosen: The user's step [s], or None.
+        safety: Share of the stable step that is taken.
+
+    Attributes:
+        stable: The stable step as known now [s].
+        due: Number of the step before which to look again.
+        dt: The step to take [s].
+        rates: The bound by cells, where there is one.
+        gentle: Longest step with which obstacles throw no node back too fast [s].
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        assembler: Assembler,
+        mass: Floats,
+        *,
+        chosen: float | None,
+        safety: float,
+    ) -> None:
+        self._problem, self._assembler, self._mass = problem, assembler, mass
+        self._chosen = chosen
+        self._shaken = bool(problem.touching)
+        self._safety = min(safety, RESONANCE) if self._shaken else safety
+        self.rates = Rates(problem, assembler, mass) if Rates.fits(problem) else None
+        self._drag = self._largest_row([d.bound(problem.site) for d in problem.dashpots])
+        hits = self._largest_row([touch.bound for touch in problem.touching])
+        self.gentle = np.sqrt(HIT / hits) if hits else np.inf
+        self._known = fem.Function(problem.V)
+        self._places = slice(0, assembler.size, problem.body.dim)
+        self._square = self._known_square = 0.0
+        self._interval, self._found_at, self._doubtful = LOOKS[0], 0, False
+        self.stable, self.dt, self.due = np.inf, np.inf, LOOKS[0]
+
+    # --- rates ---
+
+    def sharp(self) -> float:
+        """Largest omega^2 of the present tangent and the lumped mass [1/s^2]. Collective.
+
+        It is that of M^-1/2 K M^-1/2, 0 where supports hold every node, with all surfaces that may
+        touch an obstacle touching it, for what is free now may hit within the next steps.
+        """
+        with stage("stable step"):
+            a = self._assembler
+            x, scale = a.create_vector(), a.create_vector()
+            a.get(x)
+            with all_touching(self._problem):
+                a.tangent(x, unit=0.0)
+            scale.array_w[:] = 1 / np.sqrt(self._mass)
+            scale.array_w[self._problem.prescribed.owned] = 0.0
+            a.matrix.diagonalScale(scale, scale)
+            a.forget_tangent()
+            x.array_w[a.moves] = uneven(a)
+            square = _largest_eigenvalue(a.matrix, x, self._problem.symmetric)
+            x.destroy()
+            scale.destroy()
+        return max(square, 0.0)
+
+    def by_cells(self) -> float:
+        """The bound by cells [1/s^2]; infinite where there is none. Collective."""
+        if self.rates is None:
+            return np.inf
+        with stage("stable step"):
+            return extremes(self._problem.body.comm, [_top(self.rates.now())])[0]
+
+    def step_for(self, square: float) -> float:
+        """Stable step for the largest omega^2 and the dashpots' largest rate c/m [s].
+
+        With dashpots at the old velocity, z^2 - (2 - h c/m - h^2 omega^2) z + 1 - h c/m has no root
+        beyond -1 up to h = 4/(c/m + sqrt((c/m)^2 + 4 omega^2)), which is 2/omega without them.
+        """
+        below = self._drag + np.sqrt(self._drag**2 + 4 * square)
+        return float(4 / below) if below > 0 else np.inf
+
+    def _largest_row(self, bounds: Sequence[ufl.Form]) -> float:
+        """Bound of the rows of a matrix over their masses. Collective."""
+        rows = rows_over_mass(self._assembler, bounds, self._mass)
+        return largest(self._problem.body.comm, float(np.max(rows, initial=0.0)))
+
+    # --- when to look, and what follows ---
+
+    def begin(self, end: float) -> None:
+        """The first step. Collective.
+
+        Raises:
+            InputError: The user's step is above the stable one.
+        """
+        self._find(0)
+        if self._chosen is None:
+            self._take()
+            said = self.stable, min(self.dt, end), self._safety, self._where()
+            log.info("stable step %.4g s, taken %.4g s (safety %g%s)", *said)
+        elif self._chosen > self.stable:
+            raise InputError(
+                f"{self._chosen:.4g} s is above the stable step, {self.stable:.4g} s",
+                where="dynamics.dt",
+                expected="leave dt out to have it chosen, or "
+                f"give at most {self._safety * self.stable:.3g} s",
+            )
+        else:
+            self.dt = self._chosen
+            self._warn()
+
+    def _warn(self) -> None:
+        if self.dt > self.gentle:
+            log.warning(
+                "a node that hits an obstacle may be thrown back too fast: dt = %.4g s is long for "
+                "the stiffness of the contact; at most %.3g s, or a smaller stiffness",
+                self.dt,
+                self.gentle,
+            )
+        elif self._shaken and self.dt > self._safety * self.stable:
+            log.warning(
+                "nodes that hit an obstacle may gain energy at each step: dt = %.4g s is %.2g of "
+                "the stable step; at most %.3g s, %.2g of it, or leave dt out",
+                self.dt,
+                self.dt / self.stable,
+                self._safety * self.stable,
+                self._safety,
+            )
+
+    def _where(self) -> str:
+        """Why the step is no longer, in words. Collective."""
+        if self.dt == self.gentle:
+            return "; the stiffness of contacts asks for it"
+        shaken = "; obstacles may be hit" if self._shaken and self._safety == RESONANCE else ""
+        if self.rates is None or not self._square:
+            return shaken
+        place = ", ".join(f"{x:.3g}" for x in self.place())
+        return f"{shaken}; cells at ({place}) m ask for it"
+
+    def place(self) -> tuple[float, ...]:
+        """Where cells ask for the shortest step [m]; empty where it is not known. Collective."""
+        return () if self.rates is None else self.rates.place(self.rates.now())
+
+    def doubt(self, step: int) -> None:
+        """Energy is wrong: looks before the next step, with Lanczos' method."""
+        self.due, self._doubtful = step, True
+
+    def look(self, step: int, t: float) -> None:
+        """Finds the step from here on. Collective.
+
+        Args:
+            step: Number of steps done.
+            t: Time [s].
+
+        Raises:
+            StabilityError: The user's step is above the stable one now.
+        """
+        if self._problem.linear:
+            self.due = step + LOOKS[1]  # it cannot have changed
+            return
+        before = self.stable
+        self._follow(step)
+        if self._chosen is None:
+            self._take()
+        elif self._chosen > self.stable:
+            self._confirm(step, t)
+        change = abs(self.stable / before - 1) if np.isfinite(before) else 0.0
+        factor = 2.0 if change < 0.01 else 0.5 if change > 0.03 else 1.0
+        most = AT_CONTACT if self._problem.touching else LOOKS[1]
+        self._interval = int(np.clip(factor * self._interval, LOOKS[0], most))
+        self.due = step + self._interval
+
+    def _take(self) -> None:
+        self.dt = min(self._safety * self.stable, self.gentle)
+
+    def _confirm(self, step: int, t: float) -> None:
+        """Raises if the user's step is too long also by Lanczos' method. Collective."""
+        if self._found_at != step:
+            self._find(step)
+        assert self._chosen is not None
+        if self._chosen > self.stable:
+            raise StabilityError(
+                f"at t = {t:.6g} s the stable step has fallen to {self.stable:.4g} s, below "
+                f"dt = {self._chosen:.4g} s, because the body has deformed",
+                advice="leave dt out to have it follow the stable step",
+            )
+
+    def _find(self, step: int) -> None:
+        """The rate of the body as it is now. Collective."""
+        bounds = self.sharp() or np.inf, self.by_cells()  # nothing is free: only cells tell
+        square = min(bounds) if min(bounds) < np.inf else 0.0
+        self._known_square = self._square = _same(square)
+        if self.rates is not None:
+            self._known.x.array[self._places] = self.rates.now()
+        self.stable, self._found_at = self.step_for(self._square), step
+        self._doubtful = False
+
+    def _follow(self, step: int) -> None:
+        """The rate of the body by those of its nodes. Collective."""
+        if self.rates is None or self._doubtful:
+            self._find(step)
+            return
+        with stage("stable step"):
+            rates = self.rates.now()
+            could = rates > self._known_square
+            known = self._known.x.array[self._places]
+            worst, growth = extremes(
+                self._problem.body.comm, [_top(rates), _top(rates[could] / known[could])]
+            )
+        if step - self._found_at >= SPACING and abs(growth - 1) > WORTH:
+            self._find(step)
+            return
+        # The stiffest motion of a cell may grow more than the norm of its matrix does.
+        self._square = _same(min(worst, self._known_square * max(growth, 1.0) ** 1.5))
+        self.stable = self.step_for(self._square)
+
+    # --- from one run to the next ---
+
+    @property
+    def field(self) -> fem.Function:
+        """Rates of the nodes, as first components, when that of the body was last found."""
+        return self._known
+
+    def kept(self) -> dict[str, Any]:
+        """All numbers that the next look needs."""
+        return {
+            "square": self._square,
+            "known_square": self._known_square,
+            "found_at": self._found_at,
+            "interval": self._interval,
+            "due": self.due,
+            "doubtful": self._doubtful,
+        }
+
+    def restore(self, numbers: Mapping[str, Any]) -> None:
+        """Goes on with numbers from `kept`. Not collective."""
+        self._square, self._known_square = numbers["square"], numbers["known_square"]
+        self._found_at, self._interval = numbers["found_at"], numbers["interval"]
+        self.due, self._doubtful = numbers["due"], numbers["doubtful"]
+        self.stable = self.step_for(self._square)
+        if self._chosen is None:
+            self._take()
+        else:
+            self.dt = self._chosen
+
+
+def _top(values: Floats) -> float:
+    """The largest, 0 of none; what is not finite is infinite."""
+    return float(np.max(np.nan_to_num(values, nan=np.inf, posinf=np.inf), initial=0.0))
+
+
+def _same(value: float) -> float:
+    """Without the last digits, in which ranks differ: steps are the same on any number of them."""
+    return float(f"{value:.9e}")
+
+
+def _largest_eigenvalue(matrix: PETSc.Mat, start: PETSc.Vec, symmetric: bool) -> float:
+    """Largest eigenvalue, plus the norm of what is left of its equation. Collective.
+
+    Of a symmetric matrix an eigenvalue is no farther than that from the one found.  Any ranks find
+    the same one from the same start, to round-off.
+    """
+    size = float(matrix.norm())
+    if not np.isfinite(size):
+        raise _lost()
+    if size == 0.0:
+        return 0.0
+    eps = SLEPc.EPS().create(matrix.comm)
+    eps.setOperators(matrix)
+    eps.setProblemType(SLEPc.EPS.ProblemType.HEP if symmetric else SLEPc.EPS.ProblemType.NHEP)
+    eps.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
+    eps.setTolerances(tol=1e-3, max_it=200)
+    eps.setInitialSpace(start)
+    try:
+        eps.solve()
+        found = eps.getConverged() > 0
+        value = float(eps.getEigenvalue(0).real) if found else 0.0
+        if found:
+            value += float(eps.computeError(0, SLEPc.EPS.ErrorType.ABSOLUTE))
+    finally:
+        eps.destroy()
+    if not found:
+        raise _lost()
+    return value
+
+
+def _lost() -> StabilityError:
+    return StabilityError(
+        "the stable step cannot be estimated: no largest eigenvalue was found",
+        advice="is the displacement finite, and every density positive?",
+    )

@@ -1,0 +1,52 @@
+"""What the error estimate of a step cannot see: a surface that hits an obstacle after the stage.
+
+The forces of a step are those of its stage.  Without contact there, the end of the step may lie
+deep in an obstacle, or behind it, and the acceleration of the scheme knows nothing of it.  While
+the same nodes touch, the pushes p of a penalty are as good as linear in the place,
+(1 - alpha_f) p1 + alpha_f p0 = p_s; by what p1 differs from that, the acceleration of the end is
+other than the scheme's, and the place h^2/6 times that, the weight that it has where accelerations
+are linear in time: Zienkiewicz & Xie (1991), see `alpha`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.solvers.dynamics.residual import Forces, Moving
+
+Vector = npt.NDArray[np.float64]
+
+
+class Strikes:
+    """Pushes of obstacles at the ends of a step and at its stage.  Collective.
+
+    Args:
+        moving: The body.
+        alpha_f: Share of the old place in the stage's.
+    """
+
+    def __init__(self, moving: Moving, alpha_f: float) -> None:
+        self._moving, self._share = moving, alpha_f
+        mass = moving.mass.array_r[moving.moves]
+        self._mobility = np.divide(1.0, mass, out=np.zeros(len(mass)), where=mass > 0.0)
+        self._first: Vector = np.zeros(len(mass))
+        self._stage: Vector = self._first
+
+    def _pushes(self) -> Vector:
+        """Nodal forces of all obstacles at the present place and time, owned entries [N]."""
+        return sum(self._moving.pushes(), np.zeros(len(self._moving.moves)))
+
+    def begin(self, t: float) -> None:
+        """Notes what pushes where a step begins."""
+        self._moving.problem.set_time(t)
+        self._first = self._pushes()
+
+    def at_stage(self, forces: Forces) -> None:
+        """Notes what pushes at its stage."""
+        self._stage = forces.obstacles[self._moving.moves]
+
+    def error(self, h: float) -> Vector:
+        """What an unseen push does to the place at the end, where the problem is now [m]."""
+        expected = (self._stage - self._share * self._first) / (1 - self._share)
+        return np.asarray(-h * h / 6 * (self._pushes() - expected) * self._mobility)

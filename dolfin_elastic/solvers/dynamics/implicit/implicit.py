@@ -1,0 +1,400 @@
+"""Implicit motion by PETSc TS: the loop over steps, what is yielded, and what is kept."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from petsc4py import PETSc
+
+from dolfin_elastic.core.errors import ConvergenceError
+from dolfin_elastic.core.petsc_options import PREFIX
+from dolfin_elastic.core.timing import stage
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.restart_state import Kept, Restore
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, Strain
+from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
+from dolfin_elastic.solvers.dynamics.audit import MotionAuditor
+from dolfin_elastic.solvers.dynamics.consistent_start import begin
+from dolfin_elastic.solvers.dynamics.energy_balance import Ledger
+from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import Scheme
+from dolfin_elastic.solvers.dynamics.implicit.impact_error import Strikes
+from dolfin_elastic.solvers.dynamics.implicit.petsc_alpha2 import Alpha2
+from dolfin_elastic.solvers.dynamics.implicit.step_control import StepControl
+from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import Stepper
+from dolfin_elastic.solvers.dynamics.impulsive_supports import jump
+from dolfin_elastic.solvers.dynamics.residual import Moving
+from dolfin_elastic.solvers.dynamics.scalar_fields import Extras
+from dolfin_elastic.solvers.dynamics.settle import settle
+from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
+from dolfin_elastic.solvers.messages import JUMP, coordinates
+from dolfin_elastic.solvers.nonlinear.contact import Measured
+from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
+from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.nonlinear.progress import Tolerance
+from dolfin_elastic.solvers.nonlinear.restart import remembered, remind, tell_forgotten
+from dolfin_elastic.solvers.nonlinear.scalars import Scalars
+from dolfin_elastic.solvers.petsc.options import ts_reason
+
+if TYPE_CHECKING:
+    from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
+
+Vector = npt.NDArray[np.float64]
+log = logging.getLogger("dolfin_elastic")
+
+AHEAD = 1e-4
+"""Share of the whole motion over which supports are looked at for their first acceleration, at
+most: an adaptive step's first try may be as long as anything."""
+
+
+class Implicit:
+    """An implicit scheme on one problem.
+
+    Args:
+        problem: What moves, in its initial state.
+        velocity: Its velocity, in its initial state.
+        settings: Of the motion.
+        linear: How linear systems are solved.
+        petsc: PETSc options of the user.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        velocity: fem.Function,
+        settings: DynamicsSettings,
+        linear: LinearSettings,
+        petsc: Mapping[str, Any],
+    ) -> None:
+        self.settings, self.problem, self.v = settings, problem, velocity
+        self._owned = ExitStack()
+        try:
+            self._prepare(linear, petsc)
+        except Exception:  # the same on all ranks: nobody else can free what is there already
+            self.destroy()
+            raise
+
+    def _prepare(self, linear: LinearSettings, petsc: Mapping[str, Any]) -> None:
+        problem, settings = self.problem, self.settings
+        self.moving = Moving(problem, **settings.damping)
+        self._owned.callback(self.moving.destroy)
+        self.assembler = self.moving.assembler
+        self.a = fem.Function(problem.V, name="acceleration of the scheme")
+        choice = choose(problem, linear, moving=True)
+        log.info("%s", choice.why)
+        self.ts = PETSc.TS().create(problem.body.comm)
+        self._owned.callback(self.ts.destroy)
+        self.ts.setOptionsPrefix(PREFIX)
+        scheme = settings.parameters
+        if scheme and self.moving.damping.inside and settings.scheme == "generalized-alpha":
+            scheme = scheme.without_overshoot()
+        self.stepper: Stepper | Alpha2 = self._stepper(scheme)
+        self.newton = self.stepper.newton = Newton(
+            self.assembler,
+            choice,
+            Tolerance(settings.rtol, settings.atol, settings.max_iterations),
+            defaults={"snes_linesearch_type": "basic"},
+            users=petsc,
+            snes=self.ts.getSNES(),
+            moving=True,
+        )
+        self._owned.callback(self.newton.destroy)
+        self.newton.mass = self.moving.mass
+        self.control = StepControl(self.ts, settings, self.moving, self.newton.span)
+        self.times = self.control.times
+        if isinstance(self.stepper, Stepper):
+            self._join(self.stepper)
+        self.options = self.newton.options
+        self.options.change(self._defaults())
+        self._U, self._V, self._f = (self.assembler.create_vector() for _ in range(3))
+        for vector in (self._U, self._V, self._f):
+            self._owned.callback(vector.destroy)
+        self._configure()
+        self.measure, self.strain = ConsistentMass(problem, self.v), Strain(problem)
+        self._measured = Measured(problem, moving=True)
+        self._scalars = Scalars(self.assembler)
+        self.ledger = Ledger(self.moving, self.v)
+        watch = getattr(self.stepper, "watch", None) or JacobianWatch(problem)
+        self.auditor = MotionAuditor(problem, self.moving, watch, settings)
+        self.extras = Extras(problem)
+        self._newton = self._krylov = 0
+        self._usual = 0.0
+
+    def _join(self, stepper: Stepper) -> None:
+        """Lets the scheme and the control of its steps know of each other."""
+        stepper.reached, stepper.weigh = self.control.meant, self.control.weigh
+        # With alpha_f = 0 the stage is the end of the step: nothing there is unseen.
+        if self.settings.adaptive and self.problem.touching and stepper.scheme.alpha_f > 0:
+            stepper.strikes = Strikes(self.moving, stepper.scheme.alpha_f)
+
+    # --- TS ---
+
+    def _stepper(self, scheme: Scheme | None) -> Stepper | Alpha2:
+        """The scheme, registered with TS."""
+        if scheme is None:
+            petsc = Alpha2(self.moving, self.v)
+            self._owned.callback(petsc.destroy)
+            petsc.set_up(self.ts)
+            return petsc
+        own = Stepper(self.moving, self.v, self.a, scheme, self.settings.order)
+        self.ts.setType("python")
+        self.ts.setPythonContext(own)
+        return own
+
+    def _defaults(self) -> dict[str, Any]:
+        more: dict[str, Any] = {"snes_linesearch_type": "basic", **self.newton.choice.options}
+        if isinstance(self.stepper, Alpha2):
+            more["ts_alpha_radius"] = self.settings.spectral_radius
+        return {**self.control.options, **more}
+
+    def _configure(self) -> None:
+        ts = self.ts
+        if isinstance(self.stepper, Stepper):
+            snes = ts.getSNES()
+            snes.setFunction(self.stepper.residual, self._f)
+            snes.setJacobian(self.stepper.tangent, self.assembler.matrix, self.assembler.matrix)
+        ts.setTime(0.0)
+        ts.setTimeStep(self.settings.dt)
+        ts.setMaxTime(self.settings.end)
+        ts.setMaxSteps(10**9)
+        ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
+        ts.setSolution2(self._U, self._V)
+        with self.options.in_force(), self.options.told():
+            ts.setFromOptions()
+        ts.setErrorIfStepFails(False)
+        ts.setPreStep(self._before_step)
+        ts.setPostStep(self._after_step)
+        self.newton.judge()
+
+    def _before_step(self, ts: PETSc.TS) -> None:
+        self.control.before()
+        if isinstance(self.stepper, Alpha2):
+            self.stepper.begin(ts)
+
+    def _after_step(self, ts: PETSc.TS) -> None:
+        ts.setMaxTime(self.settings.end)
+        if ts.getConvergedReason() < 0:
+            return  # TS comes here after a step that it has given up, too
+        if isinstance(self.stepper, Alpha2):
+            self.stepper.accept(ts)
+            self.problem.set_time(float(ts.getTime()))
+            self._stop_at_goals()
+        self.control.after()
+        assert self.stepper.done is not None
+        at_stage, in_the_middle, du = self.stepper.done
+        self.ledger.add(in_the_middle, du)
+        self.auditor.look(at_stage, du)
+
+    def _stop_at_goals(self) -> None:
+        """Ends the march at a time that PETSc's scheme has met but for the round-off of a sum."""
+        ts = self.ts
+        ts.setTime(self.control.meant(float(ts.getTime())))
+        if self.times.shown(int(ts.getStepNumber()), float(ts.getTime())):
+            ts.setConvergedReason(PETSc.TS.ConvergedReason.CONVERGED_TIME)
+
+    # --- the loop ---
+
+    def run(self, restore: Restore | None = None) -> Iterator[State]:
+        """Yields the initial state and then every state asked for. Collective.
+
+        Args:
+            restore: Fills what is kept, so that the motion goes on from there; then the state
+                that was kept is not yielded again.
+        """
+        if restore is None:
+            self._begin()
+            yield self._state()
+        else:
+            self._take(restore(self.kept().fields))
+        while not self.times.done(float(self.ts.getTime())):
+            self._march()
+            yield self._state()
+            self._newton = self._krylov = 0
+
+    def _begin(self) -> None:
+        """Forces and acceleration of the initial state."""
+        self.control.tell()
+        with stage("assemble"):
+            self.problem.set_time(0.0)
+            size = len(self.moving.moves)
+            self.moving.set_rates(self.v.x.array[:size], np.zeros(size))
+            self.assembler.assemble_balance()
+        settle(self.problem, self.assembler)
+        with stage("solve"):
+            h = min(self.control.nominal / 8, AHEAD * self.settings.end)
+            begin(self.moving, self.v, self.a, h)
+        self.stepper.at_end.x.array[:] = self.a.x.array
+        self.stepper.start(0.0)
+        self.problem.set_time(0.0)
+        self.ledger.begin()
+        self._tell_ts()
+
+    def _tell_ts(self) -> None:
+        self.assembler.get(self._U)
+        self._V.array_w[self.moving.moves] = self.v.x.array[: len(self.moving.moves)]
+
+    def _march(self) -> None:
+        """Lets TS go on to the next state that is to be shown; it stops at times that are met."""
+        ts = self.ts
+        while True:
+            step = int(ts.getStepNumber())
+            ts.setMaxSteps(step + self.times.steps_left(step))
+            self._solve()
+            if self.times.shown(int(ts.getStepNumber()), float(ts.getTime())):
+                return
+
+    def _solve(self) -> None:
+        ts = self.ts
+        newton, krylov = self._counts()
+        with stage("solve"), self.options.in_force():
+            ts.solve()
+            if ts.getConvergedReason() < 0 and self._falls_back():
+                ts.setConvergedReason(PETSc.TS.ConvergedReason.CONVERGED_ITERATING)
+                ts.solve()
+            self.options.report_unused()
+        if self.stepper.error is not None:
+            raise self.stepper.error
+        now = self._counts()
+        newton, krylov = now[0] - newton, 0 if self.newton.direct else now[1] - krylov
+        self._newton += newton
+        self._krylov += krylov
+        if ts.getConvergedReason() < 0:
+            raise self._failure()
+        self._renew(krylov / max(newton, 1))
+
+    def _counts(self) -> tuple[int, int]:
+        if isinstance(self.stepper, Stepper):
+            return self.stepper.newton_iterations, self.stepper.krylov_iterations
+        return self.ts.getSNESIterations(), self.ts.getKSPIterations()
+
+    def _falls_back(self) -> bool:
+        """PETSc's scheme has met a linear solver that fails, and there is another."""
+        if isinstance(self.stepper, Stepper):
+            return False
+        self.newton.finish()
+        return "LINEAR_SOLVE" in self.newton.progress.reason and self.newton.fall_back()
+
+    def _renew(self, each: float) -> None:
+        """Lets multigrid begin anew when the body has turned away from the modes it knows.
+
+        Args:
+            each: Linear iterations of each Newton iteration.
+        """
+        if self._usual and each > 1.5 * self._usual + 5:
+            self.newton.refresh()
+            each = 0.0
+        self._usual = self._usual or each
+
+    def _failure(self) -> ConvergenceError:
+        t = float(self.ts.getTime())
+        force, place = self.assembler.largest_unbalance()
+        reason = ts_reason(self.ts.getConvergedReason())
+        last = self.problem.w.x.array.copy()
+        if isinstance(self.stepper, Alpha2):
+            self.newton.finish()
+        found = diagnose(self.assembler, self.newton.progress, good=last, failed=last, moving=True)
+        if sudden := jump(self.problem, t, self.control.nominal):
+            found = replace(found, text=f"{sudden}; {found.text}", advice=JUMP)
+        return ConvergenceError(
+            f"no solution for the step from t = {t:.6g} s: {reason}; {found.text}\n  at the end: "
+            f"the largest force out of balance, {force:.3g} N, is at {coordinates(place)} m",
+            advice=found.advice,
+            state=self._state(failed=True),
+            diagnosis=found,
+        )
+
+    # --- what is yielded ---
+
+    def _reactions(self, t: float) -> dict[str, Vector]:
+        """Of the state at the end of the step, its inertia included. Collective.
+
+        PETSc's scheme does not tell its acceleration: they are those with its mean one.
+        """
+        if isinstance(self.stepper, Stepper):
+            self.stepper.look_at_end(t)
+        return self.assembler.reactions()
+
+    def _state(self, *, failed: bool = False) -> State:
+        step, t = int(self.ts.getStepNumber()), float(self.ts.getTime())
+        first = step == 0 and not failed
+        reactions = self.assembler.reactions() if failed else self._reactions(t)
+        kinetic, linear, angular = self.measure.measure()
+        strain, contact = self.strain.energy(), self._measured.energies()
+        energies = {
+            "strain": strain,
+            "kinetic": kinetic,
+            "total": strain + kinetic + sum(contact.values()),
+            **self.ledger.energies(kinetic, strain + sum(contact.values())),
+            **self.strain.springs(),
+            **contact,
+        }
+        return State(
+            step=-1 if failed else step,
+            t=t,
+            u=self.problem.u,
+            w=self.problem.w,
+            v=self.v,
+            a=self.stepper.at_end,
+            newton=0 if first else self._newton,
+            krylov=0 if first else self._krylov,
+            reason="initial state" if first else "converged",
+            residuals=tuple(self.newton.progress.residuals),
+            energies=energies,
+            reactions=reactions,
+            momenta={"linear": linear, "angular": angular},
+            max_displacement=self.assembler.max_displacement(),
+            numbers={**self._measured.numbers(), **self._scalars.numbers()},
+            audit=None if failed else self.auditor.judge(t, self.ledger, energies),
+            done=t / self.settings.end,
+        )
+
+    # --- restarts ---
+
+    def kept(self) -> Kept:
+        """What the next step needs to know. Collective."""
+        self.extras.take()
+        fields = {
+            "displacement": self.problem.u,
+            "velocity": self.v,
+            "acceleration": self.a,
+            "acceleration_at_end": self.stepper.at_end,
+            **self.extras.fields,
+        }
+        numbers = {
+            "t": float(self.ts.getTime()),
+            "step": int(self.ts.getStepNumber()),
+            "dt": float(self.ts.getTimeStep()),
+            "scale": self.control.scale,
+            "usual": self._usual,
+            "ledger": self.ledger.kept(),
+            "audit": self.auditor.kept(),
+            "newton": remembered(self.newton),
+        }
+        return Kept(fields, numbers)
+
+    def _take(self, numbers: Mapping[str, Any]) -> None:
+        """Goes on from what was kept; the fields hold it already."""
+        tell_forgotten(self.settings.scheme, self.options.users)
+        self.extras.give()
+        self.ts.setTime(numbers["t"])
+        self.ts.setStepNumber(numbers["step"])
+        self.ts.setTimeStep(numbers["dt"])
+        self.control.scale, self._usual = numbers["scale"], numbers["usual"]
+        self.problem.set_time(numbers["t"])
+        self.ledger.restore(numbers["ledger"])
+        self.auditor.restore(numbers["audit"])
+        if isinstance(self.stepper, Stepper):
+            self.stepper.start(numbers["t"])
+        self._tell_ts()
+        remind(self.newton, numbers["newton"])
+
+    def destroy(self) -> None:
+        """Frees what it owns. Collective."""
+        self._owned.close()

@@ -1,0 +1,87 @@
+"""Times of a motion that are met exactly, and which steps are yielded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.schema import shown
+from dolfin_elastic.core.units import Time
+
+SAME = 1e-9
+"""Share of an interval that two times may differ by and still be one."""
+
+_EXPECTED = (
+    "expected a whole number of steps, at least 1, or (implicit schemes) a time above 0 with a "
+    'unit, for example "10 ms"'
+)
+
+
+def _not_bare(value: Any) -> Any:
+    """A time says so by its unit; 2.0 might be either."""
+    bare = isinstance(value, bool | float)
+    if isinstance(value, str):
+        with suppress(ValueError):
+            float(value)
+            bare = True
+    if bare:
+        raise InputError(f"{shown(value)} is wrong", expected=_EXPECTED)
+    return value
+
+
+def _above_zero(value: float) -> float:
+    if value <= 0:
+        written = str(value) if isinstance(value, int) else f"{value:g} s"
+        raise InputError(f"{written} is wrong", expected=_EXPECTED)
+    return value
+
+
+Interval = Annotated[int | Time, BeforeValidator(_not_bare), AfterValidator(_above_zero)]
+"""Steps from one state to the next, or the time between them [s]."""
+
+
+class StepTimes:
+    """When a motion stops for somebody to look.
+
+    Args:
+        end: When it ends [s].
+        times: Further times that are met and shown [s].
+        every: Steps from one state to the next; or, as a float, time between them [s].
+    """
+
+    def __init__(self, end: float, times: Sequence[float] = (), every: float = 1) -> None:
+        self.end, self._times = end, sorted({t for t in times if 0.0 < t < end} | {end})
+        self.steps = every if isinstance(every, int) else None
+        self._interval = None if isinstance(every, int) else float(every)
+
+    def done(self, t: float) -> bool:
+        """Whether the end is reached."""
+        return t >= self.end * (1 - 1e-12)
+
+    def next(self, t: float) -> float:
+        """The first time after t that is met exactly."""
+        found = next((s for s in self._times if s > t + 1e-12 * self.end), self.end)
+        if self._interval is None:
+            return found
+        number = int(t / self._interval + SAME) + 1
+        beat = number * self._interval
+        # Where a beat and a time that was asked for are one, the latter is exact.
+        return found if found <= beat * (1 + SAME / number) else beat
+
+    def steps_left(self, step: int) -> int:
+        """How many steps from here the next state is shown at the latest."""
+        return 10**9 if self.steps is None else self.steps - step % self.steps
+
+    def shown(self, step: int, t: float) -> bool:
+        """Whether somebody wants to see the state after a step."""
+        if self.done(t) or t in self._times:
+            return True
+        if self.steps is not None:
+            return step % self.steps == 0
+        assert self._interval is not None
+        beats = t / self._interval
+        return abs(beats - round(beats)) < SAME * max(1.0, beats)

@@ -1,0 +1,166 @@
+"""How far a step of an implicit motion goes: to times that are met, and by its error.
+
+TSAdapt compares the error of a step with what it may be and says how long the next one is.  The
+scale of errors is the largest displacement so far, the end of the step included, as E. Hairer,
+S. P. Norsett & G. Wanner, Solving Ordinary Differential Equations I (1993), (II.4.10), have it: a
+body that has not moved yet would allow none, and the first step would be as small as that.
+
+The first step that is tried is the user's, and where it leads to is of the size of what follows,
+also if it is taken back for its error: of u'' + w^2 u = f from rest, a step of any length moves at
+most as far as the motion itself does, twice f/w^2, or from the velocity v to v/w.  Fronts of waves
+that leave a clamp would otherwise be followed through each cell.
+
+Adaptive steps meet the corners of curves, for the error of a body at rest tells nothing of what is
+to come; equal ones are as they were asked for, and a curve that bends faster is told of.
+"""
+
+from __future__ import annotations
+
+import logging
+from bisect import bisect_right
+from math import ceil
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from petsc4py import PETSc
+
+from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.solvers.breakpoints import corners, winds
+from dolfin_elastic.solvers.dynamics.implicit.output_times import StepTimes
+from dolfin_elastic.solvers.dynamics.residual import Moving
+
+if TYPE_CHECKING:
+    from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
+
+log = logging.getLogger("dolfin_elastic")
+
+UNJUDGED = 1e100
+"""Error that scalar fields, which follow from the displacement, may have in a step [m]."""
+
+CRUMB = 0.01
+"""Share of a step that it may be longer, rather than that one as short follows."""
+
+LOOKS = 50
+"""Steps that a motion has at least whose loads or supports are formulas in t: a body at rest, whose
+steps have no error, would sleep through what begins later on."""
+
+SAME = 1e-9
+"""Share of a step that times may differ by and still be one."""
+
+
+class StepControl:
+    """The sizes of the steps of a TS.
+
+    Args:
+        ts: Its step is set before each one.
+        settings: Of the motion.
+        moving: The body.
+        span: Its size [m].
+
+    Attributes:
+        times: Which are met.
+        nominal: The user's step [s].
+        scale: The largest displacement so far, in the first step that of all tries [m].
+    """
+
+    def __init__(
+        self, ts: PETSc.TS, settings: DynamicsSettings, moving: Moving, span: float
+    ) -> None:
+        self._ts, self._moving, self._span = ts, moving, span
+        self.times = StepTimes(settings.end, settings.times, settings.every)
+        self.nominal, self.scale = float(settings.dt or 0.0), 0.0
+        self._end, self._tolerance = settings.end, settings.tolerance
+        self._adaptive = settings.adaptive
+        self._bends = [t for t in corners(moving.problem) if 0.0 <= t <= settings.end]
+        self._longest = settings.end / LOOKS if winds(moving.problem) else settings.end
+        self._start, self._goal, self._planned, self._free = 0.0, 0.0, 0.0, 0.0
+
+    def tell(self) -> None:
+        """Warns of curves that equal steps pass over. Not collective."""
+        least = float(np.min(np.diff(self._bends), initial=np.inf))
+        if not self._adaptive and least < self.nominal * (1 - SAME):
+            log.warning(
+                "a curve has corners %.3g s apart, closer than dt = %.3g s: steps may pass over "
+                "what is between them; a smaller dt, or dynamics.adaptive, which meets them",
+                least,
+                self.nominal,
+            )
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """PETSc options of TSAdapt."""
+        if not self._adaptive:
+            return {"ts_adapt_type": "none"}
+        # The error is that of the worst node, so that it does not depend on the mesh.
+        return {
+            "ts_adapt_type": "basic",
+            "ts_adapt_dt_min": 1e-9 * self._end,
+            "ts_adapt_wnormtype": "infinity",
+        }
+
+    def before(self) -> None:
+        """Sets the step, before TS takes it. Collective."""
+        ts = self._ts
+        self._start = float(ts.getTime())
+        self._goal, self._free = self.times.next(self._start), self.nominal
+        if self._adaptive:
+            ahead = bisect_right(self._bends, self._start + 1e-12 * self._end)
+            self._goal = min(self._goal, *self._bends[ahead : ahead + 1], self._end)
+            self._free = min(float(ts.getTimeStep()), self._longest)
+        ts.setMaxTime(self._goal)
+        self._planned = self._fitting(self._goal - self._start)
+        ts.setTimeStep(self._planned)
+        self.weigh()
+
+    def _fitting(self, remaining: float) -> float:
+        """A step of about the size that is free to be, with which no crumb is left."""
+        step = self._free
+        if self._adaptive and remaining < 2 * step:
+            return remaining / max(1, ceil(remaining / step - CRUMB))
+        # A step that ends there but for round-off stays as it is, and so does its factorisation.
+        return remaining if remaining < step * (1 - SAME) else step
+
+    def meant(self, t: float) -> float:
+        """The time that a step has come to, without the round-off of a sum."""
+        slack = SAME * (t - self._start)
+        if abs(t - self._goal) < slack:
+            return self._goal
+        even = round(t / self.nominal) * self.nominal
+        return even if abs(t - even) < slack and not self._adaptive else t
+
+    def after(self) -> None:
+        """Takes note of a step that TS has taken. Collective.
+
+        One that was cut short for a time that must be met says nothing against longer ones.
+        """
+        if not self._adaptive:
+            return
+        ts = self._ts
+        if int(ts.getStepNumber()) == 1:
+            self.scale = 0.0  # tries that were taken back were there for the first step only
+        self.scale = self._present()
+        if float(ts.getTime()) - self._start > self._planned * (1 - SAME):
+            ts.setTimeStep(max(float(ts.getTimeStep()), self._free))
+
+    def _present(self) -> float:
+        """The largest displacement so far, the present one included [m]. Collective."""
+        u = self._moving.problem.u.x.array
+        local = float(np.max(np.abs(u), initial=0.0))
+        return max(self.scale, largest(self._moving.comm, local), 1e-6 * self._span)
+
+    def weigh(self) -> None:
+        """Lets errors be judged against displacements, the present one included. Collective."""
+        if not self._adaptive:
+            return
+        present = self._present()
+        if int(self._ts.getStepNumber()) == 0:
+            self.scale = present
+        atol: Any = self._tolerance * present
+        if len(self._moving.problem.unknowns.extras):
+            value, atol = atol, self._moving.assembler.create_vector()
+            atol.set(value)
+            atol.array_w[self._moving.extras] = UNJUDGED
+            self._ts.setTolerances(rtol=0.0, atol=atol)
+            atol.destroy()
+        else:
+            self._ts.setTolerances(rtol=0.0, atol=atol)

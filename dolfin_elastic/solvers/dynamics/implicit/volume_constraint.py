@@ -1,0 +1,105 @@
+"""The pressure's equation in a step of a motion: for volumes at its ends, not at its stage.
+
+The volumes of a mean place are not the mean volumes: places u0 and u1 of a body that turns have a
+chord between them, whose middle is too near to the axis by its square.  With g = 0 asked of the
+stage, u_s = (1 - alpha_f) u1 + alpha_f u0, a turning body lands outside of its circle, then on it
+again, and the acceleration that this takes is as large as the centripetal one whatever the step:
+the pressure swings between nothing and twice what it is.  So the equation is
+
+    (1 - alpha_f) g(u1) + alpha_f g(u0) = p/k,
+
+p of the stage, and of exactly incompressible materials, 1/k = 0, g(u1) = 0.  The work of p over a
+step is then the change of p^2/(2k) but for terms of the third order of the step.
+
+Sources: J. C. Simo & N. Tarnow, ZAMP 43 (1992) 757 (stresses of mean strains, not of the mean
+place); M. Arnold & O. Bruels, BIT 47 (2007) 185, (14) (constraints at the end of each step of
+generalized-alpha).
+
+The tangent keeps the gradient of g at the stage in these rows, so that it stays symmetric; it is
+off by the share of a turn that a step makes, and Newton's method takes 5 iterations instead of 3
+where that is 0.1 rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from dolfin_elastic.problem.material_regions import Part
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
+from dolfin_elastic.solvers.dynamics.consistent_start import incompressible
+
+Vector = npt.NDArray[np.float64]
+
+
+class Volumes:
+    """What the pressure's rows at the stage lack.  Collective to make.
+
+    Args:
+        assembler: Whose `balance` is completed.
+        alpha_f: Share of the old place in the stage's.
+
+    Attributes:
+        end: Time at which the step ends [s]: growth and temperatures are taken then, too.
+    """
+
+    def __init__(self, assembler: Assembler, alpha_f: float) -> None:
+        self._assembler, self._problem = assembler, assembler.problem
+        self._share = alpha_f
+        parts = [part for part in self._problem.parts if part.compliance is not None]
+        giving = [part for part in parts if not incompressible(part.compliance)]
+        forms = [_strain(self._problem, group) for group in (parts, giving) if group]
+        found = compiled(self._problem, forms)
+        self._all, self._giving = found[0], found[1] if giving else None
+        entries = np.ones(len(self._problem.w.x.array), dtype=bool)
+        entries[self._problem.unknowns.places(np.arange(len(self._problem.u.x.array)))] = False
+        self._scalars = entries
+        self._old: Vector = np.empty(0)
+        self._known: Vector = np.zeros(assembler.size)
+        self.end = 0.0
+
+    @staticmethod
+    def needed(problem: Problem, alpha_f: float) -> bool:
+        """There is a pressure, and a stage that is not the end.
+
+        Out of a free plane the stretch takes up the volume.
+        """
+        return alpha_f > 0.0 and problem.mixed and not problem.unknowns.has("stretch")
+
+    def begin(self, t: float) -> None:
+        """Notes the place and the time that a step begins at. Collective."""
+        self._problem.set_time(t)
+        self._old = self._problem.w.x.array.copy()
+        self._known = self._share * self._rows(self._giving, self._old)
+
+    def complete(self) -> None:
+        """Brings `balance`, assembled at the stage, to the equation of the step. Collective."""
+        here, s = self._problem.w.x.array.copy(), self._share
+        end = self._old + (here - self._old) / (1 - s)
+        more = self._known - self._rows(self._all, here)
+        now = float(self._problem.t.value)
+        self._problem.set_time(self.end)
+        more += (1 - s) * self._rows(self._all, end)
+        self._problem.set_time(now)
+        self._problem.w.x.array[:] = here
+        self._assembler.balance.array[: len(more)] += more
+
+    def _rows(self, form: fem.Form | None, w: Vector) -> Vector:
+        """g of a place, at no pressure, in the rows of all unknowns [N]."""
+        if form is None:
+            return np.zeros(self._assembler.size)
+        self._problem.w.x.array[:] = np.where(self._scalars, 0.0, w)
+        found = self._assembler.nodal(form)
+        self._problem.w.x.array[:] = w
+        return found
+
+
+def _strain(problem: Problem, parts: Sequence[Part]) -> ufl.Form:
+    F = problem.F(problem.w)
+    q = problem.unknowns.extra("pressure", ufl.TestFunction(problem.W))
+    return sum(problem.volume_gap(part, F, q) for part in parts)

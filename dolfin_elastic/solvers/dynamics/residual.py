@@ -1,0 +1,191 @@
+"""A body in motion: inertia and damping beside the one sum of terms, and the forces of a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.timing import stage
+from dolfin_elastic.problem.damping import Damping
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
+from dolfin_elastic.solvers.assembly.energy_momentum import lumped
+from dolfin_elastic.solvers.assembly.mass import mass_diagonal
+
+Vector = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Forces:
+    """Nodal forces on a body at one moment, owned entries of all unknowns [N].
+
+    Attributes:
+        u: The displacement then, owned entries [m].
+        loads: Of loads.
+        reactions: By which supports hold what is prescribed.
+        holding: Of springs, dashpots and obstacles.
+        dashpots: Those of them that dashpots exert.
+        obstacles: Those of them that obstacles exert.
+        pushes: Force of each contact on the body, this rank's share, shape (contacts, dim).
+        inertia: M a.
+        damping: By which the materials resist the velocity.
+        drag: The part of them that a rigid motion feels, too.
+    """
+
+    u: Vector
+    loads: Vector
+    reactions: Vector
+    holding: Vector
+    dashpots: Vector
+    obstacles: Vector
+    pushes: Vector
+    inertia: Vector
+    damping: Vector
+    drag: Vector
+
+    def mean(self, other: Forces) -> Forces:
+        """Half of both."""
+        ours, theirs = vars(self), vars(other)
+        return Forces(**{name: (ours[name] + theirs[name]) / 2 for name in ours})
+
+
+class Moving:
+    """Residual and tangent of a body with mass.  Collective to make.
+
+    Args:
+        problem: What moves.
+        mass: Rayleigh's factor of the mass [1/s].
+        stiffness: Rayleigh's factor of the stiffness [s].
+
+    Attributes:
+        assembler: Residual with inertia and damping; owned here.
+        moves: Owned entries of all unknowns that are displacements.
+        extras: The other owned entries: scalar fields, which have no inertia.
+        shift: Derivative of the acceleration by the displacement [1/s^2] in the tangent.
+        drag: The same of the velocity [1/s].
+        mass: Diagonal of the mass matrix [kg]; owned here.
+    """
+
+    def __init__(self, problem: Problem, *, mass: float = 0.0, stiffness: float = 0.0) -> None:
+        self.problem, self.comm = problem, problem.body.comm
+        self._a = fem.Function(problem.V, name="acceleration in the residual")
+        self.damping = Damping(problem, mass, stiffness)
+        self.shift, self.drag = problem.constant(0.0), problem.constant(0.0)
+        inertia = problem.inertia(self._a, problem.v)
+        work = self.damping.work()
+        self.assembler = Assembler(
+            problem,
+            extra=inertia if work is None else inertia + work,
+            extra_tangent=self._tangent(),
+        )
+        self.moves = self.assembler.moves
+        self.extras = np.setdiff1d(np.arange(self.assembler.size), self.moves)
+        dashpots = [d.virtual_work(problem.site) for d in problem.dashpots]
+        forms = {
+            "inertia": inertia,
+            "damping": work,
+            "drag": self.damping.drag(),
+            "dashpots": sum(dashpots) if dashpots else None,
+        }
+        named = {name: form for name, form in forms.items() if form is not None}
+        self._forms = dict(zip(named, compiled(problem, list(named.values())), strict=True))
+        works = [touch.work for touch in problem.touching]
+        self._touching = compiled(problem, works) if works else []
+        # Obstacles whose forces are not one with those of springs under the same label.
+        springs = {spring.label for spring in (*problem.springs, *problem.dashpots)}
+        self._alone = [touch.label not in springs for touch in problem.touching]
+        self._bare = {touch.label for touch in problem.touching} - springs
+        self._mass = np.abs(lumped(problem, self.assembler))
+        self.mass = mass_diagonal(self.assembler)
+
+    def _tangent(self) -> ufl.Form:
+        problem = self.problem
+        trial = problem.unknowns.displacement(ufl.TrialFunction(problem.W))
+        tangent = self.shift * problem.inertia(trial, problem.v)
+        for damping in (problem.damping(trial), self.damping.tangent()):
+            if damping is not None:
+                tangent += self.drag * damping
+        stiffening = self.damping.stiffening()
+        return tangent if stiffening is None else tangent + stiffening
+
+    def set_rates(self, v: Vector, a: Vector) -> None:
+        """Sets velocity and acceleration that the residual sees, owned entries. Collective."""
+        self._a.x.array[: len(a)] = a
+        self._a.x.scatter_forward()
+        self.tell(v)
+
+    def tell(self, v: Vector) -> None:
+        """Gives dashpots and damping the owned entries of a velocity. Collective."""
+        if self.problem.dashpots:
+            velocity = self.problem.site.velocity.x
+            velocity.array[: len(v)] = v
+            velocity.scatter_forward()
+        if not self.damping.none:
+            self.damping.tell(v)
+
+    def momentum(self, v: Vector) -> Vector:
+        """M v of owned entries of a velocity, at owned entries of all unknowns. Collective."""
+        a = self._a.x.array
+        kept = a.copy()
+        a[: len(v)] = v
+        self._a.x.scatter_forward()
+        found = self.assembler.nodal(self._forms["inertia"]).copy()
+        a[:] = kept
+        return found
+
+    def inertia_norm(self, a: Vector) -> float:
+        """Size of the forces of inertia at an acceleration, from lumped masses [N]. Collective."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return float(np.sqrt(total(self.comm, np.sum((self._mass * a) ** 2))))
+
+    def pushes(self) -> list[Vector]:
+        """Nodal forces of each contact at the present state, owned entries [N]. Collective."""
+        return [self.assembler.nodal(form)[self.moves] for form in self._touching]
+
+    def forces_at(self, t: float, v: Vector, a: Vector) -> Forces:
+        """The forces at the present place; `assembler.balance` holds them then. Collective.
+
+        Args:
+            t: Time [s]; it is the problem's afterwards.
+            v: Velocity, owned entries [m/s].
+            a: Acceleration [m/s^2].
+        """
+        with stage("assemble"):
+            self.problem.set_time(t)
+            self.set_rates(v, a)
+            self.assembler.assemble_balance()
+            return self.forces()
+
+    def forces(self) -> Forces:
+        """The forces at the state that `assembler.balance` was assembled at. Collective."""
+        a = self.assembler
+        nothing = np.zeros(a.size)
+        found = {name: a.nodal(form).copy() for name, form in self._forms.items()}
+        pushes = self.pushes()
+        dim = self.problem.body.dim
+        obstacles, holding = nothing.copy(), a.holding_forces(self._bare)
+        for push, alone in zip(pushes, self._alone, strict=True):
+            obstacles[self.moves] += push
+            holding[self.moves] += push if alone else 0.0
+        return Forces(
+            u=self.problem.w.x.array[self.moves],
+            loads=a.external_forces(),
+            reactions=a.constraint_forces(a.balance.array[: a.size]),
+            holding=holding,
+            dashpots=found.get("dashpots", nothing),
+            obstacles=obstacles,
+            pushes=np.array([p.reshape(-1, dim).sum(axis=0) for p in pushes]),
+            inertia=found["inertia"],
+            damping=found.get("damping", nothing),
+            drag=found.get("drag", nothing),
+        )
+
+    def destroy(self) -> None:
+        """Frees what it owns. Collective."""
+        self.mass.destroy()
+        self.assembler.destroy()

@@ -1,0 +1,106 @@
+"""Strains that a body shows at the ends of steps because it has turned between them.
+
+Forces of a stage between the ends of a step are those of the mean place, u_s = (1 - a) u1 + a u0.
+With C = F^T F and the change D = F1 - F0,
+
+    C(u_s) = (1 - a) C1 + a C0 - a (1 - a) D^T D:
+
+of a body that turns, the mean place is the chord of its way and smaller than the body.  The stage's
+stress is the right one, so at the ends of the step the body is too large: by a strain of
+a (1 - a)/2 w^2 h^2 where it turns by w h.  That is of second order in the step h, but where a stiff
+body turns it is soon more than its strains.
+
+Source: J. C. Simo & N. Tarnow, ZAMP 43 (1992) 757, section 4.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import basix
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from dolfin_elastic.core.jit import compile_expression
+from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.problem.problem import Problem
+
+if TYPE_CHECKING:
+    from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
+
+Vector = npt.NDArray[np.float64]
+
+CHORD = 0.06
+"""Share of the largest strain so far that chords may be before it is said.  The largest is that of
+the motion's swings; of its mean stresses chords of this share are about twice as much."""
+
+GROWS = 2.0
+"""While the largest strain grows by more from one state to the next, nothing is said."""
+
+
+class Chords:
+    """Compares what chords make of strains with the strains.  Collective to make.
+
+    Args:
+        problem: What moves.
+        settings: Of the motion, whose scheme says where the stage lies.
+    """
+
+    def __init__(self, problem: Problem, settings: DynamicsSettings) -> None:
+        self._problem, self._most, self._seen = problem, 0.0, False
+        old = 0.0  # share of the old place in that of the stage
+        if settings.scheme in ("generalized-alpha", "alpha2"):
+            old = settings.spectral_radius / (1 + settings.spectral_radius)
+        self._share = old * (1 - old) / 2
+        feels = any(not part.law.linear for part in problem.parts)
+        self._needed = self._share > 0.0 and feels
+        if not self._needed:
+            return
+        mesh = problem.body.mesh
+        kind = getattr(basix.CellType, mesh.topology.cell_name())
+        points, _ = basix.make_quadrature(kind, 1)
+        self._change = fem.Function(problem.V)
+        D, F = ufl.grad(self._change), problem.F(problem.w)
+        chord, strain = D.T * D, (F.T * F - ufl.Identity(3)) / 2
+        seen = ufl.as_vector([ufl.inner(chord, chord), ufl.inner(strain, strain)])
+        self._look = compile_expression(mesh.comm, seen, points, problem.jit)
+        self._cells = problem.body.owned_cells()
+
+    def reason(self, du: Vector) -> str:
+        """What is wrong with the strains of the present state, if it was so before. Collective.
+
+        Args:
+            du: Change of the displacement in the last step, owned entries [m].
+        """
+        if not self._needed:
+            return ""
+        self._change.x.array[: len(du)] = du
+        self._change.x.scatter_forward()
+        found = self._look.eval(self._problem.body.mesh, self._cells).reshape(-1, 2)
+        squares = np.nan_to_num(found).max(axis=0, initial=0.0)
+        turn, strain = (largest(self._problem.body.comm, float(s)) ** 0.5 for s in squares)
+        settled = strain <= GROWS * self._most  # of a motion that has just begun it says little
+        self._most = max(self._most, strain)
+        chord = self._share * turn
+        before, self._seen = self._seen, settled and chord > CHORD * self._most
+        if not (before and self._seen):
+            return ""
+        angle = np.degrees(np.sqrt(turn / np.sqrt(2)))
+        return (
+            f"the body turns by {angle:.2g} degrees a step, whose chord strains it by {chord:.2g}, "
+            f"{100 * chord / self._most:.2g} % of its largest strain: stresses and reactions are "
+            "off by as much and more; a smaller dt, or scheme = 'newmark', whose forces are those "
+            "at the ends of steps"
+        )
+
+    # --- restarts ---
+
+    def kept(self) -> list[float]:
+        """All that has been seen."""
+        return [self._most, float(self._seen)]
+
+    def restore(self, numbers: list[float]) -> None:
+        """Goes on with what `kept` gave."""
+        self._most, self._seen = float(numbers[0]), bool(numbers[1])

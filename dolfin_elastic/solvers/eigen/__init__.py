@@ -1,0 +1,1 @@
+"""Natural frequencies and linear buckling with SLEPc."""

@@ -1,0 +1,374 @@
+"""Load factors at which a body buckles, and how, by SLEPc.
+
+All loads and prescribed displacements of the problem grow with one factor s.  K(s) is the tangent
+along the path of equilibria; where it becomes singular the body buckles.  Linearised about a state
+s0 on the path,
+
+    (K(s0) + (factor - s0) dK/ds) u = 0,
+
+with dK/ds the geometric stiffness: the derivative of the tangent along the path, by the
+displacement du/ds = -K^-1 dR/ds and by loads that follow the body.  At s0 = 0 this is linear
+buckling about the undeformed body; the nearer s0 is to the factor, the less is left of what the
+linearisation leaves out.  Before, the body must be stable: then K is positive, and the eigenvalues
+1/(factor - s0) of -dK/ds u = value K u are real.
+
+Of a linearisation about s0 > 0 only the factors beyond s0 are taken.  Those between 0 and s0 are
+none: there the way to s0 has led past, and the body was stable.  Those below 0 are farther from s0
+than from the state at rest, so reversed loads are linearised at rest, whatever s0 is.
+
+Sources: R. Cook et al., Concepts and Applications of Finite Element Analysis (2002), section 18.2;
+C. Felippa, Nonlinear Finite Element Methods, chapter 28 (linearised prebuckling); dK/ds by central
+differences along the path.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+from pydantic import Field
+
+from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.schema import Record, settled
+from dolfin_elastic.core.timing import stage
+from dolfin_elastic.mesh.body import cell_size
+from dolfin_elastic.model.amplitude import Amplitude
+from dolfin_elastic.model.values import depends_on_time
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.state import Mode, State
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.diagnostics.rigid_body import check_held
+from dolfin_elastic.solvers.diagnostics.stability import Stability
+from dolfin_elastic.solvers.eigen.critical_load import Critical
+from dolfin_elastic.solvers.eigen.mode_shapes import at_rest, refuse, shape
+from dolfin_elastic.solvers.eigen.preload import Preloaded
+from dolfin_elastic.solvers.eigen.slepc import DIRECT_LIMIT, Pair, prefixed
+from dolfin_elastic.solvers.linear.choice import Choice, LinearSettings, factorising
+from dolfin_elastic.solvers.statics.statics import StaticsSettings
+
+Vector = npt.NDArray[np.float64]
+log = logging.getLogger("dolfin_elastic")
+
+STRAIN = 1e-3
+"""Displacement over the size of a cell across which the tangent is differentiated.
+
+The strain is smaller still: at 1e-4 the error of the central difference is about 1e-8, and
+round-off 1e-12, of the stiffness per unit strain.
+"""
+
+LARGE = 0.05
+"""Mean strain from which a linearised state is far from the one at the load factor."""
+
+SHARE = 1e-3
+"""Difference of the load over which its forces are differentiated, which are linear in it."""
+
+_Buckled = tuple[Pair, fem.Function]
+"""Load factor and mode, and the displacement of the state about which they were found."""
+
+
+class BucklingSettings(Record):
+    """Which buckling modes are looked for.
+
+    Attributes:
+        count: How many, from the smallest load factor on.
+        negative: As many with the loads reversed, too, always linearised at rest.
+        preload: Share of the loads at whose equilibrium the problem is linearised; 0: at rest.
+        tolerance: Relative error of load factors.
+    """
+
+    count: int = Field(default=4, ge=1)
+    negative: bool = False
+    preload: float = Field(default=0.0, ge=0)
+    tolerance: float = Field(default=1e-9, gt=0, lt=1)
+
+
+class Buckling(Preloaded):
+    """Finds the load factors at which a problem buckles, and the modes.
+
+    Args:
+        problem: What is loaded, without curves over time; its materials must know large rotations.
+        settings: See `BucklingSettings`; keyword arguments are its fields.
+        statics: How the loaded state is found, with a `preload`.
+        linear: How linear systems are solved: by factors.
+        petsc: PETSc and SLEPc options, which win over everything.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        settings: BucklingSettings | None = None,
+        *,
+        statics: StaticsSettings | None = None,
+        linear: LinearSettings | None = None,
+        petsc: Mapping[str, Any] | None = None,
+        **fields: Any,
+    ) -> None:
+        super().__init__(problem, statics, linear, petsc)
+        self.settings = settled(BucklingSettings, settings, fields)
+        self._check_way("buckling.preload", self.settings.preload)
+        refuse(problem, "buckling", loaded=True)
+        _check_laws(problem)
+        _check_proportional(problem)
+        if self.linear.method == "iterative":
+            raise InputError(
+                "buckling modes are found by factors",
+                where="solver.method",
+                expected='"auto" or "direct"',
+            )
+        size = f"{problem.num_dofs} unknowns"
+        if problem.num_dofs > DIRECT_LIMIT[problem.body.dim]:
+            size += ", which will take much memory"
+        why = f"buckling by Krylov-Schur iterations (SLEPc; MUMPS, LDL^T): {size}"
+        self.choice = Choice(True, prefixed(factorising(True)), why)
+
+    def steps(self) -> Iterator[State | Mode]:
+        """Yields the states of the preload, if there is one, and then the modes. Collective.
+
+        Raises:
+            InputError: The supports do not hold the body.
+            ConvergenceError: No equilibrium was found, it is unstable, or not all modes were.
+        """
+        check_held(self.problem)
+        self._tell_dashpots("load factors")
+        at_rest(self.problem)
+        share, opposite = self.settings.preload, list[_Buckled]()
+        if share > 0.0:
+            if self.settings.negative:
+                log.info("reversed loads are linearised at rest, which is nearer to them")
+                opposite = self._linearised(0.0, [-1])
+            yield from self._load(self.statics.model_copy(update={"end": share}))
+        yield from self.about_this_state(opposite)
+
+    def about_this_state(self, opposite: Sequence[_Buckled] = ()) -> Iterator[Mode]:
+        """Yields the modes about the present state of the problem. Collective.
+
+        Args:
+            opposite: What was found for the reversed loads, if it was looked for elsewhere.
+        """
+        share = self.settings.preload
+        both = self.settings.negative and share == 0.0
+        found = [*self._linearised(share, [1, -1] if both else [1]), *opposite]
+        if not found:
+            raise ConvergenceError(
+                "the body does not buckle: the loads make it only stiffer",
+                advice="buckling.negative = true for the reversed loads",
+            )
+        for k, (pair, base) in enumerate(found, start=1):
+            yield Mode(
+                number=k,
+                kind="buckling",
+                u=shape(self.problem, pair.vector)[0],
+                base=base,
+                eigenvalue=pair.value,
+                done=k / len(found),
+            )
+
+    def _linearised(self, share: float, signs: Sequence[int]) -> list[_Buckled]:
+        """Load factors about the present state, and the modes. Collective.
+
+        Args:
+            share: Of the loads, in this state.
+            signs: 1 for the loads as they are, -1 for the reversed ones.
+        """
+        log.info("%s", self.choice.why)
+        base = fem.Function(self.problem.V, name="displacement")
+        base.x.array[:] = self.problem.u.x.array
+        path, found = _Path(self.problem, share), list[_Buckled]()
+        try:
+            for sign in signs:
+                pairs = self._pairs(path, share, sign)
+                _warn_of_strains(pairs, path.straining, share)
+                found += [(pair, base) for pair in pairs]
+        finally:
+            path.destroy()
+        return found
+
+    def _pairs(self, path: _Path, share: float, sign: int) -> list[Pair]:
+        """Load factors and modes, beginning with the nearest."""
+        wanted = self.settings.count
+        critical = Critical(
+            self.problem,
+            path.stiffness,
+            path.rate,
+            sign=sign,
+            choice=self.choice,
+            users=self.of_modes(loaded=self.settings.preload > 0.0),
+            tolerance=self.settings.tolerance,
+        )
+        pairs = critical.lowest(wanted)
+        if len(pairs) < wanted:
+            log.warning(
+                "%d buckling modes asked for under %s loads, there are only %d",
+                wanted,
+                "these" if sign > 0 else "the reversed",
+                len(pairs),
+            )
+        return [Pair(share + sign * p.value, p.vector) for p in pairs]
+
+
+def _warn_of_strains(pairs: Sequence[Pair], straining: float, share: float) -> None:
+    """Says where what is linearised is far from what it is used for, on one side of it."""
+    away = min((p.value for p in pairs), key=lambda value: abs(value - share), default=share)
+    strain = abs(away - share) * straining
+    if strain > LARGE:
+        log.warning(
+            "on the way to load factor %.6g the body is strained by %.2g %% (mean), too "
+            "much for a linearised state: %sa buckling.preload a little below %.6g, or a path with "
+            'statics.method = "arc-length"',
+            away,
+            100 * strain,
+            "" if away > 0 else "with the loads reversed in the case ",
+            abs(away),
+        )
+
+
+class _Path:
+    """Tangent of a state, and its derivative along the path of equilibria. Collective.
+
+    Args:
+        problem: In that state.
+        share: Of the loads.
+
+    Attributes:
+        stiffness: K(s0), ones on the diagonal where displacements are prescribed.
+        rate: dK/ds, zero there.
+        straining: Rate of the strain along the path, root of its mean square.
+    """
+
+    def __init__(self, problem: Problem, share: float) -> None:
+        self._problem, self._share = problem, share
+        self._assembler = Assembler(problem)
+        try:
+            self._make()
+        finally:
+            self._assembler.destroy()
+
+    def _make(self) -> None:
+        problem, assembler = self._problem, self._assembler
+        kept = problem.w.x.array.copy()
+        self._put(kept, self._share)
+        along = self._velocity(kept)
+        self.stiffness: PETSc.Mat = self._tangent(kept, self._share).copy()
+        top = largest(problem.body.comm, float(np.max(np.abs(along), initial=0.0)))
+        if top == 0.0:
+            self.stiffness.destroy()
+            raise InputError(
+                "no load deforms the body", where="load", expected="at least one that does"
+            )
+        self.straining = self._straining(along)
+        step = STRAIN * cell_size(problem.body) / top
+        self.rate: PETSc.Mat = self._tangent(kept + step * along, self._share + step).copy()
+        before = self._tangent(kept - step * along, self._share - step)
+        with stage("assemble"):
+            self.rate.axpy(-1.0, before, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            self.rate.scale(0.5 / step)
+        self._put(kept, self._share)
+        assembler.assemble_balance()
+
+    def _put(self, values: Vector, share: float) -> None:
+        """Puts all unknowns, ghosts included, and the loads."""
+        problem = self._problem
+        problem.set_time(1.0, default=Amplitude(((0.0, share), (1.0, share))))
+        problem.w.x.array[:] = values
+        problem.unknowns.tell()
+
+    def _tangent(self, values: Vector, share: float) -> PETSc.Mat:
+        self._put(values, share)
+        self._assembler.forget_tangent()
+        x = self._assembler.create_vector()
+        self._assembler.get(x)
+        self._assembler.tangent(x)
+        x.destroy()
+        return self._assembler.matrix
+
+    def _velocity(self, kept: Vector) -> Vector:
+        """dw/ds = -K^-1 dR/ds, ghosts included."""
+        assembler, problem = self._assembler, self._problem
+        rates = [self._residual(kept, self._share + h) for h in (SHARE, -SHARE)]
+        self._tangent(kept, self._share)
+        stability = Stability(assembler)
+        if not stability.sound or stability.negative != 0:
+            stability.destroy()
+            raise ConvergenceError(
+                f"the body is not stable under {self._share:g} times the loads",
+                advice="a smaller buckling.preload; supports that hold every part",
+            )
+        f, x = assembler.create_vector(), assembler.create_vector()
+        f.array_w[:] = (rates[1] - rates[0]) / (2 * SHARE)
+        with stage("solve"):
+            stability.solve(f, x)
+        along = fem.Function(problem.W)
+        along.x.array[: assembler.size] = x.array_r
+        along.x.scatter_forward()
+        for thing in (f, x, stability):
+            thing.destroy()
+        return np.array(along.x.array)
+
+    def _straining(self, along: Vector) -> float:
+        """Root of the mean square of dE/ds = sym(F^T dF/ds), E = (F^T F - I)/2."""
+        problem, w = self._problem, fem.Function(self._problem.W)
+        w.x.array[:] = along
+        rate = ufl.sym(problem.F(problem.w).T * (problem.F(w) - ufl.Identity(3)))
+        forms = [ufl.inner(rate, rate), problem.constant(1.0)]
+        volume = problem.volume(None, 2)
+        square, whole = (
+            integral(problem, form) for form in compiled(problem, [f * volume for f in forms])
+        )
+        return float(np.sqrt(square / whole))
+
+    def _residual(self, values: Vector, share: float) -> Vector:
+        self._put(values, share)
+        assembler = self._assembler
+        x, f = assembler.create_vector(), assembler.create_vector()
+        assembler.get(x)
+        assembler.residual(x, f)
+        found = f.array_r.copy()
+        x.destroy()
+        f.destroy()
+        return found
+
+    def destroy(self) -> None:
+        """Frees both matrices. Collective."""
+        self.stiffness.destroy()
+        self.rate.destroy()
+
+
+def _check_laws(problem: Problem) -> None:
+    for part in problem.parts:
+        if part.law.linear:
+            raise InputError(
+                f"'{part.law.name()}' is for small rotations: its stiffness does not change "
+                "under load",
+                where=f"materials.{part.name}.law",
+                expected="st-venant-kirchhoff, which takes the same constants, or another law for "
+                "large rotations",
+            )
+
+
+def _check_proportional(problem: Problem) -> None:
+    """There is something to multiply, and one factor multiplies all."""
+    if not problem.loads and all(support.at_rest for support in problem.supports):
+        raise InputError(
+            "no load deforms the body",
+            where="load",
+            expected="at least one, or a support that moves",
+        )
+    own = {"load": [load.amplitude is not None for load in problem.loads], "support": []}
+    for support in problem.supports:
+        timed = any(depends_on_time(course) for course in support.courses)
+        timed = timed or getattr(support, "curve", None) is not None
+        own["support"].append(timed and not support.at_rest)
+    for key, rows in own.items():
+        if any(rows):
+            raise InputError(
+                "what has a course of its own over t is not multiplied by a load factor",
+                where=f"{key}[{rows.index(True)}].curve",
+                expected="numbers without a curve, formulas without t",
+            )

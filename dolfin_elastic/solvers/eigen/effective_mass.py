@@ -1,0 +1,202 @@
+"""The mass matrix, the rigid motions of a body in it, and those that nothing prevents."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from petsc4py import PETSc
+
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
+from dolfin_elastic.solvers.assembly.matrix import TangentMatrix
+from dolfin_elastic.solvers.diagnostics.connectivity import Bodies
+from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
+from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
+from dolfin_elastic.solvers.linear.nullspace import times, unresisted
+
+Vector = npt.NDArray[np.float64]
+
+FREE = 1e-12
+"""Force against a rigid motion, over the largest stiffness of a node, that is round-off."""
+
+SAME = 1e-6
+"""Share of a unit motion that is no motion of its own."""
+
+
+class Mass:
+    """The consistent mass matrix, the integral of density a . v. Collective; `destroy` it.
+
+    Args:
+        assembler: Of the same unknowns.
+
+    Attributes:
+        matrix: The PETSc matrix: at first of the whole body, after `constrain` with zero rows and
+            columns where displacements are prescribed.
+    """
+
+    def __init__(self, assembler: Assembler) -> None:
+        self._assembler, problem = assembler, assembler.problem
+        trial = problem.unknowns.displacement(ufl.TrialFunction(problem.W))
+        self._form = compiled(problem, [problem.inertia(trial, problem.v)])[0]
+        self._filled = TangentMatrix(self._form)
+        self._filled.assemble([])
+        self.matrix: PETSc.Mat = self._filled.petsc
+
+    def constrain(self) -> None:
+        """Leaves the inertia of what is free to move only. Collective."""
+        assembler, tilted = self._assembler, self._assembler.problem.prescribed.tilted
+        if tilted is not None:
+            self._filled.destroy()
+            P = tilted.P[: tilted.count]
+            self._filled = TangentMatrix(self._form, assembler.tilted, P)
+            self._filled.unit = 0.0
+            self._filled.assemble([])
+            self.matrix = self._filled.petsc
+        start = self.matrix.getOwnershipRange()[0]
+        rows = (assembler.fixed + start).astype(PETSc.IntType)
+        self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self.matrix.zeroRowsColumns(rows, diag=0.0)
+        self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+
+    def times(self, columns: Vector) -> Vector:
+        """M times columns of owned entries, shape (entries, n). Collective."""
+        return times(self.matrix, columns)
+
+    def destroy(self) -> None:
+        """Frees the matrix. Collective."""
+        self._filled.destroy()
+
+
+class Frame:
+    """Unit rigid motions of some nodes about their centre of mass, and their inertia. Collective.
+
+    Args:
+        problem: Whose body.
+        mass: Of the whole body.
+        inside: Which of the owned nodes move.
+
+    Attributes:
+        names: Of the directions: "x", "y", "z", "rx", "ry", "rz".
+        centre: Centre of mass of the present shape [m].
+        columns: The motions as owned entries of all unknowns, shape (entries, directions).
+        images: M times these.
+        whole: Mass [kg] and moments of inertia [kg m^2].
+        size: Largest distance from the centre of mass [m].
+    """
+
+    def __init__(self, problem: Problem, mass: Mass, inside: npt.NDArray[np.bool_]) -> None:
+        comm, dim = problem.body.comm, problem.body.dim
+        places = _places(problem)
+        unit = _spread(problem, np.eye(dim)[:1] * inside[:, None])
+        nodal = mass.times(unit[:, None])[problem.unknowns.moves, 0].reshape(-1, dim)[:, 0]
+        sums = total(comm, np.array([nodal.sum(), *(nodal @ places)]))
+        self.centre: Vector = sums[1:] / sums[0]
+        motions = rigid_motions(places - self.centre) * inside[:, None, None]
+        names = ["x", "y", "z"][:dim] + (["rx", "ry", "rz"] if dim == 3 else ["rz"])
+        if problem.geometry == "axisymmetric":  # of rigid motions only the one along the axis is
+            motions, names, self.centre[0] = motions[:, :, 1:2], ["y"], 0.0
+        self.names = tuple(names)
+        self.columns = np.stack(
+            [_spread(problem, motions[:, :, k]) for k in range(len(names))], axis=1
+        )
+        self.images = mass.times(self.columns)
+        self.whole: Vector = np.diag(total(comm, self.columns.T @ self.images))
+        arms = np.linalg.norm((places - self.centre)[inside], axis=1)
+        self.size = largest(comm, float(np.max(arms, initial=0.0))) or 1.0
+
+    def scaled(self, mix: Vector) -> Vector:
+        """A combination of the motions with rotations in units of 1/size, as one unit column."""
+        scaled = mix * np.where(np.arange(len(mix)) < len(self.centre), 1.0, self.size)
+        return np.asarray(scaled / np.linalg.norm(scaled))[:, None]
+
+
+def _places(problem: Problem) -> Vector:
+    """Present places of the owned nodes [m]; with small-strain laws the undeformed ones."""
+    dim = problem.body.dim
+    own = len(problem.unknowns.moves) // dim
+    x = problem.V.tabulate_dof_coordinates()[:own, :dim]
+    if problem.site.linear:
+        return np.asarray(x)
+    return np.asarray(x + problem.u.x.array[: own * dim].reshape(-1, dim))
+
+
+def _spread(problem: Problem, motion: Vector) -> Vector:
+    """Displacement of the owned nodes, shape (nodes, dim), as entries of all unknowns."""
+    moves, W = problem.unknowns.moves, problem.W.dofmap
+    entries = np.zeros(W.index_map.size_local * W.index_map_bs)
+    entries[moves] = motion.reshape(-1)
+    return entries
+
+
+@dataclass(frozen=True)
+class RigidMode:
+    """A rigid motion that nothing prevents.
+
+    Attributes:
+        vector: Owned entries of all unknowns; v . M v = 1, and M-orthogonal to all others.
+        name: In words.
+    """
+
+    vector: Vector
+    name: str
+
+
+def rigid_modes(assembler: Assembler, mass: Mass) -> list[RigidMode]:
+    """The rigid motions of each connected body that the tangent maps to nothing. Collective.
+
+    They are known from the geometry, and so is whether the tangent resists them; nothing is
+    concluded from eigenvalues near zero.
+
+    Args:
+        assembler: With the tangent as it is assembled.
+        mass: Of the whole body.
+    """
+    problem = assembler.problem
+    bodies = Bodies(problem)
+    own, names = len(assembler.moves) // problem.body.dim, bodies.names()
+    found = []
+    for number in range(bodies.count):
+        frame = Frame(problem, mass, bodies.of_node[:own] == number)
+        label = f"{names[number]}: " if names[number] else ""
+        found += [RigidMode(m.vector, label + m.name) for m in _free(assembler, frame)]
+    return found
+
+
+def _free(assembler: Assembler, frame: Frame) -> list[RigidMode]:
+    """Those of one body."""
+    comm, problem = assembler.comm, assembler.problem
+    lengths = np.sqrt(total(comm, (frame.columns**2).sum(axis=0)))
+    columns = frame.columns / lengths
+    null = unresisted(assembler, columns, FREE)
+    gram = total(comm, columns.T @ (frame.images / lengths))
+    modes = []
+    for mix in _orthogonal(null, gram):
+        if problem.geometry == "axisymmetric":
+            name = "move along y"
+        else:
+            (name,) = motions_in_words(frame.scaled(mix / lengths), frame.centre, frame.size)
+        modes.append(RigidMode(columns @ mix, name))
+    return modes
+
+
+def _orthogonal(null: Vector, gram: Vector) -> list[Vector]:
+    """A basis of combinations, orthonormal in `gram`: pure unit motions first, where there are.
+
+    Args:
+        null: Orthonormal columns.
+        gram: Products of the motions that are combined.
+    """
+    candidates = (null @ null.T).T
+    pure = [c for k, c in enumerate(candidates) if np.linalg.norm(c - np.eye(len(c))[k]) < SAME]
+    found: list[Vector] = []
+    for candidate in [*pure, *candidates]:
+        size = np.sqrt(candidate @ gram @ candidate)
+        rest = candidate - sum((f * (f @ gram @ candidate) for f in found), np.zeros(len(gram)))
+        length = np.sqrt(max(rest @ gram @ rest, 0.0))
+        if len(found) < null.shape[1] and length > SAME * max(size, 1e-300):
+            found.append(rest / length)
+    return found

@@ -1,0 +1,332 @@
+"""Natural frequencies and modes of vibration, at rest or about a loaded state, by SLEPc.
+
+K u = omega^2 M u with the tangent K of the state about which the body vibrates and its consistent
+mass M.  Source: K.-J. Bathe, Finite Element Procedures (2014), sections 4.2.1 and 10.2.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+from pydantic import Field, model_validator
+
+from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.schema import Record, settled
+from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.units import Frequency
+from dolfin_elastic.model.amplitude import RAMP
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.state import Mode, State
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.eigen.effective_mass import (
+    Frame,
+    Mass,
+    RigidMode,
+    rigid_modes,
+)
+from dolfin_elastic.solvers.eigen.mode_shapes import (
+    at_rest,
+    complete,
+    refuse,
+    shape,
+    undetermined,
+)
+from dolfin_elastic.solvers.eigen.preload import Preloaded
+from dolfin_elastic.solvers.eigen.slepc import (
+    Pair,
+    Spectrum,
+    choose_eigen,
+    uneven,
+)
+from dolfin_elastic.solvers.eigen.volume_constraints import constrain
+from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.linear.nullspace import times
+from dolfin_elastic.solvers.statics.statics import StaticsSettings
+
+Vector = npt.NDArray[np.float64]
+log = logging.getLogger("dolfin_elastic")
+
+UNMOVED = "small-strain laws know no preload: the frequencies are those at rest"
+
+MOST = 500
+"""Modes that are looked for by frequency, at most."""
+
+SOFT = 1e-3
+"""First shift below zero, over the Rayleigh quotient of a smooth motion."""
+
+FAR = 30.0
+"""A shift so many times farther from zero than the first eigenvalue costs it digits."""
+
+NOTHING = 1e-8
+"""Eigenvalues over the Rayleigh quotient of a smooth motion whose sign may be round-off."""
+
+
+class ModalSettings(Record):
+    """Which modes of vibration are looked for.
+
+    Attributes:
+        count: How many, from the lowest on; rigid ones come in addition.
+        below: All modes below this frequency, instead of so many [Hz].
+        preload: They are those about the equilibrium under the loads; without, at rest.
+        tolerance: Relative error of omega^2.
+    """
+
+    count: int | None = Field(default=None, ge=1)
+    below: Frequency | None = Field(default=None, gt=0)
+    preload: bool = False
+    tolerance: float = Field(default=1e-9, gt=0, lt=1)
+
+    @model_validator(mode="after")
+    def _one_measure(self) -> Self:
+        if self.count is not None and self.below is not None:
+            raise InputError("count and below given together", expected="leave one of them out")
+        return self
+
+
+class Modal(Preloaded):
+    """Finds the modes of vibration of a problem.
+
+    Args:
+        problem: What vibrates; every material needs a density.
+        settings: See `ModalSettings`; keyword arguments are its fields.
+        statics: How the loaded state is found, with `preload`.
+        linear: How linear systems are solved.
+        petsc: PETSc and SLEPc options, which win over everything.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        settings: ModalSettings | None = None,
+        *,
+        statics: StaticsSettings | None = None,
+        linear: LinearSettings | None = None,
+        petsc: Mapping[str, Any] | None = None,
+        **fields: Any,
+    ) -> None:
+        super().__init__(problem, statics, linear, petsc)
+        self.settings = settled(ModalSettings, settings, fields)
+        self._check_way("modal.preload", 1.0 if self.settings.preload else 0.0)
+        refuse(problem, "modal", loaded=self.settings.preload)
+        for part in problem.parts:
+            problem.site.density(part)  # says where there is none
+        self.choice = choose_eigen(problem, self.linear)
+        if self.settings.below is not None and not self.choice.direct:
+            raise InputError(
+                "modes are counted by factors",
+                where="modal.below",
+                expected='count, or solver.method = "direct"',
+            )
+
+    def steps(self) -> Iterator[State | Mode]:
+        """Yields the states of the preload, if there is one, and then the modes. Collective.
+
+        Raises:
+            InputError: The supports do not hold a body that is loaded.
+            ConvergenceError: No equilibrium was found, or not all modes.
+        """
+        self._tell_dashpots("undamped modes")
+        if self.settings.preload:
+            if self.problem.site.linear:
+                log.warning(UNMOVED)
+            yield from self._load(self.statics)
+        else:
+            at_rest(self.problem)
+        yield from self.about_this_state()
+
+    def about_this_state(self) -> Iterator[Mode]:
+        """Yields the modes about the present state of the problem. Collective."""
+        log.info("%s", self.choice.why)
+        vibration = Vibration(self)
+        try:
+            yield from vibration.modes()
+        finally:
+            vibration.destroy()
+
+
+def _assembler(problem: Problem, *, loaded: bool) -> Assembler:
+    """Stiffness at the present state; without loads those that follow the body are taken off."""
+    on = [
+        load
+        for load in problem.loads
+        if load.follows and not load.swells and (load.amplitude or RAMP).at(0.0) != 0.0
+    ]
+    if loaded or not on or problem.external is None:
+        return Assembler(problem)
+    trial = ufl.TrialFunction(problem.W)
+    return Assembler(
+        problem,
+        extra=problem.external,
+        extra_tangent=ufl.derivative(problem.external, problem.w, trial),
+    )
+
+
+class Vibration:
+    """Stiffness and mass of a state, and what vibrates in them. Collective; `destroy` it."""
+
+    def __init__(self, modal: Modal) -> None:
+        self.problem, self.settings = modal.problem, modal.settings
+        problem, comm = self.problem, self.problem.body.comm
+        self._comm = comm
+        self.assembler = _assembler(problem, loaded=self.settings.preload)
+        self.mass = Mass(self.assembler)
+        x = self.assembler.create_vector()
+        self.assembler.get(x)
+        self.assembler.tangent(x)
+        x.destroy()
+        self.assembler.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        with stage("assemble"):
+            everywhere = np.ones(len(self.assembler.moves) // problem.body.dim, dtype=bool)
+            self.whole = Frame(problem, self.mass, everywhere)
+            self.rigid = rigid_modes(self.assembler, self.mass)
+            self.mass.constrain()
+            self.room = self._room() - constrain(self.assembler) - len(self.rigid)
+        if self.room <= 0 and not self.rigid:
+            raise InputError(
+                "nothing can vibrate: supports hold every node, or all but what volumes that "
+                "cannot change allow",
+                where="support",
+                expected="some nodes that are free to move: a finer mesh, or fewer supports",
+            )
+        self.spectrum = Spectrum(
+            problem,
+            self.assembler.matrix,
+            self.mass.matrix,
+            choice=modal.choice,
+            users=modal.of_modes(loaded=self.settings.preload),
+            tolerance=self.settings.tolerance,
+        )
+        self.smooth = self._smooth()
+
+    def _room(self) -> int:
+        """How many modes there are: displacements that nothing prescribes."""
+        assembler, tilted = self.assembler, self.problem.prescribed.tilted
+        free = len(assembler.moves) - len(assembler.fixed)
+        if tilted is not None:
+            traces = np.trace(tilted.P[: tilted.count], axis1=1, axis2=2)
+            free -= int(np.rint(traces.sum()))
+        return int(self._comm.allreduce(free))
+
+    def modes(self) -> Iterator[Mode]:
+        """Rigid modes, then all others. Collective."""
+        shift, count = self._wanted()
+        pairs = self._pairs(shift, count)
+        base = fem.Function(self.problem.V, name="displacement")
+        base.x.array[:] = self.problem.u.x.array
+        found: list[RigidMode | Pair] = [*self.rigid, *pairs]
+        if pairs and self._grows(pairs[0].value):
+            log.warning("the state is unstable: some modes have no stiffness, but grow")
+        for k, one in enumerate(found, start=1):
+            yield self._mode(k, one, base, k / len(found))
+
+    def _wanted(self) -> tuple[float, int]:
+        """The shift, and how many modes to look for."""
+        shift = self._shift()
+        if self.settings.below is None:
+            count = self.settings.count or 6
+            if count > self.room:
+                log.warning("%d modes asked for, there are only %d", count, self.room)
+            return shift, min(count, self.room)
+        top = (2 * np.pi * self.settings.below) ** 2
+        number = self.spectrum.below(top) or self.spectrum.below(top * (1 + 1e-9)) or 0
+        count = number - len(self.rigid)
+        if count > MOST:
+            raise InputError(
+                f"{count} modes lie below {self.settings.below:g} Hz",
+                where="modal.below",
+                expected=f"a frequency with at most {MOST}, or count",
+            )
+        log.info("%d modes lie below %g Hz", count, self.settings.below)
+        return shift, count
+
+    def _shift(self) -> float:
+        """A number below all eigenvalues, at which the matrix can be factorised.
+
+        Zero where the body is held; with rigid modes, mechanisms or instabilities below zero.
+        """
+        if not self.rigid and (not self.spectrum.counted or self.spectrum.below(0.0) == 0):
+            return 0.0
+        shift, counts = -SOFT * self.smooth, set[int | None]()
+        for _ in range(40):
+            if not self.spectrum.counted or (below := self.spectrum.below(shift)) == 0:
+                return shift
+            counts.add(below)
+            shift *= 10.0
+        if counts == {None}:
+            raise undetermined()
+        raise ConvergenceError(
+            "the loaded state has eigenvalues without bound below zero",
+            advice="check the materials and the loads",
+        )
+
+    def _smooth(self) -> float:
+        """Rayleigh quotient of a smooth motion without its rigid part [1/s^2]. Collective."""
+        motion = uneven(self.problem, 0)
+        motion[self.assembler.fixed] = 0.0
+        motion[self.assembler.tilted] = 0.0
+        image = self.mass.times(motion[:, None])[:, 0]
+        for mode in self.rigid:
+            motion = motion - self._product(mode.vector, image) * mode.vector
+        columns = motion[:, None]
+        stiff = times(self.assembler.matrix, columns)[:, 0]
+        work = self._product(motion, stiff)
+        return abs(work / self._product(motion, self.mass.times(columns)[:, 0]))
+
+    def _grows(self, value: float) -> bool:
+        """A negative eigenvalue that is no round-off."""
+        return value < -NOTHING * self.smooth
+
+    def _product(self, a: Vector, b: Vector) -> float:
+        return float(self._comm.allreduce(float(np.sum(a * b))))
+
+    def _pairs(self, shift: float, count: int) -> list[Pair]:
+        """Elastic modes, complete up to the last."""
+        known = [mode.vector for mode in self.rigid]
+        for _ in range(3):
+            pairs = complete(
+                self.spectrum, shift, count, room=self.room, known=known, zeros=len(self.rigid)
+            )
+            first = abs(pairs[0].value) if pairs else np.inf
+            if not (-shift > FAR * first and first > NOTHING * self.smooth):
+                break
+            shift = -first  # nearer, for the sake of the lowest ones
+        return pairs[:count]
+
+    def _mode(self, number: int, found: Pair | RigidMode, base: fem.Function, done: float) -> Mode:
+        vector = found.vector
+        images = self.mass.times(vector[:, None])[:, 0]
+        mass = self._product(vector, images)
+        shared: Vector = total(self._comm, self.whole.images.T @ vector)
+        rigid = isinstance(found, RigidMode)
+        value = 0.0 if isinstance(found, RigidMode) else found.value
+        u, size = shape(self.problem, vector)
+        return Mode(
+            number=number,
+            kind="rigid" if rigid else "unstable" if self._grows(value) else "elastic",
+            u=u,
+            base=base,
+            eigenvalue=value,
+            frequency=float(np.sqrt(max(value, 0.0)) / (2 * np.pi)),
+            mass=mass / size**2,
+            participation=self._named(shared / mass * size),
+            effective=self._named(np.square(shared) / mass),
+            whole=self._named(self.whole.whole),
+            name=found.name if isinstance(found, RigidMode) else "",
+            done=done,
+        )
+
+    def _named(self, values: Vector) -> dict[str, float]:
+        return {n: float(v) for n, v in zip(self.whole.names, values, strict=True)}
+
+    def destroy(self) -> None:
+        """Frees all matrices. Collective."""
+        self.mass.destroy()
+        self.assembler.destroy()

@@ -1,0 +1,213 @@
+"""What modes of vibration and of buckling have in common: who has none, how many, their shapes."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.petsc_options import PREFIX
+from dolfin_elastic.model.amplitude import RAMP
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.eigen.slepc import Pair, uneven
+from dolfin_elastic.solvers.nonlinear.scalars import refuse_scalars
+
+Vector = npt.NDArray[np.float64]
+log = logging.getLogger("dolfin_elastic")
+
+GAP = 1e-4
+"""Relative distance of two eigenvalues between which can be counted."""
+
+_OF_MODES = ("eps_", "st_", "bv_", "ds_")
+"""How the names of SLEPc's options begin."""
+
+SPARE = 4
+"""Modes that are found beyond those asked for, so that there is a gap to count in."""
+
+
+class Pencil(Protocol):
+    """What finds eigenpairs and counts them: see `eigen.Spectrum` and `critical.Critical`."""
+
+    counted: bool
+
+    def near(
+        self, shift: float, count: int, *, room: int, known: Sequence[Vector] = (), seed: int = 0
+    ) -> list[Pair]:
+        """The eigenpairs next to a shift."""
+
+    def below(self, number: float) -> int | None:
+        """How many lie below a number."""
+
+
+def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
+    """Says what has no modes. Collective.
+
+    Args:
+        problem: What is to vibrate or buckle.
+        table: Name of the case file's table.
+        loaded: The tangent is one with loads.
+
+    Raises:
+        InputError: Something of it has none.
+    """
+    if problem.cell is not None:
+        raise InputError(
+            "a periodic cell has no modes of its own",
+            where="periodic",
+            expected=f"leave it out, or write [statics] in place of [{table}]",
+        )
+    if problem.touching:
+        raise InputError(
+            "what opens and closes has no modes",
+            where="contact",
+            expected="a support in its place, or [dynamics]",
+        )
+    refuse_scalars(problem)
+    for part in problem.parts:
+        if not part.law.has_energy:
+            raise InputError(
+                f"'{part.law.name()}' has no energy, so that its modes are no modes",
+                where=f"materials.{part.name}.law",
+                expected="for example st-venant-kirchhoff",
+            )
+    if loaded and not problem.symmetric:
+        index = next(i for i, load in enumerate(problem.loads) if load.follows)
+        raise InputError(
+            "the pressure follows a surface whose rim is free: it has no potential, and the body "
+            "may flutter",
+            where=f"load[{index}]",
+            expected="a rim that is held, a closed surface, a traction, or [dynamics]",
+        )
+
+
+def shared(users: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The user's PETSc options for the way to a loaded state, and those for its modes."""
+    plain = {name.lstrip("-").removeprefix(PREFIX): value for name, value in users.items()}
+    modal = {name: value for name, value in plain.items() if name.startswith(_OF_MODES)}
+    return {n: v for n, v in plain.items() if n not in modal}, modal
+
+
+def at_rest(problem: Problem) -> None:
+    """Puts the body to rest, without loads. Collective.
+
+    Raises:
+        InputError: Growth or warmth acts from the start.
+    """
+    problem.set_time(0.0, default=RAMP)
+    for index, load in enumerate(problem.loads):
+        if load.swells and (load.amplitude or RAMP).at(0.0) != 0.0:
+            raise InputError(
+                f"{load.kind} acts at rest, too: the body is not free of stress",
+                where=f"load[{index}]",
+                expected="modal.preload = true, or no curve",
+            )
+    problem.w.x.array[:] = 0.0
+    problem.unknowns.tell()
+
+
+def shape(problem: Problem, vector: Vector) -> tuple[fem.Function, float]:
+    """The displacement in owned entries of all unknowns, of largest length 1, and that length.
+
+    The sign is the same on any number of ranks. Collective.
+    """
+    u = fem.Function(problem.V, name="mode")
+    motion, dim, comm = vector[problem.unknowns.moves], problem.body.dim, problem.body.comm
+    lengths = np.linalg.norm(motion.reshape(-1, dim), axis=1)
+    size = largest(comm, float(np.max(lengths, initial=0.0)))
+    if total(comm, float(vector @ uneven(problem, 0))) < 0.0:
+        size = -size
+    u.x.array[: len(motion)] = motion / size
+    u.x.scatter_forward()
+    return u, size
+
+
+def complete(
+    spectrum: Pencil,
+    shift: float,
+    count: int,
+    *,
+    room: int,
+    known: Sequence[Vector] = (),
+    zeros: int = 0,
+) -> list[Pair]:
+    """The lowest eigenpairs, of which none is missing. Collective.
+
+    They are counted by the signs of pivots in a gap above the last one.  What is missing of
+    repeated eigenvalues is looked for among the vectors orthogonal to those that are found.  Where
+    nothing can be counted, a second search among these must find nothing new.
+
+    Args:
+        spectrum: The pencil.
+        shift: Below all eigenvalues.
+        count: How many are wanted; a few more are given.
+        room: How many there are beside the known ones.
+        known: Vectors that are not looked for.
+        zeros: How many of the eigenvalues belong to these.
+
+    Raises:
+        ConvergenceError: Some are not found.
+    """
+    pairs = spectrum.near(shift, count + SPARE, room=room, known=known)
+    for attempt in range(1, 6):
+        values = np.array([pair.value for pair in pairs])
+        if not len(values):
+            return pairs
+        top, found = _gap(values, count)
+        vectors = [*known, *(pair.vector for pair in pairs)]
+        left = room - len(pairs)
+        if spectrum.counted:
+            below = _counted(spectrum, top)
+            missing = below - found - zeros
+            if missing < 0:
+                raise ConvergenceError(
+                    f"{found + zeros} modes were found where there are only {below}",
+                    advice="a smaller tolerance",
+                )
+            if missing == 0 or left == 0:
+                log.info("counted by the signs of pivots: none of the modes is missing")
+                return pairs
+            log.info("%d modes are missing: another search", missing)
+            pairs += spectrum.near(shift, missing, room=left, known=vectors, seed=attempt)
+        else:
+            more = spectrum.near(shift, 1, room=left, known=vectors, seed=attempt)
+            if not any(pair.value < top for pair in more):
+                log.info("modes are not counted without factors; a second search found no other")
+                return pairs
+            pairs += more
+        pairs.sort(key=lambda pair: pair.value)
+    raise ConvergenceError("modes are still missing after five searches", advice="fewer modes")
+
+
+def _counted(spectrum: Pencil, top: float) -> int:
+    """How many eigenvalues lie below a number, or just above it if there is one. Collective."""
+    for _ in range(10):
+        below = spectrum.below(top)
+        if below is not None:
+            return below
+        top *= 1 + GAP / 10
+    raise undetermined()
+
+
+def undetermined() -> ConvergenceError:
+    """A matrix that is singular with any shift."""
+    return ConvergenceError(
+        "modes cannot be counted: the stiffness is singular whatever is added of the mass, for an "
+        "unknown beside the displacement is left undetermined",
+        advice="of several bodies that cannot be compressed, does one have no free surface? A nu "
+        "a little below 0.5 there",
+    )
+
+
+def _gap(values: Vector, count: int) -> tuple[float, int]:
+    """A number above the last wanted value, away from all, and how many values lie below it."""
+    for k in range(min(count, len(values)), len(values)):
+        low, high = values[k - 1], values[k]
+        if high - low > GAP * abs(high):
+            return float(low + high) / 2, k
+    return float(values[-1] + GAP / 2 * abs(values[-1])), len(values)

@@ -1,0 +1,104 @@
+"""`Preloaded`: an analysis about a state of a problem, at rest or loaded: modes, buckling."""
+
+from __future__ import annotations
+
+import logging
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.core.schema import Idle, refuse_idle, within
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.state import Mode, State
+from dolfin_elastic.solvers.breakpoints import refuse_beyond
+from dolfin_elastic.solvers.eigen.mode_shapes import shared
+from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.statics.statics import Statics, StaticsSettings
+
+log = logging.getLogger("dolfin_elastic")
+
+
+class Preloaded(ABC):
+    """What `Modal` and `Buckling` share: the way to the state, and whose PETSc options are whose.
+
+    Args:
+        problem: What is analysed.
+        statics: How a loaded state is found.
+        linear: How linear systems are solved.
+        petsc: PETSc and SLEPc options, which win over everything.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        statics: StaticsSettings | None,
+        linear: LinearSettings | None,
+        petsc: Mapping[str, Any] | None,
+    ) -> None:
+        self.problem, self._way = problem, statics
+        self.statics, self.linear = statics or StaticsSettings(), linear or LinearSettings()
+        self.petsc = {**self.linear.petsc, **(petsc or {})}
+
+    def _check_way(self, key: str, share: float) -> None:
+        """Whether all that [statics] says is about the way to the loaded state.
+
+        Args:
+            key: Dotted key of the preload.
+            share: Of the loads, in this state; at rest there is no way.
+
+        Raises:
+            InputError: Some of it would be ignored.
+        """
+        if self._way is None or not share:
+            return
+        ends = f"the way to the preload ends where {key} says"
+        rules = [Idle(["max_displacement"], "a preload is reached in full or not at all")]
+        rules += [Idle(["end"], ends)] if key == "buckling.preload" else []
+        try:
+            refuse_idle(self._way, rules)
+            if rules[1:]:
+                refuse_beyond(self._way.times, share, key)
+        except InputError as error:
+            raise within("statics", error) from None
+
+    @abstractmethod
+    def steps(self) -> Iterator[State | Mode]:
+        """Yields the states of the preload, if there is one, and then the modes. Collective."""
+
+    def modes(self) -> Iterator[Mode]:
+        """Yields the modes only. Collective."""
+        yield from (found for found in self.steps() if isinstance(found, Mode))
+
+    def of_modes(self, *, loaded: bool) -> dict[str, Any]:
+        """PETSc options for what is done about the state.
+
+        Args:
+            loaded: There is a way to it, which takes all options but SLEPc's.
+        """
+        return shared(self.petsc)[1] if loaded else self.petsc
+
+    def _tell_dashpots(self, found: str) -> None:
+        """Warns of each that is there for nothing."""
+        for dashpot in self.problem.dashpots:
+            log.warning("the dashpot '%s' does nothing to %s", dashpot.label, found)
+
+    def _load(self, settings: StaticsSettings) -> Iterator[State]:
+        """Yields the states on the way to the loaded one. Collective.
+
+        Raises:
+            ConvergenceError: It is not reached.
+        """
+        of_statics, _ = shared(self.petsc)
+        linear = self.linear.model_copy(update={"petsc": {}})
+        state = None
+        way = Statics(self.problem, settings, linear=linear, petsc=of_statics)
+        way.alone = False
+        for state in way.steps():
+            yield state
+        if state is not None and state.done < 1.0 - 1e-9:
+            raise ConvergenceError(
+                f"the way to the preload has ended at the load factor {state.t:.6g}, before "
+                f"{settings.end:.6g}",
+                advice="more statics.max_steps, or larger steps",
+            )

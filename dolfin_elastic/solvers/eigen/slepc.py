@@ -1,0 +1,307 @@
+"""Eigenvalues of large symmetric pencils by SLEPc, and how many of them there are.
+
+Krylov-Schur iterations find the eigenvalues of A x = value B x that lie nearest to a shift, by
+solving with A - shift B.  B may be singular: prescribed displacements, and pressures without
+inertia, have infinite eigenvalues, which shift-and-invert maps to zero, so that none of them is
+ever found; SLEPc purges what is left of them from the vectors.  How many eigenvalues lie below a
+number follows from the signs of the pivots of A - number B, by Sylvester's law of inertia.
+
+Sources: G. W. Stewart, SIAM J. Matrix Anal. Appl. 23 (2002) 601; B. Nour-Omid, B. Parlett,
+T. Ericsson and P. Jensen, Math. Comp. 48 (1987) 663 (B singular); G. Golub and C. Van Loan, Matrix
+Computations (2013), section 8.1.5 (inertia).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+from slepc4py import SLEPc
+
+from dolfin_elastic.core.errors import ConvergenceError
+from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.petsc_options import PREFIX
+from dolfin_elastic.core.timing import stage
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.linear.choice import (
+    GAMG,
+    QUADRATIC,
+    Choice,
+    LinearSettings,
+    QuadraticMultigrid,
+    factorising,
+    rigid_body_modes,
+)
+from dolfin_elastic.solvers.petsc.options import Options
+
+Vector = npt.NDArray[np.float64]
+
+DIRECT_LIMIT = {2: 600_000, 3: 100_000}
+"""Unknowns up to which is factorised by default: more than in statics, for each of the factors
+serves some fifty solutions."""
+
+ROOM = 15
+"""Krylov vectors beyond those that are asked for, at least."""
+
+ENDLESS = 1e13
+"""Distance from the shift, over that of the nearest eigenvalue, from which one is infinite: what
+more pressures than motions leave beside round-off."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """An eigenvalue and its vector: owned entries of all unknowns, of Euclidean norm 1."""
+
+    value: float
+    vector: Vector
+
+
+def choose_eigen(problem: Problem, settings: LinearSettings) -> Choice:
+    """Chooses how systems inside an eigenvalue solver are solved, and says why."""
+    dofs, limit = problem.num_dofs, DIRECT_LIMIT[problem.body.dim]
+    direct = settings.method == "direct" or (settings.method == "auto" and dofs <= limit)
+    size = f"{dofs} unknowns"
+    if settings.method != "auto":
+        size += f", '{settings.method}' asked for"
+    if direct or problem.unknowns.extras:
+        if not direct:
+            size += ", with scalar fields beside the displacement"
+        why = f"Krylov-Schur with shift and invert (SLEPc; MUMPS, LDL^T): {size}"
+        return Choice(True, prefixed(factorising(True)), why)
+    grid, degree = dict(GAMG if problem.degree == 1 else QUADRATIC), problem.degree
+    options = {
+        "ksp_type": "cg",
+        "ksp_rtol": 1e-11,  # errors of solutions are errors of eigenvectors
+        "ksp_max_it": 2000,
+        "pc_type": "gamg" if degree == 1 else "python",
+        **grid,
+    }
+    name = "GAMG" if degree == 1 else "multigrid from quadratic to linear elements, GAMG"
+    why = f"Krylov-Schur with shift and invert (SLEPc; CG, {name} with rigid-body modes): {size}"
+    return Choice(False, prefixed(options), why)
+
+
+def prefixed(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of a linear solver inside SLEPc's spectral transformation."""
+    return {f"st_{name}": value for name, value in options.items()}
+
+
+def negative(matrix: PETSc.Mat) -> int | None:
+    """Negative eigenvalues of a symmetric matrix, from its pivots; None: one is zero. Collective.
+
+    Raises:
+        ConvergenceError: It cannot be factorised.
+    """
+    ksp = PETSc.KSP().create(matrix.comm)
+    try:
+        ksp.setOptionsPrefix(PREFIX + "inertia_")
+        ksp.setOperators(matrix)
+        ksp.setType("preonly")
+        pc = ksp.getPC()
+        pc.setType("cholesky")
+        pc.setFactorSolverType("mumps")
+        pc.setFactorSetUpSolverType()
+        factors = pc.getFactorMatrix()
+        # Room for pivots; without ScaLAPACK at the root, which hides signs; null pivots are met.
+        for number, value in ((14, 80), (13, 1), (24, 1)):
+            factors.setMumpsIcntl(number, value)
+        ksp.setUp()
+        if pc.getFailedReason() != PETSc.PC.FailedReason.NOERROR:
+            raise _no_factors()
+        below, zero, _ = pc.getFactorMatrix().getInertia()
+        return None if zero else int(below)
+    except PETSc.Error:
+        raise _no_factors() from None
+    finally:
+        ksp.destroy()
+
+
+def _no_factors() -> ConvergenceError:
+    return ConvergenceError(
+        "the eigenvalues cannot be counted: MUMPS cannot factorise the matrix",
+        advice="more memory (more ranks), a coarser mesh",
+    )
+
+
+@contextmanager
+def failing() -> Iterator[None]:
+    """Lets PETSc's failure inside an eigenvalue solver be one message.
+
+    Raises:
+        ConvergenceError: It has failed.
+    """
+    try:
+        yield
+    except PETSc.Error as error:
+        said = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
+        raise ConvergenceError(
+            f"the eigenvalue solver has failed: {said}",
+            advice='solver.method = "direct", more memory (more ranks), a coarser mesh',
+        ) from None
+
+
+class Spectrum:
+    """Eigenpairs of A x = value B x. Collective; `destroy` it.
+
+    Args:
+        problem: Whose unknowns the matrices are of.
+        A: Symmetric.
+        B: Symmetric and not negative.
+        choice: How linear systems are solved.
+        users: PETSc options of the user.
+        tolerance: Relative error of eigenvalues.
+
+    Attributes:
+        counted: Negative eigenvalues of A - number B can be counted.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        A: PETSc.Mat,
+        B: PETSc.Mat,
+        *,
+        choice: Choice,
+        users: Mapping[str, Any],
+        tolerance: float,
+    ) -> None:
+        self.problem, self.A, self.B = problem, A, B
+        self.counted, self._tolerance = choice.direct, tolerance
+        self.options = Options(choice.options, users)
+        self._pressures = problem.unknowns.count("pressure")
+        self._multigrid: QuadraticMultigrid | None = None
+
+    def below(self, number: float) -> int | None:
+        """How many eigenvalues lie below a number; None: it is one of them. Collective.
+
+        Each pressure adds a negative pivot, see `solvers.stability`.
+        """
+        with stage("solve"):
+            shifted = self._shifted(number)
+            try:
+                found = negative(shifted)
+            finally:
+                shifted.destroy()
+        return None if found is None else found - self._pressures
+
+    def _shifted(self, number: float) -> PETSc.Mat:
+        shifted = self.A.copy()
+        shifted.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        if number != 0.0:
+            shifted.axpy(-number, self.B, PETSc.Mat.Structure.UNKNOWN_NONZERO_PATTERN)
+        return shifted
+
+    def near(
+        self, shift: float, count: int, *, room: int, known: Sequence[Vector] = (), seed: int = 0
+    ) -> list[Pair]:
+        """The eigenpairs nearest to a shift, in the order of their values. Collective.
+
+        Args:
+            shift: Below all eigenvalues that are looked for.
+            count: How many.
+            room: How many there are at all.
+            known: Vectors that are found already, B-orthogonal to each other.
+            seed: Another number is another start.
+
+        Raises:
+            ConvergenceError: Fewer were found.
+        """
+        count = min(count, room)
+        if count < 1:
+            return []
+        eps = self._solver(shift, count, room)
+        spaces = [self._vector(v) for v in (uneven(self.problem, seed), *known)]
+        eps.setInitialSpace(spaces[0])
+        if known:
+            eps.setDeflationSpace(spaces[1:])
+        preconditioned = None
+        try:
+            with stage("solve"), failing(), self.options.in_force(), self.options.told():
+                eps.setFromOptions()
+                preconditioned = self._prepare(eps.getST(), shift)
+                eps.solve()
+                self.options.report_unused()
+            return self._pairs(eps, shift, count)
+        finally:
+            for thing in (eps, *spaces, preconditioned, self._multigrid):
+                if thing is not None:
+                    thing.destroy()
+            self._multigrid = None
+
+    def _solver(self, shift: float, count: int, room: int) -> Any:
+        eps = SLEPc.EPS().create(self.A.comm)
+        eps.setOptionsPrefix(PREFIX)
+        eps.setOperators(self.A, self.B)
+        eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
+        eps.setTolerances(tol=self._tolerance, max_it=500)
+        subspace = min(max(2 * count, count + ROOM), max(room, count + 1), self.A.getSize()[0])
+        eps.setDimensions(nev=count, ncv=subspace)
+        eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
+        eps.setTarget(shift)
+        transform = eps.getST()
+        transform.setType(SLEPc.ST.Type.SINVERT)
+        transform.setShift(shift)
+        return eps
+
+    def _prepare(self, transform: Any, shift: float) -> PETSc.Mat | None:
+        """Gives multigrid what it needs; returns a matrix to be destroyed afterwards."""
+        if self.counted:
+            return None
+        matrix = self._shifted(shift)
+        modes = rigid_body_modes(self.problem.V, self.problem.unknowns.moved)
+        matrix.setNearNullSpace(modes)
+        modes.destroy()
+        transform.setPreconditionerMat(matrix)
+        ksp = transform.getKSP()
+        ksp.setFromOptions()
+        if ksp.getPC().getType() == "python":
+            self._multigrid = QuadraticMultigrid(self.problem)
+            ksp.getPC().setPythonContext(self._multigrid)
+        return matrix
+
+    def _pairs(self, eps: Any, shift: float, count: int) -> list[Pair]:
+        found = int(eps.getConverged())
+        if found < count:
+            raise ConvergenceError(
+                f"of {count} modes only {found} were found: the eigenvalue solver ended with "
+                f"{_reason(eps)} after {eps.getIterationNumber()} iterations",
+                advice='solver.method = "direct", fewer modes, or a larger tolerance',
+            )
+        vector, pairs = self._vector(None), []
+        for k in range(found):
+            value = complex(eps.getEigenpair(k, vector)).real
+            norm = float(vector.norm())
+            pairs.append(Pair(value, vector.array_r / norm))
+        vector.destroy()
+        far = ENDLESS * min(abs(pair.value - shift) for pair in pairs)
+        return sorted((p for p in pairs if abs(p.value - shift) < far), key=lambda p: p.value)
+
+    def _vector(self, values: Vector | None) -> PETSc.Vec:
+        vector = self.A.createVecRight()
+        if values is not None:
+            vector.array_w[:] = values
+        return vector
+
+
+def _reason(eps: Any) -> str:
+    names = vars(SLEPc.EPS.ConvergedReason)
+    number = eps.getConvergedReason()
+    return next((n for n, value in names.items() if value == number), str(number))
+
+
+def uneven(problem: Problem, seed: int) -> Vector:
+    """A start that is the same on any number of ranks and has a part in every mode."""
+    dim, U = problem.body.dim, problem.unknowns.U
+    moves = problem.unknowns.moves
+    x = U.tabulate_dof_coordinates()[: len(moves) // dim, :dim]
+    span = largest(problem.body.comm, float(np.max(np.abs(x), initial=0.0))) or 1.0
+    waves = np.sin((7.3 + 1.9 * seed) * x @ np.arange(1.0, dim + 1) / span)
+    size = problem.W.dofmap.index_map.size_local * problem.W.dofmap.index_map_bs
+    start = np.zeros(size)
+    start[moves] = (waves[:, None] + np.cos(3.1 * (1 + seed) * x / span)).ravel()
+    return start

@@ -1,0 +1,1 @@
+"""Linear solvers: which one, its preconditioner and its null spaces."""

@@ -1,0 +1,53 @@
+"""Motions that a tangent does not resist."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+
+Array = npt.NDArray[np.float64]
+
+
+def unresisted(assembler: Assembler, columns: Array, small: float) -> Array:
+    """Orthonormal combinations of motions that the tangent, as it is assembled, maps to nothing.
+
+    By the triangles of each rank's rows: products of columns would be right to half the digits.
+    Collective.
+
+    Args:
+        assembler: With the tangent.
+        columns: Owned entries of all unknowns, of norm 1, shape (entries, n).
+        small: Stiffness, over the largest of a node, that counts as none.
+
+    Returns:
+        Shape (n, found).
+    """
+    matrix, comm = assembler.matrix, assembler.comm
+    diagonal = matrix.getDiagonal()
+    free = np.ones(assembler.size, dtype=bool)
+    free[assembler.fixed] = False
+    scale = largest(comm, float(np.max(np.abs(diagonal.array_r[free]), initial=0.0))) or 1.0
+    diagonal.destroy()
+    images = times(matrix, columns) / scale
+    images[assembler.fixed] = columns[assembler.fixed]  # rows that were replaced by ones
+    rows = np.vstack([images, np.zeros((images.shape[1],) * 2)])
+    triangles = np.vstack(comm.allgather(np.linalg.qr(rows, mode="r")))
+    _, sizes, mixes = np.linalg.svd(triangles, full_matrices=False)
+    return np.asarray(mixes[sizes <= small].T)
+
+
+def times(matrix: PETSc.Mat, columns: Array) -> Array:
+    """A matrix times columns of owned entries, shape (entries, n). Collective."""
+    x, y = matrix.createVecs()
+    images = np.zeros_like(columns)
+    for k in range(columns.shape[1]):
+        x.array_w[:] = columns[:, k]
+        matrix.mult(x, y)
+        images[:, k] = y.array_r
+    x.destroy()
+    y.destroy()
+    return images

@@ -1,0 +1,119 @@
+"""What a diagnosis says, and what it advises."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.problem.problem import Problem
+
+HOLD = (
+    "a support on that piece; or, if it was meant to be joined to the rest, a mesh whose nodes "
+    "the pieces share"
+)
+LIFTED = (
+    "a support or a weak spring that holds it where it leaves its obstacles, a smaller load, or a "
+    "prescribed displacement in place of the load"
+)
+HUGE = (
+    "a smaller load, or stiffer materials: was a unit of a load or of a modulus forgotten? "
+    "dolfin-elastic check compares them"
+)
+DOMAIN = (
+    "a smaller load or more load steps; the material cannot be strained further than its formula "
+    "has values"
+)
+LOAD = "a formula of that load that has a finite value for every displacement and time"
+SMALLER = "more load steps, a smaller load, or a finer mesh where the cells are crushed"
+BUCKLING = (
+    "a small imperfection that leads into the mode (a side load, a bent mesh), or statics.method = "
+    '"arc-length" to follow the path'
+)
+LIMIT_POINT = (
+    'statics.method = "arc-length", which follows the path beyond, or a prescribed displacement in '
+    "place of the load, or a smaller load"
+)
+MATERIAL = (
+    "a law that stays elliptic at such strains (dolfin-elastic material says how far), or a "
+    "smaller load; a finer mesh does not help"
+)
+STALLED = "more load steps or a smaller load; beyond a limit point no static equilibrium exists"
+JUMP = "a curve or a formula of the support that takes some time from one place to the other"
+SMALLER_STEP = (
+    "a smaller dt, or a scheme that damps more (a smaller spectral_radius, implicit-euler)"
+)
+
+_KSP = {
+    "DIVERGED_MAX_IT": (
+        "its iterations (ksp_max_it) were not enough",
+        'solver.method = "direct", or a larger ksp_max_it',
+    ),
+    "DIVERGED_DTOL": ("its residual grew", 'solver.method = "direct"'),
+    "DIVERGED_BREAKDOWN": ("its iterations broke down", 'solver.method = "direct"'),
+    "DIVERGED_INDEFINITE_PC": (
+        "the preconditioner is not positive definite",
+        'solver.method = "direct"',
+    ),
+    "DIVERGED_INDEFINITE_MAT": (
+        "the tangent is not positive definite, which conjugate gradients need",
+        'solver.method = "direct", or more load steps',
+    ),
+    "DIVERGED_NANORINF": (
+        "it met a number that is not finite: the tangent may be singular",
+        'solver.method = "direct"; is every piece of the body held?',
+    ),
+    "DIVERGED_PCSETUP_FAILED": (
+        "the preconditioner or factorisation failed: the tangent is singular, or memory ran out",
+        "is every piece of the body held? Otherwise more load steps",
+    ),
+}
+
+
+def coordinates(place: Iterable[float]) -> str:
+    """A place or a direction, with four digits; no zero has a sign."""
+    return "(" + ", ".join(f"{x + 0.0:.4g}" for x in place) + ")"
+
+
+def ahead(fault: str) -> str:
+    """What Newton's next step does to cells."""
+    return f"every step of Newton's method turns cells inside out: {fault}"
+
+
+def linear(reason: str) -> tuple[str, str]:
+    """A linear solver's end in words, with PETSc's name of it, and advice."""
+    name = reason.partition("(")[2].rstrip(")") or reason
+    said, advice = _KSP.get(name, ("it did not converge", 'solver.method = "direct"'))
+    return f"{said} ({name})", advice
+
+
+def worthless(t: float) -> InputError:
+    """What is wrong where a load is not finite at a time [s]."""
+    return InputError(f"a load has no finite value at t = {t:g}", where="load")
+
+
+def count(number: int, thing: str) -> str:
+    """A number of things."""
+    return f"{number} {thing}" + ("" if number == 1 else "s")
+
+
+def material(problem: Problem, names: Sequence[str]) -> str:
+    """Which materials, or the body where there is but one."""
+    if len(problem.parts) == 1 or not names:
+        return "the body"
+    return f"material{'s' if len(names) > 1 else ''} '{', '.join(names)}'"
+
+
+def iterations(fall: str) -> str:
+    """Advice where the number of iterations was the end."""
+    if fall.startswith("still"):
+        return "a larger statics.max_iterations, or more load steps"
+    return STALLED
+
+
+def round_off(relative: float) -> str:
+    """Advice where rounding errors are larger than the tolerance."""
+    enough = min(0.1, 10.0 * relative)
+    return (
+        f"rtol = {enough:.0e}; or a body that is not carried so far, or materials that differ less "
+        "in stiffness"
+    )

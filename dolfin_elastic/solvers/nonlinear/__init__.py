@@ -1,0 +1,1 @@
+"""Newton's method with PETSc SNES, its scalar unknowns and contact updates."""

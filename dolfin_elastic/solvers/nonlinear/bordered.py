@@ -1,0 +1,305 @@
+"""A few scalar unknowns beside the fields, each with an equation of its own.
+
+    | K  B | | du |     | R |
+    | C  D | | ds | = - | g |
+
+is solved by block elimination with one more solve with K for each scalar, so K keeps whatever
+solver it has.  Source: Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria
+(2000), section 3.1.  The scalars may be a load factor, the pressure in a cavity, or the motion of
+a rigid surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+
+Vector = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+
+class Border:
+    """Scalar unknowns s and their equations g(u, s) = 0; all ranks know both.
+
+    Attributes:
+        size: How many there are.
+        steps: Differences of s by which derivatives with respect to it are taken.
+        signs: What each scalar is in the whole system's energy: 1 a coordinate, whose equation is
+            a force; -1 a multiplier, whose equation is a constraint; 0 neither.
+        prescribing: Whether each scalar changes prescribed displacements only, and no force.
+    """
+
+    size: int
+    steps: Vector
+    signs: Vector
+    prescribing: Flags
+
+    def get(self) -> Vector:
+        """The present scalars."""
+        raise TypeError(f"{type(self).__name__} has no scalars")
+
+    def put(self, values: Vector) -> None:
+        """Changes the scalars and what depends on them in the problem. Not collective."""
+        raise TypeError(f"{type(self).__name__} has no scalars")
+
+    def residual(self) -> Vector:
+        """g at the present state; the assembler's `balance` is up to date. Collective."""
+        raise TypeError(f"{type(self).__name__} has no equations")
+
+    def rows(self) -> list[Vector]:
+        """dg/du at the owned entries, one array a scalar. Collective."""
+        raise TypeError(f"{type(self).__name__} has no equations")
+
+    def settled(self, residual: Vector, target: float) -> bool:
+        """Whether the equations hold well enough.
+
+        Args:
+            residual: g.
+            target: Norm of nodal forces out of balance that counts as none [N].
+        """
+        raise TypeError(f"{type(self).__name__} has no equations")
+
+
+class Borders(Border):
+    """Several borders as one, one after the other.
+
+    Args:
+        parts: The borders.  Each `put` may undo what one before has set in the problem, never one
+            behind: what sets the time comes first.
+    """
+
+    def __init__(self, parts: Sequence[Border]) -> None:
+        self.parts = tuple(parts)
+        self.size = sum(part.size for part in parts)
+        self._cuts = np.cumsum([part.size for part in parts])[:-1]
+
+    @property
+    def steps(self) -> Vector:  # type: ignore[override]
+        """See `Border`."""
+        return np.concatenate([part.steps for part in self.parts])
+
+    @property
+    def signs(self) -> Vector:  # type: ignore[override]
+        """See `Border`."""
+        return np.concatenate([part.signs for part in self.parts])
+
+    @property
+    def prescribing(self) -> Flags:  # type: ignore[override]
+        """See `Border`."""
+        return np.concatenate([part.prescribing for part in self.parts])
+
+    def get(self) -> Vector:
+        """All scalars."""
+        return np.concatenate([part.get() for part in self.parts])
+
+    def put(self, values: Vector) -> None:
+        """Changes all scalars. Not collective."""
+        for part, own in zip(self.parts, np.split(values, self._cuts), strict=True):
+            part.put(own)
+
+    def residual(self) -> Vector:
+        """All equations. Collective."""
+        return np.concatenate([part.residual() for part in self.parts])
+
+    def rows(self) -> list[Vector]:
+        """All their derivatives. Collective."""
+        return [row for part in self.parts for row in part.rows()]
+
+    def settled(self, residual: Vector, target: float) -> bool:
+        """All equations hold well enough."""
+        owns = np.split(residual, self._cuts)
+        return all(part.settled(own, target) for part, own in zip(self.parts, owns, strict=True))
+
+
+class Bordered:
+    """PETSc's view of fields and scalars together: vectors, operator and solver.
+
+    Vectors have the fields' owned entries and, on rank 0, the scalars behind them.
+
+    Args:
+        assembler: Of the fields.
+        border: The scalars.
+        ksp: Solves with the fields' tangent.
+
+    Attributes:
+        last: The scalars' residual at the last evaluation.
+        iterations: Of the fields' linear solver so far.
+    """
+
+    def __init__(self, assembler: Assembler, border: Border, ksp: PETSc.KSP) -> None:
+        self.assembler, self.border, self.ksp = assembler, border, ksp
+        self._comm, self._size = assembler.comm, assembler.size
+        self._x, self._b = assembler.create_vector(), assembler.create_vector()
+        self._own = self._size + (border.size if self._comm.rank == 0 else 0)
+        self.matrix = PETSc.Mat().createPython(
+            ((self._own, None), (self._own, None)), context=self, comm=self._comm
+        )
+        self.matrix.setUp()
+        self._columns: list[Vector] = []
+        self._rows: list[Vector] = []
+        self._corner: Vector = np.zeros((border.size, border.size))
+        self._solved: list[Vector] | None = None
+        self._schur: Vector = self._corner
+        self.iterations = self._reason = 0
+        self.last: Vector = np.zeros(border.size)
+
+    def create_vector(self) -> PETSc.Vec:
+        """A vector of fields and scalars; the caller destroys it."""
+        vec = PETSc.Vec().createMPI((self._own, None), comm=self._comm)
+        vec.set(0.0)
+        return vec
+
+    def scalars(self, x: PETSc.Vec) -> Vector:
+        """The scalars in a vector. Collective."""
+        own = x.array_r[self._size :].copy() if self._comm.rank == 0 else None
+        return np.asarray(self._comm.bcast(own))
+
+    def fill(self, x: PETSc.Vec, fields: Vector, scalars: Vector) -> None:
+        """Writes fields and scalars into a vector."""
+        x.array_w[: self._size] = fields
+        if self._comm.rank == 0:
+            x.array_w[self._size :] = scalars
+
+    # --- residual and tangent ---
+
+    def get(self, x: PETSc.Vec) -> None:
+        """Copies all unknowns into a vector, before a solve."""
+        self.iterations = 0
+        self.fill(x, self.assembler.problem.w.x.array[: self._size], self.border.get())
+
+    def put(self, x: PETSc.Vec) -> None:
+        """Copies a vector into all unknowns, and evaluates there. Collective."""
+        self.border.put(self.scalars(x))
+        self._x.array_w[:] = x.array_r[: self._size]
+        self.assembler.residual(self._x, self._b)
+        self.last = self.border.residual()
+
+    def residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        """Residual of fields and scalars. Collective."""
+        self.put(x)
+        self.fill(f, self._b.array_r, self.last)
+
+    def renew(self, x: PETSc.Vec) -> None:
+        """Assembles everything at x. Collective."""
+        values = self.scalars(x)
+        self._x.array_w[:] = x.array_r[: self._size]
+        self.border.put(values)
+        self._columns, self._corner = self._differences(values)
+        self._rows = self.border.rows()
+        self.assembler.tangent(self._x)
+        self._solved = None
+
+    def _differences(self, values: Vector) -> tuple[list[Vector], Vector]:
+        """Derivatives of the fields' and the scalars' residuals with respect to the scalars."""
+        steps, mild = self.border.steps, self.border.prescribing
+        found = {j: self._difference(values, j, steps[j]) for j in np.flatnonzero(~mild)}
+        self.border.put(values)
+        self.assembler.residual(self._x, self._b)  # back to where we are
+        for j in np.flatnonzero(mild):
+            found[j] = self._difference(values, j, steps[j], moving=True)
+        self.border.put(values)
+        self.assembler.constrain(self._b)
+        columns, corner = zip(*(found[j] for j in range(len(steps))), strict=True)
+        return list(columns), np.column_stack(corner)
+
+    def _difference(
+        self, values: Vector, j: int, h: float, *, moving: bool = False
+    ) -> tuple[Vector, Vector]:
+        """The same with respect to one scalar, which only moves what is prescribed or not."""
+        sides = []
+        for sign in (1.0, -1.0):
+            changed = values.copy()
+            changed[j] += sign * h
+            self.border.put(changed)
+            if moving:
+                self.assembler.constrain(self._b)
+            else:
+                self.assembler.residual(self._x, self._b)
+            sides.append((self._b.array_r.copy(), self.border.residual()))
+        (f, g), (p, q) = sides
+        column, corner = np.asarray(f - p) / (2 * h), np.asarray(g - q) / (2 * h)
+        return np.asarray(column, dtype=np.float64), np.asarray(corner, dtype=np.float64)
+
+    # --- what PETSc calls ---
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """The operator. Collective."""
+        scalars = self.scalars(x)
+        self._x.array_w[:] = x.array_r[: self._size]
+        self.assembler.matrix.mult(self._x, self._b)
+        fields = self._b.array_r.copy()
+        for s, column in zip(scalars, self._columns, strict=True):
+            fields += s * column
+        below = self._products(x.array_r[: self._size]) + self._corner @ scalars
+        self.fill(y, fields, below)
+
+    def _products(self, fields: Vector) -> Vector:
+        local = np.array([np.dot(row, fields) for row in self._rows])
+        return np.asarray(self._comm.allreduce(local, op=MPI.SUM))
+
+    def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Block elimination. Collective."""
+        self._reason = 0
+        plain = self._inverse(b.array_r[: self._size])
+        self.eliminate()
+        assert self._solved is not None
+        right = self.scalars(b) - self._products(plain)
+        scalars: Vector
+        try:
+            scalars = np.asarray(np.linalg.solve(self._schur, right), dtype=np.float64)
+        except np.linalg.LinAlgError:
+            scalars = np.full(self.border.size, np.nan)
+        for s, z in zip(scalars, self._solved, strict=True):
+            plain = plain - s * z
+        self.fill(x, plain, scalars)
+        ksp.setConvergedReason(self._reason or PETSc.KSP.ConvergedReason.CONVERGED_ITS)
+
+    def eliminate(self) -> None:
+        """Solves for the columns of the present tangent, unless they are. Collective."""
+        if self._solved is None:
+            self._solved = [self._inverse(column) for column in self._columns]
+            products = [self._products(z) for z in self._solved]
+            self._schur = self._corner - np.column_stack(products)
+
+    def negative(self) -> int:
+        """Negative eigenvalues that the scalars add to those of the fields' tangent.
+
+        By Haynsworth's formula for the Schur complement; a constraint has one of its own.
+        """
+        signs = self.border.signs
+        kept = np.flatnonzero(signs)
+        S = (signs[:, None] * self._schur)[np.ix_(kept, kept)]
+        below = int(np.sum(np.linalg.eigvalsh((S + S.T) / 2) < 0.0)) if len(kept) else 0
+        return below - int(np.sum(signs < 0.0))
+
+    def _inverse(self, right: Vector) -> Vector:
+        self._b.array_w[:] = right
+        self.ksp.solve(self._b, self._x)
+        self.iterations += self.ksp.getIterationNumber()
+        if not self._reason:  # the first failure is the one to tell
+            self._reason = min(int(self.ksp.getConvergedReason()), 0)
+        return np.asarray(self._x.array_r.copy())
+
+    def free(self) -> None:
+        """Frees everything. Collective.
+
+        Not `destroy`, which PETSc would call for each thing that has this as its context.
+        """
+        for thing in (self.matrix, self._x, self._b):
+            thing.destroy()
+
+
+def python_solver(snes: PETSc.SNES, context: Any, prefix: str) -> None:
+    """Makes a python context the linear solver of a SNES."""
+    ksp = snes.getKSP()
+    ksp.setOptionsPrefix(prefix)
+    ksp.setType("python")
+    ksp.setPythonContext(context)
+    ksp.getPC().setType("none")

@@ -1,0 +1,69 @@
+"""Forces out of balance that rounding errors alone leave, row by row.
+
+A row of stiff, large entries cannot come closer to zero than a rounding error of them; it is no
+excuse for another row, of a soft material beside it.  Source: N. Higham, Accuracy and Stability of
+Numerical Algorithms (2002), (3.5): |error| <= n eps sum |K_ij| |x_j|.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.mesh.body import cell_size, span
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+
+Vector = npt.NDArray[np.float64]
+
+SAFETY = 4.0
+"""For the cells around a node, each with an error of its own."""
+
+CRUSHED = 1e6
+"""Growth of the largest stiffness beyond which a cell is crushed, and excuses nothing more."""
+
+
+class RoundOff:
+    """Rounding errors of the internal forces: epsilon K_ii (h + |u|).
+
+    The stress is known as well as F = I + grad u is, which loses what u itself loses; a body that
+    is carried off farther than it is long has no excuse of that kind.  Rows of
+    pressures, whose diagonal may be zero, count as a mean row of displacements: pressures are
+    scaled to be like them.
+
+    Args:
+        assembler: Whose residual.
+
+    Attributes:
+        norm: Of all rows [N].
+        first: Largest stiffness of the first tangent [N/m].
+    """
+
+    def __init__(self, assembler: Assembler) -> None:
+        self._assembler = assembler
+        self._h, self._span = cell_size(assembler.problem.body), span(assembler.problem.body)
+        self._rows: Vector = np.zeros(assembler.size)
+        self.first, self.norm = 0.0, 0.0
+
+    def renew(self, tangent: PETSc.Mat) -> None:
+        """Takes the rows from a fresh tangent. Collective."""
+        a = self._assembler
+        diagonal = tangent.getDiagonal()
+        stiff = np.abs(diagonal.array_r[a.moves])
+        diagonal.destroy()
+        most = largest(a.comm, float(np.max(stiff, initial=0.0)))
+        self.first = self.first or most
+        stiff = np.minimum(stiff, CRUSHED * self.first)
+        size = SAFETY * np.finfo(float).eps * (self._h + min(a.max_displacement(), self._span))
+        square, count = total(a.comm, np.array([np.sum(stiff**2), len(stiff)]))
+        self._rows[:] = size * np.sqrt(square / max(count, 1.0))
+        self._rows[a.moves] = size * stiff
+        self.norm = float(np.sqrt(total(a.comm, float(np.sum(self._rows**2)))))
+
+    def beyond(self) -> float:
+        """Norm of what the free rows of the last residual have beyond it [N]. Collective."""
+        a = self._assembler
+        out = a.balance.array[: a.size]
+        rows = np.maximum(np.abs(out - a.constraint_forces(out)) - self._rows, 0.0)
+        return float(np.sqrt(total(a.comm, float(np.sum(rows**2)))))

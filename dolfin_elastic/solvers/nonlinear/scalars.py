@@ -1,0 +1,273 @@
+"""Scalar unknowns of a problem: pressures of cavities, motions of rigid surfaces, strains."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.mesh.body import span
+from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
+from dolfin_elastic.problem.loads.cavities import Enclosure
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.nonlinear.bordered import Border, Borders
+from dolfin_elastic.solvers.nonlinear.cell_strains import free_strains
+
+log = logging.getLogger("dolfin_elastic")
+Vector = npt.NDArray[np.float64]
+
+VOLUME = 1e-10
+"""Error of a prescribed volume, as a share of it: the next Newton step would find round-off."""
+
+OPEN = 1e-6
+"""Share of the derivative of the volume that is round-off."""
+
+TURN = 1e-5
+"""Angle [rad] over which derivatives are taken: its square and round-off over it are alike."""
+
+
+class Scalars:
+    """All scalar unknowns of a problem, and the numbers that are told of them. Collective to make.
+
+    Args:
+        assembler: Of the fields.
+
+    Attributes:
+        parts: The borders: the order is that of `Borders`.
+        border: All of them as one; None without any.
+    """
+
+    def __init__(self, assembler: Assembler) -> None:
+        self._assembler, problem = assembler, assembler.problem
+        self._prescribed = problem.prescribed
+        self._cavities = [Chamber(assembler, cavity) for cavity in problem.cavities]
+        self.parts: list[Border] = [c for c in self._cavities if c.cavity.controlled]
+        self.parts += [
+            RigidSurface(assembler, motion)
+            for motion in self._prescribed.motions
+            if len(motion.free)
+        ]
+        if (strains := free_strains(assembler.cell)) is not None:
+            self.parts.append(strains)
+        self.border = Borders(self.parts) if self.parts else None
+
+    def get(self) -> list[float]:
+        """All scalar unknowns."""
+        return [] if self.border is None else [float(value) for value in self.border.get()]
+
+    def numbers(self, inertia: Vector | None = None) -> dict[str, float]:
+        """What is told of cavities, rigid surfaces and periodic cells [SI]. Collective.
+
+        Forces are up to date.
+
+        Args:
+            inertia: Forces of it at the owned displacements, if it is not among those [N].
+        """
+        cell = self._assembler.cell
+        found = {} if cell is None else cell.numbers()
+        for chamber in self._cavities:
+            if chamber.closed:
+                found[f"volume_{chamber.cavity.label}"] = chamber.volume()
+            found[f"pressure_{chamber.cavity.label}"] = chamber.cavity.pressure
+        for motion in self._prescribed.motions:
+            values = self._prescribed.freedoms(motion)
+            for name, value in zip(motion.names, values, strict=True):
+                found[f"{motion.label}_{name}"] = float(value)
+            forces = self._assembler.balance.array[self._assembler.moves]
+            if inertia is not None:
+                forces = forces + inertia
+            u = self._assembler.problem.u.x.array
+            moment = self._prescribed.moment(motion, forces, u)
+            for name in motion.names:
+                if name[0] == "r":
+                    axis = name[1]
+                    found[f"moment_{motion.label}_{axis}"] = float(moment["xyz".index(axis)])
+        return found
+
+
+class Chamber(Border):
+    """A cavity: its pressure, and volume = given volume as its equation. Collective to make.
+
+    Args:
+        assembler: Of the fields.
+        cavity: The cavity.
+
+    Attributes:
+        cavity: The cavity.
+        closed: Its surfaces and planes of symmetry enclose it, so that it has a volume.
+
+    Raises:
+        InputError: Its volume is prescribed, but it is open; or it has none.
+    """
+
+    size = 1
+
+    def __init__(self, assembler: Assembler, cavity: Enclosure) -> None:
+        self._assembler, self._problem, self.cavity = assembler, assembler.problem, cavity
+        w, test = self._problem.w, ufl.TestFunction(self._problem.W)
+        grown = ufl.derivative(cavity.volume, w, test)
+        lost = ufl.derivative(cavity.exact, w, test) - cavity.push
+        self._forms = compiled(self._problem, [cavity.volume, grown, lost])
+        # The residual is linear in the pressure: a large difference has no error but round-off.
+        self.steps, self.signs = np.array([self._problem.stiffness]), np.array([-1.0])
+        self.prescribing = np.zeros(1, dtype=bool)
+        cavity.initial, self.closed = self._undeformed()
+        if not cavity.initial > 0.0 and (cavity.controlled or self.closed):
+            raise InputError(
+                f"the surfaces of the cavity '{cavity.label}' enclose {cavity.initial:.3g} m^3",
+                where=cavity.where,
+                expected="all surfaces around it, and an origin in all planes of symmetry",
+            )
+        if not self.closed:
+            self._tell_open()
+
+    def _is_closed(self) -> bool:
+        """The pressure's work is that on the volume: nothing flows through the rim. Collective."""
+        a = self._assembler
+        size, loss = np.sqrt(
+            [
+                total(a.comm, float(np.sum((v - a.constraint_forces(v)) ** 2)))
+                for v in (a.nodal(form) for form in self._forms[1:])
+            ]
+        )
+        return bool(loss <= OPEN * size)
+
+    def _tell_open(self) -> None:
+        """A volume that is prescribed must be one; a pressure acts all the same."""
+        said = (
+            f"the cavity '{self.cavity.label}' is open: a part of its rim is not held in a plane "
+            "through its origin"
+        )
+        if self.cavity.controlled:
+            raise InputError(
+                said,
+                where=self.cavity.where,
+                expected="all surfaces around it, supports in planes of symmetry, and an origin "
+                "in all of them",
+            )
+        log.warning("%s, so its volume is not told", said)
+
+    def _undeformed(self) -> tuple[float, bool]:
+        """The volume [m^3] of the undeformed body, and whether it is closed. Collective."""
+        w = self._problem.w.x.array
+        kept = w.copy()
+        w[:] = 0.0
+        found = self.volume(), self._is_closed()
+        w[:] = kept
+        return found
+
+    def volume(self) -> float:
+        """Present volume [m^3]. Collective."""
+        return integral(self._problem, self._forms[0])
+
+    def get(self) -> Vector:
+        """The pressure [Pa]."""
+        return np.array([self.cavity.pressure])
+
+    def put(self, values: Vector) -> None:
+        """Sets it."""
+        self.cavity.pressure = float(values[0])
+
+    def residual(self) -> Vector:
+        """Volume beyond the given one [m^3]. Collective."""
+        return np.array([self.volume() - self.cavity.goal])
+
+    def rows(self) -> list[Vector]:
+        """Its derivative [m^2]. Collective."""
+        return [self._assembler.nodal(self._forms[1])]
+
+    def settled(self, residual: Vector, target: float) -> bool:
+        """The volume is the given one."""
+        return bool(abs(residual[0]) <= VOLUME * max(self.cavity.initial, abs(self.cavity.goal)))
+
+
+class RigidSurface(Border):
+    """A rigid surface: its free degrees of freedom, with equilibrium of forces and moments.
+
+    The forces are virtual work, the sum over its nodes of (du/dq) . (force on the body).
+    Collective to make.
+
+    Args:
+        assembler: Of the fields.
+        motion: The motion.
+    """
+
+    def __init__(self, assembler: Assembler, motion: RigidMotion) -> None:
+        self._assembler, self._problem, self._motion = assembler, assembler.problem, motion
+        problem = self._problem
+        self._prescribed, self.size = problem.prescribed, len(motion.free)
+        dim = problem.body.dim
+        length = span(problem.body)
+        is_turn = np.array(motion.free) >= dim
+        self.steps, self.signs = np.where(is_turn, TURN, TURN * length), np.ones(self.size)
+        self.prescribing = np.ones(self.size, dtype=bool)
+        self._along = fem.Function(problem.W)
+        test = ufl.TestFunction(problem.W)
+        works = ufl.derivative(ufl.action(problem.residual, self._along), problem.w, test)
+        self._work = compiled(problem, [works])[0]
+        _, D = self._directions()
+        lever = np.abs(D).max(axis=0, initial=0.0)
+        self._levers = np.array([max(problem.body.comm.allgather(x)) for x in lever])
+
+    def _directions(self) -> tuple[npt.NDArray[np.int32], Vector]:
+        dofs, D = self._prescribed.directions(self._motion)
+        return dofs, D[:, list(self._motion.free)]
+
+    def get(self) -> Vector:
+        """The free degrees of freedom [m, rad]."""
+        return self._motion.values.copy()
+
+    def put(self, values: Vector) -> None:
+        """Sets them and the prescribed values that depend on them."""
+        self._motion.values[:] = values
+        self._prescribed.follow(self._motion)
+
+    def residual(self) -> Vector:
+        """Forces and moments that the body needs beyond the applied ones [N, N m]. Collective."""
+        dofs, D = self._directions()
+        forces = self._assembler.balance.array[self._assembler.moves]
+        own = dofs < len(forces)
+        needed = total(self._problem.body.comm, D[own].T @ forces[dofs[own]])
+        return np.asarray(needed - self._prescribed.applied(self._motion))
+
+    def rows(self) -> list[Vector]:
+        """Their derivatives. Collective."""
+        dofs, D = self._directions()
+        places = self._problem.unknowns.places(dofs)
+        found = []
+        for column in D.T:
+            self._along.x.array[:] = 0.0
+            self._along.x.array[places] = column
+            self._along.x.scatter_forward()
+            found.append(self._assembler.nodal(self._work))
+        return found
+
+    def settled(self, residual: Vector, target: float) -> bool:
+        """Forces out of balance are small, and moments on their levers, too."""
+        return bool(np.all(np.abs(residual) <= target * self._levers))
+
+
+def refuse_scalars(problem: Problem) -> None:
+    """Motion has no scalar unknowns.
+
+    Raises:
+        InputError: The problem has some.
+    """
+    if any(cavity.controlled for cavity in problem.cavities):
+        raise InputError(
+            "a cavity with a given volume exists in statics only",
+            where="load",
+            expected="its pressure, or [statics]",
+        )
+    if any(len(motion.free) for motion in problem.prescribed.motions):
+        raise InputError(
+            "a rigid surface with free motion exists in statics only",
+            where="support",
+            expected="all its components prescribed, or [statics]",
+        )

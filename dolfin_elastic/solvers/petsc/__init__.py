@@ -1,0 +1,1 @@
+"""PETSc's options, and what petsc4py does not wrap."""

@@ -1,0 +1,118 @@
+"""PETSc options under one prefix, in force for one solver only."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from petsc4py import PETSc
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.petsc_options import PREFIX, check_ours
+from dolfin_elastic.solvers.petsc.c_api import library
+
+log = logging.getLogger("dolfin_elastic")
+
+
+class Options:
+    """PETSc options that are in the database only while a solver works.
+
+    Configure objects with `setOptionsPrefix(PREFIX)` and call `setFromOptions()` and everything
+    that sets solvers up inside `in_force`: multigrid reads its levels' options when it is set up.
+
+    Args:
+        defaults: Option to value; True and None stand for options without a value.
+        users: The same, from the user, with or without the prefix; they win.
+
+    Raises:
+        InputError: One of the user's is for what the case says.
+    """
+
+    def __init__(self, defaults: Mapping[str, Any], users: Mapping[str, Any]) -> None:
+        self.users = {name.lstrip("-").removeprefix(PREFIX): value for name, value in users.items()}
+        check_ours(self.users, "solver.petsc")
+        self._all = {**defaults, **self.users}
+        self._reported = False
+        self._used: set[str] = set()
+
+    @contextmanager
+    def in_force(self, **more: Any) -> Iterator[None]:
+        """Puts the options, and more for this once, into PETSc's database and takes them out."""
+        database = PETSc.Options()
+        merged = {**self._all, **more, **self.users}
+        for name, value in merged.items():
+            database[PREFIX + name] = "" if value is None or value is True else value
+        try:
+            yield
+        finally:
+            self._used |= {name for name in self.users if _was_used(PREFIX + name)}
+            for name in merged:
+                database.delValue(PREFIX + name)
+
+    def change(self, defaults: Mapping[str, Any]) -> None:
+        """Changes defaults for all later uses."""
+        self._all = {**self._all, **defaults, **self.users}
+
+    @contextmanager
+    def told(self) -> Iterator[None]:
+        """Lets PETSc's refusal of an option of the user be one message.
+
+        Raises:
+            InputError: PETSc cannot do what the user's options ask for.
+        """
+        try:
+            yield
+        except PETSc.Error as error:
+            if not self.users:
+                raise
+            given = ", ".join(f"-{name} {value}" for name, value in self.users.items())
+            said = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
+            raise InputError(
+                f"PETSc refuses the options {given}: {said}",
+                where="solver.petsc",
+                expected="see the manual pages of PETSc",
+            ) from None
+
+    def report_unused(self) -> None:
+        """Warns once of options of the user that nothing asked for: mistyped ones. Inside."""
+        for name in () if self._reported else self.users:
+            if name not in self._used and not _was_used(PREFIX + name):
+                log.warning("PETSc option '-%s' was not used by any solver", name)
+        self._reported = True
+
+
+def _was_used(name: str) -> bool:
+    """PetscOptionsUsed (name without dash), which petsc4py lacks; True where it cannot ask."""
+    try:
+        ask = library().PetscOptionsUsed
+    except (OSError, AttributeError):
+        return True
+    used = ctypes.c_int(1)
+    ask(None, ctypes.c_char_p(name.encode()), ctypes.byref(used))
+    return bool(used.value)
+
+
+def _names(enumeration: type) -> dict[int, str]:
+    return {
+        value: name
+        for name, value in vars(enumeration).items()
+        if isinstance(value, int) and not name.startswith("_")
+    }
+
+
+def snes_reason(number: int) -> str:
+    """Name of a SNESConvergedReason."""
+    return _names(PETSc.SNES.ConvergedReason).get(number, str(number))
+
+
+def ksp_reason(number: int) -> str:
+    """Name of a KSPConvergedReason."""
+    return _names(PETSc.KSP.ConvergedReason).get(number, str(number))
+
+
+def ts_reason(number: int) -> str:
+    """Name of a TSConvergedReason."""
+    return _names(PETSc.TS.ConvergedReason).get(number, str(number))

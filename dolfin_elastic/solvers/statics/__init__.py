@@ -1,0 +1,1 @@
+"""Nonlinear statics: load steps, arc length, pseudo-transient continuation."""

@@ -1,0 +1,317 @@
+"""Following a path of equilibria by its length, through limit points where the load falls.
+
+Unknown are displacement and load factor; the further equation |du|^2 = dl^2 fixes the length of a
+step.  Source: M. A. Crisfield, Computers & Structures 13 (1981) 55 (cylindrical arc length); it is
+linearised consistently, so Newton's method stays quadratic and no root needs to be chosen.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.model.amplitude import PROPORTIONAL
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.linear.choice import Choice
+from dolfin_elastic.solvers.nonlinear.bordered import Border, Borders
+from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.nonlinear.progress import Progress, Tolerance
+from dolfin_elastic.solvers.nonlinear.restart import remembered, remind
+from dolfin_elastic.solvers.statics.inertia_count import negative_eigenvalues
+from dolfin_elastic.solvers.statics.retry import Ladder
+from dolfin_elastic.solvers.statics.step_speed import Pace
+
+Vector = npt.NDArray[np.float64]
+log = logging.getLogger("dolfin_elastic")
+
+WANTED = 4
+"""Newton iterations of a step of the right length."""
+
+GENTLE = 0.01
+"""Largest displacement of the first step over the size of the body."""
+
+LONGEST = 8.0
+"""Longest step over the first one."""
+
+SHARPEST = 0.5
+"""Cosine of the angle between two steps below which the second was too long."""
+
+LOOSE = 1e-6
+"""Error of the length of a step: it moves the step along the path, not off it."""
+
+
+class Length(Border):
+    """The load factor, and the length of the step as its equation.
+
+    Args:
+        assembler: Of the path's problem.
+    """
+
+    size = 1
+
+    def __init__(self, assembler: Assembler) -> None:
+        self._assembler, self._problem = assembler, assembler.problem
+        self.steps, self.signs = np.array([1e-4]), np.zeros(1)
+        self.prescribing = np.zeros(1, dtype=bool)
+        self.t, self.wanted = 0.0, 1.0
+        self.start = self.displacement().copy()
+
+    def displacement(self) -> Vector:
+        """Owned displacements."""
+        return np.asarray(self._problem.w.x.array[self._assembler.moves])
+
+    def get(self) -> Vector:
+        """The load factor."""
+        return np.array([self.t])
+
+    def put(self, values: Vector) -> None:
+        """Sets the load factor."""
+        self.t = float(values[0])
+        self._problem.set_time(self.t, default=PROPORTIONAL)
+
+    def gone(self) -> float:
+        """Length of the way from the start [m]. Collective."""
+        return float(np.sqrt(self.product(self.moved(), self.moved())))
+
+    def moved(self) -> Vector:
+        """The way from the start at the owned displacements."""
+        return self.displacement() - self.start
+
+    def product(self, a: Vector, b: Vector) -> float:
+        """Inner product of two ways. Collective."""
+        return float(total(self._assembler.comm, float(np.dot(a, b))))
+
+    def residual(self) -> Vector:
+        """(|du|^2 - dl^2)/dl [m]."""
+        return np.array([self.gone() ** 2 / self.wanted - self.wanted])
+
+    def rows(self) -> list[Vector]:
+        """Its derivative."""
+        row = np.zeros(self._assembler.size)
+        row[self._assembler.moves] = 2.0 * self.moved() / self.wanted
+        return [row]
+
+    def settled(self, residual: Vector, target: float) -> bool:
+        """The step has its length."""
+        return bool(abs(residual[0]) <= LOOSE * self.wanted)
+
+
+@dataclass
+class Found:
+    """A point of the path.
+
+    Attributes:
+        t: Load factor.
+        progress: How it was found, or not.
+        negative: Negative eigenvalues of the tangent, if the solver tells.
+        good: Where it was not found: the last point, as `Newton.present`.
+        failed: ... and the last iterate.
+    """
+
+    t: float
+    progress: Progress
+    negative: int | None = None
+    good: Vector | None = None
+    failed: Vector | None = None
+
+
+class ArcLength:
+    """Follows a path from the unloaded state to the load factor `end`.
+
+    Args:
+        ladder: Of the solver for steps of the load: the first and the last.
+        others: Further scalar unknowns, which that solver has, too.
+        end: Load factor at which the path ends, when it is first reached.
+
+    Attributes:
+        limits: Load factors of the limit points passed so far.
+    """
+
+    def __init__(self, ladder: Ladder, others: Sequence[Border], *, end: float) -> None:
+        self._newton, self._ladder, self._end = ladder.newton, ladder, end
+        self._assembler = self._newton.assembler
+        self._problem = self._assembler.problem
+        self._length = Length(self._assembler)
+        self._all = Borders([self._length, *others])
+        self._lead: Vector = np.zeros(self._all.size)
+        self._bordered: Newton | None = None
+        self.limits: list[float] = []
+        self._points: list[tuple[float, float]] = [(0.0, 0.0)]
+        self._way: Vector | None = None  # of the last step
+        self._size = self._longest = 0.0
+
+    def prepare(self, choice: Choice, tolerance: Tolerance, users: Mapping[str, Any]) -> None:
+        """Makes the solver for displacement and load factor together. Collective."""
+        self._bordered = Newton(self._assembler, choice, tolerance, users=users, border=self._all)
+        self._bordered.watch_inversion()
+
+    def destroy(self) -> None:
+        """Frees what it owns. Collective."""
+        if self._bordered is not None:
+            self._bordered.destroy()
+
+    def path(self, first: float, smallest: float, *, chosen: bool) -> Iterator[Found]:
+        """Yields the points of the path; one that did not converge is the last. Collective.
+
+        Args:
+            first: Load factor of the first point, which sets the length of steps.
+            smallest: Shortest step, as a share of the first.
+            chosen: The user has chosen the first step; else it is made gentle.
+        """
+        if self._way is None:
+            longest = np.inf if chosen else GENTLE * self._newton.span
+            found = self._first(first, smallest, longest)
+            if not found.progress.converged:
+                yield found
+                return
+            self._way, self._size = self._length.moved(), self._length.gone()
+            self._longest = LONGEST * self._size
+            yield found
+        while self._length.t < self._end * (1 - 1e-12):
+            here, t = self._newton.present(), self._length.t
+            point = self._next(self._way)
+            if not point.progress.converged:
+                failed = self._newton.present()
+                self._back(here, t)
+                self._size /= 2
+                if self._size < smallest * self._longest / LONGEST:
+                    yield Found(t, point.progress, good=here, failed=failed)
+                    return
+                continue
+            if point.t >= self._end:
+                yield self._land(here, t)
+                return
+            yield point
+
+    def _next(self, way: Vector) -> Found:
+        """The next point of the path, and how to go on from there; or a shorter step is due."""
+        assert self._bordered is not None
+        before, size = self._all.get(), self._size
+        progress = self._step(way, size)
+        if not progress.converged or self._turned(way):
+            log.debug("arc length %g m: %s, a shorter one", size / 2, progress.reason)
+            progress.converged = False
+            return Found(self._length.t, progress)
+        if self._length.t < self._end:
+            self._way, self._lead = self._length.moved(), self._all.get() - before
+            self._note(self._length.t, self._points[-1][1] + size)
+            factor = np.sqrt(WANTED / max(progress.newton, 1))
+            self._size = min(self._longest, size * float(np.clip(factor, 0.5, 2.0)))
+        return Found(self._length.t, progress, negative_eigenvalues(self._bordered))
+
+    def kept(self) -> tuple[fem.Function | None, dict[str, Any]]:
+        """The last step at all unknowns, and what else the next one needs, between two steps."""
+        if self._way is None or self._bordered is None:
+            return None, {}
+        way = fem.Function(self._problem.W)
+        way.x.array[self._assembler.moves] = self._way
+        numbers = {
+            "lead": self._lead.tolist(),
+            "size": self._size,
+            "longest": self._longest,
+            "points": self._points,
+            "limits": self.limits,
+            "newton": remembered(self._bordered),
+        }
+        return way, numbers
+
+    def go_on(self, t: float, way: fem.Function | None, kept: Mapping[str, Any]) -> None:
+        """Takes up what `kept` has told, after `prepare`. Collective.
+
+        Args:
+            t: Load factor of the present point.
+            way: The last step at all unknowns.
+            kept: The numbers.
+        """
+        if way is None or self._bordered is None:
+            return
+        self._length.t = t
+        self._way = way.x.array[self._assembler.moves].copy()
+        self._lead = np.array(kept["lead"])
+        self._size, self._longest = kept["size"], kept["longest"]
+        self._points = [(load, arc) for load, arc in kept["points"]]
+        self.limits = list(kept["limits"])
+        remind(self._bordered, kept["newton"])
+
+    def _first(self, t: float, smallest: float, longest: float) -> Found:
+        """A step of the load, of at most so large displacements, which gives the path a direction.
+
+        A load far above a limit point would find the body beyond it at once.
+        """
+        least = smallest * t
+        while True:
+            self._length.start, before = self._length.displacement().copy(), self._all.get()
+            before[0] = 0.0
+            here = self._newton.present()
+            self._length.put(np.array([t]))
+            progress = self._ladder.solve([("", here)])
+            self._lead = self._all.get() - before
+            hasty = Pace(self._assembler).hasty(0.0, t, here, progress)
+            hasty = hasty or self._assembler.max_displacement() > longest
+            if progress.converged and not (hasty and t / 2 >= least):
+                self._points.append((t, self._length.gone()))
+                return Found(t, progress, negative_eigenvalues(self._newton))
+            if t / 2 < least:
+                return Found(0.0, progress, good=here, failed=self._ladder.failed)
+            self._ladder.undo(here)
+            t /= 2
+
+    def _step(self, way: Vector, size: float) -> Progress:
+        """Goes on in the last step's direction and corrects from there."""
+        assert self._bordered is not None
+        length, w = self._length, self._problem.w
+        length.start, length.wanted = length.displacement().copy(), size
+        share = size / np.sqrt(length.product(way, way))
+        lead = share * self._lead
+        length.steps[0] = max(1e-4 * abs(lead[0]), 1e-7 * self._end)
+        moves = self._assembler.moves
+        w.x.array[moves] += share * way
+        w.x.scatter_forward()
+        self._all.put(self._all.get() + lead)
+        self._problem.unknowns.tell()
+        self._ladder.begin()
+        start = self._bordered.present()
+        self._bordered.refresh()
+        progress = self._bordered.solve("basic")
+        while "LINEAR_SOLVE" in progress.reason and self._bordered.fall_back():
+            self._bordered.put_back(start)
+            progress = self._bordered.solve("basic")
+        return self._ladder.settled(progress, "basic", self._bordered.solve)
+
+    def _turned(self, way: Vector) -> bool:
+        """The path has turned so sharply that a part of it may have been left out. Collective."""
+        now = self._length.moved()
+        product = self._length.product
+        return product(way, now) < SHARPEST * np.sqrt(product(way, way) * product(now, now))
+
+    def _back(self, here: Vector, t: float) -> None:
+        self._ladder.undo(here)
+        self._length.put(np.array([t]))
+
+    def _land(self, here: Vector, t: float) -> Found:
+        """Ends the path at its load factor, between the last two points."""
+        beyond = self._newton.present()
+        share = (self._end - t) / (self._length.t - t)
+        self._length.put(np.array([self._end]))
+        progress = self._ladder.solve([("", here + share * (beyond - here)), ("", beyond)])
+        if not progress.converged:
+            return Found(t, progress, good=here, failed=self._ladder.failed)
+        return Found(self._end, progress, negative_eigenvalues(self._newton))
+
+    def _note(self, t: float, arc: float) -> None:
+        """Keeps the last points and looks for a limit point between them."""
+        self._points = [*self._points, (t, arc)][-3:]
+        loads = [load for load, _ in self._points]
+        if len(loads) < 3 or (loads[1] - loads[0]) * (loads[2] - loads[1]) >= 0:
+            return
+        a, b, c = np.polyfit([s - arc for _, s in self._points], loads, 2)
+        limit = float(loads[1] if a == 0 else np.polyval([a, b, c], -b / (2 * a)))
+        self.limits.append(limit)
+        log.info("limit point: load factor %.6g", limit)

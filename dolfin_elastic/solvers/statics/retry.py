@@ -1,0 +1,140 @@
+"""What is tried, in turn, to find an equilibrium at one load: the rungs below smaller steps.
+
+A step starts where the last one ended, or further along the path if the residual is smaller there:
+so stretching takes a third fewer iterations, and bending, where a straight continuation stretches
+what only bends, none more.  Full Newton steps come first: in bending the residual has to rise
+before it falls, and a line search that forbids it takes several times the iterations.  What full
+steps cannot do, backtracking may; then the other start.  A linear solver that fails gives way to
+one that stands more.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfin_elastic.solvers.messages import coordinates
+from dolfin_elastic.solvers.nonlinear.contact import Augmentation
+from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.nonlinear.progress import Progress
+
+Vector = npt.NDArray[np.float64]
+log = logging.getLogger("dolfin_elastic")
+
+
+class Ladder:
+    """Tries line searches, linear solvers and starting points until one finds equilibrium.
+
+    Args:
+        newton: The solver; its problem is at the load that is wanted.
+        augmentation: Of its contacts.
+
+    Attributes:
+        failed: The last iterate of the last failure, as `Newton.present`.
+    """
+
+    def __init__(self, newton: Newton, augmentation: Augmentation) -> None:
+        self.newton, self._augmentation = newton, augmentation
+        self.failed: Vector | None = None
+        self._first = True
+
+    def go_on(self) -> None:
+        """The displacement is not that of the solver's beginning: it looks anew."""
+        self._first = False
+
+    def solve(self, starts: Sequence[tuple[str, Vector]]) -> Progress:
+        """Finds equilibrium from the first start that leads there. Collective.
+
+        Args:
+            starts: In words, and as `Newton.present`: the last equilibrium, which is put back
+                where none leads to another, and perhaps a further one.
+        """
+        newton, first = self.newton, starts[0][1]
+        rejected, worst = 0, None
+        self._augmentation.save()
+        if len(starts) > 1 and self._residual(starts[1][1]) < self._residual(first):
+            starts = [("", starts[1][1]), ("from where the last step ended", first)]
+        for said, start, line_search in self._rungs(starts):
+            if not self._first:
+                newton.refresh()
+            self._first = False
+            progress = self._try(start, line_search)
+            rejected += progress.rejected
+            if progress.worst is not None and (worst is None or progress.worst[0] < worst[0]):
+                worst = progress.worst
+            if progress.converged:
+                if said:
+                    log.info("found %s", said)
+                return progress
+            log.debug("%s, line search '%s': %s", said or "start", line_search, progress.reason)
+        self.failed = newton.present()
+        progress.rejected, progress.worst = rejected, worst
+        self.undo(first)
+        return progress
+
+    def undo(self, start: Vector) -> None:
+        """Goes back to where the last solve began, its contacts too. Not collective."""
+        self.newton.put_back(start)
+        self._augmentation.restore()
+
+    def _rungs(self, starts: Sequence[tuple[str, Vector]]) -> Iterator[tuple[str, Vector, str]]:
+        searches = self.newton.ladder()
+        for line_search in searches:
+            said = "" if line_search == searches[0] else f"by line search '{line_search}'"
+            yield said, starts[0][1], line_search
+        for said, start in starts[1:]:
+            yield said, start, searches[0]
+
+    def _residual(self, start: Vector) -> float:
+        """Norm of the residual at a start; infinite where a cell is inside out. Collective."""
+        assembler, guard = self.newton.assembler, self.newton.guard
+        self.newton.put_back(start)
+        if guard is not None and guard.watch.smallest()[0] <= 0.0:
+            return np.inf
+        return assembler.norm()
+
+    def _try(self, start: Vector, line_search: str) -> Progress:
+        self.newton.put_back(start)
+        self._augmentation.restore()
+        progress = self.newton.solve(line_search)
+        while "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
+            self.newton.put_back(start)
+            progress = self.newton.solve(line_search)
+        return self.settled(progress, line_search)
+
+    def settled(
+        self, progress: Progress, line_search: str, solve: Callable[[str], Progress] | None = None
+    ) -> Progress:
+        """What a solve has found, its contacts closed, if it may be accepted. Collective.
+
+        Args:
+            progress: Of the solve.
+            line_search: PETSc's name of the line search for more of them.
+            solve: Finds equilibrium from where the problem is, if it is not the ladder's solver.
+        """
+        again = partial(solve or self.newton.solve, line_search)
+        progress = self._augmentation.settle(progress, again)
+        self._refuse_inverted(progress)
+        return progress
+
+    def begin(self) -> None:
+        """Keeps what contacts know, for `undo`. Not collective."""
+        self._augmentation.save()
+
+    def _refuse_inverted(self, progress: Progress) -> None:
+        """No accepted state holds a cell that is inside out, also where none was on the way."""
+        guard = self.newton.guard
+        if not progress.converged or guard is None:
+            return
+        value, place = guard.watch.smallest()
+        if value <= 0.0:
+            progress.converged = False
+            progress.rejected += 1
+            progress.worst = value, tuple(map(float, place))
+            progress.reason = (
+                f"a cell turned inside out (det F = {value:.3g}, at {coordinates(place)} m)"
+            )
