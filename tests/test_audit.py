@@ -34,7 +34,7 @@ from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.problem.state import Audit, State
 from dolfin_elastic.results.outputs import History, Summary
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.audit.equilibrium import Auditor
+from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
 
 COMM = MPI.COMM_WORLD
 E, NU = 1e6, 0.3
@@ -304,7 +304,7 @@ def test_cell_inside_out():
         "Watch", (), {"extremes": lambda _: worst, "steepest": lambda _: (0.0, worst[1][1])}
     )()
     assembler.assemble_balance()
-    audit = Auditor(problem, assembler, watch).of(0.0, 0.0)
+    audit = EquilibriumAuditor(problem, assembler, watch).of(0.0, 0.0)
     assert audit.reasons == ("a cell is inside out: det F = -0.1 at (0.5, 0.25, 0.125) m",)
     assert (audit.min_jacobian, audit.max_jacobian) == (-0.1, 2.0)
     assembler.destroy()

@@ -20,7 +20,7 @@ from dolfin_elastic.case.check.hints import cell_notes, part_notes
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.memory import per_unknown
 from dolfin_elastic.cli.console_check import show_check
-from dolfin_elastic.core import jit as compiler
+from dolfin_elastic.core import jit
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.mesh import box_body
@@ -28,7 +28,7 @@ from dolfin_elastic.mesh.geometry.simplices import boundary_facets
 from dolfin_elastic.model.loads import (
     LOADS,
     Load,
-    Places,
+    LoadSamples,
     Traction,
 )
 from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies
@@ -96,7 +96,7 @@ def test_compiles_no_form(monkeypatch):
         raise AssertionError("a form is compiled")
 
     for name in ("compile_forms", "compile_expression"):
-        monkeypatch.setattr(compiler, name, refuse)
+        monkeypatch.setattr(jit, name, refuse)
     monkeypatch.setattr("dolfin_elastic.solvers.assembly.assembler.compile_forms", refuse)
     loads = [{"kind": "gravity"}, {"kind": "traction", "on": "top", "value": ["x*y", 0, "z^2"]}]
     assert len(report(case(load=loads)).loads) == 3
@@ -248,7 +248,7 @@ def test_same_as_the_forms(name, geometry):
     (row,) = report(this).loads
     problem = this.make_problem(this.read_body())
     problem.set_time(1.0)
-    form = compiler.compile_forms(COMM, [problem.external], problem.jit)[0]
+    form = jit.compile_forms(COMM, [problem.external], problem.jit)[0]
     nodal = fem.assemble_vector(form).array.reshape(-1, dim)
     sums = total(COMM, nodal.sum(axis=0))
     np.testing.assert_allclose(row.force, sums, rtol=EXACT, atol=EXACT)
@@ -378,7 +378,7 @@ def test_intensity_of_pressure_like_loads():
     """Normals are there for whoever needs them."""
 
     class Push(Traction):
-        def intensity(self, places: Places) -> Any:
+        def intensity(self, places: LoadSamples) -> Any:
             assert places.N is not None
             return -1e3 * places.N
 

@@ -39,7 +39,7 @@ from dolfin_elastic.results.checkpoint.checkpoints import (
     newest,
 )
 from dolfin_elastic.results.checkpoint.checksums import fingerprint
-from dolfin_elastic.results.checkpoint.mesh_order import Order
+from dolfin_elastic.results.checkpoint.mesh_order import DofOrdering
 
 WORLD = MPI.COMM_WORLD
 SIZES = sorted({1, min(2, WORLD.size), WORLD.size})
@@ -203,7 +203,7 @@ def test_files_do_not_know_the_ranks(folder: Path) -> None:
 
     def rows(comm: MPI.Comm) -> tuple[np.ndarray, int]:
         V = fem.functionspace(make_body("box", folder, comm).mesh, ("Lagrange", 2, (3,)))
-        u, order = fem.Function(V), Order(V)
+        u, order = fem.Function(V), DofOrdering(V)
         u.interpolate(shape)
         parts = comm.allgather(order.rows(u).values)
         return np.concatenate(parts), max(map(len, parts))

@@ -16,8 +16,8 @@ from dolfin_elastic import restart, run
 from dolfin_elastic.case.restart import unfinished
 from dolfin_elastic.core.errors import RestartError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.results.checkpoint import lock as claim
-from dolfin_elastic.results.checkpoint.lock import LOCK, Claim, check_free
+from dolfin_elastic.results.checkpoint import lock
+from dolfin_elastic.results.checkpoint.lock import LOCK, FolderLock, check_free
 
 WORLD = MPI.COMM_WORLD
 GOING = r"a run is still going in this folder \(process \d+ on .*, since 20.*\); wait for its"
@@ -25,7 +25,7 @@ GOING = r"a run is still going in this folder \(process \d+ on .*, since 20.*\);
 
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(claim, "PATIENCE", 0.0)
+    monkeypatch.setattr(lock, "PATIENCE", 0.0)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -40,7 +40,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def test_one_at_a_time(folder: Path) -> None:
     """On all ranks alike; whoever gives it back leaves nothing behind."""
-    first, second = Claim(WORLD, folder), Claim(WORLD, folder)
+    first, second = FolderLock(WORLD, folder), FolderLock(WORLD, folder)
     first.take()
     first.take(make=True)  # once is enough
     with pytest.raises(RestartError, match=GOING):
@@ -53,7 +53,7 @@ def test_one_at_a_time(folder: Path) -> None:
 
 def test_no_folder_yet(folder: Path) -> None:
     """It is made only when it is asked for."""
-    one = Claim(WORLD, folder / "new")
+    one = FolderLock(WORLD, folder / "new")
     one.take()
     assert not on_root(WORLD, (folder / "new").exists)
     one.take(make=True)
@@ -65,7 +65,7 @@ def test_a_file_left_behind_keeps_nobody_out(folder: Path) -> None:
     """What a killed run leaves is a file that nobody has locked."""
     on_root(WORLD, lambda: (folder / LOCK).write_text('{"pid": 1'))
     on_root(WORLD, lambda: check_free(folder))
-    one = Claim(WORLD, folder)
+    one = FolderLock(WORLD, folder)
     one.take()
     with pytest.raises(RestartError, match=GOING):
         on_root(WORLD, lambda: check_free(folder))
@@ -83,13 +83,13 @@ def test_a_file_that_was_removed_is_no_lock(folder: Path, monkeypatch: Any) -> N
         calls.append(descriptor)
 
     monkeypatch.setattr(fcntl, "flock", flock)
-    one = Claim(WORLD, folder)
+    one = FolderLock(WORLD, folder)
     one.take()
     assert on_root(WORLD, lambda: len(calls)) == 2
     monkeypatch.undo()
-    monkeypatch.setattr(claim, "PATIENCE", 0.0)
+    monkeypatch.setattr(lock, "PATIENCE", 0.0)
     with pytest.raises(RestartError, match=GOING):
-        Claim(WORLD, folder).take()
+        FolderLock(WORLD, folder).take()
     one.close()
 
 
@@ -110,7 +110,7 @@ def test_where_locks_are_not_known(folder: Path, monkeypatch: Any, caplog: Any) 
         ]
     assert not on_root(WORLD, (folder / LOCK).exists)
     on_root(WORLD, lambda: [(folder / LOCK).write_text('{"pid": 1'), None][1])
-    one = Claim(WORLD, folder)
+    one = FolderLock(WORLD, folder)
     one.take()
     one.close()
     assert on_root(WORLD, (folder / LOCK).exists)  # somebody else's

@@ -30,10 +30,10 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
-from dolfin_elastic.solvers.nonlinear.contact import Augmentation
+from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.progress import Tolerance
-from dolfin_elastic.solvers.statics.retry import Ladder
+from dolfin_elastic.solvers.statics.retry import RetryStrategy
 
 FREE = "free"
 E, NU = 1e6, 0.3
@@ -141,7 +141,7 @@ def test_what_an_undone_step_has_learnt_is_forgotten():
     problem = between_plates(2, 1)
     assembler = Assembler(problem)
     newton = Newton(assembler, choose(problem, LinearSettings()), Tolerance())
-    ladder, start = Ladder(newton, Augmentation(problem)), newton.present()
+    ladder, start = RetryStrategy(newton, ContactAugmentation(problem)), newton.present()
     problem.set_time(0.25, default=RAMP)
     assert ladder.solve([("", start)]).converged
     lam = problem.touching[0].lam.x.array

@@ -41,7 +41,7 @@ from dolfin_elastic.mesh.formats.raw import RawMesh
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.diagnostics import instability as modes
+from dolfin_elastic.solvers.diagnostics import instability
 from dolfin_elastic.solvers.diagnostics.loose_parts import loose, pieces
 from dolfin_elastic.solvers.diagnostics.stability import Stability, curvature
 from dolfin_elastic.solvers.linear.choice import LinearSettings
@@ -273,7 +273,7 @@ def test_pieces_that_are_held_are_not_loose(law):
     )
     assembler = Assembler(problem)
     try:
-        assert modes.tangent(assembler, lambda w: None, problem.w.x.array)
+        assert instability.tangent(assembler, lambda w: None, problem.w.x.array)
         assert loose(assembler) is None
         own = problem.V.dofmap.index_map.size_local
         found = set().union(*COMM.allgather(set(pieces(problem)[:own].tolist())))
@@ -294,7 +294,7 @@ def test_a_spring_holds_a_piece():
     )
     assembler = Assembler(problem)
     try:
-        assert modes.tangent(assembler, lambda w: None, problem.w.x.array)
+        assert instability.tangent(assembler, lambda w: None, problem.w.x.array)
         assert loose(assembler) is None
     finally:
         assembler.destroy()
@@ -309,7 +309,7 @@ def test_supports_that_lean(surfaces, motions):
     x[:, :2] = x[:, :2] @ np.array([[c, s], [-s, c]])
     problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[Symmetry(on=surfaces)])
     assembler = Assembler(problem)
-    assert modes.tangent(assembler, lambda w: None, problem.w.x.array)
+    assert instability.tangent(assembler, lambda w: None, problem.w.x.array)
     found = loose(assembler)
     stability = Stability(assembler)
     try:
@@ -399,7 +399,7 @@ def test_eigenvalues_are_counted(share, negative):
     strain = share * np.pi**2 / 12 / 400
     problem.u.x.array[1::2] = -strain * y
     problem.u.x.array[::2] = NU / (1 - NU) * strain * (x - 0.5)
-    assert modes.tangent(assembler, lambda w: None, problem.w.x.array)
+    assert instability.tangent(assembler, lambda w: None, problem.w.x.array)
     stability = Stability(assembler)
     try:
         assert stability.sound
@@ -428,7 +428,7 @@ def test_pressures_do_not_count_as_instabilities(degree):
         supports=[Support(on="left", displacement=[0, 0])],
     )
     assembler = Assembler(problem)
-    assert modes.tangent(assembler, lambda w: None, problem.w.x.array)
+    assert instability.tangent(assembler, lambda w: None, problem.w.x.array)
     stability = Stability(assembler)
     try:
         assert stability.negative == 0
@@ -467,7 +467,7 @@ def test_a_material_that_gives_way():
 
 def test_a_large_body_is_judged_by_the_way_it_went(monkeypatch):
     """Without factors: the curvature along the way is told, and what was not looked at."""
-    monkeypatch.setattr(modes, "LIMIT", {2: 0, 3: 0})
+    monkeypatch.setattr(instability, "LIMIT", {2: 0, 3: 0})
     found = diagnosis(crushed(load=2.1), steps=4, max_iterations=12, min_step=1 / 16)
     assert found.cause == "unstable"
     assert "negative stiffness along the way" in found.text

@@ -28,7 +28,7 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.solvers.dynamics.explicit.explicit import SCHEMES
-from dolfin_elastic.solvers.dynamics.residual import Moving
+from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 
 E, RHO, L, N = 1e6, 1000.0, 1.0, 40
 C = np.sqrt(E / RHO)
@@ -192,7 +192,7 @@ def test_obstacles_are_assembled_once(monkeypatch):
     )
     problem.u.x.array[:] = np.random.default_rng(1).uniform(0.0, 0.01, problem.u.x.array.size)
     problem.u.x.scatter_forward()
-    moving, asked = Moving(problem), []
+    moving, asked = DynamicResidual(problem), []
     nodal = moving.assembler.nodal
     monkeypatch.setattr(
         moving.assembler, "nodal", lambda form: [asked.append(form), nodal(form)][1]

@@ -20,7 +20,7 @@ from test_restart import begun, case, check_same, check_same_frames, history, su
 
 from dolfin_elastic import read_case, run
 from dolfin_elastic.results.checkpoint.checkpoints import FOLDER, last_step
-from dolfin_elastic.results.checkpoint.lock import LOCK, Claim
+from dolfin_elastic.results.checkpoint.lock import LOCK, FolderLock
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
@@ -124,7 +124,7 @@ def test_a_run_that_is_refused_leaves_the_stop_file_of_another(tmp_path: Path) -
     write_case(tmp_path, 3)
     folder = tmp_path / "case_results"
     folder.mkdir()
-    with closing(Claim(MPI.COMM_SELF, folder)) as claim:
+    with closing(FolderLock(MPI.COMM_SELF, folder)) as claim:
         claim.take()
         (folder / "stop").touch()
         code, _, err = cli("run", "case.toml", folder=tmp_path)

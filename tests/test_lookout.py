@@ -35,7 +35,7 @@ from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.dynamics.explicit import monitor as lookout
-from dolfin_elastic.solvers.dynamics.explicit.monitor import Lookout
+from dolfin_elastic.solvers.dynamics.explicit.monitor import StabilityMonitor
 
 FREE, EULER, CENTRAL = "free", "symplectic-euler", "central-differences"
 BOTH = pytest.mark.parametrize("scheme", [EULER, CENTRAL])
@@ -308,7 +308,7 @@ def test_energy_that_creeps_in_beside_swings(
     """A 25th a state is told of at the third, however much the energy of one time swings."""
     problem = pressed(NeoHookean(**SOFT), 1.0, comm)
     assembler = Assembler(problem)
-    looking = Lookout(problem, assembler)
+    looking = StabilityMonitor(problem, assembler)
     doubts = []
     for k in range(4):
         kept = 1.0 + 0.04 * k

@@ -31,7 +31,7 @@ from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.model.kinematics import deformation_gradient, embedded
-from dolfin_elastic.model.loads import Load, Site
+from dolfin_elastic.model.loads import Load, LoadContext
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.solvers.assembly.assembler import integral
 
@@ -67,7 +67,7 @@ class Manufactured(Load):
     def values(self) -> tuple[float, ...]:
         return ()
 
-    def virtual_work(self, site: Site) -> ufl.Form:
+    def virtual_work(self, site: LoadContext) -> ufl.Form:
         mesh = ufl.domain.extract_unique_domain(site.v)
         dim = len(site.v)
         grown = site.vector((1.0,) * dim, None)[0] * exact(dim, ufl.SpatialCoordinate(mesh))

@@ -40,7 +40,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.distribute import make_mesh
-from dolfin_elastic.model.loads import Load, Site
+from dolfin_elastic.model.loads import Load, LoadContext
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.extremes import extremes
 from dolfin_elastic.results.fields import FIELDS
@@ -76,7 +76,7 @@ class Balancing(Load):
     def values(self) -> tuple[float, ...]:
         return ()
 
-    def virtual_work(self, site: Site) -> ufl.Form:
+    def virtual_work(self, site: LoadContext) -> ufl.Form:
         mesh = ufl.domain.extract_unique_domain(site.v)
         u, p = stream(ufl.SpatialCoordinate(mesh))
         sigma = 2 * MU * ufl.sym(ufl.grad(u)) + p * ufl.Identity(2)
@@ -115,7 +115,7 @@ class _Pull(Balancing):
     kind: str = "pull"
     on: str
 
-    def virtual_work(self, site: Site) -> ufl.Form:
+    def virtual_work(self, site: LoadContext) -> ufl.Form:
         mesh = ufl.domain.extract_unique_domain(site.v)
         u, p = stream(ufl.SpatialCoordinate(mesh))
         sigma = 2 * MU * ufl.sym(ufl.grad(u)) + p * ufl.Identity(2)

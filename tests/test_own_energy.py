@@ -34,7 +34,7 @@ from dolfin_elastic.core.errors import FormulaError, InputError
 from dolfin_elastic.core.formula_functions import FUNCTIONS
 from dolfin_elastic.material_point.checks import sound
 from dolfin_elastic.material_point.ufl_to_numpy import Point
-from dolfin_elastic.model.materials import user_names as own_names
+from dolfin_elastic.model.materials import user_names
 from dolfin_elastic.model.materials.isochoric import simo_taylor
 from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.materials.user import read_energy
@@ -77,7 +77,7 @@ def test_any_unit_in_si():
     assert law.parameters == pytest.approx({"a": 2e3, "b": 3.0, "c": 1.5e9, "d": 0.01})
 
 
-@pytest.mark.parametrize("name", sorted(own_names.known(fibre=True, fibre2=True)))
+@pytest.mark.parametrize("name", sorted(user_names.known(fibre=True, fibre2=True)))
 def test_every_name_is_what_it_says(name):
     """Against numpy, at random states."""
     a, b = np.array([1, 2, 2]) / 3, np.array([0, 3, 4]) / 5
@@ -108,7 +108,7 @@ def test_every_name_is_what_it_says(name):
         "I8": along(C, a, b) * (a @ b),
         **{f"lambda{k + 1}": stretches[:, k] for k in range(3)},
     }
-    if name in own_names.COMPONENTS:
+    if name in user_names.COMPONENTS:
         expected[name] = tensors[name[0]][:, int(name[1]) - 1, int(name[2]) - 1]
     # The stretches are regularised by 1e-13 under a root.
     rtol = 1e-9 if name.startswith("lambda") else 1e-13
@@ -482,5 +482,5 @@ def test_accepted_formulas_mean_what_they_say(pair):
 
 def test_own_names_are_in_the_readme():
     text = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
-    for name in (*own_names.PLAIN, *own_names.ALONG, *own_names.ACROSS):
+    for name in (*user_names.PLAIN, *user_names.ALONG, *user_names.ACROSS):
         assert f"`{name}`" in text, name

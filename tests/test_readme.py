@@ -22,10 +22,10 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.formula_functions import FUNCTIONS
 from dolfin_elastic.mesh import Cylinder, Selector, Sphere
 from dolfin_elastic.model.contact import (
-    Ball,
     Contact,
+    CylinderObstacle,
     Plane,
-    Tube,
+    SphereObstacle,
 )
 from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials.registry import MATERIALS
@@ -54,8 +54,8 @@ MODELS: list[type[BaseModel]] = [
     Rigid,
     Contact,
     Plane,
-    Ball,
-    Tube,
+    SphereObstacle,
+    CylinderObstacle,
     *MATERIALS.values(),
     *LOADS.values(),
     Periodic,

@@ -31,8 +31,7 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.materials.registry import NeoHookean
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.results import files
-from dolfin_elastic.results import hdf5 as heavy
+from dolfin_elastic.results import files, hdf5
 from dolfin_elastic.results.hdf5 import Rows
 from dolfin_elastic.results.outputs import (
     OUTPUTS,
@@ -41,9 +40,7 @@ from dolfin_elastic.results.outputs import (
     Summary,
     Xdmf,
 )
-from dolfin_elastic.results.pictures import colour_bar as colours
-from dolfin_elastic.results.pictures import pictures
-from dolfin_elastic.results.pictures import renderer as drawing
+from dolfin_elastic.results.pictures import colour_bar, pictures, renderer
 from dolfin_elastic.results.pictures.colour_bar import bar
 from dolfin_elastic.results.pictures.pictures import picture
 from dolfin_elastic.results.pictures.surface import Surface
@@ -272,7 +269,7 @@ def test_rows_of_all_ranks_meet_in_one_array(folder: Path) -> None:
         "b": Rows(numbers.astype(np.int32), first, count),
         "none": Rows(np.zeros((0, 3)), 0, 0),
     }
-    heavy.write(COMM, folder / "x.h5", arrays)
+    hdf5.write(COMM, folder / "x.h5", arrays)
     a, b, none = on_root(COMM, lambda: read_all(folder / "x.h5"))
     assert np.array_equal(a, np.arange(count)[:, None] * [1.0, 0.5])
     assert np.array_equal(b, np.arange(count)[:, None])
@@ -305,7 +302,7 @@ def test_a_file_size_limit_is_said_on_all_ranks(
 ) -> None:
     """The system refuses to write: to rank 0 that lays the file out, or to all that fill it."""
     resource = pytest.importorskip("resource")
-    old, opened = resource.getrlimit(resource.RLIMIT_FSIZE), heavy._open
+    old, opened = resource.getrlimit(resource.RLIMIT_FSIZE), hdf5._open
     rows = Rows(np.ones((100_000, 3)), COMM.rank * 100_000, COMM.size * 100_000)
 
     def limit(*arguments: Any) -> Any:
@@ -315,10 +312,10 @@ def test_a_file_size_limit_is_said_on_all_ranks(
     if moment == "before":
         limit()
     else:
-        monkeypatch.setattr(heavy, "_open", limit)
+        monkeypatch.setattr(hdf5, "_open", limit)
     try:
         with pytest.raises(OutputError, match="cannot write"):
-            heavy.write(COMM, folder / "big.h5", {"a": rows, "b": rows})
+            hdf5.write(COMM, folder / "big.h5", {"a": rows, "b": rows})
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, old)
     COMM.barrier()
@@ -539,9 +536,9 @@ def test_many_pictures_are_listed_briefly(folder: Path) -> None:
 def test_one_drawer_for_all_pictures(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It ends with the last output that draws; a second run gets a new one."""
     started, ended = [], []
-    begin, end = drawing.Drawer.__init__, drawing.Drawer.close
-    monkeypatch.setattr(drawing.Drawer, "__init__", lambda d: (started.append(d), begin(d))[1])
-    monkeypatch.setattr(drawing.Drawer, "close", lambda d: (ended.append(d), end(d))[1])
+    begin, end = renderer.Renderer.__init__, renderer.Renderer.close
+    monkeypatch.setattr(renderer.Renderer, "__init__", lambda d: (started.append(d), begin(d))[1])
+    monkeypatch.setattr(renderer.Renderer, "close", lambda d: (ended.append(d), end(d))[1])
     problem = make_problem(2)
     writers = [Picture(file=f"{n}.png", every=1).open(problem, folder) for n in "ab"]
     for step in (1, 2):
@@ -563,9 +560,9 @@ def test_a_drawer_that_dies(folder: Path) -> None:
     user, bad = object(), folder / "bad.npz"
     bad.write_text("no picture")
     with pytest.raises(OutputError, match="cannot draw a picture: .*pickle"):
-        drawing.SHARED.draw(user, bad, folder / "a.png")
-    assert drawing.SHARED._drawer is None
-    drawing.SHARED.release(user)
+        renderer.SHARED.draw(user, bad, folder / "a.png")
+    assert renderer.SHARED._drawer is None
+    renderer.SHARED.release(user)
 
 
 def image(path: Path) -> Array:
@@ -684,7 +681,7 @@ def test_colour_bars(
     [((0, 5), "0", "%.0f"), ((0, 2.5, 5), "0.0", "%.1f"), ((0, 1e-7), "0", "%.4g")],
 )
 def test_digits_of_ticks(ticks: tuple[float, ...], first: str, form: str) -> None:
-    assert colours._form(ticks) == form
+    assert colour_bar._form(ticks) == form
     assert form % ticks[0] == first
 
 

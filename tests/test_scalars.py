@@ -33,7 +33,7 @@ from dolfin_elastic.model.amplitude import PROPORTIONAL, RAMP
 from dolfin_elastic.problem.constraints.rigid_motion import cross_matrix, rotation, tangent
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import LinearSettings
-from dolfin_elastic.solvers.nonlinear.bordered import Bordered, Borders
+from dolfin_elastic.solvers.nonlinear.bordered import Bordered, JoinedScalars
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.statics.arc_length import Length
 
@@ -441,7 +441,7 @@ def test_tangent_of_the_whole_system(folder):
     others, length = Scalars(assembler), Length(assembler)
     length.start = length.displacement() - 0.01
     problem.set_time(0.5, default=PROPORTIONAL)
-    border = Borders([length, *others.parts])
+    border = JoinedScalars([length, *others.parts])
     ksp = PETSc.KSP().create(assembler.comm)
     system = Bordered(assembler, border, ksp)
     x, f, y = (system.create_vector() for _ in range(3))

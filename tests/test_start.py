@@ -22,14 +22,16 @@ from dolfin_elastic import (
 from dolfin_elastic.case.check import report
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
-from dolfin_elastic.solvers.dynamics.impulsive_supports import Misfit
+from dolfin_elastic.solvers.dynamics.impulsive_supports import SupportJump
 from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
 
 FREE = "free"
 LAW = StVenantKirchhoff(E=1e6, nu=0.3, density=1000)
 
 
-def start(supports: list[Any], *, slope: float = 0.0, **motion: Any) -> tuple[list[Misfit], Any]:
+def start(
+    supports: list[Any], *, slope: float = 0.0, **motion: Any
+) -> tuple[list[SupportJump], Any]:
     """What a rectangle of 2 by 1 begins with, sheared by `slope`."""
     body = rectangle_body(size=(2, 1), cells=(4, 2))
     x = body.mesh.geometry.x

@@ -26,7 +26,7 @@ from dolfin_elastic.problem.restart_state import Kept
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
 from dolfin_elastic.results.checkpoint.checksums import fingerprint
-from dolfin_elastic.results.checkpoint.lock import Claim
+from dolfin_elastic.results.checkpoint.lock import FolderLock
 from dolfin_elastic.results.writer import ModeWriter, Writer
 from dolfin_elastic.solvers.nonlinear.contact import tell_untouched
 
@@ -108,7 +108,7 @@ class _Run:
     asked: Callable[[], bool] | None
 
     def __post_init__(self) -> None:
-        self.claim = Claim(self.comm, self.folder)
+        self.claim = FolderLock(self.comm, self.folder)
 
     def states(self, before: Unfinished | None = None) -> States:
         """All states and modes, in a folder that no other run writes into meanwhile."""

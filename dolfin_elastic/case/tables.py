@@ -38,7 +38,7 @@ from dolfin_elastic.mesh.selectors import MeshLength
 from dolfin_elastic.model.dimension import Geometry
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
-from dolfin_elastic.model.materials.user import Own, read_energy
+from dolfin_elastic.model.materials.user import UserEnergy, read_energy
 from dolfin_elastic.problem.formulation import Formulation
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.checkpoint.checkpoints import Checkpoint
@@ -223,7 +223,7 @@ class Material(Record):
 
     def table(self) -> dict[str, Any]:
         """Back to a case file's table."""
-        named = {} if isinstance(self.law, Own) else {"law": self.law.name()}
+        named = {} if isinstance(self.law, UserEnergy) else {"law": self.law.name()}
         law = {**named, **written(self.law)}
         return law if self.on is None else {**law, "on": self.on}
 

@@ -54,14 +54,14 @@ def run(
     options, of_petsc = petsc_options(petsc or [])
     start_petsc(of_petsc)
     from dolfin_elastic.case.case import read_case
+    from dolfin_elastic.case.run import run as run_case
 
     comm = _begin(quiet)
     read = read_case(case, comm=comm)
     folder = output if output is not None else read.results_folder()
-    from dolfin_elastic.case.run import run as solved
 
     stop = Stop(folder)
-    states = solved(read, output=folder, petsc=options, asked=stop.wants_checkpoint)
+    states = run_case(read, output=folder, petsc=options, asked=stop.wants_checkpoint)
     _compute(_Job(read, folder, states, stop, quiet=quiet, profile=profile), comm)
 
 
@@ -84,14 +84,14 @@ def restart(
     options, of_petsc = petsc_options(petsc or [])
     start_petsc(of_petsc)
     from dolfin_elastic.case.restart import unfinished
+    from dolfin_elastic.case.run import restart as restart_case
 
     comm = _begin(quiet)
     found = unfinished(folder, comm=comm)
     logging.getLogger("dolfin_elastic").info("%s", found.told())
-    from dolfin_elastic.case.run import restart as solved
 
     stop = Stop(folder)
-    states = solved(found, petsc=options, asked=stop.wants_checkpoint)
+    states = restart_case(found, petsc=options, asked=stop.wants_checkpoint)
     job = _Job(found.case, folder, states, stop, quiet=quiet, profile=profile, since=found.step)
     _compute(job, comm)
 
@@ -146,7 +146,7 @@ def _followed(job: _Job, comm: MPI.Comm, *, loud: bool) -> int:
     """Follows a run to its end, or until it is stopped; returns the exit code."""
     from contextlib import closing
 
-    from dolfin_elastic.cli import console as screen
+    from dolfin_elastic.cli import console
     from dolfin_elastic.cli.console_modes import show_modes
     from dolfin_elastic.core import timing
     from dolfin_elastic.problem.state import Mode
@@ -173,33 +173,33 @@ def _followed(job: _Job, comm: MPI.Comm, *, loud: bool) -> int:
     if loud and modes:
         show_modes(modes, timing.totals())
     elif loud and state is not None:
-        screen.show_end(
+        console.show_end(
             state, motion=motion, seconds=timing.totals(), newton=newton, since=job.since
         )
     return 0
 
 
 def _meter(motion: bool, loud: bool) -> Any:
-    from dolfin_elastic.cli import console as screen
+    from dolfin_elastic.cli import console
 
     if not loud:
-        return screen.Silent()
+        return console.Silent()
     shared = next(
         (
             handler.screen
             for handler in logging.getLogger("dolfin_elastic").handlers
-            if isinstance(handler, screen.Handler)
+            if isinstance(handler, console.Handler)
         ),
         None,
     )
     if shared is not None and shared.is_terminal and sys.stdout.isatty():
-        return screen.Bar(motion, shared)
-    return screen.Lines(motion)
+        return console.Bar(motion, shared)
+    return console.Lines(motion)
 
 
 def _show_profile(comm: MPI.Comm) -> None:
     """Collective."""
-    from dolfin_elastic.cli import console as screen
+    from dolfin_elastic.cli import console
     from dolfin_elastic.core import timing
     from dolfin_elastic.core.parallel import largest, smallest
     from dolfin_elastic.results.writers.summary import peak_memory
@@ -211,7 +211,7 @@ def _show_profile(comm: MPI.Comm) -> None:
     ]
     memory = peak_memory(comm)
     if comm.rank == 0:
-        screen.show_profile(rows, memory)
+        console.show_profile(rows, memory)
 
 
 def log_to_screen(rank: int, level: int) -> None:

@@ -16,7 +16,7 @@ from dolfin_elastic.core.errors import FormulaError, InputError
 from dolfin_elastic.core.schema import within
 from dolfin_elastic.material_point.ufl_to_numpy import Array, Point
 from dolfin_elastic.model.materials.law import Isotropic, Law, SplitLaw
-from dolfin_elastic.model.materials.user import Own
+from dolfin_elastic.model.materials.user import UserEnergy
 
 I = np.eye(3)  # noqa: E741  of the textbooks
 ROUND_OFF = 1e-9
@@ -342,7 +342,7 @@ def sound(law: Law) -> None:
     Raises:
         InputError: With the first reason why nothing can be computed with it.
     """
-    if not isinstance(law, Own) or law.sound:
+    if not isinstance(law, UserEnergy) or law.sound:
         return
     trial = Trial(law)
     try:

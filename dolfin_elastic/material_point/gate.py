@@ -11,7 +11,7 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.schema import within
 from dolfin_elastic.material_point.checks import sound
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.materials.user import Own
+from dolfin_elastic.model.materials.user import UserEnergy
 
 
 def gate(laws: Mapping[str, Law], comm: MPI.Comm) -> None:
@@ -28,7 +28,7 @@ def gate(laws: Mapping[str, Law], comm: MPI.Comm) -> None:
     """
     for key, law in laws.items():
         # What varies in space is tried with its means, once it is bound to a body.
-        if not isinstance(law, Own) or law.sound or law.deferred():
+        if not isinstance(law, UserEnergy) or law.sound or law.deferred():
             continue
         try:
             on_root(comm, lambda law=law: sound(law))  # type: ignore[misc]

@@ -19,7 +19,7 @@ from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.units import ForceDensity, Length
 from dolfin_elastic.model.amplitude import Amplitude, Curve
-from dolfin_elastic.model.on_surfaces import Placed
+from dolfin_elastic.model.on_surfaces import OnSurfaces
 from dolfin_elastic.model.values import amplitude_of, components
 
 Place = Annotated[list[Length], Field(min_length=2, max_length=3)]
@@ -119,7 +119,7 @@ class Plane(Obstacle):
         return sum((a - number(p)) * b for a, p, b in zip(x, point, n, strict=True)), n
 
 
-class Ball(Obstacle):
+class SphereObstacle(Obstacle):
     """A ball (a disc in a plane), or all that lies outside of one.
 
     Attributes:
@@ -155,7 +155,7 @@ class Ball(Obstacle):
         return _round(arm, number(self.radius), root, self.inside)
 
 
-class Tube(Obstacle):
+class CylinderObstacle(Obstacle):
     """An endless circular cylinder, or all that lies outside of one.
 
     Attributes:
@@ -171,7 +171,7 @@ class Tube(Obstacle):
     inside: bool = False
 
     @model_validator(mode="after")
-    def _has_direction(self) -> Tube:
+    def _has_direction(self) -> CylinderObstacle:
         if not isinstance(self.axis, str) and not any(self.axis):
             raise InputError("a direction cannot be zero", where="axis", expected="[0, 0, 1]")
         return self
@@ -236,7 +236,7 @@ def _check_length(vector: Sequence[float] | None, dim: int, where: str) -> None:
         )
 
 
-class Contact(Placed):
+class Contact(OnSurfaces):
     """Surfaces of the body that a rigid obstacle keeps out, without friction.
 
     Attributes:
@@ -251,8 +251,8 @@ class Contact(Placed):
     """
 
     plane: Plane | None = None
-    sphere: Ball | None = None
-    cylinder: Tube | None = None
+    sphere: SphereObstacle | None = None
+    cylinder: CylinderObstacle | None = None
     motion: list[Any] = Field(default=[])
     curve: Curve | None = None
     gap_tolerance: Length | None = Field(default=None, gt=0)

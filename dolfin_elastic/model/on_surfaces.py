@@ -1,4 +1,4 @@
-"""`Placed`: what acts on named surfaces, and what results call it."""
+"""`OnSurfaces`: what acts on named surfaces, and what results call it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record
 
 
-class Placed(Record):
+class OnSurfaces(Record):
     """Something on surfaces.
 
     Attributes:

@@ -44,7 +44,7 @@ _SHORTEST = 1e-6
 
 
 @dataclass(frozen=True)
-class Bound:
+class BoundLaw:
     """A law on a body.
 
     Attributes:
@@ -59,7 +59,7 @@ class Bound:
     typical: Law
 
 
-class Binder:
+class CoefficientBinder:
     """Binds laws to a body. All of it is collective.
 
     Args:
@@ -70,7 +70,7 @@ class Binder:
     def __init__(self, body: Body, order: int) -> None:
         self.body, self.degree = body, min(order, 2) - 1
 
-    def bind(self, law: Law, cells: Indices, where: str = "") -> Bound:
+    def bind(self, law: Law, cells: Indices, where: str = "") -> BoundLaw:
         """The law with constants and functions in place of its numbers.
 
         Args:
@@ -91,7 +91,7 @@ class Binder:
         if values:
             symbols = law.completed(symbols)
             typical = self._typical(law, numbers, values)
-        return Bound(law.with_symbols(symbols), symbols.get("density"), typical)
+        return BoundLaw(law.with_symbols(symbols), symbols.get("density"), typical)
 
     def values(self, law: Law, cells: Indices, where: str = "") -> dict[str, Floats]:
         """What varies, at the points of each cell: shape (cells, points), directions by 3.

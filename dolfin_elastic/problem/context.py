@@ -19,14 +19,14 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.dimension import Geometry, Weighted, full_gradient
 from dolfin_elastic.model.values import Component, depends_on_time
-from dolfin_elastic.problem.coefficients import Binder
-from dolfin_elastic.problem.material_regions import Part
+from dolfin_elastic.problem.coefficients import CoefficientBinder
+from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.measures import Measures
 from dolfin_elastic.problem.spaces import Unknowns
 
 
-class BodySite:
-    """A body as terms of virtual work see it (`model.loads.Site`). Collective.
+class FormContext:
+    """A body as terms of virtual work see it (`model.loads.LoadContext`). Collective.
 
     Args:
         body: The mesh and its names.
@@ -50,7 +50,7 @@ class BodySite:
         self,
         body: Body,
         unknowns: Unknowns,
-        parts: Sequence[Part],
+        parts: Sequence[MaterialRegion],
         measures: Measures,
         geometry: Geometry,
     ) -> None:
@@ -134,7 +134,7 @@ class BodySite:
             (self.density(part), self.measures.filled(part.marker, degree)) for part in self.parts
         ]
 
-    def density(self, part: Part) -> Expr:
+    def density(self, part: MaterialRegion) -> Expr:
         """Density of a part's material.
 
         Raises:
@@ -150,7 +150,7 @@ class BodySite:
 
     @cached_property
     def _density_field(self) -> fem.Function:
-        return Binder(self.body, self.order).joined(
+        return CoefficientBinder(self.body, self.order).joined(
             [(part.density, part.cells) for part in self.parts]
         )
 

@@ -29,8 +29,8 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.dimension import gradient_variation
-from dolfin_elastic.model.materials.growth import Grown
-from dolfin_elastic.problem.material_regions import Part
+from dolfin_elastic.model.materials.growth import GrownLaw
+from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 
 Vector = npt.NDArray[np.float64]
@@ -169,22 +169,22 @@ class Damping:
     def _test(self) -> Expr:
         return self._gradient(ufl.TestFunction(self._problem.W))
 
-    def _volume(self, part: Part) -> Any:
+    def _volume(self, part: MaterialRegion) -> Any:
         return self._problem.volume(part, self._problem.rule(part))
 
-    def _viscous(self, part: Part, rate: Expr) -> Expr:
+    def _viscous(self, part: MaterialRegion, rate: Expr) -> Expr:
         eta, dF, F = part.law.viscosity, self._gradient(rate), self._F
         assert eta is not None
         if part.law.linear:
             return 2 * eta * ufl.sym(dF)
         return F * (2 * eta * ufl.sym(F.T * dF))
 
-    def _elastic_stress(self, part: Part) -> Expr:
+    def _elastic_stress(self, part: MaterialRegion) -> Expr:
         law: Any = part.law if part.compliance is None else _Shape(part.law)
         growth = self._problem.rest.get(part.name)
-        return (law if growth is None else Grown(law, growth)).stress(self._F)
+        return (law if growth is None else GrownLaw(law, growth)).stress(self._F)
 
-    def _rate_of(self, part: Part, rate: Expr) -> Expr:
+    def _rate_of(self, part: MaterialRegion, rate: Expr) -> Expr:
         """b F Sdot = b (Pdot - Fdot F^-1 P), b Pdot in laws of small strains."""
         P = self._elastic_stress(part)
         dP = ufl.derivative(P, self._problem.w, rate)
@@ -192,10 +192,10 @@ class Damping:
             dP = dP - self._gradient(rate) * ufl.inv(self._F) * P
         return self._stiffness * dP
 
-    def _elastic(self, part: Part, rate: Expr) -> ufl.Form:
+    def _elastic(self, part: MaterialRegion, rate: Expr) -> ufl.Form:
         return ufl.inner(self._rate_of(part, rate), self._test) * self._volume(part)
 
-    def _stress(self, part: Part, rate: Expr) -> Expr:
+    def _stress(self, part: MaterialRegion, rate: Expr) -> Expr:
         """All damping stress of a part."""
         found = 0 * self._F
         if part.law.viscosity is not None:

@@ -11,12 +11,12 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.model.loads import Load, Swelling
-from dolfin_elastic.problem.context import BodySite
-from dolfin_elastic.problem.material_regions import Part
+from dolfin_elastic.model.loads import Eigenstrain, Load
+from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.material_regions import MaterialRegion
 
 
-def rest_states(site: BodySite, loads: Sequence[Load]) -> dict[str, Expr]:
+def eigenstrains(site: FormContext, loads: Sequence[Load]) -> dict[str, Expr]:
     """Material's name to its growth Fg; those that do not grow are left out. Collective.
 
     Raises:
@@ -24,7 +24,7 @@ def rest_states(site: BodySite, loads: Sequence[Load]) -> dict[str, Expr]:
     """
     found: dict[str, Expr] = {}
     for index, load in enumerate(loads):
-        if not isinstance(load, Swelling):
+        if not isinstance(load, Eigenstrain):
             continue
         share = _share(site, load.parts) if load.parts else None
         for part in site.parts:
@@ -41,14 +41,14 @@ def rest_states(site: BodySite, loads: Sequence[Load]) -> dict[str, Expr]:
     return found
 
 
-def _joined(part: Part, growth: Expr, before: Expr | None) -> Expr:
+def _joined(part: MaterialRegion, growth: Expr, before: Expr | None) -> Expr:
     """Growth after growth: a product, but small strains add up."""
     if before is None:
         return growth
     return growth + before - ufl.Identity(3) if part.law.linear else growth * before
 
 
-def _share(site: BodySite, regions: Sequence[str]) -> fem.Function:
+def _share(site: FormContext, regions: Sequence[str]) -> fem.Function:
     """1 in the cells of regions, 0 in all others."""
     share = fem.Function(fem.functionspace(site.body.mesh, ("DG", 0)))
     for name in regions:
@@ -56,5 +56,5 @@ def _share(site: BodySite, regions: Sequence[str]) -> fem.Function:
     return share
 
 
-def _meets(site: BodySite, part: Part, share: fem.Function) -> bool:
+def _meets(site: FormContext, part: MaterialRegion, share: fem.Function) -> bool:
     return bool(total(site.body.comm, int(np.any(share.x.array[part.cells]))))

@@ -13,7 +13,7 @@ import numpy as np
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.material_point.checks import Trial, voigt
 from dolfin_elastic.model.materials.law import Law, SplitLaw
-from dolfin_elastic.problem.spaces import Extra
+from dolfin_elastic.problem.spaces import AuxiliaryField
 
 log = logging.getLogger("dolfin_elastic")
 Formulation = Literal["auto", "displacement", "mixed"]
@@ -32,7 +32,7 @@ class Plan:
     """
 
     mixed: frozenset[str]
-    extras: tuple[Extra, ...]
+    extras: tuple[AuxiliaryField, ...]
 
 
 def plan(
@@ -66,12 +66,12 @@ def plan(
         mixed = exactly | (nearly & split)
     extras = []
     if plane_stress:
-        extras.append(Extra("stretch", degree - 1, continuous=False))
+        extras.append(AuxiliaryField("stretch", degree - 1, continuous=False))
     if mixed:
         extras.append(
-            Extra("pressure", degree - 1, continuous=False)
+            AuxiliaryField("pressure", degree - 1, continuous=False)
             if plane_stress
-            else Extra("pressure", 1, continuous=True)
+            else AuxiliaryField("pressure", 1, continuous=True)
         )
     return Plan(frozenset(mixed), tuple(extras))
 

@@ -21,7 +21,7 @@ from dolfin_elastic.mesh.body import (
 )
 from dolfin_elastic.model.dimension import GEOMETRIES, Geometry
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.problem.coefficients import Binder, Bound
+from dolfin_elastic.problem.coefficients import BoundLaw, CoefficientBinder
 from dolfin_elastic.problem.formulation import (
     STIFF_IN_VOLUME,
     Formulation,
@@ -38,7 +38,7 @@ WHOLE = "body"
 
 
 @dataclass(frozen=True)
-class Part:
+class MaterialRegion:
     """The cells that one material fills.
 
     Attributes:
@@ -62,7 +62,7 @@ class Part:
     shear: Constant
 
 
-def make_parts(
+def make_material_regions(
     body: Body,
     laws: Mapping[str, Law],
     formulation: Formulation,
@@ -70,7 +70,7 @@ def make_parts(
     degree: int,
     order: int,
     geometry: Geometry,
-) -> tuple[tuple[Part, ...], Plan]:
+) -> tuple[tuple[MaterialRegion, ...], Plan]:
     """Binds laws to their cells and decides what is solved for. Collective.
 
     Args:
@@ -85,7 +85,7 @@ def make_parts(
         MeshError: A name does not exist, or the materials do not cover the body exactly once.
         InputError: A material that cannot be, or not so.
     """
-    binder = Binder(body, order)
+    binder = CoefficientBinder(body, order)
     cells = {name: _cells(body, name) for name in laws}
     _check_cover(body, cells)
     bound = {
@@ -116,7 +116,9 @@ def _cells(body: Body, name: str) -> Indices:
     return body.owned_cells(None if _is_whole(body, name) else name)
 
 
-def _part(body: Body, marker: int, name: str, cells: Indices, bound: Bound, fields: Plan) -> Part:
+def _part(
+    body: Body, marker: int, name: str, cells: Indices, bound: BoundLaw, fields: Plan
+) -> MaterialRegion:
     compliance = None
     if name in fields.mixed:
         # A number is written as one, so that an infinite modulus has the compliance 0.
@@ -125,7 +127,7 @@ def _part(body: Body, marker: int, name: str, cells: Indices, bound: Bound, fiel
         compliance = (
             1.0 / modulus if isinstance(number, Expr) else _constant(body, 1.0 / float(number))
         )
-    return Part(
+    return MaterialRegion(
         name,
         bound.law,
         cells,
@@ -160,7 +162,9 @@ def _check_cover(body: Body, cells: Mapping[str, Indices]) -> None:
         )
 
 
-def locking_notes(body: Body, parts: Sequence[Part], degree: int, geometry: Geometry) -> list[str]:
+def locking_notes(
+    body: Body, parts: Sequence[MaterialRegion], degree: int, geometry: Geometry
+) -> list[str]:
     """What to expect of linear elements of nearly incompressible materials. Collective."""
     if degree > 1 or geometry == "plane-stress":
         return []

@@ -14,7 +14,7 @@ import ufl
 from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core import jit as compiler
+from dolfin_elastic.core import jit
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
@@ -26,28 +26,28 @@ from dolfin_elastic.model.dimension import (
     weight,
 )
 from dolfin_elastic.model.loads import Load
-from dolfin_elastic.model.materials.growth import Grown
+from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, SplitLaw
 from dolfin_elastic.model.materials.mixed import Mixed, variance
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Restraint
-from dolfin_elastic.model.supports.springs import Dashpot, Resisting, Spring
+from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
 from dolfin_elastic.model.values import depends_on_time
-from dolfin_elastic.problem.constraints.dirichlet import Prescribed
+from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
 from dolfin_elastic.problem.constraints.normals import check_facing
-from dolfin_elastic.problem.constraints.spring_directions import Projections, held_by_spring
-from dolfin_elastic.problem.context import BodySite
-from dolfin_elastic.problem.eigenstrain import rest_states
+from dolfin_elastic.problem.constraints.spring_directions import Projections, spring_directions
+from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.eigenstrain import eigenstrains
 from dolfin_elastic.problem.formulation import Formulation, shear_modulus
-from dolfin_elastic.problem.loads.cavities import enclosures
-from dolfin_elastic.problem.loads.contact import check_contacts, make_touching
+from dolfin_elastic.problem.loads.cavities import make_cavities
+from dolfin_elastic.problem.loads.contact import check_contacts, make_contacts
 from dolfin_elastic.problem.loads.point_loads import NodalLoads
 from dolfin_elastic.problem.loads.pressure_symmetry import rim_held
 from dolfin_elastic.problem.material_regions import (
     WHOLE,
-    Part,
+    MaterialRegion,
     checked_geometry,
-    make_parts,
+    make_material_regions,
 )
 from dolfin_elastic.problem.measures import Measures
 from dolfin_elastic.problem.periodic.fluctuation import Fluctuation, make_unknowns
@@ -124,7 +124,7 @@ class Problem:
             others = {"support": supports, "load": loads, "contact": contacts}
             self.cell = make_cell(body, periodic, others, geometry=self.geometry, depth=thickness)
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
-        self.parts, fields = make_parts(
+        self.parts, fields = make_material_regions(
             body, laws, formulation, degree=degree, order=self._order, geometry=self.geometry
         )
         self.unknowns = make_unknowns(body.mesh, degree, fields.extras, self.cell)
@@ -137,19 +137,19 @@ class Problem:
             [part.cells for part in self.parts],
             [
                 *(term.parts for term in self.loads),
-                *(s.surfaces for s in self.supports if isinstance(s, Resisting)),
+                *(s.surfaces for s in self.supports if isinstance(s, ResistingSupport)),
             ],
             weight(self.geometry, ufl.SpatialCoordinate(body.mesh), depth),
             [contact.surfaces for contact in contacts],
         )
-        self.site = BodySite(body, self.unknowns, self.parts, self.measures, self.geometry)
+        self.site = FormContext(body, self.unknowns, self.parts, self.measures, self.geometry)
         self.constant, self.t, self.X = self.site.constant, self.site.t, self.site.X
-        self.prescribed = Prescribed(body, self.V, self.supports, axis=turned)
+        self.prescribed = DirichletConditions(body, self.V, self.supports, axis=turned)
         if isinstance(self.unknowns, Fluctuation):
             self.prescribed.pin(*self.unknowns.pinned)
-        self.cavities = list(enclosures(self.loads, self.site))
-        self.touching = make_touching(contacts, self.site, self._order)
-        self.rest = rest_states(self.site, self.loads)
+        self.cavities = list(make_cavities(self.loads, self.site))
+        self.touching = make_contacts(contacts, self.site, self._order)
+        self.rest = eigenstrains(self.site, self.loads)
         self.nodal_loads = NodalLoads(body, self.V, self.loads)
         _ = self.external, self.holding  # says now what is wrong with a load or a spring
 
@@ -167,14 +167,14 @@ class Problem:
         """The 3x3 deformation gradient of a function of all unknowns."""
         return self.site.deformation(w)
 
-    def response(self, part: Part, w: Expr) -> Law | Mixed | Grown:
+    def response(self, part: MaterialRegion, w: Expr) -> Law | Mixed | GrownLaw:
         """A part's law, with its growth and with the pressure of a function of all unknowns."""
         law: Law | Mixed = part.law
         if part.compliance is not None:
             assert isinstance(part.law, SplitLaw)
             law = Mixed(part.law, self.unknowns.extra("pressure", w), part.compliance)
         growth = self.rest.get(part.name)
-        return law if growth is None else Grown(law, growth)
+        return law if growth is None else GrownLaw(law, growth)
 
     def _extra(self, name: str, w: Expr) -> Expr | None:
         return self.unknowns.extra(name, w) if self.unknowns.has(name) else None
@@ -194,7 +194,7 @@ class Problem:
         q = self.unknowns.extra("pressure", test)
         return work + sum(self._pressure_terms(part, F, q) for part in self.parts)
 
-    def _pressure_terms(self, part: Part, F: Expr, q: Expr) -> ufl.Form:
+    def _pressure_terms(self, part: MaterialRegion, F: Expr, q: Expr) -> ufl.Form:
         """The pressure's equation in a part.
 
         With linear elements it is stabilised by what the pressure differs from its mean over each
@@ -210,20 +210,20 @@ class Problem:
             terms -= off / part.shear * self.volume(part, 0)
         return terms
 
-    def volume_gap(self, part: Part, F: Expr, q: Expr) -> ufl.Form:
+    def volume_gap(self, part: MaterialRegion, F: Expr, q: Expr) -> ufl.Form:
         """Virtual work of a pressure in a part that has one, see `Mixed.gap`."""
         response = self.response(part, self.w)
         assert not isinstance(response, Law)
         return q * response.gap(F) * self._internal_volume(part)
 
-    def _internal_volume(self, part: Part) -> Weighted:
+    def _internal_volume(self, part: MaterialRegion) -> Weighted:
         return self.volume(part, self.rule(part))
 
-    def volume(self, part: Part | None, quadrature_degree: int) -> Weighted:
+    def volume(self, part: MaterialRegion | None, quadrature_degree: int) -> Weighted:
         """Reference volume of a part, or of the whole body."""
         return self.measures.filled(part.marker if part else None, quadrature_degree)
 
-    def rule(self, part: Part) -> int:
+    def rule(self, part: MaterialRegion) -> int:
         """Quadrature degree of a part's internal forces."""
         if self.quadrature_degree is not None:
             return self.quadrature_degree
@@ -268,7 +268,7 @@ class Problem:
         """Virtual work of the forces by which springs and obstacles hold the body, by label."""
         held: dict[str, ufl.Form] = {}
         for support in self.supports:
-            if isinstance(support, Resisting):
+            if isinstance(support, ResistingSupport):
                 work = support.virtual_work(self.site)
                 held[support.label] = held[support.label] + work if support.label in held else work
         for touch in self.touching:
@@ -294,7 +294,7 @@ class Problem:
     @cached_property
     def resisting(self) -> list[Projections]:
         """Owned nodes that springs hold, with projections on the directions. Collective."""
-        return [held for s in self.springs for held in held_by_spring(s, self.body, self.V)]
+        return [held for s in self.springs for held in spring_directions(s, self.body, self.V)]
 
     def damping(self, velocity: Expr) -> ufl.Form | None:
         """Virtual work against dashpots at a velocity; None without any."""
@@ -375,7 +375,7 @@ class Problem:
     @cached_property
     def jit(self) -> dict[str, object]:
         """Options for the form compiler. Collective."""
-        return compiler.options(self.body.comm)
+        return jit.options(self.body.comm)
 
     @property
     def loads_change(self) -> bool:

@@ -24,7 +24,7 @@ Element = Any
 
 
 @dataclass(frozen=True)
-class Extra:
+class AuxiliaryField:
     """A scalar field beside the displacement.
 
     Attributes:
@@ -57,7 +57,7 @@ class Unknowns:
         scale: Extra's name to what its unknown is multiplied by (UFL constant, 1 at first).
     """
 
-    def __init__(self, mesh: Mesh, degree: int, extras: Sequence[Extra] = ()) -> None:
+    def __init__(self, mesh: Mesh, degree: int, extras: Sequence[AuxiliaryField] = ()) -> None:
         self.extras, self.degree = tuple(extras), degree
         cell = mesh.basix_cell()
         elements = [basix.ufl.element("Lagrange", cell, degree, shape=(mesh.geometry.dim,))]

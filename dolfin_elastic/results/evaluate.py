@@ -21,7 +21,7 @@ from dolfin_elastic.results.grid import Grid, to_nodes
 
 if TYPE_CHECKING:
     from dolfin_elastic.model.materials.law import Law
-    from dolfin_elastic.problem.material_regions import Part
+    from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
 Array = npt.NDArray[Any]
@@ -51,7 +51,7 @@ class Evaluator:
         if {"reaction", "residual"} & set(self.names):
             _ = self.residual
 
-    def _kernel(self, part: Part) -> _Kernel | None:
+    def _kernel(self, part: MaterialRegion) -> _Kernel | None:
         law = cast("Law", self.problem.response(part, self.w))
         F = self.problem.F(self.w)
         if "energy_density" in self.cell_names and not law.has_energy:

@@ -31,7 +31,7 @@ from dolfin_elastic.results.writers.history import row
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
     from dolfin_elastic.model.materials.law import Law
-    from dolfin_elastic.problem.material_regions import Part
+    from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
 Array = npt.NDArray[np.float64]
@@ -287,7 +287,7 @@ class _CellFields:
         self.fit = np.linalg.pinv(at_samples)
         self._parts = [self._of(part) for part in problem.parts]
 
-    def _of(self, part: Part) -> _PartFields | None:
+    def _of(self, part: MaterialRegion) -> _PartFields | None:
         """A part's points, its kernel, and its owned cells near the points. None: no points."""
         mine = {n: p for n, p in self.places.items() if p.cell >= 0 and p.cell in part.cells}
         if not total(self.problem.body.comm, len(mine)):
@@ -300,7 +300,7 @@ class _CellFields:
         near = (marks.array[self.corners.list[part.cells]] > 0).any(axis=1)
         return _PartFields(mine, part.cells[near], *self._kernel(part))
 
-    def _kernel(self, part: Part) -> tuple[npt.NDArray[np.int64], Any]:
+    def _kernel(self, part: MaterialRegion) -> tuple[npt.NDArray[np.int64], Any]:
         """The columns that a part's material has, and what gives them."""
         law = cast("Law", self.problem.response(part, self.w))
         if "energy_density" in self.names and not law.has_energy:

@@ -23,7 +23,7 @@ from dolfin_elastic.results.fields import FIELDS
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
     from dolfin_elastic.model.materials.law import Law
-    from dolfin_elastic.problem.material_regions import Part
+    from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
 Array = npt.NDArray[np.float64]
@@ -95,7 +95,7 @@ class SurfaceMean:
         degree = {"quadrature_degree": 2 * self.problem.site.order}
         return ufl.Measure("ds", domain=mesh, subdomain_data=data, metadata=degree)
 
-    def _components(self, part: Part) -> list[Expr]:
+    def _components(self, part: MaterialRegion) -> list[Expr]:
         law = cast("Law", self.problem.response(part, self._w))
         F, found = self.problem.F(self._w), []
         for name in self.fields:

@@ -19,7 +19,7 @@ from dolfin_elastic.material_point.gate import gate
 from dolfin_elastic.mesh.body import Body, Indices
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import SplitLaw
-from dolfin_elastic.problem.coefficients import Binder
+from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.problem.formulation import volume_modulus
 from dolfin_elastic.results.fields import FIELDS
 
@@ -267,7 +267,7 @@ def _check_densities(case: Case) -> None:
 
 def _check_constants(case: Case, body: Body) -> None:
     """What varies in space is evaluated wherever it is used."""
-    binder = Binder(body, max(case.mesh.degree, int(body.mesh.geometry.cmap.degree)))
+    binder = CoefficientBinder(body, max(case.mesh.degree, int(body.mesh.geometry.cmap.degree)))
     own = len(body.owned_cells())
     filled = [_marked(body, material.regions, own) for material in case.materials.values()]
     rest = ~np.any(filled, axis=0)

@@ -11,7 +11,7 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.tables import MeshTable
 from dolfin_elastic.core.parallel import smallest
 from dolfin_elastic.mesh.body import span
-from dolfin_elastic.problem.loads.contact import Touching
+from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.nonlinear.contact import first_gaps
 
@@ -79,7 +79,7 @@ def _size(value: object) -> float:
     return abs(value) if isinstance(value, int | float) else 0.0
 
 
-def _unit_hint(mesh: MeshTable, touch: Touching, far: float) -> str:
+def _unit_hint(mesh: MeshTable, touch: ContactPair, far: float) -> str:
     """Whether the obstacle would be near if its numbers were in the mesh's unit. Collective."""
     if mesh.scale == 1.0:
         return ""

@@ -15,7 +15,7 @@ from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.mesh.geometry.quadrature import Points
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
-from dolfin_elastic.model.loads import Concentrated, Load, Places
+from dolfin_elastic.model.loads import ConcentratedLoad, Load, LoadSamples
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.values import depends_on_time, vector_at
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
@@ -109,7 +109,7 @@ def _rigid_times(case: Case) -> list[float]:
 
 def _points(load: Load, integrals: Integrals) -> Points | None:
     """Where a load is summed up; None: at points of its own. Collective."""
-    if isinstance(load, Concentrated):
+    if isinstance(load, ConcentratedLoad):
         return None
     return integrals.facets(load.parts) if acts_on_surfaces(load) else integrals.cells(load.parts)
 
@@ -136,13 +136,13 @@ def _times(case: Case, load: Load) -> list[float]:
 def _resultant(load: Load, t: float, points: Points | None, integrals: Integrals) -> Floats | None:
     """Force and moment about the origin, shape (dim + 3,), in a plane (3,). Collective."""
     if points is None:
-        assert isinstance(load, Concentrated)
+        assert isinstance(load, ConcentratedLoad)
         X, weights = load.samples()
         return _both(X[None], weights[None, :, None] * vector_at(load.values, X[None], t))
     density = integrals.density(points) if load.needs_density else None
     weights, turned = integrals.whole(points), integrals.problem.geometry == "axisymmetric"
     size = float(total(integrals.body.comm, float(weights.sum())))
-    intensity = load.intensity(Places(points.X, t, points.N, density, size, turned))
+    intensity = load.intensity(LoadSamples(points.X, t, points.N, density, size, turned))
     if intensity is None:
         return None
     sums = _both(points.X, weights[..., None] * intensity)

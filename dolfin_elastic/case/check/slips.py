@@ -18,12 +18,12 @@ from dolfin_elastic.mesh.body import Body, Indices, extent
 from dolfin_elastic.mesh.geometry.simplices import Floats
 from dolfin_elastic.mesh.selection import bounding_box
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
-from dolfin_elastic.model.loads import Concentrated, Load
+from dolfin_elastic.model.loads import ConcentratedLoad, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.supports.displacement import (
     NORMAL,
     Normal,
-    Prescribing,
+    PrescribingSupport,
     Restraint,
     Rotation,
 )
@@ -117,7 +117,7 @@ def _place_notes(case: Case, body: Body) -> Iterator[str]:
 
 def _places(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
     for i, load in enumerate(case.load):
-        if isinstance(load, Concentrated):
+        if isinstance(load, ConcentratedLoad):
             yield from ((f"load[{i}].{key}", point) for key, point in load.points.items())
     for i, support in enumerate(case.support):
         if isinstance(support, Rotation | Rigid):
@@ -233,7 +233,7 @@ def _held_loads(case: Case, body: Body) -> Iterator[str]:
 
 
 def _holds_all(support: Restraint, dim: int) -> bool:
-    return isinstance(support, Prescribing) and support.held(dim) == tuple(range(dim))
+    return isinstance(support, PrescribingSupport) and support.held(dim) == tuple(range(dim))
 
 
 def _contradictions(case: Case, body: Body) -> Iterator[str]:
@@ -241,7 +241,7 @@ def _contradictions(case: Case, body: Body) -> Iterator[str]:
     rows = [
         (i, support, _corners(body, support))
         for i, support in enumerate(case.support)
-        if isinstance(support, Prescribing) and NORMAL not in support.held(body.dim)
+        if isinstance(support, PrescribingSupport) and NORMAL not in support.held(body.dim)
     ]
     for (i, one, first), (j, two, second) in combinations(rows, 2):
         both = np.intersect1d(first, second)
@@ -261,7 +261,7 @@ def _contradictions(case: Case, body: Body) -> Iterator[str]:
             )
 
 
-def _moved(case: Case, support: Prescribing, which: int, x: Floats) -> Floats:
+def _moved(case: Case, support: PrescribingSupport, which: int, x: Floats) -> Floats:
     """What a support prescribes at the end [m]."""
     motion = case.dynamics
     t, default = (case.full, PROPORTIONAL) if motion is None else (motion.end, CONSTANT)

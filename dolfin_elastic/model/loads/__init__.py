@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dolfin_elastic.model.loads.base import Load as Load
-from dolfin_elastic.model.loads.base import Places as Places
-from dolfin_elastic.model.loads.base import Site as Site
+from dolfin_elastic.model.loads.base import LoadContext as LoadContext
+from dolfin_elastic.model.loads.base import LoadSamples as LoadSamples
 from dolfin_elastic.model.loads.cavity import Cavity as Cavity
+from dolfin_elastic.model.loads.eigenstrain import Eigenstrain as Eigenstrain
 from dolfin_elastic.model.loads.eigenstrain import Growth as Growth
-from dolfin_elastic.model.loads.eigenstrain import Swelling as Swelling
 from dolfin_elastic.model.loads.eigenstrain import Thermal as Thermal
 from dolfin_elastic.model.loads.forces import BodyForce as BodyForce
 from dolfin_elastic.model.loads.forces import Centrifugal as Centrifugal
 from dolfin_elastic.model.loads.forces import Gravity as Gravity
 from dolfin_elastic.model.loads.forces import Traction as Traction
-from dolfin_elastic.model.loads.point_loads import Concentrated as Concentrated
+from dolfin_elastic.model.loads.point_loads import ConcentratedLoad as ConcentratedLoad
 from dolfin_elastic.model.loads.point_loads import LineForce as LineForce
 from dolfin_elastic.model.loads.point_loads import PointForce as PointForce
 from dolfin_elastic.model.loads.pressure import Pressure as Pressure

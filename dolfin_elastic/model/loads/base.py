@@ -23,8 +23,8 @@ PLACE = frozenset("xyz")
 """Names of the place in formulas."""
 
 
-class Site(Protocol):
-    """What a load finds on the body it acts on; see `site.BodySite`."""
+class LoadContext(Protocol):
+    """What a load finds on the body it acts on; see `site.FormContext`."""
 
     v: Expr
     """Virtual displacement."""
@@ -86,7 +86,7 @@ Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Places:
+class LoadSamples:
     """Points of the undeformed body at which a load is asked how strong it is.
 
     Attributes:
@@ -184,11 +184,11 @@ class Load(Record):
         timed = self.curve is None and depends_on_time(self.values)
         return CONSTANT if timed else self.curve
 
-    def field(self, site: Site) -> Expr:
+    def field(self, site: LoadContext) -> Expr:
         """The load's vector as a UFL expression."""
         return site.vector(self.values, self.curve)
 
-    def intensity(self, places: Places) -> Floats | None:
+    def intensity(self, places: LoadSamples) -> Floats | None:
         """Force per reference area or volume on the undeformed body, without its amplitude.
 
         A report integrates it before anything is compiled: the same as `virtual_work`, in numbers.
@@ -198,7 +198,7 @@ class Load(Record):
         """
         return None
 
-    def virtual_work(self, site: Site) -> ufl.Form:
+    def virtual_work(self, site: LoadContext) -> ufl.Form:
         """External virtual work of the load, linear in `site.v`."""
         raise TypeError(f"{type(self).__name__} has no virtual work")
 

@@ -12,7 +12,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.model.amplitude import Amplitude
-from dolfin_elastic.model.loads.base import Load, Site
+from dolfin_elastic.model.loads.base import Load, LoadContext
 from dolfin_elastic.model.loads.pressure import area_vector
 from dolfin_elastic.model.values import Component, component, components
 
@@ -146,19 +146,19 @@ class Cavity(Load):
         }
         return initial + scale * change[self.key]
 
-    def virtual_work(self, site: Site) -> ufl.Form:
+    def virtual_work(self, site: LoadContext) -> ufl.Form:
         """See the class."""
         p = site.unknown(self.label) if self.controlled else self._given(site)
         return self.work(site, p, linear=site.linear)
 
-    def work(self, site: Site, p: Expr, *, linear: bool) -> ufl.Form:
+    def work(self, site: LoadContext, p: Expr, *, linear: bool) -> ufl.Form:
         """Virtual work of a pressure p [Pa], on the undeformed surface if `linear`."""
         return -p * ufl.inner(area_vector(site, linear), site.v) * site.areas(self.parts)
 
-    def _given(self, site: Site) -> Expr:
+    def _given(self, site: LoadContext) -> Expr:
         return site.scalar(self.values[0], self.amplitude)
 
-    def enclosed(self, site: Site, linear: bool) -> ufl.Form:
+    def enclosed(self, site: LoadContext, linear: bool) -> ufl.Form:
         """Its present volume [m^3]; to first order in u if `linear`."""
         dim = len(site.v)
         if self.middle and len(self.middle) != dim:

@@ -10,11 +10,11 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.model.loads.base import Load, Site, keyed
+from dolfin_elastic.model.loads.base import Load, LoadContext, keyed
 from dolfin_elastic.model.values import Component, component
 
 
-class Swelling(Load):
+class Eigenstrain(Load):
     """A load that has no virtual work but changes the rest state, see `model.growth`.
 
     Several of them on one region multiply; where the law is linear, their strains add up.
@@ -29,7 +29,7 @@ class Swelling(Load):
         return {}
 
     @abstractmethod
-    def growth(self, site: Site, expansion: Expr | None, share: Expr | None) -> Expr:
+    def growth(self, site: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
         """Fg, shape (3, 3).
 
         Args:
@@ -39,7 +39,7 @@ class Swelling(Load):
         """
 
 
-class Thermal(Swelling):
+class Thermal(Eigenstrain):
     """A change of temperature [K], from that at which the body is free of stress.
 
     Fg = (1 + alpha dT) I with the coefficient of expansion alpha of the material.
@@ -58,14 +58,14 @@ class Thermal(Swelling):
         with keyed("value"):
             return (component(self.value, self.unit),)
 
-    def growth(self, site: Site, expansion: Expr | None, share: Expr | None) -> Expr:
+    def growth(self, site: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
         """See the class."""
         assert expansion is not None
         strain = expansion * site.scalar(self.values[0], self.amplitude)
         return (1 + (strain if share is None else share * strain)) * ufl.Identity(3)
 
 
-class Growth(Swelling):
+class Growth(Eigenstrain):
     """Growth, swelling or shrinking by given stretches; 1 is none.
 
     At amplitude a it is Fg = I + a (G - I).
@@ -97,7 +97,7 @@ class Growth(Swelling):
             raise InputError("a stretch must be above 0", expected="1 is no growth")
         return [[stretches[i] if i == j else 0.0 for j in range(3)] for i in range(3)]
 
-    def growth(self, site: Site, expansion: Expr | None, share: Expr | None) -> Expr:
+    def growth(self, site: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
         """See the class."""
         one, factors = ufl.Identity(3), site.factors(self.values, self.curve)
         items = [site.value(item) for item in self.values]

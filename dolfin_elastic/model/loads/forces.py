@@ -16,8 +16,8 @@ from dolfin_elastic.model.loads.base import (
     PLACE,
     Floats,
     Load,
-    Places,
-    Site,
+    LoadContext,
+    LoadSamples,
     keyed,
 )
 from dolfin_elastic.model.materials.fibres import Axis, along
@@ -70,12 +70,12 @@ class Traction(Load):
         """See `Load.vectors`."""
         return {"value" if self.force is None else "force": self.values}
 
-    def intensity(self, places: Places) -> Floats:
+    def intensity(self, places: LoadSamples) -> Floats:
         """See `Load.intensity`."""
         share = 1.0 if self.force is None else places.size
         return np.asarray(vector_at(self.values, places.X, places.t) / share)
 
-    def virtual_work(self, site: Site) -> ufl.Form:
+    def virtual_work(self, site: LoadContext) -> ufl.Form:
         """See the class."""
         traction = self.field(site)
         if self.force is not None:
@@ -93,11 +93,11 @@ class BodyForce(Load):
     on: str | list[str] | None = None
     unit: ClassVar[str] = "N/m^3"
 
-    def intensity(self, places: Places) -> Floats:
+    def intensity(self, places: LoadSamples) -> Floats:
         """See `Load.intensity`."""
         return vector_at(self.values, places.X, places.t)
 
-    def virtual_work(self, site: Site) -> ufl.Form:
+    def virtual_work(self, site: LoadContext) -> ufl.Form:
         """See the class."""
         return ufl.inner(self.field(site), site.v) * site.volumes(self.parts)
 
@@ -123,17 +123,17 @@ class Gravity(Load):
         """Its components [m/s^2] in 2 or 3 dimensions."""
         return self.values or (0.0,) * (dim - 1) + (-9.81,)
 
-    def field(self, site: Site) -> Expr:
+    def field(self, site: LoadContext) -> Expr:
         """The acceleration as a UFL expression."""
         return site.vector(self.acceleration(len(site.v)), self.curve)
 
-    def intensity(self, places: Places) -> Floats:
+    def intensity(self, places: LoadSamples) -> Floats:
         """See `Load.intensity`."""
         assert places.density is not None
         g = vector_at(self.acceleration(places.X.shape[-1]), places.X, places.t)
         return np.asarray(places.density[..., None] * g)
 
-    def virtual_work(self, site: Site) -> ufl.Form:
+    def virtual_work(self, site: LoadContext) -> ufl.Form:
         """See the class."""
         if site.revolved and self.values and self.values[0] != 0.0:
             raise InputError(
@@ -198,7 +198,7 @@ class Centrifugal(Load):
                 raise InputError("an axis of no length", expected='for example "z" or [0, 0, 1]')
         return [float(item) for item in found]  # type: ignore[arg-type]
 
-    def virtual_work(self, site: Site) -> ufl.Form:
+    def virtual_work(self, site: LoadContext) -> ufl.Form:
         """See the class."""
         dim = len(site.v)
         a, c = self._axis(site.revolved), self._centre(site)
@@ -209,7 +209,7 @@ class Centrifugal(Load):
         force = site.factor(self.amplitude) * site.value(self.values[0]) ** 2 * across
         return sum(rho * ufl.inner(force, site.v) * dx for rho, dx in site.densities(self.parts))
 
-    def intensity(self, places: Places) -> Floats:
+    def intensity(self, places: LoadSamples) -> Floats:
         """See `Load.intensity`; of a body of revolution only the radial part is left."""
         assert places.density is not None
         dim = places.X.shape[-1]
@@ -220,7 +220,7 @@ class Centrifugal(Load):
         across = r - (r @ a)[..., None] * a
         return np.asarray(places.density[..., None] * omega**2 * across)
 
-    def _centre(self, site: Site) -> list[float]:
+    def _centre(self, site: LoadContext) -> list[float]:
         c, dim = self._numbers("point") or [0.0] * len(site.v), len(site.v)
         if len(c) != dim:
             raise InputError(f"{len(c)} components given, the body has {dim}", where="point")

@@ -16,7 +16,7 @@ from dolfin_elastic.model.values import Component, components
 Point = tuple[float, ...]
 
 
-class Concentrated(Load):
+class ConcentratedLoad(Load):
     """A dead force on points of the body, by the shape functions of the cells that hold them.
 
     In a plane it is that of the whole thickness, in a body of revolution of the whole ring.
@@ -51,7 +51,7 @@ class Concentrated(Load):
         return {"value": self.values, **self.points}
 
 
-class PointForce(Concentrated):
+class PointForce(ConcentratedLoad):
     """A force [N] at a point; the stress there grows without bound under refinement.
 
     Attributes:
@@ -64,11 +64,11 @@ class PointForce(Concentrated):
 
     @cached_property
     def points(self) -> dict[str, Point]:
-        """See `Concentrated.points`."""
+        """See `ConcentratedLoad.points`."""
         return {"at": self.place("at")}
 
 
-class LineForce(Concentrated):
+class LineForce(ConcentratedLoad):
     """A force per undeformed length [N/m] along a straight line.
 
     Attributes:
@@ -83,7 +83,7 @@ class LineForce(Concentrated):
 
     @cached_property
     def points(self) -> dict[str, Point]:
-        """See `Concentrated.points`."""
+        """See `ConcentratedLoad.points`."""
         start, end = self.place("start"), self.place("end")
         if start == end or len(start) != len(end):
             raise InputError("the line has no length", where="end", expected="another point")

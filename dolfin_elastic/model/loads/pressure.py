@@ -15,8 +15,8 @@ from dolfin_elastic.model.loads.base import (
     PLACE,
     Floats,
     Load,
-    Places,
-    Site,
+    LoadContext,
+    LoadSamples,
     keyed,
 )
 from dolfin_elastic.model.values import Component, component, number_at
@@ -66,19 +66,19 @@ class Pressure(Load):
         (p,) = self.values
         return not isinstance(p, Formula) or not p.names & PLACE
 
-    def intensity(self, places: Places) -> Floats:
+    def intensity(self, places: LoadSamples) -> Floats:
         """See `Load.intensity`."""
         assert places.N is not None
         (p,) = self.values
         return np.asarray(-number_at(p, places.X, places.t)[..., None] * places.N)
 
-    def virtual_work(self, site: Site) -> ufl.Form:
+    def virtual_work(self, site: LoadContext) -> ufl.Form:
         """See the class."""
         p = site.scalar(self.values[0], self.amplitude)
         return -p * ufl.inner(area_vector(site, site.linear), site.v) * site.areas(self.parts)
 
 
-def area_vector(site: Site, linear: bool) -> Expr:
+def area_vector(site: LoadContext, linear: bool) -> Expr:
     """Current area vector over reference area, cof F N; N if `linear`."""
     if linear:
         return site.N

@@ -21,7 +21,7 @@ from dolfin_elastic.model.materials.mixed import Mixed
 
 
 @dataclass(frozen=True)
-class Grown:
+class GrownLaw:
     """A law, with or without a pressure, whose material has grown.
 
     Attributes:

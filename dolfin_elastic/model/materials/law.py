@@ -19,8 +19,7 @@ from dolfin_elastic.core.units import (
     Stress,
     Viscosity,
 )
-from dolfin_elastic.model.materials import moduli
-from dolfin_elastic.model.materials import spatial as varying
+from dolfin_elastic.model.materials import moduli, spatial
 from dolfin_elastic.model.materials.fibres import numbers
 
 
@@ -64,7 +63,7 @@ class Law(Record):
     @model_validator(mode="before")
     @classmethod
     def _read_varying(cls, data: Any) -> Any:
-        return varying.constants(cls, data) if isinstance(data, dict) else data
+        return spatial.constants(cls, data) if isinstance(data, dict) else data
 
     @classmethod
     def name(cls) -> str:
@@ -112,9 +111,9 @@ class Law(Record):
         return dict(values)
 
     @classmethod
-    def ranges(cls) -> dict[str, varying.Range]:
+    def ranges(cls) -> dict[str, spatial.Range]:
         """The values that constants may have, for those that vary."""
-        return {n: varying.Range.of(info.metadata) for n, info in cls.model_fields.items()}
+        return {n: spatial.Range.of(info.metadata) for n, info in cls.model_fields.items()}
 
     def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
         """A twin whose constants are UFL expressions, so that forms do not hold the numbers."""
@@ -216,7 +215,7 @@ class Isotropic(Law):
         return {**values, **moduli.symbolic(given)}
 
     @classmethod
-    def ranges(cls) -> dict[str, varying.Range]:
+    def ranges(cls) -> dict[str, spatial.Range]:
         """See `Law.ranges`."""
-        stable = {name: varying.Range(low=0.0) for name in ("E", "K", "mu")}
-        return {**super().ranges(), **stable, "nu": varying.Range(low=-1.0, high=0.5)}
+        stable = {name: spatial.Range(low=0.0) for name in ("E", "K", "mu")}
+        return {**super().ranges(), **stable, "nu": spatial.Range(low=-1.0, high=0.5)}

@@ -15,13 +15,13 @@ from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
 from dolfin_elastic.core.schema import shown, within
 from dolfin_elastic.core.units import Stress, to_base
-from dolfin_elastic.model.materials import user_names as own_names
+from dolfin_elastic.model.materials import user_names
 from dolfin_elastic.model.materials.isochoric import Volumetric
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import Direction
 
 
-class Own(Law):
+class UserEnergy(Law):
     """What all energies of users share: parameters and fibres, all of them constants of the forms.
 
     Attributes:
@@ -90,10 +90,10 @@ class Own(Law):
         return self.written_energy(F)
 
     def _values(self, F: Expr, wanted: Any) -> dict[str, Expr]:
-        return own_names.values(F, wanted, fibre=self.fibre, fibre2=self.fibre2)
+        return user_names.values(F, wanted, fibre=self.fibre, fibre2=self.fibre2)
 
 
-class WithVolume(Volumetric):
+class UserVolumetric(Volumetric):
     """Adds K/2 g(J)^2 to the energy that a user writes, so that a pressure can be an unknown.
 
     Attributes:
@@ -115,7 +115,7 @@ class WithVolume(Volumetric):
         return Volumetric.stress(self, F)
 
 
-class FormulaEnergy(Own):
+class FormulaEnergy(UserEnergy):
     """An energy that is written down as a formula.
 
         energy = "mu/2*(I1 - 3) - mu*ln(J) + lmbda/2*ln(J)^2"
@@ -153,7 +153,7 @@ class FormulaEnergy(Own):
             FormulaError: With the column, a caret under the fault, and what would be right.
         """
         fibres = {"fibre": self.fibre is not None, "fibre2": self.fibre2 is not None}
-        names = own_names.known(**fibres)
+        names = user_names.known(**fibres)
         for name in self.parameters:
             _check_parameter(name, names)
         try:
@@ -163,7 +163,7 @@ class FormulaEnergy(Own):
 
     def _known(self) -> str:
         fibres = {"fibre": self.fibre is not None, "fibre2": self.fibre2 is not None}
-        return ", ".join([*sorted(self.parameters), own_names.summary(**fibres)])
+        return ", ".join([*sorted(self.parameters), user_names.summary(**fibres)])
 
     def _shorter(self, error: InputError) -> InputError:
         """A list of all 40 names, as it would stand in a book."""
@@ -179,7 +179,7 @@ class FormulaEnergy(Own):
         return read.ufl(**self._values(F, read.names), **self.parameters)
 
 
-class SplitFormulaEnergy(WithVolume, FormulaEnergy):
+class SplitFormulaEnergy(UserVolumetric, FormulaEnergy):
     """A formula and a volumetric part."""
 
 
@@ -192,7 +192,7 @@ def _check_parameter(name: str, taken: frozenset[str]) -> None:
         raise InputError(
             f"{shown(name)} cannot be a name", where=where, expected="letters, digits and _"
         )
-    if name in taken or name in FUNCTIONS or name in own_names.TENSORS:
+    if name in taken or name in FUNCTIONS or name in user_names.TENSORS:
         raise InputError(f"the name '{name}' is taken", where=where, expected="choose another")
     if name in CONSTANTS and name == "pi":
         raise InputError("pi is a number already", where=where, expected="choose another name")
@@ -220,7 +220,7 @@ def read_energy(table: Mapping[str, Any]) -> FormulaEnergy:
 # --- in Python ---
 
 
-class Energy(Own):
+class Energy(UserEnergy):
     """An energy that is a Python function.
 
         Energy(lambda F, mu, k: mu/2*(ufl.tr(F.T*F) - 3) - mu*ufl.ln(ufl.det(F))
@@ -263,7 +263,7 @@ class Energy(Own):
         return result
 
 
-class SplitEnergy(WithVolume, Energy):
+class SplitEnergy(UserVolumetric, Energy):
     """A Python function and a volumetric part: `Energy` with `volumetric` and `K`."""
 
     own_keys: ClassVar[tuple[str, ...]] = (*Energy.own_keys, "volumetric", "K")
@@ -274,7 +274,7 @@ def _filled(
 ) -> dict[str, Any]:
     """A value for each of the function's parameters."""
     fibres = {"fibre": "fibre" in keys, "fibre2": "fibre2" in keys}
-    known = own_names.known(**fibres) | {*own_names.TENSORS}
+    known = user_names.known(**fibres) | {*user_names.TENSORS}
     arguments = inspect.signature(function).parameters
     wanted = [name for name in arguments if name not in known]
     defaults = {

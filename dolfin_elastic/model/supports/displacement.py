@@ -15,7 +15,7 @@ from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.units import is_quantity, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
 from dolfin_elastic.model.materials.fibres import Axis, along
-from dolfin_elastic.model.on_surfaces import Placed
+from dolfin_elastic.model.on_surfaces import OnSurfaces
 from dolfin_elastic.model.values import (
     Component,
     amplitude_of,
@@ -31,7 +31,7 @@ NORMAL = -1
 """Stands for the direction of the surface's normal, where components have numbers from 0."""
 
 
-class Restraint(Placed):
+class Restraint(OnSurfaces):
     """What all supports have."""
 
     kind: str = ""
@@ -52,7 +52,7 @@ class Restraint(Placed):
         return True
 
 
-class Prescribing(Restraint):
+class PrescribingSupport(Restraint):
     """A support that prescribes displacements.
 
     Where it has a `curve`, that is the amplitude over time.  Without one, what is constant grows
@@ -89,14 +89,14 @@ def _evaluated(value: Component, x: Floats, t: float) -> Floats | float:
     return float(value or 0.0)
 
 
-class Support(Prescribing):
+class Support(PrescribingSupport):
     """Displacement components prescribed on surfaces.
 
     Attributes:
         displacement: One entry a component [m]: a number, a text with a unit ("2 mm"), a formula
             in the reference coordinates x, y, z [m] and in t, or "free".  None: all components
             are held at 0.
-        curve: Its amplitude over time, see `Prescribing`.
+        curve: Its amplitude over time, see `PrescribingSupport`.
     """
 
     kind: Literal["displacement"] = "displacement"
@@ -145,11 +145,11 @@ class Support(Prescribing):
         return all(value in (None, 0.0) for value in self.values)
 
     def held(self, dim: int) -> tuple[int, ...]:
-        """See `Prescribing`."""
+        """See `PrescribingSupport`."""
         return tuple(i for i, value in enumerate(self.values_in(dim)) if value is not None)
 
     def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
-        """See `Prescribing`."""
+        """See `PrescribingSupport`."""
         value = self.values[which] if self.values else 0.0
         return self._scale(value, t, default) * _evaluated(value, x, t)
 
@@ -162,14 +162,14 @@ def _check_length(support: Restraint, key: str, values: tuple[Component, ...], d
         )
 
 
-class Normal(Prescribing):
+class Normal(PrescribingSupport):
     """A roller: the displacement along the surface's reference normal is prescribed, the rest free.
 
     On a curved surface each node has the mean normal of the facets around it, by their areas.
 
     Attributes:
         displacement: Along the outward normal [m]: a number, a text with a unit, or a formula.
-        curve: Its amplitude over time, see `Prescribing`.
+        curve: Its amplitude over time, see `PrescribingSupport`.
     """
 
     kind: Literal["normal", "roller"] = "normal"
@@ -199,11 +199,11 @@ class Normal(Prescribing):
         return self.value == 0.0
 
     def held(self, dim: int) -> tuple[int, ...]:
-        """See `Prescribing`."""
+        """See `PrescribingSupport`."""
         return (NORMAL,)
 
     def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
-        """See `Prescribing`."""
+        """See `PrescribingSupport`."""
         return self._scale(self.value, t, default) * _evaluated(self.value, x, t)
 
 
@@ -214,7 +214,7 @@ def _read_at(key: str, written: Any, unit: str) -> Component:
         raise error.at(key) from None
 
 
-class Symmetry(Prescribing):
+class Symmetry(PrescribingSupport):
     """A plane of symmetry: nothing leaves it.  Each of its surfaces must be flat."""
 
     kind: Literal["symmetry"] = "symmetry"
@@ -222,15 +222,15 @@ class Symmetry(Prescribing):
     needs_flat: ClassVar[bool] = True
 
     def held(self, dim: int) -> tuple[int, ...]:
-        """See `Prescribing`."""
+        """See `PrescribingSupport`."""
         return (NORMAL,)
 
     def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
-        """See `Prescribing`."""
+        """See `PrescribingSupport`."""
         return 0.0
 
 
-class Rotation(Prescribing):
+class Rotation(PrescribingSupport):
     """Rigid motion of a surface: u = (R - I)(X - c) + d, with any angle.
 
     R = I + sin(a) K + (1 - cos(a)) K^2, K the cross product with the axis.  Source: O. Rodrigues,
@@ -241,7 +241,7 @@ class Rotation(Prescribing):
         axis: x, y, z or a direction; in a plane body z.
         angle: "90 deg", a number in rad, or a formula in t; right-handed about the axis.
         displacement: Translation d [m]: numbers, texts with units, or formulas in t.
-        curve: Amplitude of angle and translation over time, see `Prescribing`.
+        curve: Amplitude of angle and translation over time, see `PrescribingSupport`.
     """
 
     kind: Literal["rotation"] = "rotation"
@@ -319,7 +319,7 @@ class Rotation(Prescribing):
         return all(value == 0.0 for value in (self.turn, *self.shift))
 
     def held(self, dim: int) -> tuple[int, ...]:
-        """See `Prescribing`.
+        """See `PrescribingSupport`.
 
         Raises:
             InputError: The axis or a vector does not fit the body.
@@ -337,7 +337,7 @@ class Rotation(Prescribing):
         return tuple(range(dim))
 
     def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
-        """See `Prescribing`."""
+        """See `PrescribingSupport`."""
         angle = self._scale(self.turn, t, default) * _at_time(self.turn, t)
         r = x - np.array([*map(float, self.centre), 0.0])[:3]  # type: ignore[arg-type]
         once = np.cross(self.direction, r)

@@ -27,8 +27,8 @@ from dolfin_elastic.model.values import Component, component, components
 T = TypeVar("T")
 
 
-class Ground(Protocol):
-    """What a spring finds at the surface it acts on; see `site.BodySite`."""
+class SupportContext(Protocol):
+    """What a spring finds at the surface it acts on; see `site.FormContext`."""
 
     v: Expr
     """Virtual displacement."""
@@ -55,7 +55,7 @@ class Ground(Protocol):
         """A number or formula at a point of the body."""
 
 
-class Resisting(Restraint):
+class ResistingSupport(Restraint):
     """Holds a surface by a force that is linear in its displacement or in its velocity w.
 
     The force on the body per reference area is -(n (w . N) N + s (w - (w . N) N)) with the
@@ -132,7 +132,7 @@ class Resisting(Restraint):
         """See `Restraint`."""
         return {} if self.by_normal else {self.axes: self.coefficients}
 
-    def _values(self, site: Ground) -> list[Expr]:
+    def _values(self, site: SupportContext) -> list[Expr]:
         values = [site.value(c) for c in self.coefficients]
         if not self.total:
             return values
@@ -141,7 +141,7 @@ class Resisting(Restraint):
             raise InputError("the surface has no area", where=f"support '{self.label}'.on")
         return [value / area for value in values]
 
-    def resistance(self, site: Ground, w: Expr) -> Expr:
+    def resistance(self, site: SupportContext, w: Expr) -> Expr:
         """Force per reference area against w, as a UFL expression. Collective."""
         values = self._values(site)
         if not self.by_normal:
@@ -155,10 +155,10 @@ class Resisting(Restraint):
         return values[0] * along + values[1] * (w - along)
 
     @abstractmethod
-    def virtual_work(self, site: Ground) -> ufl.Form:
+    def virtual_work(self, site: SupportContext) -> ufl.Form:
         """Virtual work of its force on the body, linear in `site.v`. Collective."""
 
-    def bound(self, site: Ground) -> ufl.Form:
+    def bound(self, site: SupportContext) -> ufl.Form:
         """Largest coefficient times each component of `site.v`: a bound of its matrix's rows."""
         values = self._values(site)
         most = values[0]
@@ -175,7 +175,7 @@ def _located(key: str, read: Callable[[Any, str], T], written: Any, unit: str) -
         raise InputError(error.what, where=key + error.where, expected=error.expected) from None
 
 
-class Spring(Resisting):
+class Spring(ResistingSupport):
     """Springs on a surface: an elastic foundation of given stiffness per area [N/m^3].
 
     Source of the model: E. Winkler, Die Lehre von der Elasticitaet und Festigkeit (1867).
@@ -216,7 +216,7 @@ class Spring(Resisting):
         """See `Restraint`."""
         return all(value == 0.0 for value in self.base)
 
-    def _stretch(self, site: Ground) -> Expr:
+    def _stretch(self, site: SupportContext) -> Expr:
         if not self.base:
             return site.u
         try:
@@ -225,18 +225,18 @@ class Spring(Resisting):
             where = f"support '{self.label}'.displacement"
             raise InputError(error.what, where=where, expected=error.expected) from None
 
-    def virtual_work(self, site: Ground) -> ufl.Form:
-        """See `Resisting`."""
+    def virtual_work(self, site: SupportContext) -> ufl.Form:
+        """See `ResistingSupport`."""
         force = self.resistance(site, self._stretch(site))
         return -ufl.inner(force, site.v) * site.areas(self.surfaces)
 
-    def energy(self, site: Ground) -> ufl.Form:
+    def energy(self, site: SupportContext) -> ufl.Form:
         """Stored energy [J]."""
         w = self._stretch(site)
         return 0.5 * ufl.inner(self.resistance(site, w), w) * site.areas(self.surfaces)
 
 
-class Dashpot(Resisting):
+class Dashpot(ResistingSupport):
     """Dashpots on a surface: a force against its velocity.  They act in motion only.
 
     Attributes:
@@ -249,11 +249,11 @@ class Dashpot(Resisting):
     unit: ClassVar[str] = "N*s/m"
     axes: ClassVar[str] = "viscosity"
 
-    def virtual_work(self, site: Ground) -> ufl.Form:
-        """See `Resisting`."""
+    def virtual_work(self, site: SupportContext) -> ufl.Form:
+        """See `ResistingSupport`."""
         return self.work_at(site, site.velocity)
 
-    def work_at(self, site: Ground, velocity: Expr) -> ufl.Form:
+    def work_at(self, site: SupportContext, velocity: Expr) -> ufl.Form:
         """Virtual work of its force at a velocity [m/s]."""
         return -ufl.inner(self.resistance(site, velocity), site.v) * site.areas(self.surfaces)
 

@@ -15,11 +15,11 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import first_of, total
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
-from dolfin_elastic.model.supports.displacement import NORMAL, Prescribing, Restraint
+from dolfin_elastic.model.supports.displacement import NORMAL, PrescribingSupport, Restraint
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.problem.constraints.normals import sheet, tidy
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
-from dolfin_elastic.problem.constraints.skew import Hold, Tilted
+from dolfin_elastic.problem.constraints.skew import SkewConstraints, SkewSupport
 
 Dofs = npt.NDArray[np.int32]
 Floats = npt.NDArray[np.float64]
@@ -29,7 +29,7 @@ MIRRORED = 0.7
 """Share of a normal that has to lie in a plane of symmetry for the surface to go on beyond it."""
 
 
-class Prescribed:
+class DirichletConditions:
     """All prescribed displacements of a body.
 
     Where supports meet, the later one holds.  Nodes that are held along axes only are constrained
@@ -65,7 +65,7 @@ class Prescribed:
         self._x = V.tabulate_dof_coordinates()
         self._bs = V.dofmap.index_map_bs
         self.motions: list[RigidMotion] = []
-        chosen = [s for s in supports if isinstance(s, Prescribing | Rigid)]
+        chosen = [s for s in supports if isinstance(s, PrescribingSupport | Rigid)]
         holds = [
             hold
             for support in chosen
@@ -88,7 +88,7 @@ class Prescribed:
         self.moving = self._reactions_of(owned_size)
         self._t, self._default = 0.0, CONSTANT
 
-    def _rigid(self, body: Body, support: Rigid, axis: bool) -> list[Hold]:
+    def _rigid(self, body: Body, support: Rigid, axis: bool) -> list[SkewSupport]:
         """What a rigid surface holds. Collective."""
         where = f"support '{support.label}'"
         if axis:
@@ -111,7 +111,7 @@ class Prescribed:
         nodes = fem.locate_dofs_topological(self._V, body.mesh.topology.dim - 1, facets)
         return np.sort(nodes).astype(np.int32)
 
-    def _of(self, body: Body, support: Prescribing, axis: bool) -> list[Hold]:
+    def _of(self, body: Body, support: PrescribingSupport, axis: bool) -> list[SkewSupport]:
         """What a support holds. Collective."""
         which = support.held(self._bs)
         if which == (NORMAL,):
@@ -125,10 +125,12 @@ class Prescribed:
         nodes = self._nodes(body, support)
         return [self._along(support, i, nodes) for i in which]
 
-    def _along(self, support: Prescribing | RigidMotion | None, i: int, nodes: Dofs) -> Hold:
-        return Hold(support, i, nodes, np.tile(np.eye(self._bs)[i], (len(nodes), 1)))
+    def _along(
+        self, support: PrescribingSupport | RigidMotion | None, i: int, nodes: Dofs
+    ) -> SkewSupport:
+        return SkewSupport(support, i, nodes, np.tile(np.eye(self._bs)[i], (len(nodes), 1)))
 
-    def _across(self, body: Body, support: Prescribing, name: str) -> Hold:
+    def _across(self, body: Body, support: PrescribingSupport, name: str) -> SkewSupport:
         """What is held along a surface's normal. Collective."""
         found = sheet(body, self._V, name)
         if support.needs_flat and not found.flat:
@@ -142,14 +144,14 @@ class Prescribed:
                 where=f"support '{support.label}'.on",
                 expected='a plane of symmetry is flat; kind = "normal" takes any surface',
             )
-        return Hold(support, NORMAL, found.nodes, found.normals, not found.flat)
+        return SkewSupport(support, NORMAL, found.nodes, found.normals, not found.flat)
 
-    def _on_axis(self, body: Body) -> Hold:
+    def _on_axis(self, body: Body) -> SkewSupport:
         """Radial entries on the axis of an axisymmetric body, which stay at zero."""
         nodes = np.flatnonzero(self._x[:, 0] < 1e-9 * cell_size(body))
         return self._along(None, 0, nodes.astype(np.int32))
 
-    def _mirrored(self, holds: list[Hold]) -> list[Hold]:
+    def _mirrored(self, holds: list[SkewSupport]) -> list[SkewSupport]:
         """Curved surfaces go on beyond planes of symmetry and the axis: their normals lie in them.
 
         From the facets on this side alone the mean normal leans towards them.
@@ -170,7 +172,9 @@ class Prescribed:
                     holds[k] = replace(hold, directions=tidy(n))
         return holds
 
-    def _split(self, body: Body, holds: list[Hold]) -> tuple[Tilted | None, list[Hold]]:
+    def _split(
+        self, body: Body, holds: list[SkewSupport]
+    ) -> tuple[SkewConstraints | None, list[SkewSupport]]:
         """Takes out all that happens at nodes with a direction that is no axis. Collective."""
         is_tilted = np.zeros(len(self._x), dtype=bool)
         for hold in holds:
@@ -178,7 +182,7 @@ class Prescribed:
         if not total(body.comm, int(is_tilted.sum())):
             return None, holds
         self._check_apart(holds, is_tilted)
-        tilted = Tilted(
+        tilted = SkewConstraints(
             [hold.of(is_tilted[hold.nodes]) for hold in holds],
             size=self._V.dofmap.index_map.size_local,
             x=self._x,
@@ -186,7 +190,7 @@ class Prescribed:
         )
         return tilted, [hold.of(~is_tilted[hold.nodes]) for hold in holds]
 
-    def _check_apart(self, holds: list[Hold], is_tilted: npt.NDArray[np.bool_]) -> None:
+    def _check_apart(self, holds: list[SkewSupport], is_tilted: npt.NDArray[np.bool_]) -> None:
         """A rigid surface with unknowns meets no node that is held across the axes. Collective."""
         for hold in holds:
             support = hold.support
@@ -201,7 +205,9 @@ class Prescribed:
                     expected="surfaces that share no edge with it",
                 )
 
-    def _given_to_the_later(self, holds: list[Hold]) -> list[tuple[Hold, Dofs, Floats]]:
+    def _given_to_the_later(
+        self, holds: list[SkewSupport]
+    ) -> list[tuple[SkewSupport, Dofs, Floats]]:
         """Holds with the dofs that no later one prescribes too, and the signs of the directions."""
         entries = []
         taken: Dofs = np.empty(0, dtype=np.int32)

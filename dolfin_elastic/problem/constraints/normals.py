@@ -19,7 +19,7 @@ from dolfin_elastic.mesh.body import Body, Indices, span
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.supports.displacement import Restraint
-from dolfin_elastic.model.supports.springs import Resisting
+from dolfin_elastic.model.supports.springs import ResistingSupport
 
 Floats = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
@@ -35,7 +35,7 @@ KINK = 0.8
 
 
 @dataclass(frozen=True)
-class Sheet:
+class SurfaceNormals:
     """A named surface as the nodes of a space see it.
 
     Attributes:
@@ -52,7 +52,7 @@ class Sheet:
     unevenness: float
 
 
-def sheet(body: Body, V: fem.FunctionSpace, name: str) -> Sheet:
+def sheet(body: Body, V: fem.FunctionSpace, name: str) -> SurfaceNormals:
     """The nodes of a surface and the normals there, by the areas of the facets around. Collective.
 
     A facet's share in the normal at its node is the Jacobian's cofactor times the reference
@@ -92,7 +92,7 @@ def sheet(body: Body, V: fem.FunctionSpace, name: str) -> Sheet:
             "name its sides apart",
             name,
         )
-    return Sheet(
+    return SurfaceNormals(
         nodes=found,
         normals=np.broadcast_to(mean, normals.shape) if flat else normals,
         flat=flat,
@@ -136,7 +136,7 @@ def check_facing(
     named = [
         (f"support[{i}].on", s.surfaces)
         for i, s in enumerate(supports)
-        if isinstance(s, Resisting) and s.by_normal
+        if isinstance(s, ResistingSupport) and s.by_normal
     ]
     named += [(f"load[{i}].on", load.parts) for i, load in enumerate(loads) if load.faces]
     named += [(f"contact[{i}].on", contact.surfaces) for i, contact in enumerate(contacts)]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
-from dolfin_elastic.model.supports.displacement import Prescribing
+from dolfin_elastic.model.supports.displacement import PrescribingSupport
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
 
 Floats = npt.NDArray[np.float64]
@@ -26,7 +26,7 @@ differ by as much as its facets do."""
 
 
 @dataclass(frozen=True)
-class Hold:
+class SkewSupport:
     """One direction at each of some nodes that one support prescribes.
 
     Attributes:
@@ -37,15 +37,15 @@ class Hold:
         curved: They come from a curved surface.
     """
 
-    support: Prescribing | RigidMotion | None
+    support: PrescribingSupport | RigidMotion | None
     which: int
     nodes: Nodes
     directions: Floats
     curved: bool = False
 
-    def of(self, chosen: npt.NDArray[np.bool_]) -> Hold:
+    def of(self, chosen: npt.NDArray[np.bool_]) -> SkewSupport:
         """The same at some of its nodes."""
-        return Hold(
+        return SkewSupport(
             self.support, self.which, self.nodes[chosen], self.directions[chosen], self.curved
         )
 
@@ -64,7 +64,7 @@ class Hold:
 
 
 @dataclass(frozen=True)
-class Slots:
+class SkewDofs:
     """The rows of N that a hold has got.
 
     Attributes:
@@ -74,13 +74,13 @@ class Slots:
         row: The row there.
     """
 
-    hold: Hold
+    hold: SkewSupport
     kept: Indices
     where: Indices
     row: Indices
 
 
-class Tilted:
+class SkewConstraints:
     """Nodes at which n_k . u = g_k is prescribed for up to `dim` directions n_k.
 
     Where a new direction depends on the others, the later support holds.  With N of rows n_k and
@@ -101,7 +101,7 @@ class Tilted:
         target: N+ g at the present time [m], of shape (nodes, dim).
     """
 
-    def __init__(self, holds: Sequence[Hold], *, size: int, x: Floats, dim: int) -> None:
+    def __init__(self, holds: Sequence[SkewSupport], *, size: int, x: Floats, dim: int) -> None:
         empty = np.empty(0, dtype=np.int32)
         self.nodes = np.unique(np.concatenate([empty, *(hold.nodes for hold in holds)]))
         self.count = int(np.sum(self.nodes < size))
@@ -115,7 +115,7 @@ class Tilted:
         self.P = self._lift @ self._rows
         self.target = np.zeros(shape[:2])
 
-    def _take(self, hold: Hold) -> Slots:
+    def _take(self, hold: SkewSupport) -> SkewDofs:
         """Gives a hold its rows, where it needs any.
 
         By Gram & Schmidt: what a direction has across all that are there already.
@@ -133,7 +133,7 @@ class Tilted:
         self._basis[where, row] = rest[kept] / length[kept, None]
         self._bent[where, row] = hold.curved
         self._filled[where] += 1
-        return Slots(hold, kept, where, row)
+        return SkewDofs(hold, kept, where, row)
 
     def move_to(self, t: float, default: Amplitude) -> None:
         """Sets the target of time t. Not collective."""
@@ -161,7 +161,7 @@ class Tilted:
             found[support.label] = found.get(support.label, 0.0) + forces.sum(axis=0)
         return found
 
-    def each(self, out: Floats) -> Iterator[tuple[Prescribing | RigidMotion, Nodes, Floats]]:
+    def each(self, out: Floats) -> Iterator[tuple[PrescribingSupport | RigidMotion, Nodes, Floats]]:
         """Each support's forces, hold by hold: owned nodes, and forces there, shape (nodes, dim).
 
         Args:

@@ -17,7 +17,7 @@ Projections = tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]
 """Owned nodes, and projections on the directions held there, of shape (nodes, dim, dim)."""
 
 
-def held_by_spring(spring: Spring, body: Body, V: fem.FunctionSpace) -> Iterator[Projections]:
+def spring_directions(spring: Spring, body: Body, V: fem.FunctionSpace) -> Iterator[Projections]:
     """The nodes at which a spring resists, surface by surface. Collective."""
     dim, size = body.dim, V.dofmap.index_map.size_local
     stiff = np.array([isinstance(k, Formula) or k != 0.0 for k in spring.coefficients], float)

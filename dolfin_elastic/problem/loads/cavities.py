@@ -10,11 +10,11 @@ import ufl
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.loads import Cavity, Load
-from dolfin_elastic.problem.context import BodySite
+from dolfin_elastic.problem.context import FormContext
 
 
 @dataclass
-class Enclosure:
+class BodyCavity:
     """A cavity: its volume, and its pressure where that is an unknown.
 
     Attributes:
@@ -35,7 +35,7 @@ class Enclosure:
     exact: ufl.Form
     push: ufl.Form
     cavity: Cavity
-    site: BodySite
+    site: FormContext
     where: str = "load"
     initial: float = 0.0
     t: float = 0.0
@@ -61,7 +61,7 @@ class Enclosure:
         self.site.unknown(self.label).value = value
 
 
-def enclosures(loads: Sequence[Load], site: BodySite) -> Iterator[Enclosure]:
+def make_cavities(loads: Sequence[Load], site: FormContext) -> Iterator[BodyCavity]:
     """The cavities among the loads.
 
     Raises:
@@ -89,4 +89,4 @@ def enclosures(loads: Sequence[Load], site: BodySite) -> Iterator[Enclosure]:
         except InputError as error:
             raise error.at(f"load[{index}]" if error.where else f"load[{index}].on") from None
         push = load.work(site, site.constant(1.0), linear=False)
-        yield Enclosure(load.label, volume, exact, push, load, site, f"load[{index}].on")
+        yield BodyCavity(load.label, volume, exact, push, load, site, f"load[{index}].on")

@@ -1,4 +1,4 @@
-"""`Touching`: a surface of the body and the rigid obstacle it may touch, as terms and as numbers.
+"""`ContactPair`: a surface of the body and a rigid obstacle, as terms and as numbers.
 
 The pressure per reference area is p = max(0, lam - eps g), with the gap g of the current place
 X + u, the penalty eps and the multiplier lam; its virtual work is the integral of p n . v over the
@@ -34,9 +34,9 @@ from dolfin_elastic.mesh.geometry.simplices import (
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.dimension import Weighted
-from dolfin_elastic.problem.context import BodySite
+from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.formulation import shear_modulus, volume_modulus
-from dolfin_elastic.problem.material_regions import Part
+from dolfin_elastic.problem.material_regions import MaterialRegion
 
 Floats = npt.NDArray[np.float64]
 
@@ -55,7 +55,7 @@ ROUND = 10.0
 sideways."""
 
 
-class Touching:
+class ContactPair:
     """One contact on one body. Collective to make.
 
     Args:
@@ -75,7 +75,7 @@ class Touching:
         nodes: Owned nodes of the surface in the space of `lam`.
     """
 
-    def __init__(self, contact: Contact, site: BodySite, measure: Weighted) -> None:
+    def __init__(self, contact: Contact, site: FormContext, measure: Weighted) -> None:
         body = site.body
         self.contact, self.label, self._site, self._measure = contact, contact.label, site, measure
         self._turned = site.geometry == "axisymmetric"
@@ -231,7 +231,9 @@ class Touching:
         self.shift.value[:] = self.contact.moved(t, default, self._dim)
 
 
-def make_touching(contacts: Sequence[Contact], site: BodySite, order: int) -> tuple[Touching, ...]:
+def make_contacts(
+    contacts: Sequence[Contact], site: FormContext, order: int
+) -> tuple[ContactPair, ...]:
     """All contacts on a body. Collective.
 
     Args:
@@ -240,7 +242,7 @@ def make_touching(contacts: Sequence[Contact], site: BodySite, order: int) -> tu
         order: Degree of the displacement or of the mesh's curved cells, whichever is higher.
     """
     points = rule(order, site.body.dim)
-    return tuple(Touching(c, site, site.measures.touching(c.surfaces, points)) for c in contacts)
+    return tuple(ContactPair(c, site, site.measures.touching(c.surfaces, points)) for c in contacts)
 
 
 def rule(degree: int, dim: int) -> dict[str, object]:
@@ -277,7 +279,7 @@ def check_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> 
             raise error.at(f"contact[{index}]") from None
 
 
-def _modulus(part: Part) -> float:
+def _modulus(part: MaterialRegion) -> float:
     """K + 4 mu/3 of a material [Pa], K bounded."""
     mu = shear_modulus(part.typical)
     known = part.typical.small_strain()
@@ -285,7 +287,7 @@ def _modulus(part: Part) -> float:
     return min(K, ROUND * mu) + 4 / 3 * mu
 
 
-def _nodal(site: BodySite, facets: Indices) -> tuple[fem.Function, Indices, Indices]:
+def _nodal(site: FormContext, facets: Indices) -> tuple[fem.Function, Indices, Indices]:
     """Multiplier, owned nodes of the surface, and the same nodes of the displacement. Collective.
 
     Two spaces of one element need not number their nodes alike, but do so within each cell.

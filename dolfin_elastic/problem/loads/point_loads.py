@@ -20,7 +20,7 @@ from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import agree
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.amplitude import Amplitude
-from dolfin_elastic.model.loads import Concentrated, Load
+from dolfin_elastic.model.loads import ConcentratedLoad, Load
 from dolfin_elastic.model.values import amplitude_of, depends_on_time
 
 Floats = npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ class _Spread:
         shapes: Their shape functions at the point, the same shape.
     """
 
-    load: Concentrated
+    load: ConcentratedLoad
     x: Floats
     weights: Floats
     nodes: npt.NDArray[np.int32]
@@ -65,7 +65,7 @@ class NodalLoads:
         self._body, self._V, self._dim = body, V, body.dim
         self._spread = []
         for index, load in enumerate(loads):
-            if isinstance(load, Concentrated):
+            if isinstance(load, ConcentratedLoad):
                 try:
                     self._spread.append(self._spread_out(load))
                 except InputError as error:
@@ -105,7 +105,7 @@ class NodalLoads:
 
     # --- where they act ---
 
-    def _spread_out(self, load: Concentrated) -> _Spread:
+    def _spread_out(self, load: ConcentratedLoad) -> _Spread:
         for key, vector in load.vectors.items():
             if len(vector) != self._dim:
                 raise InputError(
@@ -116,7 +116,7 @@ class NodalLoads:
         nodes, shapes = self._shapes(x[mine], cells[mine])
         return _Spread(load, points[mine], weights[mine], nodes, shapes)
 
-    def _points(self, load: Concentrated) -> tuple[str, Floats, Floats]:
+    def _points(self, load: ConcentratedLoad) -> tuple[str, Floats, Floats]:
         """Key, places and weights of the points; the same on every rank."""
         ends = np.zeros((len(load.points), 3))
         ends[:, : self._dim] = list(load.points.values())
@@ -132,7 +132,7 @@ class NodalLoads:
         return key, start + s[:, None] * along, np.full(2 * count, length / (2 * count))
 
     def _located(
-        self, points: Floats, load: Concentrated, key: str
+        self, points: Floats, load: ConcentratedLoad, key: str
     ) -> tuple[Floats, npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
         """Nearest points of the body, their cells, and which are this rank's. Collective."""
         comm = self._body.comm
@@ -206,6 +206,6 @@ class NodalLoads:
         return nodes, shapes
 
 
-def _nearer_end(load: Concentrated, point: Floats) -> str:
+def _nearer_end(load: ConcentratedLoad, point: Floats) -> str:
     """Key of the end of a line that is nearest to a point."""
     return min(load.points, key=lambda key: float(np.linalg.norm(point - load.points[key])))

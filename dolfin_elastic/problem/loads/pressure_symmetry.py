@@ -20,14 +20,14 @@ from dolfinx import la
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.mesh.body import Body, Indices, span
 from dolfin_elastic.model.amplitude import RAMP
-from dolfin_elastic.problem.constraints.dirichlet import Prescribed
+from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
 
 Floats = npt.NDArray[np.float64]
 _MOMENTS = (0.3141, 0.8314)
 """Load parameters at which prescribed values are compared."""
 
 
-def rim_held(body: Body, prescribed: Prescribed, surfaces: Sequence[str]) -> bool:
+def rim_held(body: Body, prescribed: DirichletConditions, surfaces: Sequence[str]) -> bool:
     """Whether supports hold a surface's rim so that even pressure has a potential. Collective.
 
     Args:
@@ -66,7 +66,7 @@ class _Supports:
     """
 
     body: Body
-    prescribed: Prescribed
+    prescribed: DirichletConditions
 
     def __post_init__(self) -> None:
         mesh, dim = self.body.mesh, self.body.dim

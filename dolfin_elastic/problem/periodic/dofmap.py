@@ -46,7 +46,7 @@ class Field:
 
 
 @dataclass(frozen=True)
-class Merged:
+class MergedDofmap:
     """A space whose nodes on paired faces are merged.
 
     Attributes:
@@ -66,7 +66,7 @@ class _Points:
     index: Numbers
 
 
-class Pairing:
+class PeriodicPairing:
     """Pairs of surfaces that are one another's images. Collective.
 
     Args:
@@ -129,7 +129,7 @@ class Pairing:
 
     # --- spaces ---
 
-    def merged(self, V: fem.FunctionSpace, fields: Sequence[Field] | None = None) -> Merged:
+    def merged(self, V: fem.FunctionSpace, fields: Sequence[Field] | None = None) -> MergedDofmap:
         """The space with the nodes of paired faces merged. Collective.
 
         Args:
@@ -150,7 +150,7 @@ class Pairing:
         new[mine] = number[mine] - offset
         new[~mine] = count + back
         index_map = cpp.common.IndexMap(comm, count, ghosts, owner[~mine][first])
-        return Merged(_space(V, index_map, new), new)
+        return MergedDofmap(_space(V, index_map, new), new)
 
     def _edges(self, V: fem.FunctionSpace, fields: Sequence[Field]) -> Numbers:
         """Pairs of global indices that are one, shape (pairs, 2), the same on all ranks."""
@@ -203,7 +203,7 @@ class Pairing:
 
     # --- the node that is held ---
 
-    def held(self, V: fem.FunctionSpace, merged: Merged) -> Dofs:
+    def held(self, V: fem.FunctionSpace, merged: MergedDofmap) -> Dofs:
         """Local nodes of a plain space that are the held vertex or its images. Collective."""
         x = V.tabulate_dof_coordinates()
         here = np.flatnonzero(np.linalg.norm(x - self.corner, axis=1) <= self._near)

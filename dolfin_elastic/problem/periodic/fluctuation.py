@@ -10,17 +10,19 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
 
-from dolfin_elastic.problem.periodic.dofmap import Field, Merged
+from dolfin_elastic.problem.periodic.dofmap import Field, MergedDofmap
 from dolfin_elastic.problem.periodic.unit_cell import Cell
 from dolfin_elastic.problem.spaces import (
+    AuxiliaryField,
     Dofs,
     Element,
-    Extra,
     Unknowns,
 )
 
 
-def make_unknowns(mesh: Mesh, degree: int, extras: Sequence[Extra], cell: Cell | None) -> Unknowns:
+def make_unknowns(
+    mesh: Mesh, degree: int, extras: Sequence[AuxiliaryField], cell: Cell | None
+) -> Unknowns:
     """What is solved for; see `Unknowns`. Collective.
 
     Args:
@@ -51,7 +53,9 @@ class Fluctuation(Unknowns):
             unknown of the vertex that this rank owns.
     """
 
-    def __init__(self, mesh: Mesh, degree: int, extras: Sequence[Extra], cell: Cell) -> None:
+    def __init__(
+        self, mesh: Mesh, degree: int, extras: Sequence[AuxiliaryField], cell: Cell
+    ) -> None:
         self.cell, self._dim = cell, int(mesh.geometry.dim)
         super().__init__(mesh, degree, extras)
         self._x = self.V.tabulate_dof_coordinates()
@@ -82,7 +86,7 @@ class Fluctuation(Unknowns):
             if extra.continuous:
                 Q, entries = plain.sub(k).collapse()
                 fields.append(Field(Q, np.asarray(entries, dtype=np.int32)[:, None]))
-        whole: Merged = pairing.merged(plain, fields)
+        whole: MergedDofmap = pairing.merged(plain, fields)
         self._merged = pairing.merged(V)
         return V, self._merged.space, whole.space, whole.new[dofs]
 

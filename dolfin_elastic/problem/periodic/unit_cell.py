@@ -14,7 +14,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.amplitude import RAMP, Amplitude
 from dolfin_elastic.model.periodic import Periodic
-from dolfin_elastic.problem.periodic.dofmap import Pairing
+from dolfin_elastic.problem.periodic.dofmap import PeriodicPairing
 
 Floats = npt.NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class Cell:
     def __init__(self, body: Body, periodic: Periodic, thickness: float = 1.0) -> None:
         self._periodic, self.free = periodic, periodic.free
         _check_gradient(periodic, body.dim)
-        self.pairing = Pairing(body, periodic.pairs)
+        self.pairing = PeriodicPairing(body, periodic.pairs)
         self._dim = body.dim
         self.H = Constant(body.mesh, np.zeros((body.dim, body.dim)))
         self._origin = Constant(body.mesh, self.pairing.corner[: body.dim])

@@ -41,7 +41,7 @@ from dolfin_elastic.problem.restart_state import Kept
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results import hdf5 as heavy
 from dolfin_elastic.results.checkpoint.checksums import sum_of
-from dolfin_elastic.results.checkpoint.mesh_order import Order
+from dolfin_elastic.results.checkpoint.mesh_order import DofOrdering
 from dolfin_elastic.results.files import (
     make_folder,
     replace_text,
@@ -115,14 +115,14 @@ class Spaces:
     """Orders of the spaces that have been met."""
 
     def __init__(self) -> None:
-        self._known: list[tuple[fem.FunctionSpace, Order]] = []
+        self._known: list[tuple[fem.FunctionSpace, DofOrdering]] = []
 
-    def order(self, V: fem.FunctionSpace) -> Order:
+    def order(self, V: fem.FunctionSpace) -> DofOrdering:
         """The order of a space. Collective."""
         for space, order in self._known:
             if space is V or space == V:
                 return order
-        self._known.append((V, Order(V)))
+        self._known.append((V, DofOrdering(V)))
         return self._known[-1][1]
 
 

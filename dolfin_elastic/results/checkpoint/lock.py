@@ -34,7 +34,7 @@ _ATTEMPTS = 100
 """Tries to lock a file that others remove at the same time."""
 
 
-class Claim:
+class FolderLock:
     """The right to write into a folder, from `take` to `close` or the end of the process.
 
     Args:

@@ -23,7 +23,7 @@ Numbers = npt.NDArray[np.int64]
 _NONE = np.iinfo(np.int64).max
 
 
-class Post:
+class RankExchange:
     """Rows that go to other ranks, and the way back. Collective to make.
 
     Args:
@@ -62,7 +62,7 @@ class Post:
         return found
 
 
-class Order:
+class DofOrdering:
     """The unknowns of a space, one after the other as the mesh names them. Collective to make.
 
     Each rank keeps one run of them, whatever it owns of the mesh.
@@ -82,7 +82,7 @@ class Order:
         names = _names(V, dofmap.list[: cells.size_local])
         width = dofmap.list.shape[1]
         share = max(cells.size_global, 1)
-        self._post = Post(comm, names // width * comm.size // share)
+        self._post = RankExchange(comm, names // width * comm.size // share)
         here = self._post.there(names[:, None])[:, 0]
         self._places = np.argsort(here)
         self.mine = len(here)
@@ -118,7 +118,7 @@ def _names(V: fem.FunctionSpace, cells: Array) -> Numbers:
     first = np.asarray(original[: len(cells)], dtype=np.int64)[:, None] * width
     np.minimum.at(names, cells, first + np.arange(width))
     # Owners learn of cells on other ranks.
-    post = Post(V.mesh.comm, np.asarray(imap.owners))
+    post = RankExchange(V.mesh.comm, np.asarray(imap.owners))
     told = post.there(np.column_stack([imap.ghosts, names[imap.size_local :]]))
     np.minimum.at(names, told[:, 0] - imap.local_range[0], told[:, 1])
     return names[: imap.size_local]

@@ -23,7 +23,7 @@ from dolfin_elastic.core.errors import OutputError
 _TIMEOUT = 300
 
 
-class Drawer:
+class Renderer:
     """Draws one picture after the other.  Not collective: for rank 0."""
 
     def __init__(self) -> None:
@@ -83,14 +83,14 @@ class Shared:
     """The one drawer of this program: started when it is needed, ended when nobody wants it."""
 
     def __init__(self) -> None:
-        self._drawer: Drawer | None = None
+        self._drawer: Renderer | None = None
         self._users: set[int] = set()
 
     def draw(self, user: object, data: Path, drawn: Path) -> None:
-        """Draws, and keeps the drawer until this user has called `release`. See `Drawer.draw`."""
+        """Draws, and keeps the drawer until this user has called `release`. See `Renderer.draw`."""
         self._users.add(id(user))
         if self._drawer is None:
-            self._drawer = Drawer()
+            self._drawer = Renderer()
         try:
             self._drawer.draw(data, drawn)
         except OutputError:

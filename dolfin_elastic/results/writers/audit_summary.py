@@ -11,7 +11,7 @@ import numpy as np
 from dolfin_elastic.problem.state import Audit, State
 
 
-class Worst:
+class WorstAudit:
     """Takes in the audit of each step and tells the worst of all.  Not collective.
 
     Args:

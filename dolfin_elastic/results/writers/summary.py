@@ -23,7 +23,7 @@ from dolfin_elastic.problem.state import Mode, State, plain
 from dolfin_elastic.results.extremes import Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
 from dolfin_elastic.results.writer import Kept, Numbers
-from dolfin_elastic.results.writers.audit_summary import Worst
+from dolfin_elastic.results.writers.audit_summary import WorstAudit
 from dolfin_elastic.results.writers.modes import row
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class SummaryWriter:
             again = {"step": self._last["steps"], "t": self._last["t"], "ranks": self.comm.size}
             self._restarts = [*self._restarts, {**again, "at": _now()}]
         self._kept = Kept()
-        self._audit = Worst(before.get("audits", ()))
+        self._audit = WorstAudit(before.get("audits", ()))
         self._extremes: Extremes | None = None
         self._modes: list[Mode] = []
         with timing.stage("output"):

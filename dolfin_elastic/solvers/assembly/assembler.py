@@ -15,7 +15,7 @@ from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.cell_stress import Macroscopic
+from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.assembly.matrix import TangentMatrix
 
 Vector = npt.NDArray[np.float64]
@@ -99,7 +99,7 @@ class Assembler:
         self._lifted_bcs = self._bcs if self._tilted is None else self._bcs + lifted
         if still:
             self._held, self.fixed = np.arange(len(self.moves), dtype=np.int32), self.moves
-        self.cell = None if problem.cell is None else Macroscopic(problem)
+        self.cell = None if problem.cell is None else CellStress(problem)
         self.pressures = problem.unknowns.count("pressure")
         self.free = self.held = self.gap = self.pushed = 0.0
         with stage("assemble"):
@@ -146,7 +146,7 @@ class Assembler:
         Args:
             x: Displacement.
             f: Receives the residual.
-            target: Prescribed values, like `Prescribed.targets`, if not those of the problem.
+            target: Prescribed values as of `DirichletConditions.targets`; None: the problem's.
         """
         with stage("assemble"):
             self.put(x)

@@ -19,7 +19,7 @@ from dolfin_elastic.problem.problem import Problem
 Vector = npt.NDArray[np.float64]
 
 
-class Macroscopic:
+class CellStress:
     """Mean stress of a periodic problem. Collective to make.
 
     Args:

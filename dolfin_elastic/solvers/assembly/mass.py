@@ -30,7 +30,7 @@ def initial_acceleration(assembler: Assembler, held: Vector, a: fem.Function) ->
 
     Args:
         assembler: Of the moving body; its `balance` holds no inertia.
-        held: Prescribed accelerations [m/s^2], like `Prescribed.targets`.
+        held: Prescribed accelerations [m/s^2], like `DirichletConditions.targets`.
         a: Receives the acceleration [m/s^2].
 
     Raises:
@@ -77,7 +77,7 @@ def mass_diagonal(assembler: Assembler) -> PETSc.Vec:
 
 
 def held_acceleration(problem: Problem, h: float) -> Vector:
-    """Second derivative of what is prescribed, at time 0 [m/s^2], like `Prescribed.targets`.
+    """Second derivative of what is prescribed at time 0 [m/s^2], as `DirichletConditions.targets`.
 
     By differences forward in time, of second order.  Not collective.
 
@@ -92,7 +92,7 @@ def held_acceleration(problem: Problem, h: float) -> Vector:
 
 
 def held_rates(problem: Problem, t: float, h: float) -> tuple[Vector, Vector]:
-    """Velocity [m/s] and acceleration [m/s^2] of what is prescribed, like `Prescribed.targets`.
+    """Velocity [m/s], acceleration [m/s^2] of what is prescribed, as `DirichletConditions.targets`.
 
     By central differences: the velocity over h/4, the acceleration as the difference of velocities
     half a step before and after, so that over all steps it sums up to the change of velocity,

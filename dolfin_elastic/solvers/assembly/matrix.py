@@ -16,7 +16,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 from petsc4py import PETSc
 
-from dolfin_elastic.solvers.assembly.skew_rows import Projection
+from dolfin_elastic.solvers.assembly.skew_rows import SkewProjection
 from dolfin_elastic.solvers.petsc.c_api import check, library
 
 Values = npt.NDArray[np.float64]
@@ -49,9 +49,9 @@ class TangentMatrix:
         if PETSc.ScalarType != np.float64 or self._entries() != self._native.indptr[self._rows()]:
             raise RuntimeError("PETSc's matrix has not the entries of DOLFINx's")
         self.unit = 1.0
-        self._projection: Projection | None = None
+        self._projection: SkewProjection | None = None
         if places is not None and P is not None:
-            self._projection = Projection(self._native, self._rows(), places, P)
+            self._projection = SkewProjection(self._native, self._rows(), places, P)
 
     def _rows(self) -> int:
         dofmap = self._form.function_spaces[0].dofmap

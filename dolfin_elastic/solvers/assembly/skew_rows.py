@@ -15,7 +15,7 @@ Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 
-class Projection:
+class SkewProjection:
     """Applies Q K Q + P to the values of a matrix in CSR form.
 
     Args:

@@ -20,7 +20,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.assembly.cell_stress import Macroscopic
+from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.audit.path_energy import SMALL, round_off
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import off_obstacle
@@ -65,7 +65,7 @@ class Found:
     energy: float
 
 
-class Auditor:
+class EquilibriumAuditor:
     """Judges one converged step after another. Collective.
 
     Args:
@@ -227,7 +227,7 @@ class Auditor:
                     "or more load steps help"
                 )
 
-    def _macroscopic(self, cell: Macroscopic) -> tuple[Floats, Floats]:
+    def _macroscopic(self, cell: CellStress) -> tuple[Floats, Floats]:
         """What does work on a periodic cell, V P [N], on what, F [m], by its length. Collective.
 
         All of it is on one rank; the others have nothing.

@@ -25,7 +25,7 @@ SMALL = 2e-3
 energy of a discrete body goes up and down a little."""
 
 
-class PathWatch:
+class PathEnergyCheck:
     """Compares the energy of steps with the work of the internal forces over them.
 
     Args:

@@ -16,7 +16,7 @@ _JOINED = 3
 """Regions that the name of one body is made of."""
 
 
-class Bodies:
+class ConnectedBodies:
     """The connected bodies of a problem. Collective.
 
     Each rank finds its own, then those that share nodes across ranks are joined: what travels is

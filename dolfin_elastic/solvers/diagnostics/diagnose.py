@@ -24,9 +24,9 @@ from dolfin_elastic.core.errors import BadCell, Diagnosis
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.mesh.body import cell_size, span
-from dolfin_elastic.solvers import messages as words
+from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
-from dolfin_elastic.solvers.diagnostics import instability as modes
+from dolfin_elastic.solvers.diagnostics import instability
 from dolfin_elastic.solvers.diagnostics.evidence import Cells, Fault, not_finite
 from dolfin_elastic.solvers.diagnostics.loose_parts import loose
 from dolfin_elastic.solvers.diagnostics.stability import LIMIT
@@ -47,7 +47,7 @@ FLOOR = 100.0
 
 
 @dataclass(frozen=True)
-class Rejected:
+class RejectedSteps:
     """Trial states and solutions that were refused because a cell had turned inside out.
 
     Attributes:
@@ -61,7 +61,7 @@ class Rejected:
     place: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, progress: Progress) -> Rejected:
+    def of(cls, progress: Progress) -> RejectedSteps:
         """What a solve has refused."""
         J, place = progress.worst or (np.inf, ())
         if J > 0.0:
@@ -107,7 +107,7 @@ class _Doctor:
     ) -> None:
         self.assembler, self.progress, self.problem = assembler, progress, assembler.problem
         self.good, self.failed = good.copy(), failed.copy()
-        self.rejected, self.stable, self.moving = Rejected.of(progress), True, False
+        self.rejected, self.stable, self.moving = RejectedSteps.of(progress), True, False
         self.cells, self.unseen = Cells(assembler), ""
         self.next: Fault | None = None
         self.finite = self._residual(self.failed)
@@ -139,7 +139,7 @@ class _Doctor:
 
     def _make(self, cause: str, text: str, advice: str, place: tuple[float, ...] = ()) -> Diagnosis:
         if self.moving and cause in ("inverted", "stalled", "iterations"):
-            advice = words.SMALLER_STEP
+            advice = messages.SMALLER_STEP
         place = place[: self.problem.body.dim]
         return Diagnosis(cause, text + self.unseen, advice, place, self.worst)
 
@@ -158,7 +158,7 @@ class _Doctor:
 
     def _tangent(self, values: Array) -> bool:
         """Assembles the tangent; returns whether its diagonal is finite."""
-        return modes.tangent(self.assembler, self.put, values)
+        return instability.tangent(self.assembler, self.put, values)
 
     def _upside_down(self) -> int:
         """Cells of the last iterate that have turned inside out."""
@@ -170,11 +170,11 @@ class _Doctor:
     def _loose(self) -> Diagnosis | None:
         if self.moving or not self._tangent(self.good):
             return None
-        found, start, advice = loose(self.assembler), "", words.HOLD
+        found, start, advice = loose(self.assembler), "", messages.HOLD
         if found is None and pulled_off(self.assembler):
             with none_touching(self.problem):
                 found = loose(self.assembler) if self._tangent(self.good) else None
-            start, advice = "the load pulls it off its obstacles, and then ", words.LIFTED
+            start, advice = "the load pulls it off its obstacles, and then ", messages.LIFTED
         if found is None:
             return None
         what = "the body" if found.whole else f"a piece of it about {coordinates(found.place)} m"
@@ -198,7 +198,9 @@ class _Doctor:
         return bool(np.isfinite(integral(self.problem, form)))
 
     def _nan(self, text: str, fault: Fault) -> Diagnosis:
-        return self._make("nan", text, words.LOAD if fault.load else words.DOMAIN, fault.place)
+        return self._make(
+            "nan", text, messages.LOAD if fault.load else messages.DOMAIN, fault.place
+        )
 
     def _refused(self) -> Diagnosis | None:
         """An equilibrium was found, but its cells are inside out."""
@@ -211,8 +213,8 @@ class _Doctor:
 
     def _inside_out(self) -> Diagnosis | None:
         if self.next is not None:
-            text = words.ahead(self.next.text)
-            return self._make("inverted", text, words.SMALLER, self.next.place)
+            text = messages.ahead(self.next.text)
+            return self._make("inverted", text, messages.SMALLER, self.next.place)
         return self._inverted() if self._upside_down() else None
 
     def _inverted(self) -> Diagnosis:
@@ -220,19 +222,21 @@ class _Doctor:
         if "inside out" in self.progress.reason:
             start = "the solution was refused: "
         else:
-            often = words.count(bad.count, "trial state")
+            often = messages.count(bad.count, "trial state")
             start = f"{often} of Newton's method refused: " if bad.count else ""
         worst = self.worst[0]
         J, place = (bad.jacobian, bad.place) if bad.place else (worst.jacobian, worst.place)
         place = place[: self.problem.body.dim]
         text = f"{start}a cell turned inside out (det F = {J:.3g}, at {coordinates(place)} m)"
         if count:
-            text += f"; the last iterate has {words.count(count, 'such cell')} in {self._names()}"
-        return self._make("inverted", text, words.SMALLER, place)
+            text += (
+                f"; the last iterate has {messages.count(count, 'such cell')} in {self._names()}"
+            )
+        return self._make("inverted", text, messages.SMALLER, place)
 
     def _names(self) -> str:
         found = sorted({cell.material for cell in self.worst if cell.jacobian <= 0.0})
-        return words.material(self.problem, found)
+        return messages.material(self.problem, found)
 
     def _round_off(self) -> Diagnosis | None:
         """The residual has stopped falling where round-off of the internal forces begins."""
@@ -254,7 +258,7 @@ class _Doctor:
             f"loads and reactions, where rounding errors alone make about {floor:.1e} N; "
             "rtol is too tight for this problem"
         )
-        return self._make("round-off", text, words.round_off(relative), self.worst[0].place)
+        return self._make("round-off", text, messages.round_off(relative), self.worst[0].place)
 
     def _floor(self) -> float:
         """Rounding errors of the internal forces [N]: epsilon K (|x| + |u|), row by row.
@@ -277,11 +281,13 @@ class _Doctor:
         if not self.stable:
             return None
         settled = self.progress.reason == UNSTABLE
-        look = modes.unstable(self.assembler, self.put, self.good, self.failed, settled=settled)
+        look = instability.unstable(
+            self.assembler, self.put, self.good, self.failed, settled=settled
+        )
         self.unseen = look.unseen
         if not look.text and self.progress.reason == ANOTHER:
             text = "the equilibrium that was found lies on another path: the body has jumped to it"
-            return self._make("unstable", text, words.LIMIT_POINT, self.worst[0].place)
+            return self._make("unstable", text, messages.LIMIT_POINT, self.worst[0].place)
         if not look.text:
             return None
         return self._make("unstable", look.text, look.advice, look.place)
@@ -289,7 +295,7 @@ class _Doctor:
     def _linear_solver(self) -> Diagnosis | None:
         if "LINEAR_SOLVE" not in self.progress.reason:
             return None
-        said, advice = words.linear(self.progress.reason)
+        said, advice = messages.linear(self.progress.reason)
         return self._make("linear-solver", f"the linear solver failed: {said}", advice)
 
     def _ahead(self) -> Diagnosis | None:
@@ -299,7 +305,7 @@ class _Doctor:
         limit = LIMIT[self.problem.body.dim]
         if not self.finite or self.problem.num_dofs > limit or not self._tangent(self.failed):
             return None
-        if not modes.take_newton_step(self.assembler):
+        if not instability.take_newton_step(self.assembler):
             return None
         self._residual(self.problem.w.x.array.copy())
         fault = not_finite(self.cells)
@@ -320,12 +326,12 @@ class _Doctor:
         if "MAX_IT" in p.reason:
             fall = "still falls" if _falls(p.residuals) else "does not fall any more"
             text = f"{p.newton} Newton iterations were not enough: the residual {fall}"
-            return self._make("iterations", text, words.iterations(fall), where)
+            return self._make("iterations", text, messages.iterations(fall), where)
         text = (
             "Newton's method came to a stand: no step along its direction brings the forces "
             "into balance"
         )
-        return self._make("stalled", text, words.STALLED, where)
+        return self._make("stalled", text, messages.STALLED, where)
 
 
 def _falls(norms: list[float]) -> bool:

@@ -20,7 +20,7 @@ from dolfin_elastic.core.parallel import (
 )
 from dolfin_elastic.material_point.checks import finite_twin
 from dolfin_elastic.material_point.domain import outside
-from dolfin_elastic.problem.material_regions import Part
+from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.messages import coordinates, count
@@ -137,7 +137,7 @@ def not_finite(cells: Cells) -> Fault | None:
     return None
 
 
-def _of_material(cells: Cells, part: Part) -> Fault | None:
+def _of_material(cells: Cells, part: MaterialRegion) -> Fault | None:
     problem = cells.problem
     law, F = problem.response(part, problem.w), problem.F(problem.w)
     entries = [*_flat(law.stress(F)), *([law.energy(F)] if law.has_energy else [])]
@@ -165,7 +165,7 @@ def _of_material(cells: Cells, part: Part) -> Fault | None:
     return Fault(text, place, inverted=inverted)
 
 
-def _why(cells: Cells, part: Part, F: Array) -> str:
+def _why(cells: Cells, part: MaterialRegion, F: Array) -> str:
     """The operation to blame, the words of the lowest rank that knows. Collective."""
     with np.errstate(all="ignore"):
         said = outside(finite_twin(part.typical), F[:_SHOWN]) if len(F) else ""

@@ -13,7 +13,7 @@ from dolfin_elastic.material_point.checks import finite_twin
 from dolfin_elastic.material_point.ellipticity import acoustic
 from dolfin_elastic.material_point.ufl_to_numpy import Point
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers import messages as words
+from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.evidence import Cells
 from dolfin_elastic.solvers.diagnostics.stability import (
@@ -206,16 +206,16 @@ def _told(
     if way:
         text = "the body has a negative stiffness along the way that Newton's method went"
     if mode is None:
-        return Finding(text, words.BUCKLING)
+        return Finding(text, messages.BUCKLING)
     if (place := _material_fails(assembler)) is not None:
         text += (
             f"; the material itself is unstable there (not elliptic) near {coordinates(place)} m"
         )
-        return Finding(f"material instability: {text}", words.MATERIAL, place)
+        return Finding(f"material instability: {text}", messages.MATERIAL, place)
     place, direction, names = _largest_motion(assembler.problem, mode.motion)
     strain = _largest_strain(assembler)
     if strain > HUGE:
-        kind, advice = f"the material is strained by {100 * strain:.2g} %", words.HUGE
+        kind, advice = f"the material is strained by {100 * strain:.2g} %", messages.HUGE
     else:
         kind, advice = _kind(assembler, mode.motion)
     along = coordinates(direction)
@@ -226,7 +226,7 @@ def _told(
 def _eigenvalues(negative: int | None) -> str:
     if negative is None:
         return "at least one negative eigenvalue"
-    return words.count(negative, "negative eigenvalue")
+    return messages.count(negative, "negative eigenvalue")
 
 
 def _largest_strain(assembler: Assembler) -> float:
@@ -246,10 +246,10 @@ def _kind(assembler: Assembler, motion: Array) -> tuple[str, str]:
     load = (forces - assembler.constraint_forces(forces))[assembler.moves]
     sums = total(assembler.comm, np.array([np.sum(load * motion), np.sum(load**2)]))
     if sums[1] == 0.0:
-        return "it buckles or snaps through", words.BUCKLING
+        return "it buckles or snaps through", messages.BUCKLING
     if abs(sums[0]) <= SIDEWAYS * np.sqrt(sums[1]):
-        return "it buckles, sideways to the load", words.BUCKLING
-    return "a limit point of the load", words.LIMIT_POINT
+        return "it buckles, sideways to the load", messages.BUCKLING
+    return "a limit point of the load", messages.LIMIT_POINT
 
 
 def _largest_motion(
@@ -283,7 +283,7 @@ def _material_at(problem: Problem, node: int) -> str:
         return ""
     nodes = problem.unknowns.U.dofmap.list
     names = sorted(p.name for p in problem.parts if np.any(nodes[p.cells] == node))
-    return f" ({words.material(problem, names)})" if names else ""
+    return f" ({messages.material(problem, names)})" if names else ""
 
 
 def _material_fails(assembler: Assembler) -> tuple[float, ...] | None:

@@ -16,7 +16,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.diagnostics.connectivity import Bodies
+from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import Floats, motions_in_words, planes
 from dolfin_elastic.solvers.diagnostics.rigid_surfaces import couple, restricted, turns_alone
 from dolfin_elastic.solvers.nonlinear.contact import (
@@ -124,7 +124,7 @@ def free_motions(problem: Problem, *, reached: bool = False) -> list[str]:
 
 def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
     """All connected bodies, each with the rigid motions that no support prevents. Collective."""
-    bodies = Bodies(problem)
+    bodies = ConnectedBodies(problem)
     if problem.cell is not None:
         return _parts_of_cell(problem, bodies)
     centres, sizes = _frames(bodies)
@@ -152,7 +152,7 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
     return found
 
 
-def _parts_of_cell(problem: Problem, bodies: Bodies) -> list[FreeBody]:
+def _parts_of_cell(problem: Problem, bodies: ConnectedBodies) -> list[FreeBody]:
     """Of a periodic cell all that hangs together with its held vertex is held. Collective."""
     nodes = problem.unknowns.local(problem.prescribed.dofs) // problem.body.dim
     marks = np.bincount(bodies.of_node[nodes], minlength=bodies.count)
@@ -185,7 +185,7 @@ def held_directions(problem: Problem, *, reached: bool = False) -> Held:
     )
 
 
-def _frames(bodies: Bodies) -> tuple[Floats, Floats]:
+def _frames(bodies: ConnectedBodies) -> tuple[Floats, Floats]:
     """Middle, shape (bodies, dim), and size of each body's bounding box. Collective."""
     x, of = bodies.places, bodies.of_node
     corners = np.full((bodies.count, 2 * x.shape[1]), -np.inf)
@@ -195,7 +195,7 @@ def _frames(bodies: Bodies) -> tuple[Floats, Floats]:
     return (high - low) / 2, np.max(high + low, axis=1)
 
 
-def _products(bodies: Bodies, held: Held, centres: Floats, sizes: Floats) -> Floats:
+def _products(bodies: ConnectedBodies, held: Held, centres: Floats, sizes: Floats) -> Floats:
     """The matrix of each body, shape (bodies, motions, motions). Collective."""
     of = bodies.of_node[held.nodes]
     arms = (bodies.places[held.nodes] - centres[of]) / sizes[of, None]

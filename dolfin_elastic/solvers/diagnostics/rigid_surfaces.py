@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.diagnostics.connectivity import Bodies
+from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
 
 Floats = npt.NDArray[np.float64]
 _SAME = 1e-6
@@ -23,7 +23,7 @@ _SAME = 1e-6
 
 def couple(
     problem: Problem,
-    bodies: Bodies,
+    bodies: ConnectedBodies,
     products: Floats,
     motions_at: Callable[[npt.NDArray[np.int32]], Floats],
     sizes: Floats,

@@ -10,11 +10,11 @@ import numpy.typing as npt
 
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
-from dolfin_elastic.solvers.audit.equilibrium import Auditor, Found
+from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor, Found
 from dolfin_elastic.solvers.audit.path_energy import round_off
-from dolfin_elastic.solvers.dynamics.energy_balance import Ledger
-from dolfin_elastic.solvers.dynamics.residual import Forces, Moving
-from dolfin_elastic.solvers.dynamics.rotation_error import Chords
+from dolfin_elastic.solvers.dynamics.energy_balance import EnergyBalance
+from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
+from dolfin_elastic.solvers.dynamics.rotation_error import RotationError
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ MOST = 0.5
 """Share of the largest energy that is most of it."""
 
 
-class MotionAuditor(Auditor):
+class MotionAuditor(EquilibriumAuditor):
     """Judges one step of a motion after another. Collective.
 
     Args:
@@ -49,12 +49,16 @@ class MotionAuditor(Auditor):
     """
 
     def __init__(
-        self, problem: Problem, moving: Moving, watch: JacobianWatch, settings: DynamicsSettings
+        self,
+        problem: Problem,
+        moving: DynamicResidual,
+        watch: JacobianWatch,
+        settings: DynamicsSettings,
     ) -> None:
         super().__init__(problem, moving.assembler, watch)
         self._moving, self._settings = moving, settings
         self._forces: Forces | None = None
-        self._chords = Chords(problem, settings)
+        self._chords = RotationError(problem, settings)
         self._du: Floats = np.empty(0)
         self._worst = [0.0, 0.0]
         self._reasons: dict[str, str] = {}
@@ -86,7 +90,7 @@ class MotionAuditor(Auditor):
         assert self._forces is not None
         return self._forces.u
 
-    def judge(self, t: float, ledger: Ledger, energies: Mapping[str, float]) -> Audit:
+    def judge(self, t: float, ledger: EnergyBalance, energies: Mapping[str, float]) -> Audit:
         """The audit of all steps since the last one. Collective.
 
         Args:

@@ -24,7 +24,7 @@ from dolfin_elastic.core.petsc_options import PREFIX
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.mass import held_acceleration, initial_acceleration
-from dolfin_elastic.solvers.dynamics.residual import Moving
+from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 from dolfin_elastic.solvers.linear.choice import LAST_DIRECT, factorising
 from dolfin_elastic.solvers.petsc.options import Options, ksp_reason
 
@@ -66,7 +66,7 @@ def incompressible(compliance: object) -> bool:
     return isinstance(compliance, fem.Constant) and float(compliance.value) == 0.0
 
 
-def begin(moving: Moving, v: fem.Function, a: fem.Function, h: float) -> None:
+def begin(moving: DynamicResidual, v: fem.Function, a: fem.Function, h: float) -> None:
     """Finds the acceleration, and the pressure where it is exact, of the initial state. Collective.
 
     Args:
@@ -105,7 +105,7 @@ def begin(moving: Moving, v: fem.Function, a: fem.Function, h: float) -> None:
 class _Saddle:
     """[s M + K, B; B^T, -C] [a/s; p] with s M far above K: corrections of both. Collective."""
 
-    def __init__(self, moving: Moving, v: fem.Function, h: float) -> None:
+    def __init__(self, moving: DynamicResidual, v: fem.Function, h: float) -> None:
         self._moving, self._a, self._h = moving, moving.assembler, h
         self._problem, self._v = moving.problem, v.x.array[: len(moving.moves)].copy()
         self._x, self._b = self._a.create_vector(), self._a.create_vector()

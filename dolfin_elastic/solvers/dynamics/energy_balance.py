@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.solvers.assembly.assembler import compiled, integral
-from dolfin_elastic.solvers.dynamics.residual import Forces, Moving
+from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.dynamics.work import supports_move
 
 Vector = npt.NDArray[np.float64]
@@ -23,7 +23,7 @@ _NOISE = 10.0
 difference, such as neo-Hookean and corotated ones."""
 
 
-class Ledger:
+class EnergyBalance:
     """Sums up work over the steps of a motion.
 
     The work of a step is that of the forces in the middle of it over its displacement, of second
@@ -42,7 +42,7 @@ class Ledger:
         scale: The largest energy so far [J].
     """
 
-    def __init__(self, moving: Moving, v: fem.Function) -> None:
+    def __init__(self, moving: DynamicResidual, v: fem.Function) -> None:
         self._moving, self._velocity = moving, v
         self._leads = supports_move(moving.problem)
         self._v: Vector = np.empty(0)

@@ -26,7 +26,7 @@ LOOKS = 8
 
 
 @dataclass(frozen=True)
-class Misfit:
+class SupportJump:
     """Where a support and the body differ at the start, or as a support jumps.
 
     Attributes:
@@ -90,7 +90,7 @@ def jump(problem: Problem, t: float, step: float) -> str:
     return f"the support '{most.support}' jumps there, {at}"
 
 
-def misfits(problem: Problem, what: str, change: Vector, least: float) -> Iterator[Misfit]:
+def misfits(problem: Problem, what: str, change: Vector, least: float) -> Iterator[SupportJump]:
     """Supports that change what the body would be without them. Collective.
 
     Args:
@@ -109,7 +109,7 @@ def misfits(problem: Problem, what: str, change: Vector, least: float) -> Iterat
         alike = x[: len(sizes)][sizes >= most * (1 - 1e-9)]
         place = first_of(problem.body.comm, map(tuple, alike.round(12).tolist()))
         assert place is not None  # some rank has the largest
-        yield Misfit(label, what, most, place[:dim])
+        yield SupportJump(label, what, most, place[:dim])
 
 
 def _shares(problem: Problem, change: Vector) -> Iterator[tuple[str, Vector]]:

@@ -15,7 +15,7 @@ from dolfin_elastic.model.values import Component
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.dynamics.impulsive_supports import (
     SMALL,
-    Misfit,
+    SupportJump,
     misfits,
     reach,
 )
@@ -53,7 +53,7 @@ def set_initial(
     displacement: tuple[Component, ...],
     velocity: tuple[Component, ...],
     span: float,
-) -> list[Misfit]:
+) -> list[SupportJump]:
     """Puts a problem into its initial state. Collective.
 
     Prescribed entries start where, and as fast as, their supports say.
@@ -115,7 +115,7 @@ def _speeds(problem: Problem, moment: float) -> tuple[Vector, float]:
 
 def _imposed(
     problem: Problem, field: fem.Function, what: str, values: Vector, least: float
-) -> Iterator[Misfit]:
+) -> Iterator[SupportJump]:
     """Makes prescribed entries what supports say; tells where they were not. Collective."""
     size = problem.V.dofmap.index_map.size_local * problem.V.dofmap.index_map_bs
     before = field.x.array[:size].copy()

@@ -54,7 +54,7 @@ class Forces:
         return Forces(**{name: (ours[name] + theirs[name]) / 2 for name in ours})
 
 
-class Moving:
+class DynamicResidual:
     """Residual and tangent of a body with mass.  Collective to make.
 
     Args:

@@ -40,7 +40,7 @@ GROWS = 2.0
 """While the largest strain grows by more from one state to the next, nothing is said."""
 
 
-class Chords:
+class RotationError:
     """Compares what chords make of strains with the strains.  Collective to make.
 
     Args:

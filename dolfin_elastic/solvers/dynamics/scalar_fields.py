@@ -7,7 +7,7 @@ from dolfinx import fem
 from dolfin_elastic.problem.problem import Problem
 
 
-class Extras:
+class AuxiliaryFields:
     """The scalar unknowns of a problem, each in a space of its own.  Collective to make.
 
     Args:

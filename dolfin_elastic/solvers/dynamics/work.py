@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem, la
 
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.problem.loads.contact import Touching
+from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces
@@ -56,7 +56,7 @@ class _Pushing:
 class _Obstacle:
     """A moving obstacle: its force on the body, times the way that it has gone."""
 
-    def __init__(self, touch: Touching, forces: Forces) -> None:
+    def __init__(self, touch: ContactPair, forces: Forces) -> None:
         self._touch, self._forces = touch, forces
         self._dim = len(touch.shift.value)
         self._force = self._place = np.zeros(self._dim)
@@ -94,7 +94,7 @@ class _Leading:
         return float(np.dot(before + self._reactions, self._assembler.constraint_forces(du))) / 2
 
 
-class WorkLog:
+class ExternalWork:
     """Work on the body, and on the penalties of obstacles, since the start. Collective to make.
 
     What follows from two states waits until it is asked for: of loads that do not change, force

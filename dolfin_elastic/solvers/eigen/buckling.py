@@ -46,9 +46,9 @@ from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_held
 from dolfin_elastic.solvers.diagnostics.stability import Stability
-from dolfin_elastic.solvers.eigen.critical_load import Critical
+from dolfin_elastic.solvers.eigen.critical_load import CriticalLoad
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest, refuse, shape
-from dolfin_elastic.solvers.eigen.preload import Preloaded
+from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
 from dolfin_elastic.solvers.eigen.slepc import DIRECT_LIMIT, Pair, prefixed
 from dolfin_elastic.solvers.linear.choice import Choice, LinearSettings, factorising
 from dolfin_elastic.solvers.statics.statics import StaticsSettings
@@ -89,7 +89,7 @@ class BucklingSettings(Record):
     tolerance: float = Field(default=1e-9, gt=0, lt=1)
 
 
-class Buckling(Preloaded):
+class Buckling(PreloadedAnalysis):
     """Finds the load factors at which a problem buckles, and the modes.
 
     Args:
@@ -193,7 +193,7 @@ class Buckling(Preloaded):
     def _pairs(self, path: _Path, share: float, sign: int) -> list[Pair]:
         """Load factors and modes, beginning with the nearest."""
         wanted = self.settings.count
-        critical = Critical(
+        critical = CriticalLoad(
             self.problem,
             path.stiffness,
             path.rate,

@@ -41,7 +41,7 @@ REAL = 1e-6
 """Imaginary over real part of theta up to which it is real."""
 
 
-class Critical:
+class CriticalLoad:
     """Critical factors of a stiffness under loads. Collective.
 
     Args:

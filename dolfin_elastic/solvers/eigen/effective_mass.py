@@ -13,7 +13,7 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.assembly.matrix import TangentMatrix
-from dolfin_elastic.solvers.diagnostics.connectivity import Bodies
+from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 from dolfin_elastic.solvers.linear.nullspace import times, unresisted
@@ -156,7 +156,7 @@ def rigid_modes(assembler: Assembler, mass: Mass) -> list[RigidMode]:
         mass: Of the whole body.
     """
     problem = assembler.problem
-    bodies = Bodies(problem)
+    bodies = ConnectedBodies(problem)
     own, names = len(assembler.moves) // problem.body.dim, bodies.names()
     found = []
     for number in range(bodies.count):

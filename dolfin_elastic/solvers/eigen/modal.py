@@ -39,7 +39,7 @@ from dolfin_elastic.solvers.eigen.mode_shapes import (
     shape,
     undetermined,
 )
-from dolfin_elastic.solvers.eigen.preload import Preloaded
+from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
 from dolfin_elastic.solvers.eigen.slepc import (
     Pair,
     Spectrum,
@@ -91,7 +91,7 @@ class ModalSettings(Record):
         return self
 
 
-class Modal(Preloaded):
+class Modal(PreloadedAnalysis):
     """Finds the modes of vibration of a problem.
 
     Args:

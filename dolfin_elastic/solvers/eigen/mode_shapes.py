@@ -32,7 +32,7 @@ SPARE = 4
 
 
 class Pencil(Protocol):
-    """What finds eigenpairs and counts them: see `eigen.Spectrum` and `critical.Critical`."""
+    """What finds eigenpairs and counts them: see `eigen.Spectrum` and `critical.CriticalLoad`."""
 
     counted: bool
 

@@ -1,4 +1,4 @@
-"""`Preloaded`: an analysis about a state of a problem, at rest or loaded: modes, buckling."""
+"""`PreloadedAnalysis`: an analysis about a state at rest or loaded: modes, buckling."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dolfin_elastic.solvers.statics.statics import Statics, StaticsSettings
 log = logging.getLogger("dolfin_elastic")
 
 
-class Preloaded(ABC):
+class PreloadedAnalysis(ABC):
     """What `Modal` and `Buckling` share: the way to the state, and whose PETSc options are whose.
 
     Args:

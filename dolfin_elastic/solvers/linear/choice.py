@@ -19,8 +19,8 @@ from pydantic import Field
 
 from dolfin_elastic.core.compat import interpolation_matrix
 from dolfin_elastic.core.schema import Record
-from dolfin_elastic.problem.constraints.dirichlet import Prescribed
-from dolfin_elastic.problem.constraints.skew import Tilted
+from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
+from dolfin_elastic.problem.constraints.skew import SkewConstraints
 from dolfin_elastic.problem.problem import Problem
 
 DIRECT_LIMIT = {2: 150_000, 3: 20_000}
@@ -182,7 +182,7 @@ def rigid_body_modes(
     return space
 
 
-def _free_directions(like: PETSc.Vec, tilted: Tilted) -> PETSc.Mat:
+def _free_directions(like: PETSc.Vec, tilted: SkewConstraints) -> PETSc.Mat:
     """The matrix of 1 - P at tilted nodes and ones elsewhere, sized like a vector. Collective."""
     size, dim = like.getLocalSize(), tilted.P.shape[1]
     nodes = tilted.nodes[: tilted.count]
@@ -220,7 +220,7 @@ class QuadraticMultigrid:
         body = problem.body
         self._coarse_space, pinned = problem.unknowns.linear()
         self._P = interpolation_matrix(self._coarse_space, problem.unknowns.U)
-        coarse = Prescribed(
+        coarse = DirichletConditions(
             body,
             self._coarse_space,
             problem.supports,
@@ -246,7 +246,7 @@ class QuadraticMultigrid:
         rows.destroy()
         columns.destroy()
 
-    def _project_interpolation(self, fine: Tilted) -> None:
+    def _project_interpolation(self, fine: SkewConstraints) -> None:
         """Collective."""
         left, right = self._P.createVecLeft(), self._P.createVecRight()
         factors = [_free_directions(left, fine)]

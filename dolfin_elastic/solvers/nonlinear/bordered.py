@@ -25,7 +25,7 @@ Vector = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 
-class Border:
+class ScalarUnknowns:
     """Scalar unknowns s and their equations g(u, s) = 0; all ranks know both.
 
     Attributes:
@@ -67,7 +67,7 @@ class Border:
         raise TypeError(f"{type(self).__name__} has no equations")
 
 
-class Borders(Border):
+class JoinedScalars(ScalarUnknowns):
     """Several borders as one, one after the other.
 
     Args:
@@ -75,24 +75,24 @@ class Borders(Border):
             behind: what sets the time comes first.
     """
 
-    def __init__(self, parts: Sequence[Border]) -> None:
+    def __init__(self, parts: Sequence[ScalarUnknowns]) -> None:
         self.parts = tuple(parts)
         self.size = sum(part.size for part in parts)
         self._cuts = np.cumsum([part.size for part in parts])[:-1]
 
     @property
     def steps(self) -> Vector:  # type: ignore[override]
-        """See `Border`."""
+        """See `ScalarUnknowns`."""
         return np.concatenate([part.steps for part in self.parts])
 
     @property
     def signs(self) -> Vector:  # type: ignore[override]
-        """See `Border`."""
+        """See `ScalarUnknowns`."""
         return np.concatenate([part.signs for part in self.parts])
 
     @property
     def prescribing(self) -> Flags:  # type: ignore[override]
-        """See `Border`."""
+        """See `ScalarUnknowns`."""
         return np.concatenate([part.prescribing for part in self.parts])
 
     def get(self) -> Vector:
@@ -133,7 +133,7 @@ class Bordered:
         iterations: Of the fields' linear solver so far.
     """
 
-    def __init__(self, assembler: Assembler, border: Border, ksp: PETSc.KSP) -> None:
+    def __init__(self, assembler: Assembler, border: ScalarUnknowns, ksp: PETSc.KSP) -> None:
         self.assembler, self.border, self.ksp = assembler, border, ksp
         self._comm, self._size = assembler.comm, assembler.size
         self._x, self._b = assembler.create_vector(), assembler.create_vector()

@@ -7,8 +7,8 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
-from dolfin_elastic.solvers.assembly.cell_stress import Macroscopic
-from dolfin_elastic.solvers.nonlinear.bordered import Border
+from dolfin_elastic.solvers.assembly.cell_stress import CellStress
+from dolfin_elastic.solvers.nonlinear.bordered import ScalarUnknowns
 
 Vector = npt.NDArray[np.float64]
 
@@ -16,7 +16,7 @@ ROUND_OFF = 1e-14
 """Error of the mean stress over the cell's stiffness, of which strains are computed."""
 
 
-class FreeStrains(Border):
+class FreeStrains(ScalarUnknowns):
     """Free components of the macroscopic gradient; their stress is prescribed.
 
     As unknown each is multiplied by the length of the cell, and its equation V (P - P*) divided by
@@ -26,7 +26,7 @@ class FreeStrains(Border):
         mean: Mean stress of the problem.
     """
 
-    def __init__(self, mean: Macroscopic) -> None:
+    def __init__(self, mean: CellStress) -> None:
         self._mean, self._cell, problem = mean, mean.cell, mean.problem
         self._free, self.size = self._cell.free, len(self._cell.free)
         self.steps = np.full(self.size, 1e-5 * self._cell.length)
@@ -90,6 +90,6 @@ class FreeStrains(Border):
         return bool(np.abs(residual).max() <= max(own, floor))
 
 
-def free_strains(mean: Macroscopic | None) -> FreeStrains | None:
+def free_strains(mean: CellStress | None) -> FreeStrains | None:
     """The components of the gradient that are unknown, if there are any. Collective."""
     return None if mean is None or not mean.cell.free else FreeStrains(mean)

@@ -14,7 +14,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.mesh.body import Indices, span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
-from dolfin_elastic.problem.loads.contact import Touching
+from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
@@ -37,7 +37,7 @@ stiff, see `stable.HIT`; and a stiffer obstacle than the cells above it would on
 """
 
 
-class Augmentation:
+class ContactAugmentation:
     """Uzawa's iteration: after each equilibrium lam <- max(0, lam - eps g), until gaps are small.
 
     Args:
@@ -91,7 +91,7 @@ class Augmentation:
         return progress
 
 
-def off_obstacle(touch: Touching) -> float:
+def off_obstacle(touch: ContactPair) -> float:
     """Largest distance from the obstacle of nodes that press or penetrate [m]. Collective."""
     gaps, _ = touch.gaps()
     return largest(touch.comm, float(np.max(np.abs(gaps[touch.pressing | (gaps < 0)]), initial=0)))
@@ -172,12 +172,12 @@ def pulled_off(assembler: Assembler) -> bool:
     return away > 1e-6 * float(np.linalg.norm(found[:dim])) * float(found[-1])
 
 
-def farthest(touch: Touching) -> float:
+def farthest(touch: ContactPair) -> float:
     """Largest gap at the nodes of a contact [m]. Collective."""
     return largest(touch.comm, float(np.max(touch.gaps()[0], initial=0.0)))
 
 
-def nearest_gap(touch: Touching) -> float:
+def nearest_gap(touch: ContactPair) -> float:
     """Smallest gap at the nodes of a contact [m]. Collective."""
     return smallest(touch.comm, float(np.min(touch.gaps()[0], initial=np.inf)))
 
@@ -201,7 +201,7 @@ def begin_motion(problem: Problem, *, tell: bool) -> None:
         touch.lam.x.array[:] = 0.0
 
 
-def buried(touch: Touching, gap: float, place: tuple[float, ...]) -> str:
+def buried(touch: ContactPair, gap: float, place: tuple[float, ...]) -> str:
     """What a motion begins with that begins in an obstacle."""
     return (
         f"at the start '{touch.label}' lies {-gap:.3g} m deep in its obstacle, at "
@@ -270,13 +270,13 @@ def tell_untouched(problem: Problem, states: States) -> States:
         log.warning("contact '%s' was never touched", label)
 
 
-def rows_of(touch: Touching, within: float) -> tuple[Indices, Floats]:
+def rows_of(touch: ContactPair, within: float) -> tuple[Indices, Floats]:
     """Owned nodes of the displacement at most so far from the obstacle, and its normals there."""
     gaps, normals = touch.gaps()
     near = gaps <= within
     return touch.nodes_of_displacement[near], normals[near]
 
 
-def touches(touch: Touching) -> int:
+def touches(touch: ContactPair) -> int:
     """Nodes that count as touching now. Collective."""
     return int(total(touch.comm, int(np.sum(touch.gaps()[0] <= float(touch.reach.value)))))

@@ -21,7 +21,7 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import Choice
 from dolfin_elastic.solvers.linear.ksp import LinearSolver
 from dolfin_elastic.solvers.messages import worthless
-from dolfin_elastic.solvers.nonlinear.bordered import Border, Bordered, python_solver
+from dolfin_elastic.solvers.nonlinear.bordered import Bordered, ScalarUnknowns, python_solver
 from dolfin_elastic.solvers.nonlinear.inversion_guard import PATIENCE, InversionGuard
 from dolfin_elastic.solvers.nonlinear.progress import Progress, Tolerance
 from dolfin_elastic.solvers.nonlinear.round_off import SAFETY, RoundOff
@@ -80,7 +80,7 @@ class Newton:
         users: Mapping[str, Any] | None = None,
         snes: PETSc.SNES | None = None,
         moving: bool = False,
-        border: Border | None = None,
+        border: ScalarUnknowns | None = None,
     ) -> None:
         self.assembler, self.choice, self.tolerance = assembler, choice, tolerance
         self.progress, self._moving = Progress(), moving

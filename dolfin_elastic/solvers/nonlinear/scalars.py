@@ -13,10 +13,10 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
-from dolfin_elastic.problem.loads.cavities import Enclosure
+from dolfin_elastic.problem.loads.cavities import BodyCavity
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
-from dolfin_elastic.solvers.nonlinear.bordered import Border, Borders
+from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars, ScalarUnknowns
 from dolfin_elastic.solvers.nonlinear.cell_strains import free_strains
 
 log = logging.getLogger("dolfin_elastic")
@@ -39,15 +39,15 @@ class Scalars:
         assembler: Of the fields.
 
     Attributes:
-        parts: The borders: the order is that of `Borders`.
+        parts: The borders: the order is that of `JoinedScalars`.
         border: All of them as one; None without any.
     """
 
     def __init__(self, assembler: Assembler) -> None:
         self._assembler, problem = assembler, assembler.problem
         self._prescribed = problem.prescribed
-        self._cavities = [Chamber(assembler, cavity) for cavity in problem.cavities]
-        self.parts: list[Border] = [c for c in self._cavities if c.cavity.controlled]
+        self._cavities = [CavityScalars(assembler, cavity) for cavity in problem.cavities]
+        self.parts: list[ScalarUnknowns] = [c for c in self._cavities if c.cavity.controlled]
         self.parts += [
             RigidSurface(assembler, motion)
             for motion in self._prescribed.motions
@@ -55,7 +55,7 @@ class Scalars:
         ]
         if (strains := free_strains(assembler.cell)) is not None:
             self.parts.append(strains)
-        self.border = Borders(self.parts) if self.parts else None
+        self.border = JoinedScalars(self.parts) if self.parts else None
 
     def get(self) -> list[float]:
         """All scalar unknowns."""
@@ -91,7 +91,7 @@ class Scalars:
         return found
 
 
-class Chamber(Border):
+class CavityScalars(ScalarUnknowns):
     """A cavity: its pressure, and volume = given volume as its equation. Collective to make.
 
     Args:
@@ -108,7 +108,7 @@ class Chamber(Border):
 
     size = 1
 
-    def __init__(self, assembler: Assembler, cavity: Enclosure) -> None:
+    def __init__(self, assembler: Assembler, cavity: BodyCavity) -> None:
         self._assembler, self._problem, self.cavity = assembler, assembler.problem, cavity
         w, test = self._problem.w, ufl.TestFunction(self._problem.W)
         grown = ufl.derivative(cavity.volume, w, test)
@@ -187,7 +187,7 @@ class Chamber(Border):
         return bool(abs(residual[0]) <= VOLUME * max(self.cavity.initial, abs(self.cavity.goal)))
 
 
-class RigidSurface(Border):
+class RigidSurface(ScalarUnknowns):
     """A rigid surface: its free degrees of freedom, with equilibrium of forces and moments.
 
     The forces are virtual work, the sum over its nodes of (du/dq) . (force on the body).

@@ -20,13 +20,13 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import Choice
-from dolfin_elastic.solvers.nonlinear.bordered import Border, Borders
+from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars, ScalarUnknowns
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.progress import Progress, Tolerance
 from dolfin_elastic.solvers.nonlinear.restart import remembered, remind
 from dolfin_elastic.solvers.statics.inertia_count import negative_eigenvalues
-from dolfin_elastic.solvers.statics.retry import Ladder
-from dolfin_elastic.solvers.statics.step_speed import Pace
+from dolfin_elastic.solvers.statics.retry import RetryStrategy
+from dolfin_elastic.solvers.statics.step_speed import StepSpeed
 
 Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
@@ -47,7 +47,7 @@ LOOSE = 1e-6
 """Error of the length of a step: it moves the step along the path, not off it."""
 
 
-class Length(Border):
+class ArcLengthConstraint(ScalarUnknowns):
     """The load factor, and the length of the step as its equation.
 
     Args:
@@ -134,12 +134,14 @@ class ArcLength:
         limits: Load factors of the limit points passed so far.
     """
 
-    def __init__(self, ladder: Ladder, others: Sequence[Border], *, end: float) -> None:
+    def __init__(
+        self, ladder: RetryStrategy, others: Sequence[ScalarUnknowns], *, end: float
+    ) -> None:
         self._newton, self._ladder, self._end = ladder.newton, ladder, end
         self._assembler = self._newton.assembler
         self._problem = self._assembler.problem
-        self._length = Length(self._assembler)
-        self._all = Borders([self._length, *others])
+        self._length = ArcLengthConstraint(self._assembler)
+        self._all = JoinedScalars([self._length, *others])
         self._lead: Vector = np.zeros(self._all.size)
         self._bordered: Newton | None = None
         self.limits: list[float] = []
@@ -253,7 +255,7 @@ class ArcLength:
             self._length.put(np.array([t]))
             progress = self._ladder.solve([("", here)])
             self._lead = self._all.get() - before
-            hasty = Pace(self._assembler).hasty(0.0, t, here, progress)
+            hasty = StepSpeed(self._assembler).hasty(0.0, t, here, progress)
             hasty = hasty or self._assembler.max_displacement() > longest
             if progress.converged and not (hasty and t / 2 >= least):
                 self._points.append((t, self._length.gone()))

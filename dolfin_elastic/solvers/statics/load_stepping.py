@@ -15,12 +15,12 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.restart_state import Kept, Restore
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.solvers.audit.equilibrium import Auditor
-from dolfin_elastic.solvers.audit.path_energy import PathWatch
+from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
+from dolfin_elastic.solvers.audit.path_energy import PathEnergyCheck
 from dolfin_elastic.solvers.breakpoints import corners, gentle
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
 from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.nonlinear.contact import Augmentation, Measured
+from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation, Measured
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.progress import (
     ANOTHER,
@@ -33,8 +33,8 @@ from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.statics.arc_length import ArcLength
 from dolfin_elastic.solvers.statics.inertia_count import negative_eigenvalues
 from dolfin_elastic.solvers.statics.pseudo_transient import flow_away
-from dolfin_elastic.solvers.statics.retry import Ladder
-from dolfin_elastic.solvers.statics.step_speed import Pace
+from dolfin_elastic.solvers.statics.retry import RetryStrategy
+from dolfin_elastic.solvers.statics.step_speed import StepSpeed
 
 if TYPE_CHECKING:
     from dolfin_elastic.solvers.statics.statics import Statics
@@ -47,7 +47,7 @@ JUMPS = 3
 body does not follow from its forces."""
 
 
-class Stepping:
+class LoadStepping:
     """Load steps: tried, made smaller or larger, given up.
 
     Args:
@@ -59,10 +59,10 @@ class Stepping:
     def __init__(self, statics: Statics, scalars: Scalars, newton: Newton) -> None:
         self.statics, self.settings, self.problem = statics, statics.settings, statics.problem
         self.assembler, self.newton, self._scalars = newton.assembler, newton, scalars
-        self.ladder = Ladder(newton, Augmentation(self.problem))
-        self._watch, self._measured = PathWatch(self.assembler), Measured(self.problem)
+        self.ladder = RetryStrategy(newton, ContactAugmentation(self.problem))
+        self._watch, self._measured = PathEnergyCheck(self.assembler), Measured(self.problem)
         assert newton.guard is not None
-        self._auditor = Auditor(self.problem, self.assembler, newton.guard.watch)
+        self._auditor = EquilibriumAuditor(self.problem, self.assembler, newton.guard.watch)
         self._count = 0
         self._t, self._sizes = 0.0, statics.sizes()
         self._arc: ArcLength | None = None
@@ -70,7 +70,7 @@ class Stepping:
         self._fallback: tuple[float, Vector] | None = None  # where a step has jumped to
         self._limits: tuple[float, ...] = ()
         self._jumps = 0
-        self._pace = Pace(self.assembler, corners(self.problem))
+        self._pace = StepSpeed(self.assembler, corners(self.problem))
 
     def run(self, restore: Restore | None = None) -> Iterator[State]:
         """Yields the states; see `Statics.steps`. Collective."""

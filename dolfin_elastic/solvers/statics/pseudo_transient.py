@@ -12,7 +12,7 @@ import logging
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.progress import UNSTABLE, Progress
 from dolfin_elastic.solvers.statics.inertia_count import disturb, negative_eigenvalues
-from dolfin_elastic.solvers.statics.retry import Ladder
+from dolfin_elastic.solvers.statics.retry import RetryStrategy
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -27,7 +27,7 @@ PUSHES = (1e-2, 1e-1)
 back from pushes that are small against what it bends."""
 
 
-def flow_away(ladder: Ladder, *, settled: bool) -> Progress:
+def flow_away(ladder: RetryStrategy, *, settled: bool) -> Progress:
     """Lets a body flow to a stable equilibrium. Collective.
 
     Args:
@@ -50,7 +50,7 @@ def flow_away(ladder: Ladder, *, settled: bool) -> Progress:
     return progress
 
 
-def _flowed(ladder: Ladder) -> Progress:
+def _flowed(ladder: RetryStrategy) -> Progress:
     ladder.newton.refresh()
     progress = ladder.settled(relax(ladder.newton), "basic")
     log.debug("flow to another equilibrium: %s", progress.reason)

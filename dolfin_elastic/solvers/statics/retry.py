@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.nonlinear.contact import Augmentation
+from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.progress import Progress
 
@@ -26,7 +26,7 @@ Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 
-class Ladder:
+class RetryStrategy:
     """Tries line searches, linear solvers and starting points until one finds equilibrium.
 
     Args:
@@ -37,7 +37,7 @@ class Ladder:
         failed: The last iterate of the last failure, as `Newton.present`.
     """
 
-    def __init__(self, newton: Newton, augmentation: Augmentation) -> None:
+    def __init__(self, newton: Newton, augmentation: ContactAugmentation) -> None:
         self.newton, self._augmentation = newton, augmentation
         self.failed: Vector | None = None
         self._first = True

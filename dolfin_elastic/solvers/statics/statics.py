@@ -29,7 +29,7 @@ from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.progress import Tolerance
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
-from dolfin_elastic.solvers.statics.load_stepping import Stepping
+from dolfin_elastic.solvers.statics.load_stepping import LoadStepping
 from dolfin_elastic.solvers.statics.step_size import StepSizes
 
 Vector = npt.NDArray[np.float64]
@@ -137,7 +137,7 @@ class Statics:
         self.linear = linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
         self.choice = choose(problem, self.linear)
-        self._stepping: Stepping | None = None
+        self._stepping: LoadStepping | None = None
 
     def steps(self, restore: Restore | None = None) -> Iterator[State]:
         """Yields the initial state and then one equilibrium a step. Collective.
@@ -164,7 +164,7 @@ class Statics:
             )
             owned.callback(newton.destroy)
             newton.watch_inversion()
-            self._stepping = Stepping(self, scalars, newton)
+            self._stepping = LoadStepping(self, scalars, newton)
             owned.callback(self._forget)
             yield from self._stepping.run(restore)
 

@@ -22,7 +22,7 @@ FASTER = 3.0
 """Speed over that of the step before from which a step is looked at more closely."""
 
 
-class Pace:
+class StepSpeed:
     """Speed of the displacement with the load factor.
 
     Args:

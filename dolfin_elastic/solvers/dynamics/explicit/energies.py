@@ -11,7 +11,7 @@ from dolfinx import fem
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.energy_momentum import LumpedMass, Strain
-from dolfin_elastic.solvers.dynamics.work import WorkLog
+from dolfin_elastic.solvers.dynamics.work import ExternalWork
 from dolfin_elastic.solvers.nonlinear.contact import Measured
 
 Vector = npt.NDArray[np.float64]
@@ -29,7 +29,7 @@ class Energies:
         work: Of loads and supports.
     """
 
-    def __init__(self, problem: Problem, v: fem.Function, mass: Vector, work: WorkLog) -> None:
+    def __init__(self, problem: Problem, v: fem.Function, mass: Vector, work: ExternalWork) -> None:
         self._comm, self._work = problem.body.comm, work
         self._strain, self._contacts = Strain(problem), Measured(problem, moving=True)
         self._inertia = LumpedMass(problem, v, mass)

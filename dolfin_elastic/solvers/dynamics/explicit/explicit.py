@@ -33,11 +33,11 @@ from dolfin_elastic.solvers.assembly.energy_momentum import lumped
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces
 from dolfin_elastic.solvers.dynamics.explicit.energies import Energies, Measures
 from dolfin_elastic.solvers.dynamics.explicit.limits import changes, check_explicit
-from dolfin_elastic.solvers.dynamics.explicit.monitor import Lookout
-from dolfin_elastic.solvers.dynamics.explicit.replay import LastState, Rerun
+from dolfin_elastic.solvers.dynamics.explicit.monitor import StabilityMonitor
+from dolfin_elastic.solvers.dynamics.explicit.replay import LastState, Replay
 from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
 from dolfin_elastic.solvers.dynamics.explicit.support_acceleration import mean_acceleration
-from dolfin_elastic.solvers.dynamics.work import WorkLog, supports_move
+from dolfin_elastic.solvers.dynamics.work import ExternalWork, supports_move
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 
 Vector = npt.NDArray[np.float64]
@@ -90,10 +90,10 @@ class Explicit(ABC):
     def _prepare(self, dt: float | None, safety: float) -> None:
         problem, v, a = self.problem, self.v, self.assembler
         problem.set_time(0.0)  # what is packed below are the loads of motion
-        self._lookout, self.mass = Lookout(problem, a), lumped(problem, a)
+        self._lookout, self.mass = StabilityMonitor(problem, a), lumped(problem, a)
         self._scalars, self._last = Scalars(a), LastState()
         self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety)
-        self.work = WorkLog(problem, a, self.mass, v)
+        self.work = ExternalWork(problem, a, self.mass, v)
         self._energies = Energies(problem, v, self.mass, self.work)
         self._forces = Forces(problem, a.form, a.balance, points=-1.0)
         self._leads, self._timed = supports_move(problem), changes(problem)
@@ -178,7 +178,7 @@ class Explicit(ABC):
             try:
                 self.forward()
             except StabilityError as error:  # of a collective look: on all ranks
-                raise Rerun(self, self._lookout, self._last).refused(error) from None
+                raise Replay(self, self._lookout, self._last).refused(error) from None
             if self._step % self.every == 0 or self._t >= self.end * END:
                 self._meet()
                 state = self._state()
@@ -279,7 +279,7 @@ class Explicit(ABC):
     def _state(self) -> State:
         measures = self._energies.take()
         if not self._energies.finite(measures[0], self._out):
-            raise Rerun(self, self._lookout, self._last).lost()
+            raise Replay(self, self._lookout, self._last).lost()
         self._lookout.look(self._t, last=self._t >= self.end * END)
         return self._seen(measures)
 

@@ -10,14 +10,14 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfin_elastic.problem.material_regions import Part
+from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 
 Floats = npt.NDArray[np.float64]
 
 
-class Rates:
+class FrequencyBound:
     """A bound of omega^2 at each node: none of the body's is above the largest of them.
 
     A linear cell of volume V in d dimensions has the stiffness V g_aJ A_iJkL g_bL, with the
@@ -72,7 +72,7 @@ class Rates:
         straight = int(problem.body.mesh.geometry.cmap.degree) == 1
         return straight and problem.geometry == "plane-strain" and not follows
 
-    def _norm(self, part: Part) -> Expr:
+    def _norm(self, part: MaterialRegion) -> Expr:
         """kappa/V in cells of a part [N/m^4] (UFL)."""
         problem, d = self._problem, self._dim
         F = ufl.variable(problem.F(problem.w))

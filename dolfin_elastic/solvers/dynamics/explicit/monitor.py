@@ -28,7 +28,7 @@ LOOK = 8
 RESISTS = "smaller loads, or a law that resists, such as neo-hookean"
 
 
-class Lookout:
+class StabilityMonitor:
     """Looks at the states of an explicit motion, and says each thing once. Collective to make.
 
     Args:

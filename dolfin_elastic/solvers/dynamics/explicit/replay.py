@@ -21,10 +21,10 @@ from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.restart_state import Kept, Restore
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.solvers import messages as words
+from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.evidence import Cells, not_finite, plain
-from dolfin_elastic.solvers.dynamics.explicit.monitor import RESISTS, Lookout
+from dolfin_elastic.solvers.dynamics.explicit.monitor import RESISTS, StabilityMonitor
 from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
 from dolfin_elastic.solvers.messages import coordinates
 
@@ -42,7 +42,7 @@ STRAINED = (
 )
 
 
-class March(Protocol):
+class ExplicitMarch(Protocol):
     """An explicit motion, as far as it can be gone through again."""
 
     problem: Problem
@@ -96,7 +96,7 @@ class LastState:
         return self.plain
 
 
-class Rerun:
+class Replay:
     """Looks for what went wrong since the last sound state of a motion.
 
     Made when it has: a motion that held one would be freed on each rank when it likes.
@@ -107,7 +107,7 @@ class Rerun:
         last: Its last sound state.
     """
 
-    def __init__(self, march: March, lookout: Lookout, last: LastState) -> None:
+    def __init__(self, march: ExplicitMarch, lookout: StabilityMonitor, last: LastState) -> None:
         self._march, self._lookout, self._last = march, lookout, last
         self._crushed: tuple[int, str, Place] | None = None
         self._far: tuple[int, str, Place] | None = None
@@ -200,7 +200,7 @@ class Rerun:
         cells = Cells(self._march.assembler)
         many = total(cells.comm, int(np.sum(cells.jacobians() <= 0.0)))
         at = f"det F = {J:.3g}, at {coordinates(place)} m"
-        return f"{words.count(many, 'cell')} turned inside out {when} ({at})", place
+        return f"{messages.count(many, 'cell')} turned inside out {when} ({at})", place
 
     def _farthest(self) -> tuple[float, Place]:
         """Largest nodal displacement, and where; what is not finite is infinite. Collective."""
@@ -238,7 +238,7 @@ class Rerun:
             text = f"{fault.text}, at t = {t:.6g} s"
             if fault.inverted:
                 return "inverted", (text, CRUSHED, fault.place)
-            return "nan", (text, words.LOAD if fault.load else STRAINED, fault.place)
+            return "nan", (text, messages.LOAD if fault.load else STRAINED, fault.place)
         place = self._first_without_force()
         at = f" at {coordinates(place)} m" if place else ""
         return "nan", (f"forces or energies have no finite value{at}", SHORTER, place)

@@ -19,7 +19,11 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.stability import uneven
-from dolfin_elastic.solvers.dynamics.explicit.frequency_bound import Rates, extremes, rows_over_mass
+from dolfin_elastic.solvers.dynamics.explicit.frequency_bound import (
+    FrequencyBound,
+    extremes,
+    rows_over_mass,
+)
 from dolfin_elastic.solvers.nonlinear.contact import all_touching
 
 log = logging.getLogger("dolfin_elastic")
@@ -60,9 +64,9 @@ class StepSize:
     """Stable step and step of an explicit scheme. Collective to make.
 
     The limit 2/omega_max follows from the largest eigenvalue of M^-1 K, found by Lanczos' method
-    (`sharp`), or from the bound by cells (`Rates`) if that is lower.  Between two of these the
-    bound alone is looked at, for a seventh of the cost: where cells have become stiffer the body's
-    rate is taken to grow with the most that any node's which could set it has grown.
+    (`sharp`), or from the bound by cells (`FrequencyBound`) if that is lower.  Between two of these
+    the bound alone is looked at, for a seventh of the cost: where cells have become stiffer the
+    body's rate is taken to grow with the most that any node's which could set it has grown.
 
     Args:
         problem: What moves.
@@ -92,7 +96,9 @@ class StepSize:
         self._chosen = chosen
         self._shaken = bool(problem.touching)
         self._safety = min(safety, RESONANCE) if self._shaken else safety
-        self.rates = Rates(problem, assembler, mass) if Rates.fits(problem) else None
+        self.rates = (
+            FrequencyBound(problem, assembler, mass) if FrequencyBound.fits(problem) else None
+        )
         self._drag = self._largest_row([d.bound(problem.site) for d in problem.dashpots])
         hits = self._largest_row([touch.bound for touch in problem.touching])
         self.gentle = np.sqrt(HIT / hits) if hits else np.inf

@@ -13,12 +13,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from dolfin_elastic.solvers.dynamics.residual import Forces, Moving
+from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 
 Vector = npt.NDArray[np.float64]
 
 
-class Strikes:
+class ImpactError:
     """Pushes of obstacles at the ends of a step and at its stage.  Collective.
 
     Args:
@@ -26,7 +26,7 @@ class Strikes:
         alpha_f: Share of the old place in the stage's.
     """
 
-    def __init__(self, moving: Moving, alpha_f: float) -> None:
+    def __init__(self, moving: DynamicResidual, alpha_f: float) -> None:
         self._moving, self._share = moving, alpha_f
         mass = moving.mass.array_r[moving.moves]
         self._mobility = np.divide(1.0, mass, out=np.zeros(len(mass)), where=mass > 0.0)

@@ -23,15 +23,15 @@ from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, Stra
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
 from dolfin_elastic.solvers.dynamics.audit import MotionAuditor
 from dolfin_elastic.solvers.dynamics.consistent_start import begin
-from dolfin_elastic.solvers.dynamics.energy_balance import Ledger
+from dolfin_elastic.solvers.dynamics.energy_balance import EnergyBalance
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import Scheme
-from dolfin_elastic.solvers.dynamics.implicit.impact_error import Strikes
+from dolfin_elastic.solvers.dynamics.implicit.impact_error import ImpactError
 from dolfin_elastic.solvers.dynamics.implicit.petsc_alpha2 import Alpha2
 from dolfin_elastic.solvers.dynamics.implicit.step_control import StepControl
-from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import Stepper
+from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import GeneralizedAlphaStepper
 from dolfin_elastic.solvers.dynamics.impulsive_supports import jump
-from dolfin_elastic.solvers.dynamics.residual import Moving
-from dolfin_elastic.solvers.dynamics.scalar_fields import Extras
+from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
+from dolfin_elastic.solvers.dynamics.scalar_fields import AuxiliaryFields
 from dolfin_elastic.solvers.dynamics.settle import settle
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.messages import JUMP, coordinates
@@ -83,7 +83,7 @@ class Implicit:
 
     def _prepare(self, linear: LinearSettings, petsc: Mapping[str, Any]) -> None:
         problem, settings = self.problem, self.settings
-        self.moving = Moving(problem, **settings.damping)
+        self.moving = DynamicResidual(problem, **settings.damping)
         self._owned.callback(self.moving.destroy)
         self.assembler = self.moving.assembler
         self.a = fem.Function(problem.V, name="acceleration of the scheme")
@@ -95,7 +95,7 @@ class Implicit:
         scheme = settings.parameters
         if scheme and self.moving.damping.inside and settings.scheme == "generalized-alpha":
             scheme = scheme.without_overshoot()
-        self.stepper: Stepper | Alpha2 = self._stepper(scheme)
+        self.stepper: GeneralizedAlphaStepper | Alpha2 = self._stepper(scheme)
         self.newton = self.stepper.newton = Newton(
             self.assembler,
             choice,
@@ -109,7 +109,7 @@ class Implicit:
         self.newton.mass = self.moving.mass
         self.control = StepControl(self.ts, settings, self.moving, self.newton.span)
         self.times = self.control.times
-        if isinstance(self.stepper, Stepper):
+        if isinstance(self.stepper, GeneralizedAlphaStepper):
             self._join(self.stepper)
         self.options = self.newton.options
         self.options.change(self._defaults())
@@ -120,30 +120,30 @@ class Implicit:
         self.measure, self.strain = ConsistentMass(problem, self.v), Strain(problem)
         self._measured = Measured(problem, moving=True)
         self._scalars = Scalars(self.assembler)
-        self.ledger = Ledger(self.moving, self.v)
+        self.ledger = EnergyBalance(self.moving, self.v)
         watch = getattr(self.stepper, "watch", None) or JacobianWatch(problem)
         self.auditor = MotionAuditor(problem, self.moving, watch, settings)
-        self.extras = Extras(problem)
+        self.extras = AuxiliaryFields(problem)
         self._newton = self._krylov = 0
         self._usual = 0.0
 
-    def _join(self, stepper: Stepper) -> None:
+    def _join(self, stepper: GeneralizedAlphaStepper) -> None:
         """Lets the scheme and the control of its steps know of each other."""
         stepper.reached, stepper.weigh = self.control.meant, self.control.weigh
         # With alpha_f = 0 the stage is the end of the step: nothing there is unseen.
         if self.settings.adaptive and self.problem.touching and stepper.scheme.alpha_f > 0:
-            stepper.strikes = Strikes(self.moving, stepper.scheme.alpha_f)
+            stepper.strikes = ImpactError(self.moving, stepper.scheme.alpha_f)
 
     # --- TS ---
 
-    def _stepper(self, scheme: Scheme | None) -> Stepper | Alpha2:
+    def _stepper(self, scheme: Scheme | None) -> GeneralizedAlphaStepper | Alpha2:
         """The scheme, registered with TS."""
         if scheme is None:
             petsc = Alpha2(self.moving, self.v)
             self._owned.callback(petsc.destroy)
             petsc.set_up(self.ts)
             return petsc
-        own = Stepper(self.moving, self.v, self.a, scheme, self.settings.order)
+        own = GeneralizedAlphaStepper(self.moving, self.v, self.a, scheme, self.settings.order)
         self.ts.setType("python")
         self.ts.setPythonContext(own)
         return own
@@ -156,7 +156,7 @@ class Implicit:
 
     def _configure(self) -> None:
         ts = self.ts
-        if isinstance(self.stepper, Stepper):
+        if isinstance(self.stepper, GeneralizedAlphaStepper):
             snes = ts.getSNES()
             snes.setFunction(self.stepper.residual, self._f)
             snes.setJacobian(self.stepper.tangent, self.assembler.matrix, self.assembler.matrix)
@@ -270,13 +270,13 @@ class Implicit:
         self._renew(krylov / max(newton, 1))
 
     def _counts(self) -> tuple[int, int]:
-        if isinstance(self.stepper, Stepper):
+        if isinstance(self.stepper, GeneralizedAlphaStepper):
             return self.stepper.newton_iterations, self.stepper.krylov_iterations
         return self.ts.getSNESIterations(), self.ts.getKSPIterations()
 
     def _falls_back(self) -> bool:
         """PETSc's scheme has met a linear solver that fails, and there is another."""
-        if isinstance(self.stepper, Stepper):
+        if isinstance(self.stepper, GeneralizedAlphaStepper):
             return False
         self.newton.finish()
         return "LINEAR_SOLVE" in self.newton.progress.reason and self.newton.fall_back()
@@ -317,7 +317,7 @@ class Implicit:
 
         PETSc's scheme does not tell its acceleration: they are those with its mean one.
         """
-        if isinstance(self.stepper, Stepper):
+        if isinstance(self.stepper, GeneralizedAlphaStepper):
             self.stepper.look_at_end(t)
         return self.assembler.reactions()
 
@@ -390,7 +390,7 @@ class Implicit:
         self.problem.set_time(numbers["t"])
         self.ledger.restore(numbers["ledger"])
         self.auditor.restore(numbers["audit"])
-        if isinstance(self.stepper, Stepper):
+        if isinstance(self.stepper, GeneralizedAlphaStepper):
             self.stepper.start(numbers["t"])
         self._tell_ts()
         remind(self.newton, numbers["newton"])

@@ -44,7 +44,7 @@ Interval = Annotated[int | Time, BeforeValidator(_not_bare), AfterValidator(_abo
 """Steps from one state to the next, or the time between them [s]."""
 
 
-class StepTimes:
+class OutputTimes:
     """When a motion stops for somebody to look.
 
     Args:

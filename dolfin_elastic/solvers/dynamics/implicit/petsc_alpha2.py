@@ -15,7 +15,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.dynamics.consistent_start import exactly
 from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import FAILURES, Done
-from dolfin_elastic.solvers.dynamics.residual import Forces, Moving
+from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 
 Vector = npt.NDArray[np.float64]
@@ -48,12 +48,12 @@ class Alpha2:
 
     Attributes:
         newton: Set by whoever has the TS and its SNES.
-        done: See `stepper.Stepper`.
-        error: See `stepper.Stepper`.
+        done: See `stepper.GeneralizedAlphaStepper`.
+        error: See `stepper.GeneralizedAlphaStepper`.
         at_end: Mean acceleration of the last step [m/s^2].
     """
 
-    def __init__(self, moving: Moving, v: fem.Function) -> None:
+    def __init__(self, moving: DynamicResidual, v: fem.Function) -> None:
         self.moving, self.problem, self.assembler = moving, moving.problem, moving.assembler
         self.v = v
         self.newton: Newton

@@ -26,8 +26,8 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.solvers.breakpoints import corners, winds
-from dolfin_elastic.solvers.dynamics.implicit.output_times import StepTimes
-from dolfin_elastic.solvers.dynamics.residual import Moving
+from dolfin_elastic.solvers.dynamics.implicit.output_times import OutputTimes
+from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 
 if TYPE_CHECKING:
     from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
@@ -64,10 +64,10 @@ class StepControl:
     """
 
     def __init__(
-        self, ts: PETSc.TS, settings: DynamicsSettings, moving: Moving, span: float
+        self, ts: PETSc.TS, settings: DynamicsSettings, moving: DynamicResidual, span: float
     ) -> None:
         self._ts, self._moving, self._span = ts, moving, span
-        self.times = StepTimes(settings.end, settings.times, settings.every)
+        self.times = OutputTimes(settings.end, settings.times, settings.every)
         self.nominal, self.scale = float(settings.dt or 0.0), 0.0
         self._end, self._tolerance = settings.end, settings.tolerance
         self._adaptive = settings.adaptive

@@ -20,9 +20,9 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.solvers.assembly.mass import free, held_rates
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import Scheme
-from dolfin_elastic.solvers.dynamics.implicit.impact_error import Strikes
-from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import Volumes
-from dolfin_elastic.solvers.dynamics.residual import Forces, Moving
+from dolfin_elastic.solvers.dynamics.implicit.impact_error import ImpactError
+from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import VolumeConstraint
+from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.petsc.ts_adapt import choose
@@ -56,7 +56,7 @@ class Kept:
     a: Vector
 
 
-class Stepper:
+class GeneralizedAlphaStepper:
     """The Python context of a TS of type "python".  All of it is collective.
 
     Args:
@@ -78,7 +78,7 @@ class Stepper:
     """
 
     def __init__(
-        self, moving: Moving, v: fem.Function, a: fem.Function, scheme: Scheme, order: int
+        self, moving: DynamicResidual, v: fem.Function, a: fem.Function, scheme: Scheme, order: int
     ) -> None:
         self.moving, self.problem, self.assembler = moving, moving.problem, moving.assembler
         self.scheme, self.v, self.a, self._order = scheme, v, a, order
@@ -86,14 +86,14 @@ class Stepper:
         self.done: Done | None = None
         self.reached: Callable[[float], float] = lambda t: t
         self.weigh: Callable[[], None] = lambda: None
-        self.strikes: Strikes | None = None
+        self.strikes: ImpactError | None = None
         self.error: InputError | None = None
         self.newton_iterations = self.krylov_iterations = 0
         self.at_end = fem.Function(self.problem.V, name="acceleration")
         linear = self.problem.linear
         self.watch: JacobianWatch | None = None if linear else JacobianWatch(self.problem)
-        volumes = Volumes.needed(self.problem, scheme.alpha_f)
-        self._volumes = Volumes(self.assembler, scheme.alpha_f) if volumes else None
+        volumes = VolumeConstraint.needed(self.problem, scheme.alpha_f)
+        self._volumes = VolumeConstraint(self.assembler, scheme.alpha_f) if volumes else None
         self._before: Kept | None = None
         self._ends: Forces | None = None
         self._old_ends: Forces | None = None

@@ -29,7 +29,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from dolfin_elastic.problem.material_regions import Part
+from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.dynamics.consistent_start import incompressible
@@ -37,7 +37,7 @@ from dolfin_elastic.solvers.dynamics.consistent_start import incompressible
 Vector = npt.NDArray[np.float64]
 
 
-class Volumes:
+class VolumeConstraint:
     """What the pressure's rows at the stage lack.  Collective to make.
 
     Args:
@@ -99,7 +99,7 @@ class Volumes:
         return found
 
 
-def _strain(problem: Problem, parts: Sequence[Part]) -> ufl.Form:
+def _strain(problem: Problem, parts: Sequence[MaterialRegion]) -> ufl.Form:
     F = problem.F(problem.w)
     q = problem.unknowns.extra("pressure", ufl.TestFunction(problem.W))
     return sum(problem.volume_gap(part, F, q) for part in parts)
