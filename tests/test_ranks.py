@@ -10,57 +10,63 @@ import pytest
 from conftest import ROOT
 
 POINTS = (
-    "bench",
-    "curves",
-    "formulas",
-    "kinematics",
-    "manufactured",
-    "moduli",
-    "reference_energies",
-    "schemes",
-    "units",
+    "material_point/test_material_point",
+    "model/test_amplitude",
+    "core/test_formula",
+    "model/test_kinematics",
+    "verification/test_manufactured",
+    "model/materials/test_moduli",
+    "model/materials/test_reference_energies",
+    "solvers/dynamics/implicit/test_schemes",
+    "core/test_units",
 )
 """Files of tests on numbers and texts, and on rates, in which ranks take no part of their own."""
-LAWS = ("geometry", "law_input", "laws", "naming", "own_energy")
+LAWS = (
+    "problem/test_dimension",
+    "model/materials/test_law_input",
+    "model/materials/test_laws",
+    "mesh/test_selection",
+    "model/materials/test_user_energy",
+)
 """Files that try every law, or names, on bodies of a few cells."""
 REFERENCES = (
-    "reference_bending",
-    "reference_heart",
-    "reference_modes",
-    "reference_motion",
-    "reference_rubber",
+    "verification/test_bending",
+    "verification/test_heart",
+    "verification/test_modes",
+    "verification/test_motion",
+    "verification/test_rubber",
 )
 """Published numbers, which ask how right the model is: the parts that ranks share in them, curved
 meshes, supports, loads, pressures and probes, have tests of their own that run here.  The linear
 ones run at 2, so that reference cases as such do."""
 SHARED = (
-    "audit",
-    "checkpoints",
-    "contact",
-    "dynamics",
-    "explicit",
-    "explicit_loop",
-    "impact",
-    "incompressible_motion",
-    "loads",
-    "lookout",
-    "meshes",
-    "mixed",
-    "modal",
-    "patch",
-    "periodic",
-    "pressure",
-    "probes",
-    "problem",
-    "rank_agreement",
-    "restart",
-    "results",
-    "scalars",
-    "stable_step",
-    "start",
-    "statics",
-    "supports",
-    "tetrahedron",
+    "solvers/audit/test_audit",
+    "results/test_checkpoints",
+    "problem/test_contact",
+    "solvers/dynamics/test_dynamics",
+    "solvers/dynamics/explicit/test_explicit",
+    "solvers/dynamics/explicit/test_explicit_loop",
+    "solvers/dynamics/explicit/test_impact",
+    "solvers/dynamics/implicit/test_incompressible_motion",
+    "model/test_loads",
+    "solvers/dynamics/explicit/test_monitor",
+    "mesh/test_read",
+    "problem/test_mixed",
+    "solvers/eigen/test_modal",
+    "verification/test_patch",
+    "problem/test_periodic",
+    "model/test_pressure",
+    "results/test_probes",
+    "problem/test_problem",
+    "verification/test_rank_agreement",
+    "case/test_restart",
+    "results/test_results",
+    "solvers/nonlinear/test_scalars",
+    "solvers/dynamics/explicit/test_stable_step",
+    "solvers/dynamics/test_initial_conditions",
+    "solvers/statics/test_statics",
+    "model/test_supports",
+    "verification/test_tetrahedron",
 )
 """Files of tests of what ranks share and agree upon: what 3 ranks can show beyond 2, ranks without
 a cell or a facet of a part, it shows here."""
@@ -119,7 +125,7 @@ def _asked(ranks: int) -> list[str]:
     """What is run again, as arguments of pytest."""
     folder = ROOT / "tests"
     if ranks > 2:
-        files = (folder / f"test_{name}.py" for name in SHARED)
+        files = (folder / f"{name}.py" for name in SHARED)
         return ["-k", LONG, *(str(file) for file in files if file.exists())]
-    left_out = (folder / f"test_{name}.py" for name in POINTS + LAWS + REFERENCES)
+    left_out = (folder / f"{name}.py" for name in POINTS + LAWS + REFERENCES)
     return [str(folder), *(f"--ignore={file}" for file in left_out)]

@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from conftest import ROOT
 from mpi4py import MPI
 from pydantic import BaseModel
 
@@ -40,7 +41,6 @@ from dolfin_elastic.solvers.eigen.modal import ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.statics import StaticsSettings
 
-ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 MODELS: list[type[BaseModel]] = [
     Case,

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from conftest import ROOT
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
@@ -27,7 +28,7 @@ from dolfin_elastic.mesh import (
 
 Array = npt.NDArray[Any]
 COMM = MPI.COMM_WORLD
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "meshes"
+SHARED = ROOT.parent / "shared" / "meshes"
 
 
 @pytest.fixture

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import ufl
+from conftest import ROOT
 from dolfinx import fem
-from material_point import Point
-from test_laws import make, random_F
+from law_at_points import Point
 
 from dolfin_elastic import Problem, box_body
 from dolfin_elastic.core.errors import InputError
@@ -18,8 +17,9 @@ from dolfin_elastic.model.materials import pages
 from dolfin_elastic.model.materials.fibres import direction, frame
 from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.materials.registry import MATERIALS, Isotropic
+from tests.model.materials.test_laws import make, random_F
 
-FOLDER = Path(__file__).resolve().parent.parent / "docs" / "laws"
+FOLDER = ROOT / "docs" / "laws"
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from mpi4py import MPI
-from test_pressure import FREE
 
 from dolfin_elastic import (
     Growth,
@@ -25,6 +24,7 @@ from dolfin_elastic import (
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.results.evaluate import Evaluator
+from tests.model.test_pressure import FREE
 
 E, NU, ALPHA, WARMER = 1e6, 0.3, 1e-3, 50.0
 STRAIN = ALPHA * WARMER

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from dolfinx.mesh import locate_entities
 from mpi4py import MPI
-from test_pressure import FREE, annulus, forces, moved, radial, solved, total
 
 from dolfin_elastic import (
     BodyForce,
@@ -35,6 +34,7 @@ from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.model.loads import LOADS, LoadSamples
 from dolfin_elastic.model.materials.registry import Corotated
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
+from tests.model.test_pressure import FREE, annulus, forces, moved, radial, solved, total
 
 E, NU, RHO = 1e6, 0.3, 1000.0
 SIZE = 1e4

@@ -9,17 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_dynamics import (
-    NU,
-    PERIOD,
-    RHO,
-    STIFF,
-    E,
-    brick,
-    drift,
-    oscillator,
-    value_at,
-)
 
 from dolfin_elastic import (
     Body,
@@ -41,6 +30,17 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.results.writers.summary import peak_memory
 from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit
 from dolfin_elastic.solvers.linear.choice import LinearSettings
+from tests.solvers.dynamics.test_dynamics import (
+    NU,
+    PERIOD,
+    RHO,
+    STIFF,
+    E,
+    brick,
+    drift,
+    oscillator,
+    value_at,
+)
 
 # --- waves ---
 

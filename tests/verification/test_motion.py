@@ -5,12 +5,11 @@ Numbers without a name are by an independent code of order 4 to 10 in space, con
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from test_dynamics import value_at
+from conftest import ROOT
 
 from dolfin_elastic import (
     Dynamics,
@@ -24,8 +23,9 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.parallel import on_root, total
+from tests.solvers.dynamics.test_dynamics import value_at
 
-FLAG = Path(__file__).resolve().parent.parent / "demos/turek_hron"
+FLAG = ROOT / "demos/turek_hron"
 
 
 def flag(**changes: Any) -> tuple[Case, Problem]:

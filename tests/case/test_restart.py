@@ -15,8 +15,6 @@ import h5py
 import numpy as np
 import pytest
 from mpi4py import MPI
-from test_arclength import FULL, RISE, arch
-from test_checkpoints import SIZES, on_ranks, saved
 
 from dolfin_elastic import (
     Body,
@@ -49,6 +47,8 @@ from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.checkpoint.checkpoints import FOLDER, newest
 from dolfin_elastic.results.writers.history import row
 from dolfin_elastic.solvers.linear.choice import LinearSettings
+from tests.results.test_checkpoints import SIZES, on_ranks, saved
+from tests.solvers.statics.test_arc_length import FULL, RISE, arch
 
 WORLD = MPI.COMM_WORLD
 FREE = "free"

@@ -16,7 +16,6 @@ from dolfinx import fem
 from dolfinx.io import XDMFFile
 from mpi4py import MPI
 from reference_meshes import ring
-from test_meshes import ball
 
 from dolfin_elastic import (
     NeoHookeanSplit,
@@ -40,6 +39,7 @@ from dolfin_elastic.results.checkpoint.checkpoints import (
 )
 from dolfin_elastic.results.checkpoint.checksums import fingerprint
 from dolfin_elastic.results.checkpoint.mesh_order import DofOrdering
+from tests.mesh.test_read import ball
 
 WORLD = MPI.COMM_WORLD
 SIZES = sorted({1, min(2, WORLD.size), WORLD.size})

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from dolfinx import fem
 from mpi4py import MPI
-from test_tetrahedron import CORNERS, GRADIENTS, V0
 
 from dolfin_elastic import (
     Contact,
@@ -38,6 +37,7 @@ from dolfin_elastic.solvers.dynamics.explicit.explicit import (
     CentralDifferences,
     SymplecticEuler,
 )
+from tests.verification.test_tetrahedron import CORNERS, GRADIENTS, V0
 
 E, NU, RHO = 1e5, 0.3, 1000.0
 BOTH = pytest.mark.parametrize("scheme", SCHEMES)

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 import ufl
+from conftest import ROOT
 from dolfinx import fem
 from mpi4py import MPI
 from pydantic import Field
@@ -50,7 +51,7 @@ from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.extremes import extremes
 
 COMM = MPI.COMM_WORLD
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "meshes"
+SHARED = ROOT.parent / "shared" / "meshes"
 FREE = "free"
 
 

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from mpi4py import MPI
-from test_dynamics import NU, OMEGA, PERIOD, RHO, STIFF, E, oscillator, swing, tip
 
 from dolfin_elastic import (
     BodyForce,
@@ -27,6 +26,17 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import Scheme
+from tests.solvers.dynamics.test_dynamics import (
+    NU,
+    OMEGA,
+    PERIOD,
+    RHO,
+    STIFF,
+    E,
+    oscillator,
+    swing,
+    tip,
+)
 
 # --- discrete oracles ---
 

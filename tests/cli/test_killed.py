@@ -15,12 +15,12 @@ from typing import Any
 
 import pytest
 from mpi4py import MPI
-from test_cli import PROGRAM, _ranks_of, cli, started
-from test_restart import begun, case, check_same, check_same_frames, history, summary
 
 from dolfin_elastic import read_case, run
 from dolfin_elastic.results.checkpoint.checkpoints import FOLDER, last_step
 from dolfin_elastic.results.checkpoint.lock import LOCK, FolderLock
+from tests.case.test_restart import begun, case, check_same, check_same_frames, history, summary
+from tests.cli.test_cli import PROGRAM, _ranks_of, cli, started
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"

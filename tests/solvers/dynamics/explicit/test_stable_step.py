@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from dolfinx import fem
 from mpi4py import MPI
-from test_explicit import dense
 
 from dolfin_elastic import (
     Contact,
@@ -29,6 +28,7 @@ from dolfin_elastic import (
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.solvers.dynamics.explicit.explicit import SymplecticEuler
 from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
+from tests.solvers.dynamics.explicit.test_explicit import dense
 
 E, RHO = 1e6, 1000.0
 

@@ -20,6 +20,7 @@ import matplotlib
 import numpy as np
 import numpy.typing as npt
 import pytest
+from conftest import ROOT
 from dolfinx import fem
 from dolfinx.mesh import compute_midpoints, create_box, create_rectangle
 from mpi4py import MPI
@@ -236,7 +237,7 @@ for step in range(1, 100000):
 @pytest.mark.skipif(COMM.size > 1, reason="starts a program of its own")
 @pytest.mark.parametrize("delay", [0.0, 0.013, 0.029])
 def test_every_named_step_survives_a_kill(folder: Path, delay: float) -> None:
-    root = Path(__file__).parents[1]
+    root = ROOT
     # Under mpirun the program must not take this one's place in the run.
     mine = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_", "PMI_"))}
     mine["PYTHONPATH"] = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])

@@ -6,15 +6,14 @@ import ast
 import math
 import tomllib
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import ufl
+from conftest import ROOT
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from test_cli import PROGRAM, started
 
 from dolfin_elastic import (
     Energy,
@@ -38,6 +37,7 @@ from dolfin_elastic.model.materials import user_names
 from dolfin_elastic.model.materials.isochoric import simo_taylor
 from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.materials.user import read_energy
+from tests.cli.test_cli import PROGRAM, started
 
 NEO = "mu/2*(I1 - 3) - mu*ln(J) + lmbda/2*ln(J)^2"
 GEL = {"energy": NEO, "parameters": {"mu": "0.4 MPa", "lmbda": "2 MPa"}, "density": "1100 kg/m^3"}
@@ -481,6 +481,6 @@ def test_accepted_formulas_mean_what_they_say(pair):
 
 
 def test_own_names_are_in_the_readme():
-    text = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
     for name in (*user_names.PLAIN, *user_names.ALONG, *user_names.ACROSS):
         assert f"`{name}`" in text, name

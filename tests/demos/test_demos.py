@@ -10,8 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import ROOT
 
-DEMOS = Path(__file__).resolve().parent.parent / "demos"
+DEMOS = ROOT / "demos"
 SCRIPTS = sorted(DEMOS.glob("*/*.py"))
 CASES = sorted(DEMOS.glob("*/*.toml"))
 CHECKED = {  # what a script says last about its number

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
-from material_point import Point
+from law_at_points import Point
 from mpi4py import MPI
 from ufl.algorithms import expand_derivatives
 from ufl.utils.stacks import StackDict

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
-from test_supports import turned
 
 from dolfin_elastic import (
     Cavity,
@@ -35,7 +34,8 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered, JoinedScalars
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
-from dolfin_elastic.solvers.statics.arc_length import Length
+from dolfin_elastic.solvers.statics.arc_length import ArcLengthConstraint
+from tests.model.test_supports import turned
 
 FREE = "free"
 
@@ -438,7 +438,7 @@ def test_tangent_of_the_whole_system(folder):
     """Fields, load factor, pressure and motion: against central differences."""
     problem = ring(folder)
     assembler = Assembler(problem)
-    others, length = Scalars(assembler), Length(assembler)
+    others, length = Scalars(assembler), ArcLengthConstraint(assembler)
     length.start = length.displacement() - 0.01
     problem.set_time(0.5, default=PROPORTIONAL)
     border = JoinedScalars([length, *others.parts])

@@ -13,11 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import test_laws as gate
 import ufl
 from mpi4py import MPI
-from test_cli import PROGRAM
-from test_cli import started as launched
 
 from dolfin_elastic import (
     Energy,
@@ -46,6 +43,9 @@ from dolfin_elastic.material_point.ufl_to_numpy import Point
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.user import SplitEnergy, read_energy
+from tests.cli.test_cli import PROGRAM
+from tests.cli.test_cli import started as launched
+from tests.model.materials import test_laws as gate
 
 # A material at a point has no ranks; commands on two are tried in processes of their own.
 pytestmark = pytest.mark.usefixtures("serial_only")
