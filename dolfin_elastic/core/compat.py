@@ -6,15 +6,16 @@ import inspect
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.fem import petsc as _fem_petsc
 from dolfinx.io import XDMFFile
 from dolfinx.mesh import Mesh, MeshTags
 from petsc4py import PETSc
 
+from dolfin_elastic.core.types import FloatArray, IndexArray
 
-def integration_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+
+def integration_entities(mesh: Mesh, facets: IndexArray) -> IndexArray:
     """Pairs (cell, local facet), flattened, of one cell beside each facet given.
 
     Not collective once the facet-cell connectivities exist.  Written out by hand because
@@ -28,7 +29,7 @@ def integration_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArr
     return np.stack([first, np.argmax(local, axis=1)], axis=1).astype(np.int32).reshape(-1)
 
 
-def interpolation_points(element: Any) -> npt.NDArray[np.float64]:
+def interpolation_points(element: Any) -> FloatArray:
     """Interpolation points of an element: a method in 0.9, a property from 0.10."""
     points = element.interpolation_points
     return points() if callable(points) else points

@@ -24,7 +24,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import FormulaError, nearest
@@ -37,11 +36,11 @@ from dolfin_elastic.core.formula_functions import (
     numeric,
     symbolic,
 )
+from dolfin_elastic.core.types import FloatArray
 
 MAX_LENGTH = 1000
 MAX_DEPTH = 100
 
-Array = npt.NDArray[np.float64]
 Tree = float | str | tuple[Any, ...]
 """A number, a name, or (operation, argument, ...)."""
 
@@ -79,7 +78,7 @@ class Formula:
             formula.evaluate()  # a constant shows here and now whether it is finite
         return formula
 
-    def evaluate(self, **values: float | Array) -> Any:
+    def evaluate(self, **values: float | FloatArray) -> Any:
         """The value, in floating point.
 
         Args:

@@ -14,7 +14,8 @@ import numpy as np
 
 from dolfin_elastic.core.errors import FormulaError, InputError
 from dolfin_elastic.core.schema import within
-from dolfin_elastic.material_point.ufl_to_numpy import Array, Point
+from dolfin_elastic.core.types import AnyArray
+from dolfin_elastic.material_point.ufl_to_numpy import Point
 from dolfin_elastic.model.materials.law import Isotropic, Law, SplitLaw
 from dolfin_elastic.model.materials.user import UserEnergy
 
@@ -79,13 +80,13 @@ class Trial:
         self.turns = turned * np.linalg.det(turned)[:, None, None]
 
     @cached_property
-    def samples(self) -> Array:
+    def samples(self) -> AnyArray:
         """Deformations of some per cent, and larger ones as far as the law is defined there."""
         fine = np.isfinite(self.point.stress(self._far)).all(axis=(1, 2))
         return np.concatenate([self.near, self._far[fine]])
 
     @cached_property
-    def rest(self) -> Array:
+    def rest(self) -> AnyArray:
         """Tangent at rest [Pa]."""
         return self.point.tangent(I[None])[0]
 
@@ -124,7 +125,7 @@ def rest_stress(trial: Trial) -> Iterator[Finding]:
     yield _found("no stress at rest", good, f"largest of P(I) = {size:.3g} Pa{hint}", P=size)
 
 
-def _balance(P: Array) -> str:
+def _balance(P: AnyArray) -> str:
     mean = np.trace(P) / 3
     if not np.isfinite(P).all() or np.abs(P - mean * I).max() > 1e-6 * abs(mean):
         return ""
@@ -133,13 +134,13 @@ def _balance(P: Array) -> str:
 
 def finite(trial: Trial) -> Iterator[Finding]:
     """No nan or inf near the rest."""
-    parts: dict[str, Callable[[Array], Array]] = {"stress": trial.point.stress}
+    parts: dict[str, Callable[[AnyArray], AnyArray]] = {"stress": trial.point.stress}
     parts["stiffness"] = trial.point.tangent
     if trial.law.has_energy:
         parts = {"energy": trial.point.energy, **parts}
     F = np.concatenate([I[None], trial.near])
     for name, program in parts.items():
-        bad: Array = np.asarray(~np.isfinite(program(F).reshape(len(F), -1)).all(axis=1))
+        bad: AnyArray = np.asarray(~np.isfinite(program(F).reshape(len(F), -1)).all(axis=1))
         if bad.any():
             place = "at rest" if bad[0] else "at strains of a few per cent"
             yield _found("finite values", False, f"the {name} is not finite {place}")
@@ -222,7 +223,7 @@ def turned_material(trial: Trial) -> Iterator[Finding]:
         yield Finding("isotropy", "pass" if good else "note", text if good else other, {})
 
 
-def _material_error(trial: Trial, turns: Array) -> float:
+def _material_error(trial: Trial, turns: AnyArray) -> float:
     if not trial.turning:  # such a law knows no large rotations: its stiffness at rest
         A = trial.rest
         turned = np.einsum("nai,nbj,nck,ndl,abcd->nijkl", *[turns] * 4, A, optimize=True)
@@ -232,14 +233,14 @@ def _material_error(trial: Trial, turns: Array) -> float:
     return _relative(trial.point.stress(F @ Q), trial.point.stress(F) @ Q, trial.scale)
 
 
-def _about(a: Array) -> Array:
+def _about(a: AnyArray) -> AnyArray:
     """Rotations about a unit vector (Rodrigues)."""
     W = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
     angles = np.linspace(0.4, 5.9, 12)[:, None, None]
     return np.asarray(I + np.sin(angles) * W + (1 - np.cos(angles)) * W @ W)
 
 
-def _relative(a: Array, b: Array, least: float) -> float:
+def _relative(a: AnyArray, b: AnyArray, least: float) -> float:
     """Largest difference over the largest size, but not over less than 1e-3 of `least`."""
     size = max(float(np.abs(b).max()), 1e-3 * least)
     return float(np.abs(a - b).max()) / size
@@ -270,7 +271,7 @@ def derivatives(trial: Trial) -> Iterator[Finding]:
         yield _found(name, good, f"largest difference {error:.2g}", error=error)
 
 
-def _differences(f: Any, F: Array, step: float) -> Array:
+def _differences(f: Any, F: AnyArray, step: float) -> AnyArray:
     D = step * np.eye(9).reshape(9, 1, 3, 3)
     shifted = np.concatenate([F + k * D for k in (1, -1, 2, -2)]).reshape(-1, 3, 3)
     values = f(shifted)
@@ -285,7 +286,7 @@ def _differences(f: Any, F: Array, step: float) -> Array:
 _VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
-def voigt(A: Array) -> Array:
+def voigt(A: AnyArray) -> AnyArray:
     """The stiffness at rest as a 6x6 matrix, in the order 11 22 33 23 13 12."""
     minor = (A + A.transpose(1, 0, 2, 3)) / 2
     minor = (minor + minor.transpose(0, 1, 3, 2)) / 2

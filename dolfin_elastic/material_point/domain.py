@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Division, Exp, Expr, Ln, Power, ScalarValue, Sqrt
 from ufl.corealg.traversal import unique_post_traversal
 
+from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.material_point.ufl_to_numpy import Program, symbol
 from dolfin_elastic.model.materials.law import Law
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
-
-def outside(law: Law, F: Array) -> str:
+def outside(law: Law, F: FloatArray) -> str:
     """The operation that has no value, in words; empty if none is found.
 
     Args:
@@ -37,7 +34,7 @@ def outside(law: Law, F: Array) -> str:
     return ""
 
 
-def _fault(node: Expr, value: Callable[[Expr], Array]) -> str | None:
+def _fault(node: Expr, value: Callable[[Expr], FloatArray]) -> str | None:
     """What is wrong with one operation at some of the points."""
     if not isinstance(node, Ln | Sqrt | Power | Division | Exp) or node.ufl_free_indices:
         return None
@@ -51,7 +48,7 @@ def _fault(node: Expr, value: Callable[[Expr], Array]) -> str | None:
     return words + ("" if isinstance(node, Division) else f", {_farthest(a[bad]):.3g}")
 
 
-def _outside(node: Expr, a: Array) -> tuple[Mask, str]:
+def _outside(node: Expr, a: FloatArray) -> tuple[BoolArray, str]:
     if isinstance(node, Ln):
         return a <= 0.0, "ln of a negative number" if (a < 0.0).any() else "ln of zero"
     if isinstance(node, Sqrt):
@@ -65,5 +62,5 @@ def _outside(node: Expr, a: Array) -> tuple[Mask, str]:
     return (a < 0.0) & broken, "broken power of a negative number"
 
 
-def _farthest(a: Array) -> float:
+def _farthest(a: FloatArray) -> float:
     return float(a[np.argmax(np.abs(a))])

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.material_point.checks import Finding, Trial
 from dolfin_elastic.material_point.homogeneous_tests import Curve
-from dolfin_elastic.material_point.ufl_to_numpy import Array, Point
+from dolfin_elastic.material_point.ufl_to_numpy import Point
 
 _CRUSHED = 10.0 ** -np.array([2.0, 4.0, 8.0, 16.0, 32.0])
 _BLOWN = 10.0 ** np.array([1.0, 2.0, 3.0, 4.0])
@@ -26,7 +27,7 @@ def growth(trial: Trial) -> Iterator[Finding]:
         yield Finding(name, "note", _trend(psi, J, trial.scale), {"psi": list(map(float, psi))})
 
 
-def _trend(psi: Array, J: Array, scale: float) -> str:
+def _trend(psi: AnyArray, J: AnyArray, scale: float) -> str:
     if np.isnan(psi).any():
         return f"not defined at J = {J[np.argmax(np.isnan(psi))]:g}"
     if np.isposinf(psi).any() or psi[-1] > 1e3 * abs(psi[-2]):
@@ -38,7 +39,7 @@ def _trend(psi: Array, J: Array, scale: float) -> str:
     return f"stays at {psi[-1]:.4g} J/m^3: {side}"
 
 
-def directions(count: int = _DIRECTIONS) -> Array:
+def directions(count: int = _DIRECTIONS) -> AnyArray:
     """Unit vectors spread over half a sphere (a Fibonacci lattice), the axes and diagonals too."""
     k = np.arange(count) + 0.5
     z, turn = 1 - k / count, np.pi * (1 + np.sqrt(5)) * k
@@ -49,7 +50,7 @@ def directions(count: int = _DIRECTIONS) -> Array:
     return np.concatenate([spread, grid / np.linalg.norm(grid, axis=1, keepdims=True)])
 
 
-def acoustic(point: Point, F: Array, *, flat: bool = False) -> Array:
+def acoustic(point: Point, F: AnyArray, *, flat: bool = False) -> AnyArray:
     """Smallest eigenvalue of the acoustic tensor over all directions, of shape (n,) [Pa].
 
     Q_ik = A_ijkl N_j N_l in the reference configuration; strong ellipticity is Q > 0 for all N.
@@ -94,7 +95,7 @@ def elliptic(trial: Trial, curves: dict[str, Curve]) -> Iterator[Finding]:
         yield Finding(f"elliptic, {name}", "pass" if whole else "note", text, values)
 
 
-def _interval(good: Array, inside: int) -> tuple[int, int]:
+def _interval(good: AnyArray, inside: int) -> tuple[int, int]:
     """First and last of the true entries about one of them."""
     bad = np.flatnonzero(~good)
     low = int(bad[bad < inside].max(initial=-1)) + 1

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfin_elastic.material_point.ufl_to_numpy import Array, Point
+from dolfin_elastic.core.types import AnyArray
+from dolfin_elastic.material_point.ufl_to_numpy import Point
 
 _ITERATIONS = 25
 _HALVINGS = 6
@@ -39,13 +40,13 @@ class Mode:
 
     name: str
     symbol: str
-    place: Callable[[float], Array]
+    place: Callable[[float], AnyArray]
     rest: float
     free: Pairs = ()
     shown: tuple[int, int] = (0, 0)
 
 
-def _shear(g: float) -> Array:
+def _shear(g: float) -> AnyArray:
     return np.array([[1.0, g, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
@@ -73,24 +74,24 @@ class Curve:
     """
 
     mode: Mode
-    values: Array
-    F: Array
-    P: Array
-    energy: Array
+    values: AnyArray
+    F: AnyArray
+    P: AnyArray
+    energy: AnyArray
     ends: tuple[str, ...]
 
     @property
-    def cauchy(self) -> Array:
+    def cauchy(self) -> AnyArray:
         """Cauchy stresses [Pa]."""
         return np.asarray(self.P @ self.F.transpose(0, 2, 1)) / self.J[:, None, None]
 
     @property
-    def J(self) -> Array:
+    def J(self) -> AnyArray:
         """Change of volume."""
         return np.asarray(np.linalg.det(self.F))
 
 
-def curve(point: Point, mode: Mode, targets: Array) -> Curve:
+def curve(point: Point, mode: Mode, targets: AnyArray) -> Curve:
     """Follows a mode from the rest to both ends of `targets`.
 
     Args:
@@ -111,11 +112,11 @@ def curve(point: Point, mode: Mode, targets: Array) -> Curve:
 
 @dataclass
 class _Branch:
-    states: list[tuple[float, Array]]
+    states: list[tuple[float, AnyArray]]
     end: str = ""
 
 
-def _branch(point: Point, mode: Mode, targets: Array) -> _Branch:
+def _branch(point: Point, mode: Mode, targets: AnyArray) -> _Branch:
     """One way from the rest outwards; a step that fails is tried again in halves."""
     if not mode.free:
         return _prescribed(point, mode, targets)
@@ -138,11 +139,11 @@ def _branch(point: Point, mode: Mode, targets: Array) -> _Branch:
     return branch
 
 
-def _prescribed(point: Point, mode: Mode, targets: Array) -> _Branch:
+def _prescribed(point: Point, mode: Mode, targets: AnyArray) -> _Branch:
     if not len(targets):
         return _Branch([])
     F = np.array([mode.place(float(value)) for value in targets])
-    fine: Array = np.asarray(np.isfinite(point.stress(F)).all(axis=(1, 2)))
+    fine: AnyArray = np.asarray(np.isfinite(point.stress(F)).all(axis=(1, 2)))
     count = len(fine) if fine.all() else int(np.argmin(fine))
     branch = _Branch([(float(v), f) for v, f in zip(targets[:count], F[:count], strict=True)])
     if count < len(fine):
@@ -151,7 +152,7 @@ def _prescribed(point: Point, mode: Mode, targets: Array) -> _Branch:
     return branch
 
 
-def _balanced(point: Point, mode: Mode, value: float, F: Array, trial: float) -> Array | None:
+def _balanced(point: Point, mode: Mode, value: float, F: AnyArray, trial: float) -> AnyArray | None:
     """The state at `trial` near F, by Newton's method with the tangent; None if there is none."""
     rows, columns = np.array(mode.free).T
     A, G = point.tangent(F[None])[0], mode.place(trial)
@@ -173,7 +174,7 @@ def _balanced(point: Point, mode: Mode, value: float, F: Array, trial: float) ->
     return None
 
 
-def _predicted(A: Array, mode: Mode, step: float) -> Array:
+def _predicted(A: AnyArray, mode: Mode, step: float) -> AnyArray:
     """Change of the free components along the tangent of the path."""
     rows, columns = np.array(mode.free).T
     ahead = (mode.place(mode.rest + _SMALL) - mode.place(mode.rest)) / _SMALL
@@ -182,7 +183,7 @@ def _predicted(A: Array, mode: Mode, step: float) -> Array:
     return np.where(np.isfinite(change), change, 0.0)
 
 
-def _solved(A: Array, mode: Mode, right: Array) -> Array:
+def _solved(A: AnyArray, mode: Mode, right: AnyArray) -> AnyArray:
     """Solves with the part of the tangent that belongs to the free components; else nan."""
     rows, columns = np.array(mode.free).T
     matrix = A[rows[:, None], columns[:, None], rows, columns]

@@ -8,6 +8,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import FormulaError, InputError
 from dolfin_elastic.core.schema import within
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.material_point.checks import Finding, Trial, checks
 from dolfin_elastic.material_point.ellipticity import elliptic, growth
 from dolfin_elastic.material_point.homogeneous_tests import (
@@ -16,7 +17,6 @@ from dolfin_elastic.material_point.homogeneous_tests import (
     Mode,
     curve,
 )
-from dolfin_elastic.material_point.ufl_to_numpy import Array
 from dolfin_elastic.model.materials.law import Law
 
 LARGEST = 2.0
@@ -82,7 +82,7 @@ def bench(law: Law, *, largest: float = LARGEST) -> Bench:
     return Bench(law, tuple(findings), curves, tuple(notes))
 
 
-def _targets(mode: Mode, largest: float) -> Array:
+def _targets(mode: Mode, largest: float) -> AnyArray:
     spread = np.linspace(-1.0, 1.0, 2 * _POINTS + 1)
     if mode.rest == 0:
         return spread * (largest - 1)

@@ -13,7 +13,6 @@ from typing import Any
 
 import basix.ufl
 import numpy as np
-import numpy.typing as npt
 import ufl
 from ufl.algorithms import expand_derivatives
 from ufl.classes import (
@@ -39,13 +38,13 @@ from ufl.classes import (
 )
 from ufl.corealg.traversal import unique_post_traversal
 
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.model.materials.law import Law
 
-Array = npt.NDArray[Any]
-Step = Callable[[list[Array]], Array]
+Step = Callable[[list[AnyArray]], AnyArray]
 _NO_VALUE = (MultiIndex, Label)
 
-_FUNCTIONS: dict[str, Callable[..., Array]] = {
+_FUNCTIONS: dict[str, Callable[..., AnyArray]] = {
     "ln": np.log,
     "asin": np.arcsin,
     "acos": np.arccos,
@@ -53,7 +52,7 @@ _FUNCTIONS: dict[str, Callable[..., Array]] = {
     "atan2": np.arctan2,
     "erf": np.vectorize(math.erf),
 }
-_BINARY: dict[str, Callable[..., Array]] = {
+_BINARY: dict[str, Callable[..., AnyArray]] = {
     "Sum": np.add,
     "Product": np.multiply,
     "Division": np.divide,
@@ -79,7 +78,7 @@ def _rank(e: Expr) -> tuple[tuple[int, ...], int]:
     return tuple(e.ufl_free_indices), len(e.ufl_shape)
 
 
-def _aligned(e: Expr, free: Sequence[int], rank: int) -> Callable[[Array], Array]:
+def _aligned(e: Expr, free: Sequence[int], rank: int) -> Callable[[AnyArray], AnyArray]:
     """Gives an operand's array the axes of the result: `free` indices, `rank` more, points."""
     own, own_rank = _rank(e)
     index: list[Any] = [slice(None) if i in own else None for i in free]
@@ -87,7 +86,7 @@ def _aligned(e: Expr, free: Sequence[int], rank: int) -> Callable[[Array], Array
     return lambda a: a[(*index, ...)]
 
 
-def _elementwise(e: Expr, function: Callable[..., Array]) -> Step:
+def _elementwise(e: Expr, function: Callable[..., AnyArray]) -> Step:
     free, rank = _rank(e)
     if all(_rank(o) == (free, rank) for o in e.ufl_operands):
         return lambda args: function(*args)
@@ -125,7 +124,7 @@ def _list_tensor(e: ListTensor) -> Step:
     free, rank = _rank(e)
     parts = [_aligned(o, free, rank - 1) for o in e.ufl_operands]
 
-    def stack(args: list[Array]) -> Array:
+    def stack(args: list[AnyArray]) -> AnyArray:
         rows = np.broadcast_arrays(*(part(a) for part, a in zip(parts, args, strict=True)))
         return np.stack(rows, axis=len(free))
 
@@ -136,7 +135,7 @@ def _index_sum(e: IndexSum) -> Step:
     inner, multi = e.ufl_operands
     axis, count = _rank(inner)[0].index(multi[0].count()), e.dimension()
 
-    def add(args: list[Array]) -> Array:
+    def add(args: list[AnyArray]) -> AnyArray:
         a = args[0]
         return a.sum(axis=axis) if a.shape[axis] == count else count * a.squeeze(axis)
 
@@ -205,10 +204,10 @@ class Program:
             for e in nodes
         ]
 
-    def __call__(self, F: Array) -> Array:
+    def __call__(self, F: AnyArray) -> AnyArray:
         """The values for points F of shape (n, 3, 3): shape (n, *shape)."""
         at = np.moveaxis(np.asarray(F, dtype=np.float64), 0, -1)
-        done: list[Array] = []
+        done: list[AnyArray] = []
         with np.errstate(all="ignore"):
             for step, slots in self._steps:
                 done.append(at if step is None else step([done[s] for s in slots]))

@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.fields import MeshField
-
-Indices = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -33,8 +31,8 @@ class Body:
     """
 
     mesh: Mesh
-    regions: Mapping[str, Indices] = field(default_factory=dict)
-    surfaces: Mapping[str, Indices] = field(default_factory=dict)
+    regions: Mapping[str, IndexArray] = field(default_factory=dict)
+    surfaces: Mapping[str, IndexArray] = field(default_factory=dict)
     source: str = ""
     notes: tuple[str, ...] = ()
     fields: Mapping[str, MeshField] = field(default_factory=dict)
@@ -55,7 +53,7 @@ class Body:
         """Number of cells on all ranks."""
         return int(self.mesh.topology.index_map(self.mesh.topology.dim).size_global)
 
-    def region(self, name: str) -> Indices:
+    def region(self, name: str) -> IndexArray:
         """Local cells of a named region.
 
         Raises:
@@ -68,7 +66,7 @@ class Body:
             )
         return self.regions[name]
 
-    def surface(self, name: str) -> Indices:
+    def surface(self, name: str) -> IndexArray:
         """Local facets of a named surface.
 
         Raises:
@@ -94,7 +92,7 @@ class Body:
             )
         return self.fields[name]
 
-    def owned_cells(self, name: str | None = None) -> Indices:
+    def owned_cells(self, name: str | None = None) -> IndexArray:
         """Local cells of a region (of the whole body by default) that this rank owns."""
         size = self.mesh.topology.index_map(self.mesh.topology.dim).size_local
         if name is None:
@@ -102,7 +100,7 @@ class Body:
         cells = self.region(name)
         return np.asarray(cells[cells < size])
 
-    def owned_facets(self, name: str) -> Indices:
+    def owned_facets(self, name: str) -> IndexArray:
         """Local facets of a surface that this rank owns."""
         facets = self.surface(name)
         size = self.mesh.topology.index_map(self.mesh.topology.dim - 1).size_local
@@ -115,8 +113,8 @@ class Body:
     def named(
         self,
         *,
-        regions: Mapping[str, Indices] | None = None,
-        surfaces: Mapping[str, Indices] | None = None,
+        regions: Mapping[str, IndexArray] | None = None,
+        surfaces: Mapping[str, IndexArray] | None = None,
     ) -> Body:
         """The same body with further named parts."""
         return replace(

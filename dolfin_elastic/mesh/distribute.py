@@ -7,20 +7,20 @@ from collections.abc import Callable
 
 import basix.ufl
 import numpy as np
-import numpy.typing as npt
 from dolfinx import cpp
 from dolfinx.mesh import CellType, GhostMode, Mesh, create_cell_partitioner, create_mesh
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import agree
-from dolfin_elastic.mesh.body import Body, Indices
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.fields import distributed
 from dolfin_elastic.mesh.formats.cleaning import cleaned
 from dolfin_elastic.mesh.formats.raw import RawMesh, match_rows
 from dolfin_elastic.mesh.geometry.simplices import facet_nodes, prepare_facets
 
-Permutation = Callable[[CellType, int], npt.NDArray[np.int32]]
+Permutation = Callable[[CellType, int], IndexArray]
 
 
 def build_body(
@@ -97,9 +97,7 @@ def before_parting(comm: MPI.Comm) -> None:
     comm.barrier()
 
 
-def make_mesh(
-    comm: MPI.Comm, cells: npt.NDArray[np.int64], x: npt.NDArray[np.float64], order: int
-) -> Mesh:
+def make_mesh(comm: MPI.Comm, cells: IntArray, x: FloatArray, order: int) -> Mesh:
     """Distributes cells without ghosts, and creates the facets. Collective.
 
     Args:
@@ -119,9 +117,9 @@ def make_mesh(
     return mesh
 
 
-def _regions(mesh: Mesh, raw: RawMesh | None) -> dict[str, Indices]:
+def _regions(mesh: Mesh, raw: RawMesh | None) -> dict[str, IndexArray]:
     """Local cells of each region, by one bit per cell sent to everyone."""
-    comm, found = mesh.comm, dict[str, Indices]()
+    comm, found = mesh.comm, dict[str, IndexArray]()
     original = np.asarray(mesh.topology.original_cell_index)
     for name in comm.bcast(list(raw.regions) if raw else None):
         bits = None
@@ -135,7 +133,7 @@ def _regions(mesh: Mesh, raw: RawMesh | None) -> dict[str, Indices]:
     return found
 
 
-def _surfaces(mesh: Mesh, raw: RawMesh | None) -> tuple[dict[str, Indices], list[str]]:
+def _surfaces(mesh: Mesh, raw: RawMesh | None) -> tuple[dict[str, IndexArray], list[str]]:
     """Local facets of each surface (also those shared with other ranks), and what got lost."""
     comm = mesh.comm
     named = comm.bcast(raw.surfaces if raw else None)
@@ -158,7 +156,7 @@ def _surfaces(mesh: Mesh, raw: RawMesh | None) -> tuple[dict[str, Indices], list
     return surfaces, notes
 
 
-def _candidates(mesh: Mesh, nodes: npt.NDArray[np.int64]) -> tuple[Indices, npt.NDArray[np.int64]]:
+def _candidates(mesh: Mesh, nodes: IntArray) -> tuple[IndexArray, IntArray]:
     """Local facets all of whose vertices are among these points of the file."""
     index = mesh.topology.index_map(mesh.topology.dim - 1)
     facets = np.arange(index.size_local + index.num_ghosts, dtype=np.int32)

@@ -7,20 +7,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import agree, largest, smallest
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import tabulated
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.formats.raw import RawMesh
 
-Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
-Read = Callable[[int, int], Floats]
+Read = Callable[[int, int], FloatArray]
 """Rows from `start` to `stop` of a field in a file, shape (stop - start, columns)."""
 CHUNK = 1 << 20
 """Rows that are sent at a time."""
@@ -37,7 +35,7 @@ class MeshField:
     """
 
     centre: Literal["cell", "point"]
-    values: Floats
+    values: FloatArray
 
     def said(self, comm: MPI.Comm) -> str:
         """Where it belongs and what it is, for people. Collective."""
@@ -53,7 +51,7 @@ class MeshField:
         """Numbers per cell or point."""
         return int(self.values.shape[1])
 
-    def at(self, mesh: Mesh, cells: Indices, points: Floats) -> Floats:
+    def at(self, mesh: Mesh, cells: IndexArray, points: FloatArray) -> FloatArray:
         """The values in cells, between points by the shape functions of the mesh. Local.
 
         Args:
@@ -70,7 +68,7 @@ class MeshField:
         return np.asarray(np.einsum("kn,cnj->ckj", tabulated(mesh, points), nodes))
 
 
-def columned(data: Any, rows: int, name: str) -> Floats:
+def columned(data: Any, rows: int, name: str) -> FloatArray:
     """Data of a file as floating-point numbers, one row for each cell or point.
 
     Raises:
@@ -90,7 +88,7 @@ def distributed(mesh: Mesh, raw: RawMesh | None) -> dict[str, MeshField]:
     """Each rank's rows of the fields that rank 0 has read. Collective."""
     found: dict[str, MeshField] = {}
     for centre in ("cell", "point"):
-        tables: Mapping[str, Floats] = getattr(raw, f"{centre}_data") if raw else {}
+        tables: Mapping[str, FloatArray] = getattr(raw, f"{centre}_data") if raw else {}
         shapes = mesh.comm.bcast({name: table.shape for name, table in tables.items()})
         for name, shape in shapes.items():
             table = tables.get(name)
@@ -99,7 +97,7 @@ def distributed(mesh: Mesh, raw: RawMesh | None) -> dict[str, MeshField]:
     return found
 
 
-def _rows_of(table: Floats) -> Read:
+def _rows_of(table: FloatArray) -> Read:
     return lambda start, stop: table[start:stop]
 
 
@@ -134,13 +132,13 @@ def spread(
     return MeshField(centre, values)
 
 
-def _check_rows(mesh: Mesh, rows: npt.NDArray[np.int64], count: int, centre: str) -> None:
+def _check_rows(mesh: Mesh, rows: IntArray, count: int, centre: str) -> None:
     need = int(mesh.comm.allreduce(int(rows.max(initial=-1)), op=MPI.MAX)) + 1
     if need > count or (need < count and centre == "cell"):  # not all points need be in use
         raise MeshError(f"it has {count} rows, but there are {need} {centre}s")
 
 
-def _sent(comm: MPI.Comm, shape: tuple[int, int], start: int, read: Read | None) -> Floats:
+def _sent(comm: MPI.Comm, shape: tuple[int, int], start: int, read: Read | None) -> FloatArray:
     part, error = np.empty(shape), None
     if read is not None:
         try:

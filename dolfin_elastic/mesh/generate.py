@@ -9,9 +9,10 @@ from dolfinx.mesh import CellType, GhostMode, create_box, create_rectangle
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
-from dolfin_elastic.mesh.body import Body, Indices
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import before_parting
-from dolfin_elastic.mesh.geometry.simplices import Floats, boundary_facets, facet_corners
+from dolfin_elastic.mesh.geometry.simplices import boundary_facets, facet_corners
 
 _SIDES = {
     2: ("left", "right", "bottom", "top"),
@@ -98,7 +99,9 @@ def _check(size: Sequence[float], cells: Sequence[int], origin: Sequence[float])
     return dim
 
 
-def _sides(facets: Indices, corners: Floats, low: Floats, high: Floats) -> dict[str, Indices]:
+def _sides(
+    facets: IndexArray, corners: FloatArray, low: FloatArray, high: FloatArray
+) -> dict[str, IndexArray]:
     # Half a cell's width would do; this is far above round-off and far below it.
     near = 1e-9 * np.linalg.norm(high - low)
     names, sides = _SIDES[len(low)], {}

@@ -6,15 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import smallest, total
-from dolfin_elastic.mesh.body import Body, Indices
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.simplices import (
-    Floats,
     boundary_facets,
     cell_corners,
     facet_corners,
@@ -65,8 +64,8 @@ def name_parts(
 class _Space:
     """The box around the body, in metres, and the unit of bare numbers."""
 
-    low: Floats
-    high: Floats
+    low: FloatArray
+    high: FloatArray
     scale: float
 
     @staticmethod
@@ -81,7 +80,7 @@ class _Space:
     def metres(self, value: MeshLength) -> float:
         return metres(value, self.scale)
 
-    def point(self, values: Sequence[MeshLength], key: str) -> Floats:
+    def point(self, values: Sequence[MeshLength], key: str) -> FloatArray:
         dim = len(self.low)
         if len(values) < dim:
             raise MeshError(f"the body is three-dimensional, {list(values)} is not", where=key)
@@ -102,13 +101,13 @@ class _Test:
     """How far each facet or cell is from what was asked, and how far it may be."""
 
     said: str
-    distance: Floats
+    distance: FloatArray
     limit: float
     unit: float = 1.0
     knob: str = "tolerance"
 
 
-def bounding_box(mesh: Mesh) -> tuple[Floats, Floats]:
+def bounding_box(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
     """Smallest and largest coordinates of the mesh, in metres. Collective."""
     x = mesh.geometry.x[:, : mesh.geometry.dim]
     low = x.min(axis=0, initial=np.inf)
@@ -119,7 +118,7 @@ def bounding_box(mesh: Mesh) -> tuple[Floats, Floats]:
     return lows, highs
 
 
-def _named(body: Body, space: _Space, kind: str, name: str, choice: Choice) -> Indices:
+def _named(body: Body, space: _Space, kind: str, name: str, choice: Choice) -> IndexArray:
     if name in (body.surfaces if kind == "surface" else body.regions):
         raise MeshError(
             f"the mesh has a {kind} '{name}' already",
@@ -127,7 +126,7 @@ def _named(body: Body, space: _Space, kind: str, name: str, choice: Choice) -> I
             expected="choose another name",
         )
     choices = [choice] if isinstance(choice, Selector) else list(choice)
-    found: list[Indices] = []
+    found: list[IndexArray] = []
     for i, selector in enumerate(choices):
         where = f"{kind}s.{name}" + (f"[{i}]" if len(choices) > 1 else "")
         try:
@@ -139,7 +138,7 @@ def _named(body: Body, space: _Space, kind: str, name: str, choice: Choice) -> I
     return np.unique(np.concatenate(found)).astype(np.int32)
 
 
-def _pick(body: Body, space: _Space, kind: str, selector: Selector) -> Indices:
+def _pick(body: Body, space: _Space, kind: str, selector: Selector) -> IndexArray:
     mesh = body.mesh
     if kind == "surface":
         prepare_facets(mesh)
@@ -165,7 +164,7 @@ def _nothing(
     comm: MPI.Comm,
     space: _Space,
     tests: Sequence[_Test],
-    owned: npt.NDArray[np.bool_],
+    owned: BoolArray,
     searched_in: str,
 ) -> MeshError:
     """What was searched, how many held, and how near the nearest came. Collective."""
@@ -207,11 +206,13 @@ def _limit(selector: Selector, space: _Space) -> float:
     return space.metres(selector.tolerance)
 
 
-def _surface_tests(mesh: Mesh, facets: Indices, selector: Selector, space: _Space) -> list[_Test]:
+def _surface_tests(
+    mesh: Mesh, facets: IndexArray, selector: Selector, space: _Space
+) -> list[_Test]:
     corners = facet_corners(mesh, facets)
     limit = _limit(selector, space)
 
-    def test(said: str, apart: Callable[[Floats], Floats]) -> _Test:
+    def test(said: str, apart: Callable[[FloatArray], FloatArray]) -> _Test:
         flat = np.abs(apart(corners.reshape(-1, corners.shape[2])))
         return _Test(said, flat.reshape(corners.shape[:2]).max(axis=1), limit, space.scale)
 
@@ -229,7 +230,7 @@ def _surface_tests(mesh: Mesh, facets: Indices, selector: Selector, space: _Spac
     return tests
 
 
-def _region_tests(mesh: Mesh, cells: Indices, selector: Selector, space: _Space) -> list[_Test]:
+def _region_tests(mesh: Mesh, cells: IndexArray, selector: Selector, space: _Space) -> list[_Test]:
     wrong = [key for key in ("plane", "normal") if getattr(selector, key) is not None]
     if wrong:
         raise MeshError(
@@ -259,14 +260,16 @@ def _plane(selector: Selector, space: _Space) -> tuple[int, float]:
     return axis, space.metres(selector.at or 0.0)
 
 
-def _outside_box(selector: Selector, space: _Space) -> Callable[[Floats], Floats]:
+def _outside_box(selector: Selector, space: _Space) -> Callable[[FloatArray], FloatArray]:
     assert selector.box is not None
     one, two = (space.point(corner, "box") for corner in selector.box)
     low, high = np.minimum(one, two), np.maximum(one, two)
     return lambda x: np.maximum(np.maximum(low - x, x - high).max(axis=1), 0)
 
 
-def _round(selector: Selector, space: _Space) -> list[tuple[str, Callable[[Floats], Floats]]]:
+def _round(
+    selector: Selector, space: _Space
+) -> list[tuple[str, Callable[[FloatArray], FloatArray]]]:
     """Signed distance from the sphere and the cylinder, negative inside."""
     found = []
     if (sphere := selector.sphere) is not None:
@@ -277,7 +280,7 @@ def _round(selector: Selector, space: _Space) -> list[tuple[str, Callable[[Float
     return found
 
 
-def _off_cylinder(cylinder: Cylinder, space: _Space) -> Callable[[Floats], Floats]:
+def _off_cylinder(cylinder: Cylinder, space: _Space) -> Callable[[FloatArray], FloatArray]:
     point, radius = space.point(cylinder.point, "cylinder.point"), space.metres(cylinder.radius)
     dim, axis = len(space.low), cylinder.axis
     along = np.eye(3)["xyz".index(axis)] if isinstance(axis, str) else np.array([*axis, 0.0][:3])
@@ -287,7 +290,7 @@ def _off_cylinder(cylinder: Cylinder, space: _Space) -> Callable[[Floats], Float
             "the body is plane: the axis of a cylinder must be z", where="cylinder.axis"
         )
 
-    def apart(x: Floats) -> Floats:
+    def apart(x: FloatArray) -> FloatArray:
         arm = x - point
         arm = arm - (arm @ along)[:, None] * along
         return np.asarray(np.linalg.norm(arm, axis=1) - radius)
@@ -295,7 +298,7 @@ def _off_cylinder(cylinder: Cylinder, space: _Space) -> Callable[[Floats], Float
     return apart
 
 
-def _normal(mesh: Mesh, facets: Indices, selector: Selector, space: _Space) -> _Test:
+def _normal(mesh: Mesh, facets: IndexArray, selector: Selector, space: _Space) -> _Test:
     assert selector.normal is not None
     dim = len(space.low)
     wanted = np.array(selector.normal[:dim])

@@ -6,12 +6,12 @@ from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
 from dolfin_elastic.model.values import Component, component
 
@@ -106,12 +106,12 @@ class Periodic(Record):
                     expected=f"a number for one of them, for example F{two} = 0",
                 )
 
-    def gradient_at(self, t: float, default: Amplitude) -> npt.NDArray[np.float64]:
+    def gradient_at(self, t: float, default: Amplitude) -> FloatArray:
         """F at time t, NaN where it is free."""
         rest = np.eye(self.dim)
         return rest + self._at(self.stretches, rest, t, default)
 
-    def stress_at(self, t: float, default: Amplitude) -> npt.NDArray[np.float64]:
+    def stress_at(self, t: float, default: Amplitude) -> FloatArray:
         """Prescribed stress at time t [Pa], NaN where it is a result."""
         found = self._at(self.stresses, np.zeros((self.dim, self.dim)), t, default)
         given = np.zeros((self.dim, self.dim), dtype=bool)
@@ -119,9 +119,7 @@ class Periodic(Record):
             given[i, j] = True
         return np.where(given, found, np.nan)
 
-    def _at(
-        self, values: Matrix, rest: npt.NDArray[np.float64], t: float, default: Amplitude
-    ) -> npt.NDArray[np.float64]:
+    def _at(self, values: Matrix, rest: FloatArray, t: float, default: Amplitude) -> FloatArray:
         found = np.full(rest.shape, np.nan)
         for i, row in enumerate(values):
             for j, value in enumerate(row):

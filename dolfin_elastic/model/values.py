@@ -6,10 +6,10 @@ from collections.abc import Collection
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import PLACED, is_quantity, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 
@@ -102,9 +102,7 @@ def amplitude_of(value: Component, curve: Amplitude | None) -> Amplitude | None:
     return CONSTANT if curve is None and depends_on_time((value,)) else curve
 
 
-def vector_at(
-    vector: tuple[Component, ...], X: npt.NDArray[np.float64], t: float
-) -> npt.NDArray[np.float64]:
+def vector_at(vector: tuple[Component, ...], X: FloatArray, t: float) -> FloatArray:
     """The numbers of a vector at places of the undeformed body.
 
     Args:
@@ -121,7 +119,7 @@ def vector_at(
     return found
 
 
-def number_at(item: Component, X: npt.NDArray[np.float64], t: float) -> npt.NDArray[np.float64]:
+def number_at(item: Component, X: FloatArray, t: float) -> FloatArray:
     """The number that a component is at places of the undeformed body, see `vector_at`."""
     place = dict(zip(COORDINATES, np.moveaxis(X, -1, 0), strict=False))
     place.setdefault("z", np.zeros(X.shape[:-1]))

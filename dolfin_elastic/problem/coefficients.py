@@ -18,7 +18,6 @@ from typing import Any
 
 import basix
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
@@ -26,8 +25,9 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import largest, smallest, total
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.core.units import Deferred
-from dolfin_elastic.mesh.body import Body, Indices
+from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.curved import tabulated
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import (
@@ -38,7 +38,6 @@ from dolfin_elastic.model.materials.spatial import (
     Range,
 )
 
-Floats = npt.NDArray[np.float64]
 _SHORTEST = 1e-6
 """Length below which a direction is none; they have about 1."""
 
@@ -70,7 +69,7 @@ class CoefficientBinder:
     def __init__(self, body: Body, order: int) -> None:
         self.body, self.degree = body, min(order, 2) - 1
 
-    def bind(self, law: Law, cells: Indices, where: str = "") -> BoundLaw:
+    def bind(self, law: Law, cells: IndexArray, where: str = "") -> BoundLaw:
         """The law with constants and functions in place of its numbers.
 
         Args:
@@ -93,13 +92,13 @@ class CoefficientBinder:
             typical = self._typical(law, numbers, values)
         return BoundLaw(law.with_symbols(symbols), symbols.get("density"), typical)
 
-    def values(self, law: Law, cells: Indices, where: str = "") -> dict[str, Floats]:
+    def values(self, law: Law, cells: IndexArray, where: str = "") -> dict[str, FloatArray]:
         """What varies, at the points of each cell: shape (cells, points), directions by 3.
 
         Raises:
             InputError: See `bind`.
         """
-        found: dict[str, Floats] = {}
+        found: dict[str, FloatArray] = {}
         with _within(where):
             for name, item in law.deferred().items():
                 with _within(name):
@@ -114,7 +113,7 @@ class CoefficientBinder:
     # --- where values are taken ---
 
     @cached_property
-    def points(self) -> Floats:
+    def points(self) -> FloatArray:
         """Points of the reference cell."""
         dim = self.body.dim
         if self.degree == 0:
@@ -123,13 +122,13 @@ class CoefficientBinder:
         return np.asarray(basix.make_quadrature(kind, 2)[0], dtype=np.float64)
 
     @cached_property
-    def _to_corners(self) -> Floats:
+    def _to_corners(self) -> FloatArray:
         """From values at the points to values at the corners of the line through them."""
         if self.degree == 0:
             return np.ones((1, 1))
         return np.linalg.inv(np.column_stack([1 - self.points.sum(axis=1), self.points]))
 
-    def _places(self, cells: Indices) -> Floats:
+    def _places(self, cells: IndexArray) -> FloatArray:
         """Where the points are [m], shape (cells, points, 3)."""
         mesh = self.body.mesh
         nodes = mesh.geometry.x[mesh.geometry.dofmap[cells]]
@@ -137,7 +136,7 @@ class CoefficientBinder:
 
     # --- what is there ---
 
-    def _at(self, item: Deferred, cells: Indices, directed: bool) -> Floats:
+    def _at(self, item: Deferred, cells: IndexArray, directed: bool) -> FloatArray:
         match item:
             case ByFormula():
                 return self._formula(item, cells)
@@ -159,14 +158,14 @@ class CoefficientBinder:
                 )
         raise TypeError(f"{item!r} cannot be evaluated")
 
-    def _formula(self, item: ByFormula, cells: Indices) -> Floats:
+    def _formula(self, item: ByFormula, cells: IndexArray) -> FloatArray:
         formula = item.known(self.body.fields)
         values = dict(zip(PLACE, np.moveaxis(self._places(cells), 2, 0), strict=True))
         for name in sorted(formula.names - set(PLACE)):
             values[name] = self._scalar(name, cells)
         return np.asarray(formula.evaluate(**values))
 
-    def _scalar(self, name: str, cells: Indices) -> Floats:
+    def _scalar(self, name: str, cells: IndexArray) -> FloatArray:
         table = self._field(name, cells)
         if table.shape[2] != 1:
             raise MeshError(
@@ -174,7 +173,7 @@ class CoefficientBinder:
             )
         return table[:, :, 0]
 
-    def _vector(self, item: ByField, cells: Indices) -> Floats:
+    def _vector(self, item: ByField, cells: IndexArray) -> FloatArray:
         with _within("field"):
             table = self._field(item.field, cells)
             width = table.shape[2]
@@ -185,7 +184,7 @@ class CoefficientBinder:
                 )
         return np.concatenate([table, np.zeros((*table.shape[:2], 3 - width))], axis=2)
 
-    def _field(self, name: str, cells: Indices) -> Floats:
+    def _field(self, name: str, cells: IndexArray) -> FloatArray:
         table = self.body.mesh_field(name).at(self.body.mesh, cells, self.points)
         bad = ~np.isfinite(table).all(axis=2)
         if worst := self._worst(np.where(bad, np.inf, -1.0), table[:, :, 0], cells):
@@ -198,7 +197,7 @@ class CoefficientBinder:
 
     # --- what is possible ---
 
-    def _unit(self, table: Floats, cells: Indices) -> Floats:
+    def _unit(self, table: FloatArray, cells: IndexArray) -> FloatArray:
         length = np.linalg.norm(table, axis=2)
         bad = ~(np.isfinite(length) & (length > _SHORTEST))
         if worst := self._worst(np.where(bad, 1.0, -1.0), length, cells):
@@ -208,7 +207,7 @@ class CoefficientBinder:
             )
         return np.asarray(table / length[:, :, None])
 
-    def _check(self, law: Law, found: dict[str, Floats], cells: Indices) -> None:
+    def _check(self, law: Law, found: dict[str, FloatArray], cells: IndexArray) -> None:
         with np.errstate(all="ignore"):
             every = law.completed({**_numbers(law), **found})
         ranges = law.ranges()
@@ -218,7 +217,7 @@ class CoefficientBinder:
                 self._check_one(name, values, ranges[name], cells, given=name in found)
 
     def _check_one(
-        self, name: str, values: Floats, possible: Range, cells: Indices, *, given: bool
+        self, name: str, values: FloatArray, possible: Range, cells: IndexArray, *, given: bool
     ) -> None:
         worst = self._worst(possible.distance(values), values, cells)
         if worst is None:
@@ -236,7 +235,9 @@ class CoefficientBinder:
             expected=f"{name} must be {possible}",
         )
 
-    def _worst(self, distance: Floats, values: Floats, cells: Indices) -> tuple[float, str] | None:
+    def _worst(
+        self, distance: FloatArray, values: FloatArray, cells: IndexArray
+    ) -> tuple[float, str] | None:
         """Value and place where the distance is largest, of all ranks; None: none is above -1."""
         own: tuple[float, list[float], float] | None = None
         if (distance > -1).any():
@@ -264,7 +265,7 @@ class CoefficientBinder:
     def _vector_space(self) -> fem.FunctionSpace:
         return fem.functionspace(self.body.mesh, ("DG", self.degree, (3,)))
 
-    def _function(self, table: Floats, cells: Indices, possible: Range) -> Expr:
+    def _function(self, table: FloatArray, cells: IndexArray, possible: Range) -> Expr:
         corners = np.einsum("nk,ck...->cn...", self._to_corners, table)
         if table.ndim == 2:
             beyond = (possible.distance(corners) > -1).any(axis=1)
@@ -279,7 +280,7 @@ class CoefficientBinder:
             return found
         return found / ufl.sqrt(ufl.inner(found, found))  # a line between unit vectors is shorter
 
-    def joined(self, parts: Sequence[tuple[Expr | None, Indices]]) -> fem.Function:
+    def joined(self, parts: Sequence[tuple[Expr | None, IndexArray]]) -> fem.Function:
         """One function of constants and functions from `bind`, each in its cells; else 0."""
         varies = any(isinstance(part, fem.Function) for part, _ in parts)
         V = self._space if varies else fem.functionspace(self.body.mesh, ("DG", 0))
@@ -293,7 +294,7 @@ class CoefficientBinder:
         found.x.scatter_forward()
         return found
 
-    def _typical(self, law: Law, numbers: dict[str, Any], values: dict[str, Floats]) -> Law:
+    def _typical(self, law: Law, numbers: dict[str, Any], values: dict[str, FloatArray]) -> Law:
         comm, means = self.body.comm, dict[str, Any]()
         for name, table in values.items():
             if table.ndim == 2:
@@ -308,7 +309,7 @@ class CoefficientBinder:
         return law.model_copy(update=typical)
 
 
-def _across(law: Law, values: Mapping[str, Floats]) -> dict[str, tuple[float, ...]]:
+def _across(law: Law, values: Mapping[str, FloatArray]) -> dict[str, tuple[float, ...]]:
     """Directions that stand for those that vary: across each other and those given."""
     given = [
         np.resize(np.append(np.asarray(known, dtype=float), 0.0), 3)

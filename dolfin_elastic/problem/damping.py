@@ -21,19 +21,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.dimension import gradient_variation
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
-
-Vector = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -103,7 +100,7 @@ class Damping:
         """Nothing is damped."""
         return not self.inside and self._mass is None
 
-    def tell(self, v: Vector) -> None:
+    def tell(self, v: FloatArray) -> None:
         """Takes a velocity over, owned entries of the displacement. Collective."""
         self.rate.x.array[self._problem.unknowns.moves] = v
         self.rate.x.scatter_forward()

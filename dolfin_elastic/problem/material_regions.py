@@ -12,13 +12,9 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.material_point.gate import gate
-from dolfin_elastic.mesh.body import (
-    Body,
-    Indices,
-    cell_size,
-    span,
-)
+from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.dimension import GEOMETRIES, Geometry
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem.coefficients import BoundLaw, CoefficientBinder
@@ -54,7 +50,7 @@ class MaterialRegion:
 
     name: str
     law: Law
-    cells: Indices
+    cells: IndexArray
     marker: int
     density: Expr | None
     typical: Law
@@ -112,12 +108,12 @@ def _is_whole(body: Body, name: str) -> bool:
     return name == WHOLE and name not in body.regions
 
 
-def _cells(body: Body, name: str) -> Indices:
+def _cells(body: Body, name: str) -> IndexArray:
     return body.owned_cells(None if _is_whole(body, name) else name)
 
 
 def _part(
-    body: Body, marker: int, name: str, cells: Indices, bound: BoundLaw, fields: Plan
+    body: Body, marker: int, name: str, cells: IndexArray, bound: BoundLaw, fields: Plan
 ) -> MaterialRegion:
     compliance = None
     if name in fields.mixed:
@@ -143,7 +139,7 @@ def _constant(body: Body, value: float) -> Constant:
     return Constant(body.mesh, np.asarray(value, dtype=np.float64))
 
 
-def _check_cover(body: Body, cells: Mapping[str, Indices]) -> None:
+def _check_cover(body: Body, cells: Mapping[str, IndexArray]) -> None:
     times = np.zeros(len(body.owned_cells()), dtype=np.int64)
     for filled in cells.values():
         times[filled] += 1

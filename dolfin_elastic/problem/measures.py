@@ -15,7 +15,8 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.compat import integration_entities
-from dolfin_elastic.mesh.body import Body, Indices
+from dolfin_elastic.core.types import IndexArray
+from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.dimension import Weighted
 
 
@@ -33,7 +34,7 @@ class Measures:
     def __init__(
         self,
         body: Body,
-        fillings: Sequence[Indices],
+        fillings: Sequence[IndexArray],
         loaded: Iterable[tuple[str, ...]],
         weight: Expr | None,
         touching: Iterable[tuple[str, ...]] = (),

@@ -12,14 +12,14 @@ from typing import Any
 
 import basix.ufl
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.fem import Constant
 from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
 
-Dofs = npt.NDArray[np.int32]
+from dolfin_elastic.core.types import FloatArray, IndexArray
+
 Element = Any
 
 
@@ -77,7 +77,7 @@ class Unknowns:
 
     def _spaces(
         self, mesh: Mesh, elements: Sequence[Element]
-    ) -> tuple[fem.FunctionSpace, fem.FunctionSpace, fem.FunctionSpace, Dofs | None]:
+    ) -> tuple[fem.FunctionSpace, fem.FunctionSpace, fem.FunctionSpace, IndexArray | None]:
         """V, U, W, and the entry of W of each entry of V where these differ."""
         if not self.extras:
             V = fem.functionspace(mesh, elements[0])
@@ -121,26 +121,26 @@ class Unknowns:
         """Whether there is such a scalar field."""
         return name in self.scale
 
-    def places(self, dofs: Dofs) -> Dofs:
+    def places(self, dofs: IndexArray) -> IndexArray:
         """Entries of the displacement's local array as entries of all unknowns' local array."""
         return dofs if self._dofs is None else self._dofs[dofs]
 
     @property
-    def moved(self) -> npt.NDArray[np.float64] | None:
+    def moved(self) -> FloatArray | None:
         """Displacement at the nodes of U, where they have one place only."""
         return self.u.x.array if self.U is self.V else None
 
-    def local(self, dofs: Dofs) -> Dofs:
+    def local(self, dofs: IndexArray) -> IndexArray:
         """Entries of the displacement's local array as entries of U."""
         return dofs
 
     @property
-    def moves(self) -> Dofs:
+    def moves(self) -> IndexArray:
         """Owned entries of all unknowns that belong to the displacement, in the order of U."""
         size = self.U.dofmap.index_map.size_local * self.U.dofmap.index_map_bs
         return self.places(np.arange(size, dtype=np.int32))
 
-    def linear(self) -> tuple[fem.FunctionSpace, Dofs]:
+    def linear(self) -> tuple[fem.FunctionSpace, IndexArray]:
         """U with linear elements, and its owned entries that are held. Collective."""
         mesh = self.V.mesh
         space = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))

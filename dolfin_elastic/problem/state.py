@@ -7,11 +7,9 @@ from dataclasses import dataclass, field
 from math import pi
 from typing import Literal
 
-import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
-Vector = npt.NDArray[np.float64]
+from dolfin_elastic.core.types import FloatArray
 
 
 def plain(t: float) -> float:
@@ -105,8 +103,8 @@ class State:
     reason: str = ""
     residuals: tuple[float, ...] = ()
     energies: Mapping[str, float] = field(default_factory=dict)
-    reactions: Mapping[str, Vector] = field(default_factory=dict)
-    momenta: Mapping[str, Vector] = field(default_factory=dict)
+    reactions: Mapping[str, FloatArray] = field(default_factory=dict)
+    momenta: Mapping[str, FloatArray] = field(default_factory=dict)
     max_displacement: float = 0.0
     negative: int | None = None
     limit_points: tuple[float, ...] = ()

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit import compile_expression, compile_forms
+from dolfin_elastic.core.types import AnyArray, IntArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.fields import FIELDS, known
 from dolfin_elastic.results.grid import Grid, to_nodes
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.materials.law import Law
     from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
-
-Array = npt.NDArray[Any]
 
 
 class Evaluator:
@@ -79,7 +77,7 @@ class Evaluator:
         form = ufl.replace(self.problem.residual, {self.problem.w: self.w})
         return compile_forms(self.problem.body.comm, [form], self.problem.jit)[0]
 
-    def __call__(self, state: State, more: Iterable[str] = ()) -> dict[str, Array]:
+    def __call__(self, state: State, more: Iterable[str] = ()) -> dict[str, AnyArray]:
         """Name to this rank's rows of each field. Collective.
 
         Args:
@@ -97,7 +95,7 @@ class Evaluator:
         source = Source(self, state, self._cells())
         return {name: source.get(name) for name in (*self.names, *more)}
 
-    def _cells(self) -> dict[str, Array]:
+    def _cells(self) -> dict[str, AnyArray]:
         widths = self._widths
         table = np.full((self.grid.own_cells, sum(widths)), np.nan)
         for kernel, part in zip(self._kernels, self.problem.parts, strict=False):
@@ -116,7 +114,7 @@ class _Kernel:
     """What gives all cell fields of one material, and the columns of the table they fill."""
 
     expression: fem.Expression
-    columns: npt.NDArray[np.int64]
+    columns: IntArray
 
 
 def _components(tensor: Expr) -> list[Expr]:
@@ -135,14 +133,14 @@ class Source:
 
     evaluator: Evaluator
     state: State
-    cells: dict[str, Array]
+    cells: dict[str, AnyArray]
 
-    def get(self, name: str) -> Array:
+    def get(self, name: str) -> AnyArray:
         """This rank's rows of a field. Collective."""
         field = FIELDS[name]
         return field.values(self) if field.values else self.cells[name]
 
-    def nodal(self, name: str) -> Array:
+    def nodal(self, name: str) -> AnyArray:
         """A vector of the state at the owned points, with three components."""
         function = getattr(self.state, name)
         if function is None:
@@ -155,18 +153,18 @@ class Source:
     def _own(self) -> int:
         return int(self.evaluator.grid.own_points * self.evaluator.grid.mesh.geometry.dim)
 
-    def _padded(self, array: Array) -> Array:
+    def _padded(self, array: AnyArray) -> AnyArray:
         grid = self.evaluator.grid
         dim = grid.mesh.geometry.dim
         values = np.zeros((grid.own_points, 3))
         values[:, :dim] = array[: grid.own_points * dim].reshape(-1, dim)
         return values
 
-    def reaction(self) -> Array:
+    def reaction(self) -> AnyArray:
         """Residual of an equilibrium."""
         return self._padded(self._out_of_balance("reaction"))
 
-    def residual(self) -> Array:
+    def residual(self) -> AnyArray:
         """The same where no support holds."""
         forces = self._out_of_balance("residual")
         held = self.evaluator.problem.prescribed
@@ -177,7 +175,7 @@ class Source:
             rows[nodes] = tilted.free(rows[nodes])
         return self._padded(forces)
 
-    def _out_of_balance(self, name: str) -> Array:
+    def _out_of_balance(self, name: str) -> AnyArray:
         if self.state.v is not None:
             raise InputError(
                 f"the state of step {self.state.step} is in motion: its nodal forces are not in "
@@ -190,12 +188,12 @@ class Source:
         places = self.evaluator.problem.unknowns.places
         return np.asarray(force.array[places(np.arange(self._own(), dtype=np.int32))])
 
-    def averaged(self, name: str) -> Array:
+    def averaged(self, name: str) -> AnyArray:
         """A cell field, averaged at the owned points."""
         grid = self.evaluator.grid
         return to_nodes(grid.V, self.cells[name])[: grid.own_points]
 
-    def region(self) -> Array:
+    def region(self) -> AnyArray:
         """Number of the region of each owned cell; the last one where they overlap."""
         body = self.evaluator.problem.body
         numbers = np.full((self.evaluator.grid.own_cells, 1), -1, dtype=np.int32)
@@ -203,14 +201,14 @@ class Source:
             numbers[body.owned_cells(name)] = i
         return numbers
 
-    def material(self) -> Array:
+    def material(self) -> AnyArray:
         """Number of the material of each owned cell."""
         numbers = np.zeros((self.evaluator.grid.own_cells, 1), dtype=np.int32)
         for i, part in enumerate(self.evaluator.problem.parts):
             numbers[part.cells] = i
         return numbers
 
-    def rank(self) -> Array:
+    def rank(self) -> AnyArray:
         """This rank, for each owned cell."""
         grid = self.evaluator.grid
         return np.full((grid.own_cells, 1), grid.mesh.comm.rank, dtype=np.int32)

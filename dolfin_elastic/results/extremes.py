@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
-
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -67,13 +65,13 @@ class Extremes:
             found["safety_factor"] = self._in_cells(values["safety_factor"][:, 0], sign=-1)
         return found
 
-    def _in_cells(self, values: Array, *, sign: int = 1) -> Extreme:
+    def _in_cells(self, values: AnyArray, *, sign: int = 1) -> Extreme:
         cell, value = _first_largest(sign * values)
         middle = _middle(self.evaluate.grid.mesh, cell) if cell >= 0 else np.zeros(0)
         part = next((p.name for p in self.problem.parts if cell in p.cells), "")
         return self._largest(Extreme(sign * value, _numbers(middle), part), sign)
 
-    def _at_nodes(self, values: Array) -> Extreme:
+    def _at_nodes(self, values: AnyArray) -> Extreme:
         node, value = _first_largest(values)
         dim = self.problem.body.dim
         place = self.evaluate.grid.points()[node, :dim] if node >= 0 else np.zeros(0)
@@ -84,7 +82,7 @@ class Extremes:
         return max(found, key=lambda e: sign * e.value)
 
 
-def _first_largest(values: Array) -> tuple[int, float]:
+def _first_largest(values: AnyArray) -> tuple[int, float]:
     """Index and value of the largest number; -inf where none is finite, -1 where there is none."""
     finite = np.where(np.isfinite(values), values, -np.inf)
     if not len(finite):
@@ -93,11 +91,11 @@ def _first_largest(values: Array) -> tuple[int, float]:
     return index, float(finite[index])
 
 
-def _numbers(place: Array) -> tuple[float, ...]:
+def _numbers(place: AnyArray) -> tuple[float, ...]:
     return tuple(float(x) for x in place)
 
 
-def _middle(mesh: Mesh, cell: int) -> Array:
+def _middle(mesh: Mesh, cell: int) -> AnyArray:
     dim = mesh.geometry.dim
     corners = mesh.geometry.dofmap[cell][: mesh.topology.dim + 1]
     return np.asarray(mesh.geometry.x[corners].mean(axis=0)[:dim])

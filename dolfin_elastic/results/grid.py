@@ -6,18 +6,13 @@ are numbered over all ranks, rank after rank; each rank holds those it owns.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 from dolfinx import cpp, fem, la
 from dolfinx.mesh import CellType, Mesh
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.results.hdf5 import Rows
-
-Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[Any]
 
 # Cell and number of its nodes -> XDMF's name.
 _KINDS = {
@@ -70,11 +65,11 @@ class Grid:
         """Cells this rank owns."""
         return int(self.mesh.topology.index_map(self.mesh.topology.dim).size_local)
 
-    def points(self) -> Array:
+    def points(self) -> FloatArray:
         """Places [m] of the owned points in the reference configuration, shape (n, 3)."""
         return np.asarray(self.V.tabulate_dof_coordinates()[: self.own_points])
 
-    def cells(self) -> Integers:
+    def cells(self) -> AnyArray:
         """Points of each owned cell, in VTK's order, numbered over all ranks.
 
         Cells that the mesh holds mirrored are turned, so that all have a positive volume.
@@ -88,7 +83,7 @@ class Grid:
         numbers = index_map.local_to_global(local.ravel().astype(np.int32))
         return np.asarray(numbers, dtype=kind).reshape(local.shape)
 
-    def rows(self, centre: str, values: Integers) -> Rows:
+    def rows(self, centre: str, values: AnyArray) -> Rows:
         """Values of this rank's points (`"node"`) or cells as rows of the whole array."""
         topology = self.mesh.topology
         index_map = (
@@ -101,7 +96,7 @@ class Grid:
         )
 
 
-def signed_volumes(mesh: Mesh) -> Array:
+def signed_volumes(mesh: Mesh) -> FloatArray:
     """Volume (3D) or area (2D) of each local cell between its corners; negative if mirrored."""
     dim = mesh.topology.dim
     corners = mesh.geometry.x[mesh.geometry.dofmap[:, : dim + 1]][:, :, :dim]
@@ -109,7 +104,7 @@ def signed_volumes(mesh: Mesh) -> Array:
     return np.asarray(np.linalg.det(edges) / (2 if dim == 2 else 6))
 
 
-def to_nodes(V: fem.FunctionSpace, values: Array) -> Array:
+def to_nodes(V: fem.FunctionSpace, values: FloatArray) -> FloatArray:
     """Values of cells, averaged at each node with the cells' volumes as weights. Collective.
 
     This is the projection with a lumped mass matrix: smooth, no overshoots, nothing to solve.

@@ -23,14 +23,12 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import OutputError
 from dolfin_elastic.core.parallel import agree, on_root
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.results.files import need_space, writing
-
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -43,7 +41,7 @@ class Rows:
         count: Rows of the whole array.
     """
 
-    values: Array
+    values: AnyArray
     first: int
     count: int
 
@@ -149,7 +147,7 @@ def names(path: Path) -> dict[str, tuple[int, int]]:
         return {name: (int(data.shape[0]), int(data.shape[1])) for name, data in file.items()}
 
 
-def read(path: Path, name: str, first: int, count: int) -> Array:
+def read(path: Path, name: str, first: int, count: int) -> AnyArray:
     """Some rows of an array. Not collective.
 
     Raises:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Self, cast
 
 import basix
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from pydantic import Field as Key
@@ -20,6 +19,7 @@ from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.mesh.geometry.locate import Place, locate
 from dolfin_elastic.mesh.selectors import MeshLength, metres
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
-Array = npt.NDArray[np.float64]
 _AXES = "xyz"
 
 
@@ -159,7 +158,7 @@ class Probe:
         surfaces = {n: (p.surface, p.fields) for n, p in probes.items() if p.surface is not None}
         return cls(problem, points, {name: probes[name].fields for name in points}, surfaces)
 
-    def __call__(self, state: State) -> dict[str, Array]:
+    def __call__(self, state: State) -> dict[str, FloatArray]:
         """`POINT_FIELD` to the field's components there, the same on every rank.
 
         Vectors have as many components as the body has dimensions, tensors nine, row by row.
@@ -172,7 +171,7 @@ class Probe:
             }
         return {**self._at_points(state), **means}
 
-    def _at_points(self, state: State) -> dict[str, Array]:
+    def _at_points(self, state: State) -> dict[str, FloatArray]:
         if not self.fields:
             return {}
         with stage("output"):
@@ -189,7 +188,7 @@ class Probe:
             found = np.split(total(self.problem.body.comm, sent), ends)
             return dict(zip(values, found, strict=True))
 
-    def _nodal(self, state: State, field: str, place: Place) -> Array:
+    def _nodal(self, state: State, field: str, place: Place) -> FloatArray:
         """A vector at a point, on the rank that has it; zeros elsewhere."""
         function = getattr(state, NODAL[field])
         if function is None:
@@ -229,7 +228,7 @@ def named_twice(column: str) -> InputError:
     )
 
 
-def _materials(problem: Problem) -> npt.NDArray[np.int32]:
+def _materials(problem: Problem) -> IndexArray:
     """Number of the material of each owned cell."""
     found = np.zeros(len(problem.body.owned_cells()), dtype=np.int32)
     for number, part in enumerate(problem.parts):
@@ -245,7 +244,7 @@ def _columns(name: str, size: int) -> list[str]:
     return [f"{name}_{end}" for end in ends]
 
 
-def _shape_functions(dim: int, degree: int, local: Array) -> Array:
+def _shape_functions(dim: int, degree: int, local: FloatArray) -> FloatArray:
     """Values of a cell's shape functions at a point of the reference cell."""
     kind = (basix.CellType.triangle, basix.CellType.tetrahedron)[dim - 2]
     element = basix.create_element(
@@ -259,8 +258,8 @@ class _PartFields:
     """Points in one material, its owned cells around them, and what gives which columns there."""
 
     places: Mapping[str, Place]
-    cells: npt.NDArray[np.int32]
-    columns: npt.NDArray[np.int64]
+    cells: IndexArray
+    columns: IntArray
     kernel: Any
 
 
@@ -300,7 +299,7 @@ class _CellFields:
         near = (marks.array[self.corners.list[part.cells]] > 0).any(axis=1)
         return _PartFields(mine, part.cells[near], *self._kernel(part))
 
-    def _kernel(self, part: MaterialRegion) -> tuple[npt.NDArray[np.int64], Any]:
+    def _kernel(self, part: MaterialRegion) -> tuple[IntArray, Any]:
         """The columns that a part's material has, and what gives them."""
         law = cast("Law", self.problem.response(part, self.w))
         if "energy_density" in self.names and not law.has_energy:
@@ -316,7 +315,7 @@ class _CellFields:
         comm, jit = self.problem.body.comm, self.problem.jit
         return columns, compile_expression(comm, components, self.samples, jit)
 
-    def __call__(self, state: State) -> dict[str, dict[str, Array]]:
+    def __call__(self, state: State) -> dict[str, dict[str, FloatArray]]:
         """Point and field to components, on the rank that has the point; zeros elsewhere."""
         self.w.x.array[:] = (state.w or state.u).x.array
         width = sum(self.widths)
@@ -336,7 +335,7 @@ class _CellFields:
             for point, row in values.items()
         }
 
-    def _at_corners(self, part: _PartFields) -> Array:
+    def _at_corners(self, part: _PartFields) -> FloatArray:
         """Means at the local corners, shape (corners, columns); nothing where no cell is near."""
         width, cells = len(part.columns), part.cells
         sums = la.vector(self.corners.index_map, width + 1)
@@ -357,7 +356,7 @@ def _flat(tensor: Expr) -> list[Expr]:
     return [tensor[i, j] for i in range(3) for j in range(3)] if tensor.ufl_shape else [tensor]
 
 
-def _samples(dim: int, degree: int) -> Array:
+def _samples(dim: int, degree: int) -> FloatArray:
     """Where fields of cells are taken: the barycentre, or the rule of degree 2 points."""
     kind = (basix.CellType.triangle, basix.CellType.tetrahedron)[dim - 2]
     points, _ = basix.make_quadrature(kind, 1 if degree == 1 else 2)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
@@ -16,6 +15,7 @@ from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.schema import within
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.dimension import weight
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.fields import FIELDS
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
-Array = npt.NDArray[np.float64]
 NODAL = {"displacement": "u", "velocity": "v", "acceleration": "a"}
 """Fields that are read off a state's functions."""
 
@@ -111,7 +110,7 @@ class SurfaceMean:
             found += missing if tensor is None else _flat(tensor)
         return found
 
-    def __call__(self, state: State) -> dict[str, Array]:
+    def __call__(self, state: State) -> dict[str, FloatArray]:
         """Field to the means of its components, the same on every rank."""
         self._w.x.array[:] = (state.w or state.u).x.array
         for name, function in self._nodal.items():

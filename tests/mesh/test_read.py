@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from conftest import ROOT
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh import (
     Body,
     box_body,
@@ -26,7 +26,6 @@ from dolfin_elastic.mesh import (
     rectangle_body,
 )
 
-Array = npt.NDArray[Any]
 COMM = MPI.COMM_WORLD
 SHARED = ROOT.parent / "shared" / "meshes"
 
@@ -435,9 +434,9 @@ def test_impossible_boxes(change: dict[str, tuple[float, ...]], said: str) -> No
 
 def write_cube(
     path: Path,
-    points: Array = POINTS,
-    cells: Array = CUBE,
-    others: list[tuple[str, Array]] | None = None,
+    points: AnyArray = POINTS,
+    cells: AnyArray = CUBE,
+    others: list[tuple[str, AnyArray]] | None = None,
 ) -> None:
     import meshio
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from dolfinx import fem
 from dolfinx.mesh import CellType, create_box, create_rectangle
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import (
@@ -28,7 +28,6 @@ from dolfin_elastic.results.extremes import extremes
 from dolfin_elastic.results.fields import FIELDS, known
 from dolfin_elastic.results.grid import signed_volumes, to_nodes
 
-Array = npt.NDArray[np.float64]
 COMM = MPI.COMM_WORLD
 E_MODULUS, NU = 200.0, 0.3
 MU = E_MODULUS / (2 * (1 + NU))
@@ -50,20 +49,22 @@ def make_body(dim: int) -> Body:
     return Body(mesh, regions={"left": cells[left], "right": cells[~left]})
 
 
-def make_state(problem: Problem, place: Callable[[Array], Array], **more: object) -> State:
+def make_state(
+    problem: Problem, place: Callable[[FloatArray], FloatArray], **more: object
+) -> State:
     """The state in which the displacement is `place` of the reference coordinates."""
     u = fem.Function(problem.V)
     u.interpolate(lambda x: place(x)[: problem.body.dim])
     return State(1, 1.0, u, **more)  # type: ignore[arg-type]
 
 
-def gradient(dim: int) -> Array:
+def gradient(dim: int) -> FloatArray:
     """H, without what crosses the plane in 2D."""
     inside = np.outer(np.arange(3) < dim, np.arange(3) < dim)
     return np.where(inside, H, 0.0)
 
 
-def by_hand(law: type[Law], F: Array) -> tuple[Array, float]:
+def by_hand(law: type[Law], F: FloatArray) -> tuple[FloatArray, float]:
     """Cauchy stress and energy density of a law, written out."""
     one, J = np.eye(3), np.linalg.det(F)
     green, small = (F.T @ F - one) / 2, (F + F.T) / 2 - one
@@ -79,7 +80,7 @@ def by_hand(law: type[Law], F: Array) -> tuple[Array, float]:
     return tau / J, (MU / 2 * (np.sum(F**2) - 3) - MU * np.log(J) + LMBDA / 2 * np.log(J) ** 2)
 
 
-def mises(sigma: Array) -> float:
+def mises(sigma: FloatArray) -> float:
     """Von Mises stress from the six components."""
     (a, d, e), (_, b, f), (_, _, c) = (sigma + sigma.T) / 2
     return float(
@@ -87,7 +88,7 @@ def mises(sigma: Array) -> float:
     )
 
 
-def worst(difference: Array) -> float:
+def worst(difference: FloatArray) -> float:
     """Largest absolute value on all ranks."""
     return float(COMM.allreduce(np.abs(difference).max(initial=0.0), op=MPI.MAX))
 

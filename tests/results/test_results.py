@@ -18,7 +18,6 @@ from typing import Any
 import h5py
 import matplotlib
 import numpy as np
-import numpy.typing as npt
 import pytest
 from conftest import ROOT
 from dolfinx import fem
@@ -28,6 +27,7 @@ from mpi4py import MPI
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import InputError, OutputError
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.materials.registry import NeoHookean
 from dolfin_elastic.problem.problem import Problem
@@ -46,7 +46,6 @@ from dolfin_elastic.results.pictures.colour_bar import bar
 from dolfin_elastic.results.pictures.pictures import picture
 from dolfin_elastic.results.pictures.surface import Surface
 
-Array = npt.NDArray[Any]
 COMM = MPI.COMM_WORLD
 
 
@@ -70,7 +69,7 @@ def make_problem(dim: int = 3, degree: int = 1, *, cells: int = 3) -> Problem:
     return Problem(Body(mesh), NeoHookean(E=1e6, nu=0.3, density=1e3), degree=degree)
 
 
-def displacement(x: Array, t: float = 1.0) -> Array:
+def displacement(x: AnyArray, t: float = 1.0) -> AnyArray:
     """A bent and stretched shape, quadratic in x; x of shape (3, n)."""
     return t * np.stack([0.1 * x[0] - 0.05 * x[0] * x[1], 0.2 * x[0] ** 2, 0.03 * x[0] * x[1]])
 
@@ -86,7 +85,7 @@ def grids(path: Path) -> list[ET.Element]:
     return ET.parse(path).getroot().findall("./Domain/Grid/Grid")
 
 
-def item(path: Path, element: ET.Element | None) -> Array:
+def item(path: Path, element: ET.Element | None) -> AnyArray:
     """What a reader gets for the `DataItem` below an element, checked against its description."""
     data = element.find("DataItem") if element is not None else None
     assert data is not None
@@ -100,7 +99,7 @@ def item(path: Path, element: ET.Element | None) -> Array:
     return np.asarray(values)
 
 
-def attributes(path: Path, grid: ET.Element) -> dict[str, Array]:
+def attributes(path: Path, grid: ET.Element) -> dict[str, AnyArray]:
     """Name to values of a time step."""
     return {a.attrib["Name"]: item(path, a) for a in grid.findall("Attribute")}
 
@@ -145,7 +144,7 @@ def check_round_trip(problem: Problem, path: Path, dim: int, degree: int) -> Non
     assert set(np.unique(values["rank"])) == set(range(COMM.size))
 
 
-def check_shape(x: Array, dim: int, degree: int) -> None:
+def check_shape(x: AnyArray, dim: int, degree: int) -> None:
     """Cells of the right total and sign of volume, with nodes in VTK's order."""
     corners = x[:, : dim + 1]
     edges = (corners[:, 1:] - corners[:, :1])[:, :, :dim]
@@ -207,7 +206,7 @@ def test_every_third_step_and_always_the_last(folder: Path) -> None:
     assert np.isfinite(last).all()
 
 
-def last_step(path: Path) -> tuple[list[str], Array]:
+def last_step(path: Path) -> tuple[list[str], AnyArray]:
     steps = grids(path)
     return [g.attrib["Name"] for g in steps], attributes(path, steps[-1])["displacement"]
 
@@ -277,7 +276,7 @@ def test_rows_of_all_ranks_meet_in_one_array(folder: Path) -> None:
     assert none.shape == (0, 3)
 
 
-def read_all(path: Path) -> tuple[Array, Array, Array]:
+def read_all(path: Path) -> tuple[AnyArray, AnyArray, AnyArray]:
     with h5py.File(path, "r") as file:
         return file["a"][:], file["b"][:], file["none"][:]
 
@@ -566,7 +565,7 @@ def test_a_drawer_that_dies(folder: Path) -> None:
     renderer.SHARED.release(user)
 
 
-def image(path: Path) -> Array:
+def image(path: Path) -> AnyArray:
     """Rows of pixels from the bottom, red, green and blue."""
     import pyvista
 
@@ -624,7 +623,7 @@ def own_cells(mesh: Any) -> int:
     return int(mesh.topology.index_map(mesh.topology.dim).size_local)
 
 
-def assert_hue(pixel: Array, hue: str) -> None:
+def assert_hue(pixel: AnyArray, hue: str) -> None:
     assert int(np.argmax(pixel)) == {"red": 0, "blue": 2}[hue], pixel
 
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.case.case import Case, located
 from dolfin_elastic.case.check.slips import slips
@@ -15,8 +14,9 @@ from dolfin_elastic.case.tables import Material
 from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import CaseError, MeshError, nearest
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import BoolArray, IndexArray
 from dolfin_elastic.material_point.gate import gate
-from dolfin_elastic.mesh.body import Body, Indices
+from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.problem.coefficients import CoefficientBinder
@@ -130,7 +130,7 @@ def _check_name(where: str, name: str, kind: str, rule: str, body: Body) -> None
         raise MeshError(f"the {kind} '{name}' is empty", where=where)
 
 
-def _offer(name: str, names: Mapping[str, Indices]) -> str:
+def _offer(name: str, names: Mapping[str, IndexArray]) -> str:
     return nearest(name, names) if names else "the mesh has none; name one by where it lies"
 
 
@@ -243,7 +243,7 @@ def _check_materials(materials: Mapping[str, Material], body: Body) -> None:
         )
 
 
-def _marked(body: Body, regions: Sequence[str], own: int) -> npt.NDArray[np.bool_]:
+def _marked(body: Body, regions: Sequence[str], own: int) -> BoolArray:
     marks = np.zeros(own, dtype=bool)
     for name in regions:
         marks[body.owned_cells(name)] = True

@@ -12,13 +12,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.mesh.body import Indices
-from dolfin_elastic.mesh.geometry.simplices import Floats
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.model.loads import Cavity
 from dolfin_elastic.problem.loads.pressure_symmetry import rim
 from dolfin_elastic.problem.problem import Problem
@@ -66,7 +64,7 @@ def _open(load: Cavity, problem: Problem) -> bool:
     return bool(total(body.comm, lost))
 
 
-def _ends(problem: Problem, edge: int) -> tuple[Indices, Indices]:
+def _ends(problem: Problem, edge: int) -> tuple[IndexArray, IndexArray]:
     """Nodes of the displacement on an edge (in a plane: a point), and of the mesh at its ends."""
     mesh, dim = problem.body.mesh, problem.body.dim
     mesh.topology.create_connectivity(dim - 2, dim)
@@ -79,7 +77,7 @@ def _ends(problem: Problem, edge: int) -> tuple[Indices, Indices]:
     return points, mesh.geometry.dofmap[cell][corners]
 
 
-def _flux(x: Floats, origin: Floats, turned: bool) -> npt.NDArray[np.bool_]:
+def _flux(x: FloatArray, origin: FloatArray, turned: bool) -> BoolArray:
     """Components in which a virtual displacement of an edge changes the volume."""
     arm, size = x[0] - origin, float(np.abs(x - origin).max())
     if len(origin) == 2:

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
-from dolfin_elastic.mesh.body import Indices
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.geometry.quadrature import Points, points_of_cells, points_of_facets
 from dolfin_elastic.mesh.geometry.simplices import prepare_facets
 from dolfin_elastic.problem.problem import Problem
-
-Floats = npt.NDArray[np.float64]
 
 
 class Integrals:
@@ -42,13 +39,13 @@ class Integrals:
         chosen = np.concatenate([self.body.owned_facets(name) for name in names])
         return points_of_facets(self.body.mesh, np.unique(chosen), self._degree)
 
-    def whole(self, points: Points) -> Floats:
+    def whole(self, points: Points) -> FloatArray:
         """Weights with what the mesh does not show: the thickness, or the circumference."""
         if self.problem.geometry == "axisymmetric":
             return np.asarray(2 * np.pi * points.X[..., 0] * points.weights)
         return self._thickness * points.weights
 
-    def density(self, points: Points) -> Floats:
+    def density(self, points: Points) -> FloatArray:
         """Mass density at points of cells [kg/m^3]; nan where a material has none. Local."""
         assert points.local is not None
         found = np.full(points.weights.shape, np.nan)
@@ -61,7 +58,9 @@ class Integrals:
         return found
 
 
-def _at(density: fem.Constant | fem.Function, cells: Indices, local: Floats) -> float | Floats:
+def _at(
+    density: fem.Constant | fem.Function, cells: IndexArray, local: FloatArray
+) -> float | FloatArray:
     """Values of what a law was bound to: a constant, or polynomials of single cells."""
     if isinstance(density, fem.Constant):
         return float(density.value)

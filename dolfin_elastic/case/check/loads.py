@@ -9,10 +9,11 @@ import numpy as np
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.case import acts_on_surfaces
-from dolfin_elastic.case.check.integrals import Floats, Integrals
+from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.start import TIMES
 from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.geometry.quadrature import Points
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.loads import ConcentratedLoad, Load, LoadSamples
@@ -92,7 +93,7 @@ def _rigid_sums(case: Case, problem: Problem) -> Iterator[LoadSum]:
         yield LoadSum(f"support[{index}] (rigid)", ", ".join(support.surfaces), force, moment, time)
 
 
-def _pushed(motion: RigidMotion, t: float, case: Case, dim: int) -> Floats:
+def _pushed(motion: RigidMotion, t: float, case: Case, dim: int) -> FloatArray:
     """Force and moment about the origin; what was given is about the surface's point."""
     default = PROPORTIONAL if case.dynamics is None else CONSTANT
     values = np.array(motion.support.at_time(motion.support.action(dim), t, default))
@@ -114,7 +115,7 @@ def _points(load: Load, integrals: Integrals) -> Points | None:
     return integrals.facets(load.parts) if acts_on_surfaces(load) else integrals.cells(load.parts)
 
 
-def _strength(sums: Floats, dim: int) -> float:
+def _strength(sums: FloatArray, dim: int) -> float:
     """Force, or moment where forces cancel; the larger wins among times. Not finite: the most."""
     size = float(np.linalg.norm(sums[:dim])) or float(np.linalg.norm(sums))
     return size if np.isfinite(size) else np.inf
@@ -133,7 +134,9 @@ def _times(case: Case, load: Load) -> list[float]:
     return sorted(times)
 
 
-def _resultant(load: Load, t: float, points: Points | None, integrals: Integrals) -> Floats | None:
+def _resultant(
+    load: Load, t: float, points: Points | None, integrals: Integrals
+) -> FloatArray | None:
     """Force and moment about the origin, shape (dim + 3,), in a plane (3,). Collective."""
     if points is None:
         assert isinstance(load, ConcentratedLoad)
@@ -149,7 +152,7 @@ def _resultant(load: Load, t: float, points: Points | None, integrals: Integrals
     return np.asarray(total(integrals.body.comm, sums))
 
 
-def _both(X: Floats, forces: Floats) -> Floats:
+def _both(X: FloatArray, forces: FloatArray) -> FloatArray:
     """Sums of forces and of their moments."""
     if X.shape[-1] == 2:
         x, y = X[..., 0], X[..., 1]
@@ -159,7 +162,7 @@ def _both(X: Floats, forces: Floats) -> Floats:
     return np.asarray(np.concatenate([forces, moments], axis=-1).sum(axis=(0, 1)))
 
 
-def _check_finite(index: int, sums: Floats, t: float) -> None:
+def _check_finite(index: int, sums: FloatArray, t: float) -> None:
     if not np.isfinite(sums).all():
         raise CaseError(
             f"the load is not finite somewhere at t = {t:g}",
@@ -168,5 +171,5 @@ def _check_finite(index: int, sums: Floats, t: float) -> None:
         )
 
 
-def _plain(values: Sequence[float] | Floats) -> tuple[float, ...]:
+def _plain(values: Sequence[float] | FloatArray) -> tuple[float, ...]:
     return tuple(float(value) for value in values)

@@ -8,9 +8,10 @@ import numpy as np
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.case import acts_on_surfaces
-from dolfin_elastic.case.check.integrals import Floats, Integrals
+from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.mesh.body import Body, Indices
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body
 
 WHOLE = "(whole body)"
 
@@ -102,7 +103,7 @@ class _Cells:
         if integrals.problem.geometry == "axisymmetric":
             self._masses[:, 1] = 0.0
 
-    def size(self, name: str, cells: Indices, use: str) -> PartSize:
+    def size(self, name: str, cells: IndexArray, use: str) -> PartSize:
         """One part. Collective."""
         volume = total(self._comm, self._volumes[cells].sum(axis=0))
         mass = total(self._comm, self._masses[cells].sum(axis=0))
@@ -119,11 +120,11 @@ class _Cells:
         )
 
 
-def _moments(X: Floats, weights: Floats) -> Floats:
+def _moments(X: FloatArray, weights: FloatArray) -> FloatArray:
     """Integrals of 1 and of the place over each entity, shape (entities, 1 + dim)."""
     zeroth = weights.sum(axis=1)
     return np.column_stack([zeroth, np.einsum("ep,epj->ej", weights, X)])
 
 
-def _middle(sums: Floats) -> tuple[float, ...]:
+def _middle(sums: FloatArray) -> tuple[float, ...]:
     return tuple(float(x) for x in sums[1:] / sums[0]) if sums[0] > 0 else ()

@@ -14,8 +14,8 @@ import numpy as np
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.mesh.body import Body, Indices, extent
-from dolfin_elastic.mesh.geometry.simplices import Floats
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body, extent
 from dolfin_elastic.mesh.selection import bounding_box
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.loads import ConcentratedLoad, Load
@@ -100,7 +100,7 @@ def _place_notes(case: Case, body: Body) -> Iterator[str]:
     low, high = bounding_box(body.mesh)
     size, scale = float(np.linalg.norm(high - low)), case.mesh.scale
 
-    def off(point: Floats) -> float:
+    def off(point: FloatArray) -> float:
         return float(np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0)))
 
     for key, values in _places(case):
@@ -261,14 +261,14 @@ def _contradictions(case: Case, body: Body) -> Iterator[str]:
             )
 
 
-def _moved(case: Case, support: PrescribingSupport, which: int, x: Floats) -> Floats:
+def _moved(case: Case, support: PrescribingSupport, which: int, x: FloatArray) -> FloatArray:
     """What a support prescribes at the end [m]."""
     motion = case.dynamics
     t, default = (case.full, PROPORTIONAL) if motion is None else (motion.end, CONSTANT)
     return np.asarray(np.broadcast_to(support.at(which, x, t, default), len(x)))
 
 
-def _corners(body: Body, support: Restraint) -> Indices:
+def _corners(body: Body, support: Restraint) -> IndexArray:
     """Local vertices of a support's surfaces."""
     topology = body.mesh.topology
     topology.create_connectivity(body.dim - 1, 0)
@@ -277,7 +277,7 @@ def _corners(body: Body, support: Restraint) -> Indices:
     return np.unique([v for facet in facets for v in links.links(facet)]).astype(np.int32)
 
 
-def _geometry_nodes(body: Body, vertices: Indices) -> Indices:
+def _geometry_nodes(body: Body, vertices: IndexArray) -> IndexArray:
     """Where local vertices stand among the nodes of the mesh."""
     topology, dim = body.mesh.topology, body.mesh.topology.dim
     topology.create_connectivity(dim, 0)

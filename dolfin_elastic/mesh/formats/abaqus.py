@@ -13,14 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.mesh.formats.meshio import OtherFile
-from dolfin_elastic.mesh.formats.raw import (
-    Block,
-    Floats,
-    Ints,
-    boundary,
-    match_rows,
-)
+from dolfin_elastic.mesh.formats.raw import Block, boundary, match_rows
 
 # An element type starts with one of these; what follows (H, R, M, T ...) is its formulation.
 _KINDS = {
@@ -66,7 +61,7 @@ class _Card:
         """All entries."""
         return [w.strip() for line in self.lines for w in line.split(",") if w.strip()]
 
-    def rows(self, width: int) -> Ints:
+    def rows(self, width: int) -> IntArray:
         """All entries as whole numbers in rows of a width."""
         try:
             numbers = np.array(self.words(), dtype=np.int64)
@@ -84,16 +79,16 @@ class _Card:
 class _Deck:
     """What the file says, in the file's own numbers; keys of sets in capitals."""
 
-    numbers: list[Ints] = field(default_factory=list)
-    points: list[Floats] = field(default_factory=list)
-    elements: list[tuple[str, Ints, Ints]] = field(default_factory=list)
-    nsets: dict[str, list[Ints]] = field(default_factory=dict)
-    elsets: dict[str, list[Ints]] = field(default_factory=dict)
+    numbers: list[IntArray] = field(default_factory=list)
+    points: list[FloatArray] = field(default_factory=list)
+    elements: list[tuple[str, IntArray, IntArray]] = field(default_factory=list)
+    nsets: dict[str, list[IntArray]] = field(default_factory=dict)
+    elsets: dict[str, list[IntArray]] = field(default_factory=dict)
     surfaces: dict[str, _Card] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
     parts: int = 0
 
-    def add(self, sets: dict[str, list[Ints]], name: str, numbers: Ints) -> None:
+    def add(self, sets: dict[str, list[IntArray]], name: str, numbers: IntArray) -> None:
         """Adds members to a set; names keep the spelling they first had."""
         self.names.setdefault(name.upper(), name)
         sets.setdefault(name.upper(), []).append(numbers)
@@ -208,7 +203,7 @@ def _take_set(deck: _Deck, card: _Card) -> None:
             deck.add(sets, name, members)
 
 
-def _known(sets: dict[str, list[Ints]], word: str, what: str) -> list[Ints]:
+def _known(sets: dict[str, list[IntArray]], word: str, what: str) -> list[IntArray]:
     key = word.strip('"').upper().rpartition(".")[2]  # "Part-1.Set" within an assembly
     if key not in sets:
         raise MeshError(f"the {what} '{word}' does not exist")
@@ -243,7 +238,7 @@ _TAKE: dict[str, Callable[[_Deck, _Card], None]] = {
 }
 
 
-def _at(numbers: Ints, wanted: Ints) -> Ints:
+def _at(numbers: IntArray, wanted: IntArray) -> IntArray:
     """Where the points with these numbers stand."""
     rows = np.minimum(np.searchsorted(numbers, wanted), len(numbers) - 1)
     lost = np.unique(wanted[numbers[rows] != wanted])
@@ -254,14 +249,14 @@ def _at(numbers: Ints, wanted: Ints) -> Ints:
     return np.asarray(rows)
 
 
-def _blocks(deck: _Deck, numbers: Ints) -> Iterator[Block]:
+def _blocks(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
     sets = {deck.names[key]: np.concatenate(rows) for key, rows in deck.elsets.items()}
     for kind, labels, nodes in deck.elements:
         parts = {name: np.flatnonzero(np.isin(labels, rows)) for name, rows in sets.items()}
         yield Block(kind, _at(numbers, nodes), parts)
 
 
-def _surfaces(deck: _Deck, numbers: Ints) -> Iterator[Block]:
+def _surfaces(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
     """*SURFACE: faces of elements (of nodes: see `_take_surface`) as elements of their own."""
     for key, card in deck.surfaces.items():
         if card.options.get("TYPE", "ELEMENT").upper() == "NODE":
@@ -279,7 +274,7 @@ def _surfaces(deck: _Deck, numbers: Ints) -> Iterator[Block]:
 
 
 def _faces(
-    deck: _Deck, numbers: Ints, name: str, members: Ints, face: list[str]
+    deck: _Deck, numbers: IntArray, name: str, members: IntArray, face: list[str]
 ) -> Iterator[Block]:
     free = None if face and face[0] else _free(deck)
     for kind, labels, nodes in deck.elements:
@@ -300,7 +295,7 @@ def _faces(
             )
 
 
-def _free(deck: _Deck) -> Ints:
+def _free(deck: _Deck) -> IntArray:
     """The faces on the boundary of the body, sorted: what a *SURFACE without faces means."""
     solid = any(kind.startswith("tetra") for kind, _, _ in deck.elements)
     start, width = ("tetra", 4) if solid else ("triangle", 3)

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfin_elastic.core.errors import MeshError
-from dolfin_elastic.mesh.formats.raw import Floats, Ints, RawMesh
+from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
+from dolfin_elastic.mesh.formats.raw import RawMesh
 
 
 def places(points: npt.ArrayLike, count: int, what: str = "near") -> str:
@@ -46,11 +47,11 @@ def _noted(raw: RawMesh, note: str, **changes: object) -> RawMesh:
     return replace(raw, notes=(*raw.notes, note), **changes)  # type: ignore[arg-type]
 
 
-def _corners(raw: RawMesh) -> Ints:
+def _corners(raw: RawMesh) -> IntArray:
     return raw.cells[:, : raw.dim + 1]
 
 
-def _midpoints(raw: RawMesh, rows: npt.NDArray[np.bool_] | Ints) -> Floats:
+def _midpoints(raw: RawMesh, rows: BoolArray | IntArray) -> FloatArray:
     return np.asarray(raw.points[_corners(raw)[rows][:5]].mean(axis=1))
 
 

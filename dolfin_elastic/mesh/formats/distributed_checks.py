@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import agree, total
+from dolfin_elastic.core.types import IntArray
 
-Ints = npt.NDArray[np.int64]
 
-
-def check_shares(comm: MPI.Comm, cells: Ints, points: int, dim: int) -> None:
+def check_shares(comm: MPI.Comm, cells: IntArray, points: int, dim: int) -> None:
     """Refuses what would end DOLFINx's mesh creation in C++.
 
     Collective.
@@ -43,14 +41,14 @@ def check_shares(comm: MPI.Comm, cells: Ints, points: int, dim: int) -> None:
         )
 
 
-def _out_of_range(cells: Ints, points: int) -> MeshError | None:
+def _out_of_range(cells: IntArray, points: int) -> MeshError | None:
     bad = cells[(cells < 0) | (cells >= points)]
     if len(bad) == 0:
         return None
     return MeshError(f"elements refer to the point {bad[0]}, but there are {points} points")
 
 
-def _repeated(comm: MPI.Comm, rows: Ints, most: int) -> int:
+def _repeated(comm: MPI.Comm, rows: IntArray, most: int) -> int:
     """How many rows, among those this rank is told to look at, stand more than `most` times.
 
     Collective.  Equal rows are sent to the same rank.

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.fields import columned
-from dolfin_elastic.mesh.formats.raw import Block, Floats, Ints
+from dolfin_elastic.mesh.formats.raw import Block
 
 # Integer cell data that are references of the format itself: their number is the name.
 _REFERENCES = ("gmsh:physical", "medit:ref", "nastran:ref", "tetgen:ref", "cell_tags")
@@ -26,11 +26,11 @@ _MOST = 200  # more distinct integers than this are data, not names
 class OtherFile:
     """Points (in the file's unit), elements, sets and data of points, and remarks."""
 
-    points: Floats
+    points: FloatArray
     blocks: list[Block]
-    point_sets: dict[str, Ints] = field(default_factory=dict)
+    point_sets: dict[str, IntArray] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
-    point_data: dict[str, Floats] = field(default_factory=dict)
+    point_data: dict[str, FloatArray] = field(default_factory=dict)
 
 
 def read_other(path: Path) -> OtherFile:
@@ -47,7 +47,7 @@ def read_other(path: Path) -> OtherFile:
         Block(cells.type, _nodes(cells, path), _parts(mesh, i), _cell_data(mesh, i))
         for i, cells in enumerate(mesh.cells)
     ]
-    sets: dict[str, Ints] = {
+    sets: dict[str, IntArray] = {
         str(name): np.asarray(rows, dtype=np.int64).reshape(-1)
         for name, rows in (mesh.point_sets or {}).items()
     }
@@ -60,11 +60,11 @@ def read_other(path: Path) -> OtherFile:
     return OtherFile(points, blocks, sets, point_data=data)
 
 
-def _is_number(data: npt.NDArray[Any]) -> bool:
+def _is_number(data: AnyArray) -> bool:
     return data.dtype.kind in "fiu"
 
 
-def _cell_data(mesh: Any, i: int) -> dict[str, Floats]:
+def _cell_data(mesh: Any, i: int) -> dict[str, FloatArray]:
     """What is measured, not counted: integers that name parts are no fields."""
     found = {}
     for name, blocks in mesh.cell_data.items():
@@ -103,7 +103,7 @@ def _reason(path: Path, error: Exception) -> str:
     return " ".join(f"{type(error).__name__} {error}".split())[:300]
 
 
-def _nodes(cells: Any, path: Path) -> Ints:
+def _nodes(cells: Any, path: Path) -> IntArray:
     try:
         nodes = np.asarray(cells.data, dtype=np.int64)
     except (ValueError, TypeError):  # ragged: polyhedra
@@ -111,8 +111,8 @@ def _nodes(cells: Any, path: Path) -> Ints:
     return nodes.reshape(len(nodes), -1)
 
 
-def _parts(mesh: Any, i: int) -> dict[str, Ints]:
-    parts: dict[str, Ints] = {}
+def _parts(mesh: Any, i: int) -> dict[str, IntArray]:
+    parts: dict[str, IntArray] = {}
     for name, sets in (mesh.cell_sets or {}).items():
         # meshio's own helper sets are no names of the user.
         if not name.startswith("gmsh:") and i < len(sets) and sets[i] is not None:
@@ -127,7 +127,7 @@ def _parts(mesh: Any, i: int) -> dict[str, Ints]:
     return parts
 
 
-def _add(parts: dict[str, Ints], name: str, rows: Ints) -> None:
+def _add(parts: dict[str, IntArray], name: str, rows: IntArray) -> None:
     parts[name] = np.union1d(rows, parts[name]) if name in parts else rows
 
 
@@ -140,9 +140,7 @@ def _numbered(key: str, mesh: Any, dim: int) -> Mapping[int, Sequence[str]]:
     return {}
 
 
-def by_value(
-    data: npt.NDArray[Any], key: str, names: Mapping[int, Sequence[str]]
-) -> dict[str, Ints]:
+def by_value(data: AnyArray, key: str, names: Mapping[int, Sequence[str]]) -> dict[str, IntArray]:
     """Splits integer cell data into named rows: "3" for references, else "key_3"."""
     whole = np.issubdtype(data.dtype, np.integer) or (
         key in _REFERENCES and bool(np.all(data == np.round(data)))
@@ -152,7 +150,7 @@ def by_value(
     values = np.unique(data)
     if len(values) > _MOST:
         return {}
-    parts: dict[str, Ints] = {}
+    parts: dict[str, IntArray] = {}
     for value in values:
         if key in _REFERENCES and value == 0:
             continue
@@ -162,9 +160,9 @@ def by_value(
     return parts
 
 
-def _tagged(tags: Any, names: Mapping[int, Sequence[str]]) -> dict[str, Ints]:
+def _tagged(tags: Any, names: Mapping[int, Sequence[str]]) -> dict[str, IntArray]:
     """MED's groups of points."""
-    sets: dict[str, Ints] = {}
+    sets: dict[str, IntArray] = {}
     if tags is None:
         return sets
     for value, groups in (names or {}).items():

@@ -17,8 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.mesh.formats.msh_data import View, data_rows, views
-from dolfin_elastic.mesh.formats.raw import Block, Floats, Ints
+from dolfin_elastic.mesh.formats.raw import Block
 
 _TYPES = {
     1: ("line", 2),
@@ -61,10 +62,10 @@ _TYPES = {
 class MshFile:
     """Points (in the file's unit), elements with their data, remarks, and data of points."""
 
-    points: Floats
+    points: FloatArray
     blocks: list[Block]
     notes: list[str]
-    point_data: dict[str, Floats] = field(default_factory=dict)
+    point_data: dict[str, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -72,9 +73,9 @@ class _Run:
     """Elements of one type: their numbers in the file, groups of each, and nodes."""
 
     kind: int
-    tags: Ints
-    groups: Ints
-    nodes: Ints
+    tags: IntArray
+    groups: IntArray
+    nodes: IntArray
 
 
 class OtherVersionError(Exception):
@@ -104,19 +105,19 @@ class _Numbers:
             part = self._values[start : self._at]
         return part.astype(np.float64 if code == "f8" else np.int64)
 
-    def ints(self, count: int) -> Ints:
+    def ints(self, count: int) -> IntArray:
         """The next integers of 4 bytes."""
         return self.take(count, "i4")  # type: ignore[return-value]
 
-    def sizes(self, count: int) -> Ints:
+    def sizes(self, count: int) -> IntArray:
         """The next integers of 8 bytes."""
         return self.take(count, "u8")  # type: ignore[return-value]
 
-    def doubles(self, count: int) -> Floats:
+    def doubles(self, count: int) -> FloatArray:
         """The next floating-point numbers."""
         return self.take(count, "f8")  # type: ignore[return-value]
 
-    def points(self, count: int) -> tuple[Ints, Floats]:
+    def points(self, count: int) -> tuple[IntArray, FloatArray]:
         """Numbered points of a binary file of version 2."""
         kind = np.dtype([("tag", self._order + "i4"), ("x", self._order + "f8", 3)])
         if len(self._data) - self._at < count * kind.itemsize:
@@ -124,7 +125,7 @@ class _Numbers:
         rows = np.frombuffer(self._data, kind, count, self._at)
         return rows["tag"].astype(np.int64), rows["x"].astype(np.float64)
 
-    def rest(self) -> Ints:
+    def rest(self) -> IntArray:
         """All remaining integers of 4 bytes."""
         have = len(self._data) - self._at
         return self.ints(have // 4 if self._binary else len(self._values) - self._at)
@@ -140,7 +141,7 @@ class _Numbers:
         return int(text)
 
 
-def _numbers(data: bytes, name: str) -> Floats:
+def _numbers(data: bytes, name: str) -> FloatArray:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
@@ -220,7 +221,7 @@ def _names(data: bytes) -> dict[tuple[int, int], str]:
     return {(int(dim), int(tag)): name for dim, tag, name in rows}
 
 
-def _nodes2(numbers: _Numbers, binary: bool) -> tuple[Ints, Floats]:
+def _nodes2(numbers: _Numbers, binary: bool) -> tuple[IntArray, FloatArray]:
     count = numbers.line()
     if not binary:
         rows = numbers.doubles(4 * count).reshape(-1, 4)
@@ -252,7 +253,7 @@ def _elements2(numbers: _Numbers, binary: bool) -> Iterator[_Run]:
         count -= len(rows)
 
 
-def _run(words: Ints, width: int, alike: list[int], most: int, whole: bool) -> Ints:
+def _run(words: IntArray, width: int, alike: list[int], most: int, whole: bool) -> IntArray:
     """The first rows of this width that agree in the columns `alike`."""
     rows = words[: min(most, len(words) // width) * width].reshape(-1, width)
     if len(rows) == 0 or (whole and len(rows) < most):
@@ -267,7 +268,7 @@ def _nodes_of(kind: int) -> int:
     return _TYPES[kind][1]
 
 
-def _entities4(numbers: _Numbers) -> dict[tuple[int, int], Ints]:
+def _entities4(numbers: _Numbers) -> dict[tuple[int, int], IntArray]:
     """(dimension, entity) to its physical groups."""
     groups = {}
     for dim, count in enumerate(numbers.sizes(4)):
@@ -280,10 +281,10 @@ def _entities4(numbers: _Numbers) -> dict[tuple[int, int], Ints]:
     return groups
 
 
-def _nodes4(numbers: _Numbers) -> tuple[Ints, Floats]:
+def _nodes4(numbers: _Numbers) -> tuple[IntArray, FloatArray]:
     blocks = numbers.sizes(4)[0]
-    tags: list[Ints] = [np.empty(0, dtype=np.int64)]
-    points: list[Floats] = [np.empty((0, 3))]
+    tags: list[IntArray] = [np.empty(0, dtype=np.int64)]
+    points: list[FloatArray] = [np.empty((0, 3))]
     for _ in range(blocks):
         dim, _, parametric = numbers.ints(3)
         count = int(numbers.sizes(1)[0])
@@ -293,7 +294,7 @@ def _nodes4(numbers: _Numbers) -> tuple[Ints, Floats]:
     return np.concatenate(tags), np.concatenate(points)
 
 
-def _elements4(numbers: _Numbers, entities: dict[tuple[int, int], Ints]) -> Iterator[_Run]:
+def _elements4(numbers: _Numbers, entities: dict[tuple[int, int], IntArray]) -> Iterator[_Run]:
     """The blocks, each with its groups."""
     for _ in range(numbers.sizes(4)[0]):
         dim, entity, kind = (int(n) for n in numbers.ints(3))
@@ -305,8 +306,8 @@ def _elements4(numbers: _Numbers, entities: dict[tuple[int, int], Ints]) -> Iter
 
 
 def _named(
-    points: Floats,
-    tags: Ints,
+    points: FloatArray,
+    tags: IntArray,
     found: list[_Run],
     names: dict[tuple[int, int], str],
     data: dict[str, View],
@@ -315,7 +316,7 @@ def _named(
     blocks, used = [], set()
     for run in found:
         block = Block(_TYPES[run.kind][0], _rows(tags, order, run.nodes))
-        parts: dict[str, Ints] = {}
+        parts: dict[str, IntArray] = {}
         for group in np.unique(run.groups[run.groups != 0]):
             rows = np.flatnonzero((run.groups.reshape(len(run.nodes), -1) == group).any(axis=1))
             name = names.get((block.dim, int(group)), str(group))
@@ -331,7 +332,7 @@ def _named(
     return MshFile(points, blocks, notes)
 
 
-def _rows(tags: Ints, order: Ints, nodes: Ints) -> Ints:
+def _rows(tags: IntArray, order: IntArray, nodes: IntArray) -> IntArray:
     """Where in the list of points the nodes stand."""
     if len(tags) == 0:
         raise MeshError("the mesh has no points")

@@ -11,17 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
-from dolfin_elastic.mesh.formats.raw import Floats, Ints
+from dolfin_elastic.core.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
 class View:
     """Numbers of elements or points, by their numbers in the file."""
 
-    tags: Ints
-    values: Floats
+    tags: IntArray
+    values: FloatArray
 
-    def rows(self, tags: Ints) -> Floats | None:
+    def rows(self, tags: IntArray) -> FloatArray | None:
         """The values of these elements or points, NaN where there is none; None: of none."""
         order = np.argsort(self.tags)
         at = np.minimum(np.searchsorted(self.tags, tags, sorter=order), len(order) - 1)
@@ -31,7 +31,7 @@ class View:
         return np.where(hit[:, None], self.values[order[at]], np.nan)
 
 
-def data_rows(views: Mapping[str, View], tags: Ints) -> dict[str, Floats]:
+def data_rows(views: Mapping[str, View], tags: IntArray) -> dict[str, FloatArray]:
     """Name to the values of these elements or points, for the views that have some."""
     found = {name: view.rows(tags) for name, view in views.items() if len(view.tags)}
     return {name: rows for name, rows in found.items() if rows is not None}

@@ -7,12 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.core.errors import MeshError
-
-Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
+from dolfin_elastic.core.types import FloatArray, IntArray
 
 _DIMS = {
     "vertex": 0,
@@ -53,9 +50,9 @@ class Block:
     """
 
     kind: str
-    nodes: Ints
-    parts: Mapping[str, Ints] = field(default_factory=dict)
-    data: Mapping[str, Floats] = field(default_factory=dict)
+    nodes: IntArray
+    parts: Mapping[str, IntArray] = field(default_factory=dict)
+    data: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def dim(self) -> int:
@@ -78,14 +75,14 @@ class RawMesh:
         point_data: Name to numbers of each point, shape (N, columns).
     """
 
-    points: Floats
-    cells: Ints
+    points: FloatArray
+    cells: IntArray
     order: int
-    regions: Mapping[str, Ints] = field(default_factory=dict)
-    surfaces: Mapping[str, Ints] = field(default_factory=dict)
+    regions: Mapping[str, IntArray] = field(default_factory=dict)
+    surfaces: Mapping[str, IntArray] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    cell_data: Mapping[str, Floats] = field(default_factory=dict)
-    point_data: Mapping[str, Floats] = field(default_factory=dict)
+    cell_data: Mapping[str, FloatArray] = field(default_factory=dict)
+    point_data: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def dim(self) -> int:
@@ -94,13 +91,13 @@ class RawMesh:
 
 
 def assemble(
-    points: Floats,
+    points: FloatArray,
     blocks: Sequence[Block],
     *,
     source: str,
     dim: int | None = None,
-    point_sets: Mapping[str, Ints] | None = None,
-    point_data: Mapping[str, Floats] | None = None,
+    point_sets: Mapping[str, IntArray] | None = None,
+    point_data: Mapping[str, FloatArray] | None = None,
     notes: Iterable[str] = (),
 ) -> RawMesh:
     """Makes one body of the elements of the highest dimension.
@@ -142,7 +139,7 @@ def assemble(
     return RawMesh(points, cells, order, regions, surfaces, notes, cell_data, at_points)
 
 
-def _cell_data(solid: Sequence[Block]) -> dict[str, Floats]:
+def _cell_data(solid: Sequence[Block]) -> dict[str, FloatArray]:
     """The blocks' data one below the other, NaN where a block has none."""
     found = {}
     for name in dict.fromkeys(name for block in solid for name in block.data):
@@ -194,8 +191,8 @@ def _found(blocks: Iterable[Block]) -> str:
     return "found " + (", ".join(f"{n} {_SAID.get(k, k)}" for k, n in counts.items()) or "none")
 
 
-def _gather(blocks: Sequence[Block], items: Sequence[Ints]) -> dict[str, Ints]:
-    found: dict[str, list[Ints]] = {}
+def _gather(blocks: Sequence[Block], items: Sequence[IntArray]) -> dict[str, IntArray]:
+    found: dict[str, list[IntArray]] = {}
     for block, item in zip(blocks, items, strict=True):
         for name, rows in block.parts.items():
             if len(rows):
@@ -211,8 +208,8 @@ def _left_out(blocks: Sequence[Block], dim: int) -> list[str]:
 
 
 def _from_points(
-    solid: Sequence[Block], dim: int, point_sets: Mapping[str, Ints]
-) -> dict[str, Ints]:
+    solid: Sequence[Block], dim: int, point_sets: Mapping[str, IntArray]
+) -> dict[str, IntArray]:
     """The boundary facets all of whose vertices are in a set of points."""
     if not point_sets:
         return {}
@@ -221,7 +218,7 @@ def _from_points(
     return {name: rows for name, rows in picked.items() if len(rows)}
 
 
-def boundary(cells: Sequence[Ints]) -> Ints:
+def boundary(cells: Sequence[IntArray]) -> IntArray:
     """Facets that belong to one cell only, as sorted vertices, shape (F, d)."""
     corners = np.concatenate(list(cells))
     d = corners.shape[1] - 1
@@ -233,7 +230,7 @@ def boundary(cells: Sequence[Ints]) -> Ints:
     return np.asarray(facets[~same[:-1] & ~same[1:]])
 
 
-def match_rows(table: Ints, rows: Ints) -> Ints:
+def match_rows(table: IntArray, rows: IntArray) -> IntArray:
     """For each of `rows` its place in `table` (whose rows are all different), or -1."""
     both = np.concatenate([table, rows])
     _, group = np.unique(both, axis=0, return_inverse=True)

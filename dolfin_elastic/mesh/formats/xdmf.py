@@ -16,9 +16,10 @@ from mpi4py import MPI
 from dolfin_elastic.core.compat import read_meshtags, reads_attributes_by_name
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.mesh.body import Body, Indices
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import build_body, make_mesh
-from dolfin_elastic.mesh.fields import Floats, MeshField, spread
+from dolfin_elastic.mesh.fields import MeshField, spread
 from dolfin_elastic.mesh.formats.distributed_checks import check_shares
 from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
 
@@ -174,7 +175,7 @@ def _field(body: Body, path: Path, data: _Data) -> MeshField:
     """Reads a field on rank 0, in pieces. Collective."""
     import h5py
 
-    def read(start: int, stop: int) -> Floats:
+    def read(start: int, stop: int) -> FloatArray:
         with h5py.File(path.parent / data.file, "r") as file:
             rows = np.asarray(file[data.path][start:stop], dtype=np.float64)
         return rows.reshape(stop - start, data.shape[1])
@@ -233,7 +234,7 @@ def _tagged(body: Body, file: XDMFFile, contents: _Contents) -> Body:
     return body
 
 
-def _parts(mesh: Mesh, file: XDMFFile, tags: _Tags) -> dict[str, Indices]:
+def _parts(mesh: Mesh, file: XDMFFile, tags: _Tags) -> dict[str, IndexArray]:
     found = read_meshtags(file, mesh, tags.grid, tags.attribute)
     values = np.unique(np.concatenate(mesh.comm.allgather(np.unique(found.values))))
     if len(values) > _MOST:
@@ -243,7 +244,7 @@ def _parts(mesh: Mesh, file: XDMFFile, tags: _Tags) -> dict[str, Indices]:
     }
 
 
-def _shared(mesh: Mesh, dim: int, entities: Indices) -> Indices:
+def _shared(mesh: Mesh, dim: int, entities: IndexArray) -> IndexArray:
     """The same entities, with those that another rank found and this one shares. Collective."""
     index = mesh.topology.index_map(dim)
     marks = la.vector(index, 1)

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import la
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.formats.cleaning import places
 from dolfin_elastic.mesh.geometry.curved import smallest_jacobians
-from dolfin_elastic.mesh.geometry.simplices import (
-    Floats,
-    cell_corners,
-    qualities,
-    signed_volumes,
-)
+from dolfin_elastic.mesh.geometry.simplices import cell_corners, qualities, signed_volumes
 
 FLAT = 1e-12  # quality below which a cell has no volume
 SLIVER = 1e-3  # quality below which a cell is worth a remark
@@ -63,7 +58,7 @@ def inspect(body: Body, *, scale: float = 1.0) -> list[str]:
     return notes
 
 
-def _places(mesh: Mesh, bad: npt.NDArray[np.bool_], middle: Floats) -> tuple[int, str]:
+def _places(mesh: Mesh, bad: BoolArray, middle: FloatArray) -> tuple[int, str]:
     """How many cells of all ranks, and where the first of the file are. Collective."""
     number = np.asarray(mesh.topology.original_cell_index)
     mine = np.flatnonzero(bad)
@@ -75,7 +70,7 @@ def _places(mesh: Mesh, bad: npt.NDArray[np.bool_], middle: Floats) -> tuple[int
     return count, places(first, count)
 
 
-def _curved(body: Body, middle: Floats) -> None:
+def _curved(body: Body, middle: FloatArray) -> None:
     count, near = _places(body.mesh, smallest_jacobians(body.mesh) <= 0, middle)
     if count:
         raise MeshError(
@@ -86,7 +81,7 @@ def _curved(body: Body, middle: Floats) -> None:
         )
 
 
-def _orientation(body: Body, volumes: Floats, middle: Floats) -> list[str]:
+def _orientation(body: Body, volumes: FloatArray, middle: FloatArray) -> list[str]:
     """Tells cells with reversed node order (harmless) from cells inside out (overlap)."""
     comm = body.comm
     folded = folded_facets(body.mesh)
@@ -117,7 +112,7 @@ def _orientation(body: Body, volumes: Floats, middle: Floats) -> list[str]:
     return notes
 
 
-def _inside_out(body: Body, volumes: Floats, bad: npt.NDArray[np.bool_], said: str) -> str:
+def _inside_out(body: Body, volumes: FloatArray, bad: BoolArray, said: str) -> str:
     part = total(body.comm, float(volumes[bad].sum())) / total(body.comm, float(volumes.sum()))
     if part > OVERLAP:
         raise MeshError(
@@ -128,7 +123,7 @@ def _inside_out(body: Body, volumes: Floats, bad: npt.NDArray[np.bool_], said: s
     return f"warning: {said}; their volume, {part:.2g} of the body's, counts twice"
 
 
-def folded_facets(mesh: Mesh) -> npt.NDArray[np.int64]:
+def folded_facets(mesh: Mesh) -> IntArray:
     """For each local cell the number of facets whose other cell lies on the same side.
 
     Collective.  Seen from a facet, whose vertices are taken in their global order, the opposite
@@ -144,7 +139,7 @@ def folded_facets(mesh: Mesh) -> npt.NDArray[np.int64]:
     return np.asarray((np.abs(sums.array[around]) > 1.5).sum(axis=1))
 
 
-def _sides(mesh: Mesh) -> Floats:
+def _sides(mesh: Mesh) -> FloatArray:
     """+1 or -1: on which side of each of its facets a local cell lies, shape (n, d + 1)."""
     d = mesh.topology.dim
     nodes = mesh.geometry.dofmap[:, : d + 1]

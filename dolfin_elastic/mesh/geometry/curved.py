@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import basix
 import numpy as np
-import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
-from dolfin_elastic.mesh.geometry.simplices import Floats, Indices, facet_places
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.geometry.simplices import facet_places
 
 _SHAPES = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 
@@ -18,7 +18,7 @@ def _element(dim: int, degree: int) -> basix.finite_element.FiniteElement:
     )
 
 
-def rule(dim: int, degree: int) -> tuple[Floats, Floats]:
+def rule(dim: int, degree: int) -> tuple[FloatArray, FloatArray]:
     """Points, shape (points, dim), and weights that are exact up to a degree on a simplex."""
     points, weights = basix.make_quadrature(_SHAPES[dim], degree)
     return (
@@ -27,20 +27,20 @@ def rule(dim: int, degree: int) -> tuple[Floats, Floats]:
     )
 
 
-def cell_gradients(nodes: Floats, degree: int, points: Floats) -> Floats:
+def cell_gradients(nodes: FloatArray, degree: int, points: FloatArray) -> FloatArray:
     """dx/dX at points of the reference simplex; nodes (n, k, gdim) -> (n, points, gdim, tdim)."""
     tdim = points.shape[1]
     table = np.asarray(_element(tdim, degree).tabulate(1, points), dtype=np.float64)
     return np.asarray(np.einsum("nkg,tpk->npgt", nodes, table[1 : tdim + 1, :, :, 0]))
 
 
-def tabulated(mesh: Mesh, points: Floats) -> Floats:
+def tabulated(mesh: Mesh, points: FloatArray) -> FloatArray:
     """Shape functions of the mesh's cells at reference points, shape (points, nodes). Local."""
     element = _element(mesh.topology.dim, mesh.geometry.cmap.degree)
     return np.asarray(element.tabulate(0, points)[0, :, :, 0], dtype=np.float64)
 
 
-def cell_jacobians(mesh: Mesh, points: Floats, cells: Indices | None = None) -> Floats:
+def cell_jacobians(mesh: Mesh, points: FloatArray, cells: IndexArray | None = None) -> FloatArray:
     """det(dx/dX) of local cells (all of them by default) at reference points. Local.
 
     Returns:
@@ -52,14 +52,14 @@ def cell_jacobians(mesh: Mesh, points: Floats, cells: Indices | None = None) -> 
     return np.asarray(np.linalg.det(cell_gradients(nodes, degree, points)))
 
 
-def cell_volumes(mesh: Mesh) -> Floats:
+def cell_volumes(mesh: Mesh) -> FloatArray:
     """Volume (area in 2D) of each local cell, exact for curved cells too. Local."""
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
     points, weights = rule(d, d * (degree - 1))
     return np.asarray(np.abs(cell_jacobians(mesh, points)) @ weights)
 
 
-def smallest_jacobians(mesh: Mesh) -> Floats:
+def smallest_jacobians(mesh: Mesh) -> FloatArray:
     """Smallest det(dx/dX) of each local cell, relative to its mean, at nodes and inside.
 
     Local.  Zero or negative where a curved cell folds over itself.
@@ -71,7 +71,7 @@ def smallest_jacobians(mesh: Mesh) -> Floats:
     return np.asarray((values / np.where(mean == 0, 1.0, mean)).min(axis=1))
 
 
-def facet_areas(mesh: Mesh, facets: npt.NDArray[np.int32]) -> Floats:
+def facet_areas(mesh: Mesh, facets: IndexArray) -> FloatArray:
     """Area (length in 2D) of local facets. Local, after `prepare_facets`.
 
     Exact for straight facets; by a rule of degree 8 for curved ones.
@@ -83,7 +83,9 @@ def facet_areas(mesh: Mesh, facets: npt.NDArray[np.int32]) -> Floats:
     return np.asarray(np.sqrt(np.linalg.det(metric)) @ weights)
 
 
-def facet_points(mesh: Mesh, facets: Indices, points: Floats) -> tuple[Floats, Floats]:
+def facet_points(
+    mesh: Mesh, facets: IndexArray, points: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Places and slopes dx/dX of local facets at points of the reference facet.
 
     Local, after `prepare_facets`.
@@ -98,7 +100,7 @@ def facet_points(mesh: Mesh, facets: Indices, points: Floats) -> tuple[Floats, F
     return np.asarray(places), cell_gradients(nodes, degree, points)
 
 
-def _facet_nodes(mesh: Mesh, facets: Indices) -> Floats:
+def _facet_nodes(mesh: Mesh, facets: IndexArray) -> FloatArray:
     """Coordinates of all nodes of facets, shape (n, k, d)."""
     d = mesh.topology.dim
     cells, local = facet_places(mesh, facets)

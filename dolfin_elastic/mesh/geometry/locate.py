@@ -9,9 +9,9 @@ import numpy as np
 from dolfinx.mesh import Mesh
 
 from dolfin_elastic.core.errors import MeshError
-from dolfin_elastic.mesh.body import Body, Indices, span
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.mesh.geometry.curved import cell_gradients, tabulated
-from dolfin_elastic.mesh.geometry.simplices import Floats
 
 SLACK = 0.05
 """Share of a cell by which a point may lie outside: round surfaces are flat between nodes."""
@@ -33,14 +33,14 @@ class Place:
         local: The point's coordinates in the reference cell, on that rank.
     """
 
-    point: Floats
+    point: FloatArray
     rank: int
     cell: int
-    local: Floats
+    local: FloatArray
 
 
 def locate(
-    body: Body, points: Mapping[str, Sequence[float]], order: Indices | None = None
+    body: Body, points: Mapping[str, Sequence[float]], order: IndexArray | None = None
 ) -> dict[str, Place]:
     """Finds the owned cell of each point. Collective.
 
@@ -78,10 +78,10 @@ def locate(
 class _Ranking:
     """By what cells are compared that share a point, free of round-off. Collective to make."""
 
-    def __init__(self, body: Body, order: Indices | None) -> None:
+    def __init__(self, body: Body, order: IndexArray | None) -> None:
         self._order, self._step = order, DIGITS * span(body)
 
-    def keys(self, off: Floats, cells: Indices, nodes: Floats) -> list[Key]:
+    def keys(self, off: FloatArray, cells: IndexArray, nodes: FloatArray) -> list[Key]:
         """How far off the point is each cell, its number, and its midpoint.
 
         Args:
@@ -95,7 +95,7 @@ class _Ranking:
         return [tuple(map(float, row)) for row in rows]
 
 
-def _in_own_cells(mesh: Mesh, point: Floats, ranking: _Ranking) -> tuple[Key, int, Floats]:
+def _in_own_cells(mesh: Mesh, point: FloatArray, ranking: _Ranking) -> tuple[Key, int, FloatArray]:
     """The key of the best owned cell, that cell, and the point's coordinates in it."""
     d = mesh.topology.dim
     own = mesh.topology.index_map(d).size_local
@@ -115,7 +115,7 @@ def _in_own_cells(mesh: Mesh, point: Floats, ranking: _Ranking) -> tuple[Key, in
     return keys[best], int(near[best]), local[best]
 
 
-def _pulled_back(mesh: Mesh, nodes: Floats, point: Floats) -> Floats:
+def _pulled_back(mesh: Mesh, nodes: FloatArray, point: FloatArray) -> FloatArray:
     """Coordinates of a point in the reference cells of cells with these nodes, by Newton's method.
 
     One iteration where cells are straight.
@@ -140,7 +140,7 @@ def _pulled_back(mesh: Mesh, nodes: Floats, point: Floats) -> Floats:
     return local
 
 
-def _refuse(body: Body, points: Mapping[str, Floats], off: Sequence[float]) -> None:
+def _refuse(body: Body, points: Mapping[str, FloatArray], off: Sequence[float]) -> None:
     """Names all points that lie outside, with the nearest node. Collective."""
     texts = [
         f"{name} ({', '.join(f'{x:.6g}' for x in point)}), {_nearest(body, point)}"
@@ -154,7 +154,7 @@ def _refuse(body: Body, points: Mapping[str, Floats], off: Sequence[float]) -> N
         )
 
 
-def _nearest(body: Body, point: Floats) -> str:
+def _nearest(body: Body, point: FloatArray) -> str:
     """The node of the mesh nearest to a point. Collective."""
     x = body.mesh.geometry.x[:, : body.dim]
     far = np.linalg.norm(x - point, axis=1)

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from dolfinx.mesh import Mesh
 
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.geometry.curved import (
     cell_jacobians,
     facet_points,
     rule,
     tabulated,
 )
-from dolfin_elastic.mesh.geometry.simplices import Floats, Indices, facet_places
+from dolfin_elastic.mesh.geometry.simplices import facet_places
 
 
 @dataclass(frozen=True)
@@ -28,14 +29,14 @@ class Points:
         N: For facets, outward unit normals, shape of X; else None.
     """
 
-    X: Floats
-    weights: Floats
-    cells: Indices
-    local: Floats | None = None
-    N: Floats | None = None
+    X: FloatArray
+    weights: FloatArray
+    cells: IndexArray
+    local: FloatArray | None = None
+    N: FloatArray | None = None
 
 
-def points_of_cells(mesh: Mesh, cells: Indices, degree: int) -> Points:
+def points_of_cells(mesh: Mesh, cells: IndexArray, degree: int) -> Points:
     """Points that integrate polynomials of a degree over local cells. Local.
 
     On curved cells the degree counts for the integrand times the determinant of the map.
@@ -48,7 +49,7 @@ def points_of_cells(mesh: Mesh, cells: Indices, degree: int) -> Points:
     return Points(X, size, cells, local=local)
 
 
-def points_of_facets(mesh: Mesh, facets: Indices, degree: int) -> Points:
+def points_of_facets(mesh: Mesh, facets: IndexArray, degree: int) -> Points:
     """The same over local facets, with normals that point out of the cell beside.
 
     Local, after `prepare_facets`.  On curved facets the rule's degree is 8 higher, where the

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.core.parallel import largest, smallest, total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.curved import cell_volumes, facet_areas
 from dolfin_elastic.mesh.geometry.simplices import (
@@ -114,9 +114,9 @@ def worst_cells(body: Body, count: int) -> tuple[Cell, ...]:
 
 def _worst(
     body: Body,
-    shape: npt.NDArray[np.float64],
-    middle: npt.NDArray[np.float64],
-    volumes: npt.NDArray[np.float64],
+    shape: FloatArray,
+    middle: FloatArray,
+    volumes: FloatArray,
     count: int,
 ) -> tuple[Cell, ...]:
     rows = np.argsort(shape)[:count]

@@ -6,15 +6,14 @@ from itertools import combinations
 from math import factorial
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx.mesh import Mesh, exterior_facet_indices
 
-Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int32]
+from dolfin_elastic.core.types import FloatArray, IndexArray
+
 _REGULAR = {2: 4 / np.sqrt(3), 3: 6 * np.sqrt(2)}  # 1 / volume of the regular simplex of edge 1
 
 
-def signed_volumes(corners: Floats) -> Floats:
+def signed_volumes(corners: FloatArray) -> FloatArray:
     """Signed volume (area in 2D) of straight simplices.
 
     Args:
@@ -27,7 +26,7 @@ def signed_volumes(corners: Floats) -> Floats:
     return np.asarray(np.linalg.det(edges) / factorial(corners.shape[2]))
 
 
-def longest_edges(corners: Floats) -> Floats:
+def longest_edges(corners: FloatArray) -> FloatArray:
     """Longest edge of each simplex, shape (n,)."""
     longest = np.zeros(len(corners))
     for i, j in combinations(range(corners.shape[1]), 2):
@@ -35,14 +34,14 @@ def longest_edges(corners: Floats) -> Floats:
     return longest
 
 
-def qualities(corners: Floats) -> Floats:
+def qualities(corners: FloatArray) -> FloatArray:
     """Volume over longest edge to the power d: 1 for a regular simplex, 0 for a flat one."""
     size = np.maximum(longest_edges(corners), np.finfo(float).tiny ** 0.25)
     d = corners.shape[2]
     return np.asarray(np.abs(signed_volumes(corners)) / size**d * _REGULAR[d])
 
 
-def cell_corners(mesh: Mesh, cells: Indices | None = None) -> Floats:
+def cell_corners(mesh: Mesh, cells: IndexArray | None = None) -> FloatArray:
     """Vertex coordinates of local cells (all of them by default), shape (n, d + 1, d)."""
     d = mesh.topology.dim
     nodes = mesh.geometry.dofmap[:, : d + 1]
@@ -57,13 +56,13 @@ def prepare_facets(mesh: Mesh) -> None:
     mesh.topology.create_connectivity(d, d - 1)
 
 
-def boundary_facets(mesh: Mesh) -> Indices:
+def boundary_facets(mesh: Mesh) -> IndexArray:
     """Local facets on the boundary of the body, each on exactly one rank, sorted. Collective."""
     prepare_facets(mesh)
     return np.sort(np.asarray(exterior_facet_indices(mesh.topology), dtype=np.int32))
 
 
-def facet_places(mesh: Mesh, facets: Indices) -> tuple[Indices, Indices]:
+def facet_places(mesh: Mesh, facets: IndexArray) -> tuple[IndexArray, IndexArray]:
     """One cell beside each local facet and the facet's number in it (= the opposite vertex).
 
     Local, after `prepare_facets`.
@@ -76,7 +75,7 @@ def facet_places(mesh: Mesh, facets: Indices) -> tuple[Indices, Indices]:
     return cells, local.astype(np.int32)
 
 
-def facet_nodes(mesh: Mesh, facets: Indices) -> Indices:
+def facet_nodes(mesh: Mesh, facets: IndexArray) -> IndexArray:
     """Geometry nodes at the vertices of local facets, shape (n, d).
 
     Local, after `prepare_facets`.
@@ -88,12 +87,12 @@ def facet_nodes(mesh: Mesh, facets: Indices) -> Indices:
     return np.asarray(np.take_along_axis(nodes, others[local], axis=1))
 
 
-def facet_corners(mesh: Mesh, facets: Indices) -> Floats:
+def facet_corners(mesh: Mesh, facets: IndexArray) -> FloatArray:
     """Vertex coordinates of local facets, shape (n, d, d)."""
     return np.asarray(mesh.geometry.x[facet_nodes(mesh, facets), : mesh.topology.dim])
 
 
-def outward_normals(mesh: Mesh, facets: Indices) -> Floats:
+def outward_normals(mesh: Mesh, facets: IndexArray) -> FloatArray:
     """Unit normals of local facets, pointing away from the cell beside them, shape (n, d)."""
     d = mesh.topology.dim
     corners = facet_corners(mesh, facets)

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
-import numpy.typing as npt
 import ufl
 from pydantic import model_validator
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
 from dolfin_elastic.model.values import Component, components, depends_on_time
 
@@ -82,9 +81,6 @@ class LoadContext(Protocol):
         """A number or formula at a point of the body, times the amplitude."""
 
 
-Floats = npt.NDArray[np.float64]
-
-
 @dataclass(frozen=True)
 class LoadSamples:
     """Points of the undeformed body at which a load is asked how strong it is.
@@ -98,10 +94,10 @@ class LoadSamples:
         revolved: They are those of a body of revolution about y.
     """
 
-    X: Floats
+    X: FloatArray
     t: float
-    N: Floats | None = None
-    density: Floats | None = None
+    N: FloatArray | None = None
+    density: FloatArray | None = None
     size: float = 1.0
     revolved: bool = False
 
@@ -188,7 +184,7 @@ class Load(Record):
         """The load's vector as a UFL expression."""
         return site.vector(self.values, self.curve)
 
-    def intensity(self, places: LoadSamples) -> Floats | None:
+    def intensity(self, places: LoadSamples) -> FloatArray | None:
         """Force per reference area or volume on the undeformed body, without its amplitude.
 
         A report integrates it before anything is compiled: the same as `virtual_work`, in numbers.

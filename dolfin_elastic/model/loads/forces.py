@@ -12,14 +12,8 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.model.loads.base import (
-    PLACE,
-    Floats,
-    Load,
-    LoadContext,
-    LoadSamples,
-    keyed,
-)
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.loads.base import PLACE, Load, LoadContext, LoadSamples, keyed
 from dolfin_elastic.model.materials.fibres import Axis, along
 from dolfin_elastic.model.values import (
     Component,
@@ -70,7 +64,7 @@ class Traction(Load):
         """See `Load.vectors`."""
         return {"value" if self.force is None else "force": self.values}
 
-    def intensity(self, places: LoadSamples) -> Floats:
+    def intensity(self, places: LoadSamples) -> FloatArray:
         """See `Load.intensity`."""
         share = 1.0 if self.force is None else places.size
         return np.asarray(vector_at(self.values, places.X, places.t) / share)
@@ -93,7 +87,7 @@ class BodyForce(Load):
     on: str | list[str] | None = None
     unit: ClassVar[str] = "N/m^3"
 
-    def intensity(self, places: LoadSamples) -> Floats:
+    def intensity(self, places: LoadSamples) -> FloatArray:
         """See `Load.intensity`."""
         return vector_at(self.values, places.X, places.t)
 
@@ -127,7 +121,7 @@ class Gravity(Load):
         """The acceleration as a UFL expression."""
         return site.vector(self.acceleration(len(site.v)), self.curve)
 
-    def intensity(self, places: LoadSamples) -> Floats:
+    def intensity(self, places: LoadSamples) -> FloatArray:
         """See `Load.intensity`."""
         assert places.density is not None
         g = vector_at(self.acceleration(places.X.shape[-1]), places.X, places.t)
@@ -209,7 +203,7 @@ class Centrifugal(Load):
         force = site.factor(self.amplitude) * site.value(self.values[0]) ** 2 * across
         return sum(rho * ufl.inner(force, site.v) * dx for rho, dx in site.densities(self.parts))
 
-    def intensity(self, places: LoadSamples) -> Floats:
+    def intensity(self, places: LoadSamples) -> FloatArray:
         """See `Load.intensity`; of a body of revolution only the radial part is left."""
         assert places.density is not None
         dim = places.X.shape[-1]

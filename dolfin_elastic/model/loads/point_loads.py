@@ -9,8 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import Length
-from dolfin_elastic.model.loads.base import Floats, Load, keyed
+from dolfin_elastic.model.loads.base import Load, keyed
 from dolfin_elastic.model.values import Component, components
 
 Point = tuple[float, ...]
@@ -41,7 +42,7 @@ class ConcentratedLoad(Load):
         """Key to point: the one where the force acts, or both ends of the line."""
         raise TypeError(f"{type(self).__name__} has no points")
 
-    def samples(self) -> tuple[Floats, Floats]:
+    def samples(self) -> tuple[FloatArray, FloatArray]:
         """Points [m], shape (n, dim), and what the value there is multiplied by, shape (n,)."""
         return np.array([*self.points.values()]), np.ones(len(self.points))
 
@@ -89,7 +90,7 @@ class LineForce(ConcentratedLoad):
             raise InputError("the line has no length", where="end", expected="another point")
         return {"start": start, "end": end}
 
-    def samples(self) -> tuple[Floats, Floats]:
+    def samples(self) -> tuple[FloatArray, FloatArray]:
         """Gauss points of the whole line."""
         start, end = (np.array(point) for point in self.points.values())
         x, weights = np.polynomial.legendre.leggauss(16)

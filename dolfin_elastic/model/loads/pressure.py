@@ -10,15 +10,9 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.kinematics import cofactor
-from dolfin_elastic.model.loads.base import (
-    PLACE,
-    Floats,
-    Load,
-    LoadContext,
-    LoadSamples,
-    keyed,
-)
+from dolfin_elastic.model.loads.base import PLACE, Load, LoadContext, LoadSamples, keyed
 from dolfin_elastic.model.values import Component, component, number_at
 
 
@@ -66,7 +60,7 @@ class Pressure(Load):
         (p,) = self.values
         return not isinstance(p, Formula) or not p.names & PLACE
 
-    def intensity(self, places: LoadSamples) -> Floats:
+    def intensity(self, places: LoadSamples) -> FloatArray:
         """See `Load.intensity`."""
         assert places.N is not None
         (p,) = self.values

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
 
 import annotated_types
 import numpy as np
-import numpy.typing as npt
 from pydantic import AliasChoices, BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import core_schema
@@ -25,6 +24,7 @@ from dolfin_elastic.core.errors import InputError, UnitError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import (
     Deferred,
     Quantity,
@@ -241,7 +241,7 @@ class Range:
                     found |= {"high": high, "high_too": True}
         return cls(**found)
 
-    def distance(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def distance(self, values: FloatArray) -> FloatArray:
         """How far values lie outside; -1: inside; what is not finite is infinitely far off."""
         above = values >= self.low if self.low_too else values > self.low
         below = values <= self.high if self.high_too else values < self.high

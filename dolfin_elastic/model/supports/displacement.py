@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import model_validator
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import is_quantity, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
 from dolfin_elastic.model.materials.fibres import Axis, along
@@ -24,8 +24,6 @@ from dolfin_elastic.model.values import (
     depends_on_time,
     misspelt_unit,
 )
-
-Floats = npt.NDArray[np.float64]
 
 NORMAL = -1
 """Stands for the direction of the surface's normal, where components have numbers from 0."""
@@ -67,7 +65,7 @@ class PrescribingSupport(Restraint):
         """The components that are prescribed, or `NORMAL`, in a body of 2 or 3 dimensions."""
         raise TypeError(f"{type(self).__name__} prescribes nothing")
 
-    def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
+    def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
         """Prescribed displacement [m].
 
         Args:
@@ -83,7 +81,7 @@ class PrescribingSupport(Restraint):
         return float((amplitude_of(value, getattr(self, "curve", None)) or default).at(t))
 
 
-def _evaluated(value: Component, x: Floats, t: float) -> Floats | float:
+def _evaluated(value: Component, x: FloatArray, t: float) -> FloatArray | float:
     if isinstance(value, Formula):
         return value.evaluate(x=x[:, 0], y=x[:, 1], z=x[:, 2], t=t)
     return float(value or 0.0)
@@ -148,7 +146,7 @@ class Support(PrescribingSupport):
         """See `PrescribingSupport`."""
         return tuple(i for i, value in enumerate(self.values_in(dim)) if value is not None)
 
-    def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
+    def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
         """See `PrescribingSupport`."""
         value = self.values[which] if self.values else 0.0
         return self._scale(value, t, default) * _evaluated(value, x, t)
@@ -202,7 +200,7 @@ class Normal(PrescribingSupport):
         """See `PrescribingSupport`."""
         return (NORMAL,)
 
-    def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
+    def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
         """See `PrescribingSupport`."""
         return self._scale(self.value, t, default) * _evaluated(self.value, x, t)
 
@@ -225,7 +223,7 @@ class Symmetry(PrescribingSupport):
         """See `PrescribingSupport`."""
         return (NORMAL,)
 
-    def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
+    def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
         """See `PrescribingSupport`."""
         return 0.0
 
@@ -336,7 +334,7 @@ class Rotation(PrescribingSupport):
             _check_length(self, "displacement", self.shift, dim)
         return tuple(range(dim))
 
-    def at(self, which: int, x: Floats, t: float, default: Amplitude) -> Floats | float:
+    def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
         """See `PrescribingSupport`."""
         angle = self._scale(self.turn, t, default) * _at_time(self.turn, t)
         r = x - np.array([*map(float, self.centre), 0.0])[:3]  # type: ignore[arg-type]

@@ -13,6 +13,7 @@ from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import first_of, total
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.supports.displacement import NORMAL, PrescribingSupport, Restraint
@@ -21,8 +22,6 @@ from dolfin_elastic.problem.constraints.normals import sheet, tidy
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
 from dolfin_elastic.problem.constraints.skew import SkewConstraints, SkewSupport
 
-Dofs = npt.NDArray[np.int32]
-Floats = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 MIRRORED = 0.7
@@ -105,7 +104,7 @@ class DirichletConditions:
         self.motions.append(motion)
         return [self._along(motion, i, self._nodes(body, support)) for i in range(self._bs)]
 
-    def _nodes(self, body: Body, support: Restraint) -> Dofs:
+    def _nodes(self, body: Body, support: Restraint) -> IndexArray:
         """Nodes of its surfaces, owned and ghost, sorted. Collective."""
         facets = np.unique(np.concatenate([body.surface(name) for name in support.surfaces]))
         nodes = fem.locate_dofs_topological(self._V, body.mesh.topology.dim - 1, facets)
@@ -126,7 +125,7 @@ class DirichletConditions:
         return [self._along(support, i, nodes) for i in which]
 
     def _along(
-        self, support: PrescribingSupport | RigidMotion | None, i: int, nodes: Dofs
+        self, support: PrescribingSupport | RigidMotion | None, i: int, nodes: IndexArray
     ) -> SkewSupport:
         return SkewSupport(support, i, nodes, np.tile(np.eye(self._bs)[i], (len(nodes), 1)))
 
@@ -190,7 +189,7 @@ class DirichletConditions:
         )
         return tilted, [hold.of(~is_tilted[hold.nodes]) for hold in holds]
 
-    def _check_apart(self, holds: list[SkewSupport], is_tilted: npt.NDArray[np.bool_]) -> None:
+    def _check_apart(self, holds: list[SkewSupport], is_tilted: BoolArray) -> None:
         """A rigid surface with unknowns meets no node that is held across the axes. Collective."""
         for hold in holds:
             support = hold.support
@@ -207,10 +206,10 @@ class DirichletConditions:
 
     def _given_to_the_later(
         self, holds: list[SkewSupport]
-    ) -> list[tuple[SkewSupport, Dofs, Floats]]:
+    ) -> list[tuple[SkewSupport, IndexArray, FloatArray]]:
         """Holds with the dofs that no later one prescribes too, and the signs of the directions."""
         entries = []
-        taken: Dofs = np.empty(0, dtype=np.int32)
+        taken: IndexArray = np.empty(0, dtype=np.int32)
         for hold in reversed(holds):
             axis = np.argmax(np.abs(hold.directions), axis=1)
             dofs = (hold.nodes * self._bs + axis).astype(np.int32)
@@ -224,8 +223,8 @@ class DirichletConditions:
         dofs = self.dofs[self.dofs % self._bs == i]
         return fem.dirichletbc(self.values, [dofs, dofs], self._V.sub(i))
 
-    def _reactions_of(self, owned_size: int) -> dict[str, Dofs]:
-        held: dict[str, list[Dofs]] = {label: [] for label in self._labels}
+    def _reactions_of(self, owned_size: int) -> dict[str, IndexArray]:
+        held: dict[str, list[IndexArray]] = {label: [] for label in self._labels}
         for hold, dofs, _ in self._entries:
             if hold.support is not None:
                 held[hold.support.label].append(dofs)
@@ -236,7 +235,7 @@ class DirichletConditions:
             for dofs in [np.concatenate([empty, *parts])]
         }
 
-    def pin(self, dofs: Dofs, owned: Dofs) -> None:
+    def pin(self, dofs: IndexArray, owned: IndexArray) -> None:
         """Holds the unknowns of a periodic cell's vertex, where there are no supports.
 
         Args:
@@ -271,22 +270,22 @@ class DirichletConditions:
         """Takes over changed degrees of freedom of a rigid surface. Not collective."""
         self._evaluate(self._t, self._default, motion)
 
-    def applied(self, motion: RigidMotion) -> Floats:
+    def applied(self, motion: RigidMotion) -> FloatArray:
         """Forces and moments on its free degrees of freedom at the present time [N, N m]."""
         return motion.applied(self._t, self._default)
 
-    def freedoms(self, motion: RigidMotion) -> Floats:
+    def freedoms(self, motion: RigidMotion) -> FloatArray:
         """All its degrees of freedom at the present time [m, rad]."""
         return motion.all_at(self._t, self._default)
 
-    def directions(self, motion: RigidMotion) -> tuple[Dofs, Floats]:
+    def directions(self, motion: RigidMotion) -> tuple[IndexArray, FloatArray]:
         """Entries that it prescribes, owned and ghost, and their derivatives.
 
         Returns:
             Entries of the local vector, and du/dq, of shape (entries, degrees of freedom).
         """
-        found_dofs: list[Dofs] = [np.empty(0, np.int32)]
-        found: list[Floats] = [np.empty((0, len(motion.names)))]
+        found_dofs: list[IndexArray] = [np.empty(0, np.int32)]
+        found: list[FloatArray] = [np.empty((0, len(motion.names)))]
         for hold, dofs, signs in self._entries:
             if hold.support is motion:
                 D = motion.directions(self._x[hold.nodes], self._t, self._default)
@@ -294,7 +293,7 @@ class DirichletConditions:
                 found_dofs.append(dofs)
         return np.concatenate(found_dofs), np.concatenate(found)
 
-    def moment(self, motion: RigidMotion, forces: Floats, u: Floats) -> Floats:
+    def moment(self, motion: RigidMotion, forces: FloatArray, u: FloatArray) -> FloatArray:
         """Moment about the present reference point of the forces by which it holds. Collective.
 
         Args:
@@ -317,7 +316,7 @@ class DirichletConditions:
         arms[:, : self._bs] += u.reshape(-1, self._bs)[held]
         return total(self._V.mesh.comm, np.cross(arms, f[held]).sum(axis=0))
 
-    def probed(self, moments: Sequence[float], default: Amplitude) -> list[Floats]:
+    def probed(self, moments: Sequence[float], default: Amplitude) -> list[FloatArray]:
         """Values at some moments, owned and ghost; all is left as it was. Not collective.
 
         Args:
@@ -337,14 +336,14 @@ class DirichletConditions:
         return found
 
     @property
-    def targets(self) -> Floats:
+    def targets(self) -> FloatArray:
         """All prescribed values of the present time at owned nodes, as one new vector."""
         values = self.values.x.array[self.owned]
         if self.tilted is None:
             return values
         return np.concatenate([values, self.tilted.target[: self.tilted.count].reshape(-1)])
 
-    def targets_at(self, times: Iterable[float]) -> list[Floats]:
+    def targets_at(self, times: Iterable[float]) -> list[FloatArray]:
         """The targets of some times [s], the last of which is the present one then. Local."""
         found = []
         for t in times:
@@ -352,7 +351,7 @@ class DirichletConditions:
             found.append(self.targets)
         return found
 
-    def present(self, array: Floats) -> Floats:
+    def present(self, array: FloatArray) -> FloatArray:
         """What a local vector of the displacement's space has where `targets` are prescribed."""
         values = array[self.owned]
         if self.tilted is None:
@@ -361,7 +360,7 @@ class DirichletConditions:
         rows = self.tilted.held(array.reshape(-1, self._bs)[nodes])
         return np.concatenate([values, rows.reshape(-1)])
 
-    def impose(self, array: Floats, values: npt.NDArray[np.floating[Any]]) -> None:
+    def impose(self, array: FloatArray, values: npt.NDArray[np.floating[Any]]) -> None:
         """Puts prescribed values into a local vector of the displacement's space.
 
         Args:

@@ -8,20 +8,19 @@ from dataclasses import dataclass
 
 import basix
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem, la
 from dolfinx.mesh import exterior_facet_indices
 
 from dolfin_elastic.core.compat import integration_entities, interpolation_points
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import largest, smallest, total
-from dolfin_elastic.mesh.body import Body, Indices, span
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import ResistingSupport
 
-Floats = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 FLAT = 1e-6
@@ -46,8 +45,8 @@ class SurfaceNormals:
             number where the normals have no mean.
     """
 
-    nodes: Indices
-    normals: Floats
+    nodes: IndexArray
+    normals: FloatArray
     flat: bool
     unevenness: float
 
@@ -146,14 +145,14 @@ def check_facing(
                 check_outside(body, name, where)
 
 
-def tidy(normals: Floats) -> Floats:
+def tidy(normals: FloatArray) -> FloatArray:
     """Unit vectors, exactly along an axis where they are so but for round-off."""
     nearest = np.round(normals)
     close = np.linalg.norm(normals - nearest, axis=1) < ROUND_OFF
     return np.where(close[:, None], nearest + 0.0, normals)
 
 
-def _shares(body: Body, V: fem.FunctionSpace, facets: Indices) -> tuple[Floats, Indices]:
+def _shares(body: Body, V: fem.FunctionSpace, facets: IndexArray) -> tuple[FloatArray, IndexArray]:
     """Each facet's area times its normal at each of its nodes, and the nodes. Not collective."""
     mesh, dim = body.mesh, body.dim
     cell = getattr(basix.CellType, mesh.topology.cell_name())

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import mesh as dmesh
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.supports.rigid_surface import Rigid
-
-Floats = npt.NDArray[np.float64]
 
 SMALL = 1e-4
 """Angle [rad] below which series stand for quotients."""
@@ -54,24 +52,24 @@ class RigidMotion:
         point = np.array(support.centre, dtype=np.float64)
         self.centre[: body.dim] = point if len(point) else middle(body, support.surfaces)
 
-    def all_at(self, t: float, default: Amplitude) -> Floats:
+    def all_at(self, t: float, default: Amplitude) -> FloatArray:
         """All degrees of freedom at time t [m, rad]."""
         found = np.array(self.support.at_time(self._motion, t, default))
         found[list(self.free)] = self.values
         return found
 
-    def applied(self, t: float, default: Amplitude) -> Floats:
+    def applied(self, t: float, default: Amplitude) -> FloatArray:
         """Forces and moments on the free degrees of freedom [N, N m]."""
         return np.array(self.support.at_time(self._action, t, default))[list(self.free)]
 
-    def at(self, which: int, x: Floats, t: float, default: Amplitude = CONSTANT) -> Floats:
+    def at(self, which: int, x: FloatArray, t: float, default: Amplitude = CONSTANT) -> FloatArray:
         """A component of the displacement at reference places of shape (n, 3) [m]."""
         q = self.all_at(t, default)
         d, theta = self._apart(q)
         r = x - self.centre
         return np.asarray(d[which] + (r @ (rotation(theta) - np.eye(3)).T)[:, which])
 
-    def directions(self, x: Floats, t: float, default: Amplitude) -> Floats:
+    def directions(self, x: FloatArray, t: float, default: Amplitude) -> FloatArray:
         """du/dq of all degrees of freedom at reference places, of shape (n, dim, dofs).
 
         The rotation's variation is the spin T(theta) e_i: it moves a place by its cross product
@@ -87,24 +85,24 @@ class RigidMotion:
         found[:, :, self._dim :] = spins[:, about, : self._dim].transpose(0, 2, 1)
         return found
 
-    def place(self, t: float, default: Amplitude) -> Floats:
+    def place(self, t: float, default: Amplitude) -> FloatArray:
         """The reference point's present place [m], of shape (3,)."""
         d, _ = self._apart(self.all_at(t, default))
         return np.asarray(self.centre + d)
 
-    def _apart(self, q: Floats) -> tuple[Floats, Floats]:
+    def _apart(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         d, theta = np.zeros(3), np.zeros(3)
         d[: self._dim] = q[: self._dim]
         theta[0 if self._dim == 3 else 2 :] = q[self._dim :]
         return d, theta
 
 
-def cross_matrix(v: Floats) -> Floats:
+def cross_matrix(v: FloatArray) -> FloatArray:
     """K with K w = v x w."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
-def rotation(theta: Floats) -> Floats:
+def rotation(theta: FloatArray) -> FloatArray:
     """Rotation matrix of a rotation vector [rad], see `Rigid`."""
     a = float(np.linalg.norm(theta))
     K = cross_matrix(theta)
@@ -113,7 +111,7 @@ def rotation(theta: Floats) -> Floats:
     return np.asarray(np.eye(3) + first * K + second * K @ K)
 
 
-def tangent(theta: Floats) -> Floats:
+def tangent(theta: FloatArray) -> FloatArray:
     """T with spin = T dtheta: I + (1 - cos a)/a^2 K + (a - sin a)/a^3 K^2, see `directions`."""
     a = float(np.linalg.norm(theta))
     K = cross_matrix(theta)
@@ -122,7 +120,7 @@ def tangent(theta: Floats) -> Floats:
     return np.asarray(np.eye(3) + second * K + third * K @ K)
 
 
-def middle(body: Body, surfaces: tuple[str, ...]) -> Floats:
+def middle(body: Body, surfaces: tuple[str, ...]) -> FloatArray:
     """Centre of a surface's facets, taken as flat, by their areas [m]. Collective."""
     mesh, dim = body.mesh, body.dim
     facets = np.unique(np.concatenate([body.owned_facets(name) for name in surfaces]))

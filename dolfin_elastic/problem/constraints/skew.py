@@ -6,16 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.supports.displacement import PrescribingSupport
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
-
-Floats = npt.NDArray[np.float64]
-Nodes = npt.NDArray[np.int32]
-Indices = npt.NDArray[np.int64]
 
 SAME = 1e-3
 """Sine of the angle below which two directions count as one."""
@@ -39,17 +35,17 @@ class SkewSupport:
 
     support: PrescribingSupport | RigidMotion | None
     which: int
-    nodes: Nodes
-    directions: Floats
+    nodes: IndexArray
+    directions: FloatArray
     curved: bool = False
 
-    def of(self, chosen: npt.NDArray[np.bool_]) -> SkewSupport:
+    def of(self, chosen: BoolArray) -> SkewSupport:
         """The same at some of its nodes."""
         return SkewSupport(
             self.support, self.which, self.nodes[chosen], self.directions[chosen], self.curved
         )
 
-    def goals(self, x: Floats, t: float, default: Amplitude = CONSTANT) -> Floats:
+    def goals(self, x: FloatArray, t: float, default: Amplitude = CONSTANT) -> FloatArray:
         """What is prescribed along each direction [m].
 
         It is asked on ranks without nodes, too: a curve fails on all of them or on none.
@@ -75,9 +71,9 @@ class SkewDofs:
     """
 
     hold: SkewSupport
-    kept: Indices
-    where: Indices
-    row: Indices
+    kept: IntArray
+    where: IntArray
+    row: IntArray
 
 
 class SkewConstraints:
@@ -101,7 +97,7 @@ class SkewConstraints:
         target: N+ g at the present time [m], of shape (nodes, dim).
     """
 
-    def __init__(self, holds: Sequence[SkewSupport], *, size: int, x: Floats, dim: int) -> None:
+    def __init__(self, holds: Sequence[SkewSupport], *, size: int, x: FloatArray, dim: int) -> None:
         empty = np.empty(0, dtype=np.int32)
         self.nodes = np.unique(np.concatenate([empty, *(hold.nodes for hold in holds)]))
         self.count = int(np.sum(self.nodes < size))
@@ -142,26 +138,28 @@ class SkewConstraints:
             goals[s.where, s.row] = s.hold.goals(self._x, t, default)[s.kept]
         self.target[:] = np.einsum("nik,nk->ni", self._lift, goals)
 
-    def held(self, values: Floats) -> Floats:
+    def held(self, values: FloatArray) -> FloatArray:
         """The held part of vectors at the owned nodes, of shape (count, dim)."""
         return np.asarray(np.einsum("nij,nj->ni", self.P[: len(values)], values))
 
-    def free(self, values: Floats) -> Floats:
+    def free(self, values: FloatArray) -> FloatArray:
         """Their other part."""
         return np.asarray(values - self.held(values))
 
-    def forces(self, out: Floats) -> dict[str, Floats]:
+    def forces(self, out: FloatArray) -> dict[str, FloatArray]:
         """Support's label to this rank's sum of its forces [N].
 
         Args:
             out: Forces out of balance at the owned nodes [N], of shape (count, dim).
         """
-        found: dict[str, Floats] = {}
+        found: dict[str, FloatArray] = {}
         for support, _, forces in self.each(out):
             found[support.label] = found.get(support.label, 0.0) + forces.sum(axis=0)
         return found
 
-    def each(self, out: Floats) -> Iterator[tuple[PrescribingSupport | RigidMotion, Nodes, Floats]]:
+    def each(
+        self, out: FloatArray
+    ) -> Iterator[tuple[PrescribingSupport | RigidMotion, IndexArray, FloatArray]]:
         """Each support's forces, hold by hold: owned nodes, and forces there, shape (nodes, dim).
 
         Args:

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.supports.springs import Spring
 from dolfin_elastic.problem.constraints.normals import sheet
 
-Projections = tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]
+Projections = tuple[IndexArray, FloatArray]
 """Owned nodes, and projections on the directions held there, of shape (nodes, dim, dim)."""
 
 

@@ -16,14 +16,14 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.mesh.body import Body, Indices, cell_size
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.mesh.geometry.simplices import (
     cell_corners,
     facet_corners,
@@ -37,8 +37,6 @@ from dolfin_elastic.model.dimension import Weighted
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.formulation import shear_modulus, volume_modulus
 from dolfin_elastic.problem.material_regions import MaterialRegion
-
-Floats = npt.NDArray[np.float64]
 
 FACTOR = 10.0
 """Penalty over the stiffness of the cell beside: enough for a few augmentations."""
@@ -114,7 +112,7 @@ class ContactPair:
             self.penalty.x.array[:] = factor * self._first[0]
             self._eps = factor * self._first[1]
 
-    def _mind_the_axis(self, facets: Indices) -> None:
+    def _mind_the_axis(self, facets: IndexArray) -> None:
         """Weights of nodes near the axis of an axisymmetric body.
 
         With linear elements the trapezoidal rule would give a node on the axis none of the ring
@@ -131,7 +129,7 @@ class ContactPair:
         weight = 2 * ufl.pi * (self._site.X[0] + 2 * self._middle_radius(facets)) / 3
         self._measure = Weighted(weight, self._measure.measure)
 
-    def _middle_radius(self, facets: Indices) -> Expr:
+    def _middle_radius(self, facets: IndexArray) -> Expr:
         """Radius of the middle of the facet at hand [m]: a cell may have several in contact.
 
         On the reference triangle the outward normals are (1, 1)/sqrt(2), (-1, 0) and (0, -1).
@@ -195,17 +193,17 @@ class ContactPair:
 
     # --- numbers at the nodes ---
 
-    def places(self) -> Floats:
+    def places(self) -> FloatArray:
         """Reference places of the owned nodes of the surface, shape (n, dim)."""
         X = self.lam.function_space.tabulate_dof_coordinates()
         return np.asarray(X[self.nodes, : self._dim])
 
     @property
-    def nodes_of_displacement(self) -> Indices:
+    def nodes_of_displacement(self) -> IndexArray:
         """The nodes that may touch, by their numbers in the displacement's space."""
         return np.asarray(self._in_V)
 
-    def gaps(self) -> tuple[Floats, Floats]:
+    def gaps(self) -> tuple[FloatArray, FloatArray]:
         """Gaps [m] and obstacle's normals at the owned nodes, (n,) and (n, dim). Not collective."""
         u = self._site.unknowns.u.x.array.reshape(-1, self._dim)
         x = self.places() + u[self._in_V] - self.shift.value
@@ -214,7 +212,7 @@ class ContactPair:
         return np.asarray(found, dtype=np.float64), np.stack(normals, axis=1)
 
     @property
-    def pressing(self) -> npt.NDArray[np.bool_]:
+    def pressing(self) -> BoolArray:
         """Owned nodes of the surface at which there is pressure."""
         return np.asarray(self.lam.x.array[self.nodes] - self._eps * self.gaps()[0] > 0.0)
 
@@ -287,7 +285,7 @@ def _modulus(part: MaterialRegion) -> float:
     return min(K, ROUND * mu) + 4 / 3 * mu
 
 
-def _nodal(site: FormContext, facets: Indices) -> tuple[fem.Function, Indices, Indices]:
+def _nodal(site: FormContext, facets: IndexArray) -> tuple[fem.Function, IndexArray, IndexArray]:
     """Multiplier, owned nodes of the surface, and the same nodes of the displacement. Collective.
 
     Two spaces of one element need not number their nodes alike, but do so within each cell.
@@ -301,7 +299,7 @@ def _nodal(site: FormContext, facets: Indices) -> tuple[fem.Function, Indices, I
     return fem.Function(S), owned, number[owned]
 
 
-def _heights(body: Body, facets: Indices) -> tuple[Indices, Floats]:
+def _heights(body: Body, facets: IndexArray) -> tuple[IndexArray, FloatArray]:
     """Local cells beside facets, and their smallest height over one of them [m]."""
     mesh, d = body.mesh, body.dim
     beside, _ = facet_places(mesh, facets)
@@ -316,7 +314,7 @@ def _heights(body: Body, facets: Indices) -> tuple[Indices, Floats]:
     return cells.astype(np.int32), smallest
 
 
-def _mean(body: Body, facets: Indices, heights: tuple[Indices, Floats]) -> float:
+def _mean(body: Body, facets: IndexArray, heights: tuple[IndexArray, FloatArray]) -> float:
     """Mean height over the facets that ranks own [m]. Collective."""
     own = facets[facets < body.mesh.topology.index_map(body.dim - 1).size_local]
     beside, _ = facet_places(body.mesh, own)
@@ -325,7 +323,9 @@ def _mean(body: Body, facets: Indices, heights: tuple[Indices, Floats]) -> float
     return float(sums[0] / max(sums[1], 1.0))
 
 
-def _at_nodes(body: Body, facets: Indices, penalty: fem.Function, S: fem.FunctionSpace) -> Floats:
+def _at_nodes(
+    body: Body, facets: IndexArray, penalty: fem.Function, S: fem.FunctionSpace
+) -> FloatArray:
     """Harmonic mean at each owned node of the penalties around it [Pa/m]. Collective.
 
     The softest counts most: a step of the multiplier that is too long would not converge.

@@ -11,19 +11,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem, geometry
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import agree
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.loads import ConcentratedLoad, Load
 from dolfin_elastic.model.values import amplitude_of, depends_on_time
 
-Floats = npt.NDArray[np.float64]
 PARTS = 8
 """Parts of a line to the mean length of a cell."""
 NEAR = 1e-3
@@ -43,10 +42,10 @@ class _Spread:
     """
 
     load: ConcentratedLoad
-    x: Floats
-    weights: Floats
-    nodes: npt.NDArray[np.int32]
-    shapes: Floats
+    x: FloatArray
+    weights: FloatArray
+    nodes: IndexArray
+    shapes: FloatArray
 
 
 class NodalLoads:
@@ -92,7 +91,7 @@ class NodalLoads:
                 else:
                     forces[:, i] = factor * float(value or 0.0)
 
-    def nodal(self) -> Floats:
+    def nodal(self) -> FloatArray:
         """This rank's share of the nodal forces on all its nodes, shape (nodes * dim).
 
         Ghosts have theirs too: add all of it up over the ranks.
@@ -116,7 +115,7 @@ class NodalLoads:
         nodes, shapes = self._shapes(x[mine], cells[mine])
         return _Spread(load, points[mine], weights[mine], nodes, shapes)
 
-    def _points(self, load: ConcentratedLoad) -> tuple[str, Floats, Floats]:
+    def _points(self, load: ConcentratedLoad) -> tuple[str, FloatArray, FloatArray]:
         """Key, places and weights of the points; the same on every rank."""
         ends = np.zeros((len(load.points), 3))
         ends[:, : self._dim] = list(load.points.values())
@@ -132,8 +131,8 @@ class NodalLoads:
         return key, start + s[:, None] * along, np.full(2 * count, length / (2 * count))
 
     def _located(
-        self, points: Floats, load: ConcentratedLoad, key: str
-    ) -> tuple[Floats, npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
+        self, points: FloatArray, load: ConcentratedLoad, key: str
+    ) -> tuple[FloatArray, IndexArray, BoolArray]:
         """Nearest points of the body, their cells, and which are this rank's. Collective."""
         comm = self._body.comm
         x, cells, off = self._nearest(points)
@@ -158,7 +157,7 @@ class NodalLoads:
         comm.Allreduce(rank, owner, op=MPI.MIN)
         return x, cells, owner == comm.rank
 
-    def _nearest(self, points: Floats) -> tuple[Floats, npt.NDArray[np.int32], Floats]:
+    def _nearest(self, points: FloatArray) -> tuple[FloatArray, IndexArray, FloatArray]:
         """Nearest point in owned cells, the cell and the distance; of no cell infinite."""
         mesh, count = self._body.mesh, len(points)
         x, off = points.copy(), np.full(count, np.inf)
@@ -177,7 +176,7 @@ class NodalLoads:
                 found[i], off[i], x[i] = self._closest(own, point)
         return x, found, off
 
-    def _closest(self, own: npt.NDArray[np.int32], point: Floats) -> tuple[int, float, Floats]:
+    def _closest(self, own: IndexArray, point: FloatArray) -> tuple[int, float, FloatArray]:
         mesh = self._body.mesh
         corners = mesh.geometry.x[mesh.geometry.dofmap[own]]
         low, high = corners.min(axis=1), corners.max(axis=1)
@@ -191,9 +190,7 @@ class NodalLoads:
                 best, at, gap = distance, int(own[k]), vector
         return at, best, point + gap
 
-    def _shapes(
-        self, x: Floats, cells: npt.NDArray[np.int32]
-    ) -> tuple[npt.NDArray[np.int32], Floats]:
+    def _shapes(self, x: FloatArray, cells: IndexArray) -> tuple[IndexArray, FloatArray]:
         mesh, V = self._body.mesh, self._V
         element = V.element.basix_element
         nodes = np.zeros((len(x), element.dim), dtype=np.int32)
@@ -206,6 +203,6 @@ class NodalLoads:
         return nodes, shapes
 
 
-def _nearer_end(load: ConcentratedLoad, point: Floats) -> str:
+def _nearer_end(load: ConcentratedLoad, point: FloatArray) -> str:
     """Key of the end of a line that is nearest to a point."""
     return min(load.points, key=lambda key: float(np.linalg.norm(point - load.points[key])))

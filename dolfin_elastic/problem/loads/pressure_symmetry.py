@@ -14,15 +14,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import la
 
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.mesh.body import Body, Indices, span
+from dolfin_elastic.core.types import IndexArray
+from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
 
-Floats = npt.NDArray[np.float64]
 _MOMENTS = (0.3141, 0.8314)
 """Load parameters at which prescribed values are compared."""
 
@@ -41,7 +40,7 @@ def rim_held(body: Body, prescribed: DirichletConditions, surfaces: Sequence[str
     return not total(body.comm, int(free))
 
 
-def rim(body: Body, surfaces: Sequence[str]) -> Indices:
+def rim(body: Body, surfaces: Sequence[str]) -> IndexArray:
     """Owned edges (in a plane: points) that belong to one facet of a surface only. Collective."""
     topology, dim = body.mesh.topology, body.dim
     topology.create_entities(dim - 2)
@@ -98,7 +97,7 @@ class _Supports:
         nodes = self._nodes[cell][self._layout.entity_closure_dofs(dim - 2, local)]
         return any(self._in_plane(axis, nodes, points) for axis in np.flatnonzero(held))
 
-    def _in_plane(self, axis: int, nodes: Indices, points: Indices) -> bool:
+    def _in_plane(self, axis: int, nodes: IndexArray, points: IndexArray) -> bool:
         """The edge lies across an axis, and stays so."""
         places = [self.body.mesh.geometry.x[nodes, axis]]
         places += [values[points, axis] for values in self._values]

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import cpp, fem, la
 from dolfinx.graph import adjacencylist
 from mpi4py import MPI
@@ -21,11 +20,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import Body, span
-
-Floats = npt.NDArray[np.float64]
-Dofs = npt.NDArray[np.int32]
-Numbers = npt.NDArray[np.int64]
 
 NEAR = 1e-6
 """Distance over the body's diagonal within which two nodes are the same."""
@@ -42,7 +38,7 @@ class Field:
     """
 
     space: fem.FunctionSpace
-    entries: Dofs
+    entries: IndexArray
 
 
 @dataclass(frozen=True)
@@ -55,15 +51,15 @@ class MergedDofmap:
     """
 
     space: fem.FunctionSpace
-    new: Dofs
+    new: IndexArray
 
 
 @dataclass(frozen=True)
 class _Points:
     """Nodes of a surface from all ranks: places and global indices, one row a node."""
 
-    x: Floats
-    index: Numbers
+    x: FloatArray
+    index: IntArray
 
 
 class PeriodicPairing:
@@ -152,7 +148,7 @@ class PeriodicPairing:
         index_map = cpp.common.IndexMap(comm, count, ghosts, owner[~mine][first])
         return MergedDofmap(_space(V, index_map, new), new)
 
-    def _edges(self, V: fem.FunctionSpace, fields: Sequence[Field]) -> Numbers:
+    def _edges(self, V: fem.FunctionSpace, fields: Sequence[Field]) -> IntArray:
         """Pairs of global indices that are one, shape (pairs, 2), the same on all ranks."""
         found = []
         for field in fields:
@@ -171,7 +167,7 @@ class PeriodicPairing:
         )
         return first, second
 
-    def _points(self, field: Field, V: fem.FunctionSpace, facets: Dofs) -> _Points:
+    def _points(self, field: Field, V: fem.FunctionSpace, facets: IndexArray) -> _Points:
         tdim, imap, comm = self.body.mesh.topology.dim, V.dofmap.index_map, self.body.comm
         nodes = fem.locate_dofs_topological(field.space, tdim - 1, facets)
         nodes = nodes[field.entries[nodes, 0] < imap.size_local]
@@ -180,7 +176,7 @@ class PeriodicPairing:
         index = imap.local_to_global(field.entries[nodes].reshape(-1)).reshape(-1, columns)
         return _Points(np.concatenate(comm.allgather(x)), np.concatenate(comm.allgather(index)))
 
-    def _match(self, a: Floats, b: Floats, vector: Floats, k: int) -> Numbers:
+    def _match(self, a: FloatArray, b: FloatArray, vector: FloatArray, k: int) -> IntArray:
         """Index in a of the image of each point of b."""
         shift = np.zeros(3)
         shift[: len(vector)] = vector
@@ -203,7 +199,7 @@ class PeriodicPairing:
 
     # --- the node that is held ---
 
-    def held(self, V: fem.FunctionSpace, merged: MergedDofmap) -> Dofs:
+    def held(self, V: fem.FunctionSpace, merged: MergedDofmap) -> IndexArray:
         """Local nodes of a plain space that are the held vertex or its images. Collective."""
         x = V.tabulate_dof_coordinates()
         here = np.flatnonzero(np.linalg.norm(x - self.corner, axis=1) <= self._near)
@@ -219,20 +215,20 @@ def plain(V: fem.FunctionSpace) -> Field:
     return Field(V, np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)[:, None])
 
 
-def _middle(x: Floats) -> Floats:
+def _middle(x: FloatArray) -> FloatArray:
     return np.asarray((x.max(axis=0) + x.min(axis=0)) / 2)
 
 
-def _first_corner(x: Floats) -> Floats:
+def _first_corner(x: FloatArray) -> FloatArray:
     """The point that comes first along a direction in which no two corners are alike."""
     return np.asarray(x[np.argmin((x - x.min(axis=0)) @ np.array([1.0, 1.0831, 1.1937]))])
 
 
-def _shown(vector: Floats) -> str:
+def _shown(vector: FloatArray) -> str:
     return "(" + ", ".join(f"{x:.6g}" for x in vector) + ")"
 
 
-def _classes(edges: Numbers) -> tuple[Numbers, Numbers]:
+def _classes(edges: IntArray) -> tuple[IntArray, IntArray]:
     """Global indices in pairs, sorted, and the smallest index of the class of each."""
     ids, flat = np.unique(edges, return_inverse=True)
     a, b = flat.reshape(edges.shape).T
@@ -243,8 +239,8 @@ def _classes(edges: Numbers) -> tuple[Numbers, Numbers]:
 
 
 def _renumbered(
-    comm: MPI.Comm, imap: cpp.common.IndexMap, ids: Numbers, root: Numbers
-) -> tuple[Dofs, Numbers, tuple[int, int]]:
+    comm: MPI.Comm, imap: cpp.common.IndexMap, ids: IntArray, root: IntArray
+) -> tuple[IndexArray, IntArray, tuple[int, int]]:
     """Owner and new global index of each local index; first and number of this rank's. Collective.
 
     Args:
@@ -275,7 +271,9 @@ def _renumbered(
     return owner, new, (offset, count)
 
 
-def _space(V: fem.FunctionSpace, index_map: cpp.common.IndexMap, new: Dofs) -> fem.FunctionSpace:
+def _space(
+    V: fem.FunctionSpace, index_map: cpp.common.IndexMap, new: IndexArray
+) -> fem.FunctionSpace:
     dofmap = V.dofmap
     cells = adjacencylist(np.ascontiguousarray(new[dofmap.list], dtype=np.int32))
     cells = getattr(cells, "_cpp_object", cells)

@@ -10,14 +10,10 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
 
+from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.problem.periodic.dofmap import Field, MergedDofmap
 from dolfin_elastic.problem.periodic.unit_cell import Cell
-from dolfin_elastic.problem.spaces import (
-    AuxiliaryField,
-    Dofs,
-    Element,
-    Unknowns,
-)
+from dolfin_elastic.problem.spaces import AuxiliaryField, Element, Unknowns
 
 
 def make_unknowns(
@@ -61,18 +57,18 @@ class Fluctuation(Unknowns):
         self._x = self.V.tabulate_dof_coordinates()
         self.pinned = self._pinned()
 
-    def _pinned(self) -> tuple[Dofs, Dofs]:
+    def _pinned(self) -> tuple[IndexArray, IndexArray]:
         nodes = self.cell.pairing.held(self.V, self._merged)
         new = self._merged.new[nodes]
         owned = nodes[new < self.U.dofmap.index_map.size_local]
         return self._unrolled(nodes), self._unrolled(owned[:1])
 
-    def _unrolled(self, nodes: Dofs) -> Dofs:
+    def _unrolled(self, nodes: IndexArray) -> IndexArray:
         return (nodes[:, None] * self._dim + np.arange(self._dim, dtype=np.int32)).reshape(-1)
 
     def _spaces(
         self, mesh: Mesh, elements: Sequence[Element]
-    ) -> tuple[fem.FunctionSpace, fem.FunctionSpace, fem.FunctionSpace, Dofs]:
+    ) -> tuple[fem.FunctionSpace, fem.FunctionSpace, fem.FunctionSpace, IndexArray]:
         pairing = self.cell.pairing
         if not self.extras:
             V = fem.functionspace(mesh, elements[0])
@@ -94,12 +90,12 @@ class Fluctuation(Unknowns):
         """The whole displacement of the body [m], of a function of W."""
         return self.displacement(w) + self.cell.affine(self.cell.H)
 
-    def local(self, dofs: Dofs) -> Dofs:
+    def local(self, dofs: IndexArray) -> IndexArray:
         """Entries of the displacement's local array as entries of U."""
         return (self._merged.new[dofs // self._dim] * self._dim + dofs % self._dim).astype(np.int32)
 
     @property
-    def moves(self) -> Dofs:
+    def moves(self) -> IndexArray:
         """Owned entries of all unknowns that belong to the fluctuation, in the order of U."""
         imap = self.U.dofmap.index_map
         entries = np.empty((imap.size_local + imap.num_ghosts) * self._dim, dtype=np.int32)
@@ -107,7 +103,7 @@ class Fluctuation(Unknowns):
         entries[self._unrolled(self._merged.new)] = self._dofs
         return entries[: imap.size_local * self._dim]
 
-    def linear(self) -> tuple[fem.FunctionSpace, Dofs]:
+    def linear(self) -> tuple[fem.FunctionSpace, IndexArray]:
         """U with linear elements, and its owned entries that are held. Collective."""
         pairing = self.cell.pairing
         plain = fem.functionspace(self.V.mesh, ("Lagrange", 1, (self._dim,)))

@@ -11,12 +11,11 @@ from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.amplitude import RAMP, Amplitude
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.problem.periodic.dofmap import PeriodicPairing
-
-Floats = npt.NDArray[np.float64]
 
 
 class Cell:
@@ -51,10 +50,10 @@ class Cell:
         self._origin = Constant(body.mesh, self.pairing.corner[: body.dim])
         self._X = ufl.SpatialCoordinate(body.mesh)
         self.volume = self.pairing.volume * thickness
-        self.stress: Floats = np.full((body.dim, body.dim), np.nan)
+        self.stress: FloatArray = np.full((body.dim, body.dim), np.nan)
 
     @property
-    def gradient(self) -> Floats:
+    def gradient(self) -> FloatArray:
         """Macroscopic deformation gradient F."""
         return np.eye(self._dim) + self.H.value
 
@@ -67,15 +66,15 @@ class Cell:
         """The displacement H (X - X0), UFL."""
         return ufl.dot(H, self._X - self._origin)
 
-    def affine_at(self, x: Floats) -> Floats:
+    def affine_at(self, x: FloatArray) -> FloatArray:
         """The present macroscopic displacement of points, shape (points, 3) to (points, dim)."""
         return np.asarray((x - self.pairing.corner)[:, : self._dim] @ self.H.value.T)
 
-    def free_values(self) -> Floats:
+    def free_values(self) -> FloatArray:
         """The free components of H."""
         return np.array([self.H.value[place] for place in self.free])
 
-    def set_free(self, values: Floats) -> None:
+    def set_free(self, values: FloatArray) -> None:
         """Changes the free components of H."""
         for place, value in zip(self.free, values, strict=True):
             self.H.value[place] = value
@@ -143,7 +142,7 @@ def _check_gradient(periodic: Periodic, dim: int) -> None:
         )
 
 
-def _told(F: Floats) -> npt.NDArray[np.intp]:
+def _told(F: FloatArray) -> npt.NDArray[np.intp]:
     """Rows and columns whose determinant has the sign of det F; none where it is not known yet.
 
     Free stretches are positive, and with nothing beside them they are factors of det F.

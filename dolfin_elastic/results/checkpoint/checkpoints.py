@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 from pydantic import Field, model_validator
@@ -35,6 +34,7 @@ from dolfin_elastic.core.errors import InputError, RestartError
 from dolfin_elastic.core.parallel import agree, largest, on_root
 from dolfin_elastic.core.schema import Idle, Record, refuse_idle
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.core.units import Time
 from dolfin_elastic.core.version import __version__
 from dolfin_elastic.problem.restart_state import Kept
@@ -50,7 +50,6 @@ from dolfin_elastic.results.files import (
 )
 from dolfin_elastic.results.writer import Every, Steps
 
-Array = npt.NDArray[Any]
 log = logging.getLogger("dolfin_elastic")
 
 FOLDER, CASE = "checkpoints", "case.toml"
@@ -283,7 +282,7 @@ class Found:
                     where=str(self.path),
                     expected="a checkpoint of this very case",
                 )
-            rows: Array = np.empty((0, shape[1]))
+            rows: AnyArray = np.empty((0, shape[1]))
             error = None
             try:
                 rows = heavy.read(self.path, name, order.first, order.mine)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.results.hdf5 import Rows
 
@@ -16,7 +16,7 @@ _ROWS = 1 << 16
 _GOLDEN, _FIRST, _SECOND = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
 
-def checksum(values: npt.NDArray[Any], places: npt.NDArray[Any]) -> int:
+def checksum(values: AnyArray, places: AnyArray) -> int:
     """Sum of the mixed bits of numbers and their places, modulo 2^64. Not collective.
 
     The sums of parts add up to that of the whole.  Mixing by splitmix64: G. L. Steele, D. Lea,
@@ -30,7 +30,7 @@ def checksum(values: npt.NDArray[Any], places: npt.NDArray[Any]) -> int:
     return sum(_mixed(values[i : i + _ROWS], places[i : i + _ROWS]) for i in cuts) & _ALL
 
 
-def _mixed(values: npt.NDArray[Any], places: npt.NDArray[Any]) -> int:
+def _mixed(values: AnyArray, places: AnyArray) -> int:
     bits = np.ascontiguousarray(values).view(np.uint64)
     columns = np.arange(bits.shape[1], dtype=np.uint64)
     place = places.astype(np.uint64)[:, None] * np.uint64(bits.shape[1]) + columns

@@ -8,17 +8,12 @@ some ranks and read on others.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
+from dolfin_elastic.core.types import AnyArray, IntArray
 from dolfin_elastic.results.hdf5 import Rows
-
-Array = npt.NDArray[Any]
-Numbers = npt.NDArray[np.int64]
 
 _NONE = np.iinfo(np.int64).max
 
@@ -31,7 +26,7 @@ class RankExchange:
         to: Rank that each row of this one goes to.
     """
 
-    def __init__(self, comm: MPI.Comm, to: Array) -> None:
+    def __init__(self, comm: MPI.Comm, to: AnyArray) -> None:
         self._comm = comm
         self._order = np.argsort(to, kind="stable")
         self._sent = np.bincount(to, minlength=comm.size).astype(np.int64)
@@ -43,18 +38,18 @@ class RankExchange:
         """Rows that this rank gets."""
         return int(self._got.sum())
 
-    def there(self, rows: Array) -> Array:
+    def there(self, rows: AnyArray) -> AnyArray:
         """The rows that arrive here, those of rank 0 first. Collective."""
         return self._moved(np.ascontiguousarray(rows[self._order]), self._sent, self._got)
 
-    def back(self, rows: Array) -> Array:
+    def back(self, rows: AnyArray) -> AnyArray:
         """What has arrived as it was before it was sent. Collective."""
         found = self._moved(np.ascontiguousarray(rows), self._got, self._sent)
         put = np.empty_like(found)
         put[self._order] = found
         return put
 
-    def _moved(self, rows: Array, sent: Numbers, got: Numbers) -> Array:
+    def _moved(self, rows: AnyArray, sent: IntArray, got: IntArray) -> AnyArray:
         columns = rows.shape[1]
         found = np.empty((int(got.sum()), columns), dtype=rows.dtype)
         given = [rows, (sent * columns).tolist()]
@@ -96,7 +91,7 @@ class DofOrdering:
         own = function.x.array.reshape(-1, self._columns)[:size]
         return Rows(self._post.there(own)[self._places], self.first, self.count)
 
-    def fill(self, function: fem.Function, rows: Array) -> None:
+    def fill(self, function: fem.Function, rows: AnyArray) -> None:
         """Gives a function the values of such a run, ghosts too. Collective."""
         arrived = np.empty_like(rows)
         arrived[self._places] = rows
@@ -105,7 +100,7 @@ class DofOrdering:
         function.x.scatter_forward()
 
 
-def _names(V: fem.FunctionSpace, cells: Array) -> Numbers:
+def _names(V: fem.FunctionSpace, cells: AnyArray) -> IntArray:
     """What each owned unknown (node, if several share it) is called. Collective.
 
     Args:

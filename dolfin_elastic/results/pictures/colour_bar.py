@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[Any]
+from dolfin_elastic.core.types import AnyArray
 
 ROUGHLY = 5
 """Steps between ticks, or a few less."""
@@ -36,7 +34,7 @@ class Bar:
     form: str
 
 
-def bar(values: Array, unit: str, noise: float = 0.0) -> Bar:
+def bar(values: AnyArray, unit: str, noise: float = 0.0) -> Bar:
     """The colour bar of some values.
 
     Rounding errors get no colours of their own: values that are zero but for them are shown
@@ -53,7 +51,7 @@ def bar(values: Array, unit: str, noise: float = 0.0) -> Bar:
     return Bar(ticks, factor, unit, _form(ticks))
 
 
-def _range(values: Array, noise: float) -> tuple[float, float]:
+def _range(values: AnyArray, noise: float) -> tuple[float, float]:
     if not len(values):
         return 0.0, noise or 1.0
     low, high = float(values.min()), float(values.max())

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import la
 from dolfinx.common import IndexMap
 from mpi4py import MPI
@@ -23,6 +22,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
@@ -37,7 +37,6 @@ from dolfin_elastic.results.writer import Every, Kept, Numbers
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
-Array = npt.NDArray[Any]
 View = Literal["isometric", "x", "y", "z", "-x", "-y", "-z"]
 
 _NAP = 0.02
@@ -225,7 +224,7 @@ class Painter:
         }
         _on_root_alone(self.comm, lambda: self._draw(surface, file, settings))
 
-    def _at_local_nodes(self, values: Array) -> Array:
+    def _at_local_nodes(self, values: AnyArray) -> AnyArray:
         grid, field = self._evaluate.grid, FIELDS[self.field]
         if field.columns > 1:
             values = np.linalg.norm(values, axis=1, keepdims=True)
@@ -315,7 +314,7 @@ def _on_root_alone(comm: MPI.Comm, action: Callable[[], None]) -> None:
     agree(comm, error)
 
 
-def _with_ghosts(index_map: IndexMap, values: Array) -> Array:
+def _with_ghosts(index_map: IndexMap, values: AnyArray) -> AnyArray:
     """Values of what this rank owns, one each, completed by those of the ghosts. Collective."""
     work = la.vector(index_map, 1)
     work.array[: len(values)] = values[:, 0]

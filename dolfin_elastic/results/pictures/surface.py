@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import Mesh, exterior_facet_indices
 from mpi4py import MPI
 
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.results.grid import Grid
-
-Array = npt.NDArray[Any]
 
 # A triangle whose nodes are corners a, b, c and the middles of bc, ac, ab, as four triangles.
 _QUARTERS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2], [5, 3, 4]])
@@ -31,13 +29,15 @@ class Surface:
         of_cells: Values of the cells that the triangles belong to, shape (n,), if asked for.
     """
 
-    triangles: Array
-    points: Array
-    values: dict[str, Array]
-    of_cells: Array | None = None
+    triangles: AnyArray
+    points: AnyArray
+    values: dict[str, AnyArray]
+    of_cells: AnyArray | None = None
 
 
-def gather(grid: Grid, values: dict[str, Array], of_cells: Array | None = None) -> Surface | None:
+def gather(
+    grid: Grid, values: dict[str, AnyArray], of_cells: AnyArray | None = None
+) -> Surface | None:
     """The body's surface on rank 0, None on the others; of a plane body all cells. Collective.
 
     Args:
@@ -75,7 +75,7 @@ def _joined(parts: list[Any]) -> Surface:
     return Surface(triangles, points, values, of_cells)
 
 
-def _triangles(grid: Grid) -> tuple[Array, Array]:
+def _triangles(grid: Grid) -> tuple[AnyArray, AnyArray]:
     """Local points of this rank's share of the surface, shape (n, 3), and the cell of each."""
     if grid.mesh.topology.dim == 2:
         own = np.arange(grid.own_cells)
@@ -86,30 +86,30 @@ def _triangles(grid: Grid) -> tuple[Array, Array]:
     return _split(_outward(grid.V, faces, grid.V.dofmap.list[cells, sides]), cells)
 
 
-def _split(faces: Array, cells: Array) -> tuple[Array, Array]:
+def _split(faces: AnyArray, cells: AnyArray) -> tuple[AnyArray, AnyArray]:
     if faces.shape[1] == _CORNERS:
         return faces, cells
     return faces[:, _QUARTERS].reshape(-1, 3), np.repeat(cells, len(_QUARTERS))
 
 
-def _outward(V: fem.FunctionSpace, faces: Array, opposite: Array) -> Array:
+def _outward(V: fem.FunctionSpace, faces: AnyArray, opposite: AnyArray) -> AnyArray:
     """Turns faces so that the corner of the cell that is not theirs lies behind them."""
     x = V.tabulate_dof_coordinates()
     behind = x[faces[:, 0]] - x[opposite]
     return _turned(faces, np.einsum("ij,ij->i", _normals(x, faces), behind) < 0)
 
 
-def _upward(V: fem.FunctionSpace, faces: Array) -> Array:
+def _upward(V: fem.FunctionSpace, faces: AnyArray) -> AnyArray:
     """Turns the cells of a plane body so that they are seen from above."""
     return _turned(faces, _normals(V.tabulate_dof_coordinates(), faces)[:, 2] < 0)
 
 
-def _normals(x: Array, faces: Array) -> Array:
+def _normals(x: AnyArray, faces: AnyArray) -> AnyArray:
     a, b, c = (x[faces[:, i]] for i in range(3))
     return np.asarray(np.cross(b - a, c - a))
 
 
-def _turned(faces: Array, which: Array) -> Array:
+def _turned(faces: AnyArray, which: AnyArray) -> AnyArray:
     # Exchanging corners b and c exchanges the middles of ac and ab.
     order = [0, 2, 1] if faces.shape[1] == _CORNERS else [0, 2, 1, 3, 5, 4]
     faces = faces.copy()
@@ -117,7 +117,7 @@ def _turned(faces: Array, which: Array) -> Array:
     return faces
 
 
-def _outer_sides(mesh: Mesh) -> tuple[Array, Array]:
+def _outer_sides(mesh: Mesh) -> tuple[AnyArray, AnyArray]:
     """Owned boundary facets as cells and the facets' numbers in them. Collective."""
     mesh.topology.create_connectivity(2, 3)
     mesh.topology.create_connectivity(3, 2)

@@ -23,11 +23,12 @@ import numpy as np
 
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import extent
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.results import hdf5 as heavy
 from dolfin_elastic.results.files import make_folder, replace_text, writing
-from dolfin_elastic.results.grid import Array, Grid
+from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.writers.xdmf import item, mesh_rows, mesh_xml
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ class ModesWriter:
         path = self.path.parent / f"mode_{mode.number:02d}.xdmf"
         on_root(self.comm, lambda: replace_text(path, text))
 
-    def _nodal(self, function: fem.Function) -> Array:
+    def _nodal(self, function: fem.Function) -> FloatArray:
         """Displacements of the owned points, with three components."""
         dim, own = self._grid.mesh.geometry.dim, self._grid.own_points
         values = np.zeros((own, 3))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
@@ -14,11 +13,10 @@ from petsc4py import PETSc
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.assembly.matrix import TangentMatrix
-
-Vector = npt.NDArray[np.float64]
 
 
 class Assembler:
@@ -78,7 +76,7 @@ class Assembler:
         self._map, self._bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
         self._dim = problem.body.dim
         self.size = self._map.size_local * self._bs
-        self.origin: Vector = np.zeros(self.size)
+        self.origin: FloatArray = np.zeros(self.size)
         self.balance, self._lift = self._vector(), self._vector()
         held, places = problem.prescribed, problem.unknowns.places
         self._held, self.fixed = held.owned, places(held.owned)
@@ -112,7 +110,7 @@ class Assembler:
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
 
-    def _condition(self, dofs: npt.NDArray[np.int32]) -> fem.DirichletBC:
+    def _condition(self, dofs: IndexArray) -> fem.DirichletBC:
         """Holds entries of the displacement's local array in all unknowns."""
         places = self.problem.unknowns.places(dofs)
         return fem.dirichletbc(self._values, np.unique(places // self._bs))
@@ -140,7 +138,7 @@ class Assembler:
 
     # --- residual and tangent ---
 
-    def residual(self, x: PETSc.Vec, f: PETSc.Vec, *, target: Vector | None = None) -> None:
+    def residual(self, x: PETSc.Vec, f: PETSc.Vec, *, target: FloatArray | None = None) -> None:
         """Evaluates the residual.
 
         Args:
@@ -153,7 +151,7 @@ class Assembler:
             self.assemble_balance()
         self.constrain(f, target=target)
 
-    def constrain(self, f: PETSc.Vec, *, target: Vector | None = None) -> None:
+    def constrain(self, f: PETSc.Vec, *, target: FloatArray | None = None) -> None:
         """The residual from `balance` as it stands and the present prescribed values."""
         with stage("assemble"):
             difference, off = self._differences(target)
@@ -180,7 +178,7 @@ class Assembler:
             self._scale = 2.0 ** np.round(np.log2(mean)) if 0.0 < mean < np.inf else 1.0
         return self._scale
 
-    def _differences(self, target: Vector | None) -> tuple[Vector, Vector]:
+    def _differences(self, target: FloatArray | None) -> tuple[FloatArray, FloatArray]:
         """What prescribed entries, and tilted nodes along their directions, are off [m]."""
         held, x = self.problem.prescribed, self.problem.w.x.array
         if self._tilted is None:
@@ -208,7 +206,7 @@ class Assembler:
         self._add_nodal(self.balance.array, -1.0)
         self.balance.scatter_reverse(la.InsertMode.add)
 
-    def constraint_forces(self, out: Vector) -> Vector:
+    def constraint_forces(self, out: FloatArray) -> FloatArray:
         """The part of owned nodal forces that supports take up by prescribing."""
         held = np.zeros(self.size)
         held[self.fixed] = out[self.fixed]
@@ -216,7 +214,7 @@ class Assembler:
             held[self.tilted] = self._tilted.held(out[self.tilted])
         return held
 
-    def _measure(self, out: Vector, difference: Vector, off: Vector) -> None:
+    def _measure(self, out: FloatArray, difference: FloatArray, off: FloatArray) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
             held = self.constraint_forces(out)
             squares = [np.sum(np.square(out - held)), np.sum(np.square(held))]
@@ -235,7 +233,7 @@ class Assembler:
         squares = total(self.comm, sum(float(np.sum(np.square(force))) for force in forces))
         self.pushed = float(np.sqrt(squares))
 
-    def _lifted(self, difference: Vector, off: Vector) -> Vector:
+    def _lifted(self, difference: FloatArray, off: FloatArray) -> FloatArray:
         """K (g - x) of the prescribed columns, for the free rows."""
         w, values = self.problem.w.x.array, self._values
         kept = values.x.array.copy()
@@ -300,7 +298,7 @@ class Assembler:
             return self.cell.force()
         return float(la.norm(self._applied()))
 
-    def external_forces(self) -> Vector:
+    def external_forces(self) -> FloatArray:
         """Applied nodal forces at the present time, owned entries [N]."""
         return self._applied().array[: self.size]
 
@@ -312,14 +310,14 @@ class Assembler:
         force.scatter_reverse(la.InsertMode.add)
         return force
 
-    def _add_nodal(self, forces: Vector, sign: float) -> None:
+    def _add_nodal(self, forces: FloatArray, sign: float) -> None:
         """Adds the loads at points and lines; the ranks' shares are still to be summed."""
         if self.problem.nodal_loads:
             forces[self._places] += sign * self.problem.nodal_loads.nodal()
 
     # --- what is known of the solution ---
 
-    def reactions(self, more: Vector | None = None) -> dict[str, Vector]:
+    def reactions(self, more: FloatArray | None = None) -> dict[str, FloatArray]:
         """Force of each support and obstacle on the body [N], from `balance` as it stands.
 
         Args:
@@ -343,19 +341,19 @@ class Assembler:
             found[label] = found.get(label, 0.0) + self._resultant(form)
         return found
 
-    def nodal(self, form: fem.Form) -> Vector:
+    def nodal(self, form: fem.Form) -> FloatArray:
         """Nodal forces of a virtual work, owned entries [N]."""
         forces = self._vector()
         fem.assemble_vector(forces.array, form)
         forces.scatter_reverse(la.InsertMode.add)
         return forces.array[: self.size]
 
-    def _resultant(self, form: fem.Form) -> Vector:
+    def _resultant(self, form: fem.Form) -> FloatArray:
         """Sum of the nodal forces of a virtual work [N]."""
         nodal = self.nodal(form)[self.moves].reshape(-1, self._dim)
         return np.asarray(self.comm.allreduce(nodal.sum(axis=0), op=MPI.SUM))
 
-    def holding_forces(self, known: Collection[str] = ()) -> Vector:
+    def holding_forces(self, known: Collection[str] = ()) -> FloatArray:
         """Nodal forces of all that holds by forces, but for labels that are known, owned [N]."""
         forces = np.zeros(self.size)
         for form in (form for label, form in self._holding.items() if label not in known):
@@ -374,7 +372,7 @@ class Assembler:
         own = self.problem.w.x.array[: self.size] - self.origin
         return float(self.comm.allreduce(float(np.max(np.abs(own), initial=0.0)), op=MPI.MAX))
 
-    def largest_unbalance(self) -> tuple[float, Vector]:
+    def largest_unbalance(self) -> tuple[float, FloatArray]:
         """Largest free nodal force of the last residual [N] and the node's place X [m]."""
         out = self.balance.array[: self.size]
         forces = (out - self.constraint_forces(out))[self.moves]

@@ -8,15 +8,13 @@ lemma of R. Hill, Proc. R. Soc. Lond. A 326 (1972) 131.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-
-Vector = npt.NDArray[np.float64]
 
 
 class CellStress:
@@ -53,7 +51,7 @@ class CellStress:
         own = float(fem.assemble_scalar(self._form))
         return float(total(self.problem.body.comm, own)) / self.cell.volume
 
-    def stress(self) -> Vector:
+    def stress(self) -> FloatArray:
         """Mean of P over the cell, dim x dim [Pa]. Collective."""
         dims = range(self.problem.body.dim)
         return np.array([[self.component(i, j) for j in dims] for i in dims])
@@ -70,7 +68,7 @@ class CellStress:
         area = self.cell.volume / self.cell.length
         return float(max(own, given) * area / np.sqrt(self.cell.pairing.face_nodes))
 
-    def work(self) -> tuple[Vector, Vector]:
+    def work(self) -> tuple[FloatArray, FloatArray]:
         """Macroscopic forces V P [J] and what they do work on, F. Collective."""
         return self.cell.volume * self.stress().reshape(-1), self.cell.gradient.reshape(-1)
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
-
-Vector = npt.NDArray[np.float64]
 
 
 def _cross(r: ufl.core.expr.Expr, w: ufl.core.expr.Expr) -> list[ufl.core.expr.Expr]:
@@ -72,7 +70,7 @@ class ConsistentMass:
         ]
         self._problem, self._forms = problem, compiled(problem, forms)
 
-    def measure(self) -> tuple[float, Vector, Vector]:
+    def measure(self) -> tuple[float, FloatArray, FloatArray]:
         """Kinetic energy [J], linear [kg m/s] and angular [kg m^2/s] momentum. Collective."""
         local = np.array([fem.assemble_scalar(form) for form in self._forms])
         return _summed(self._problem, local)
@@ -87,12 +85,12 @@ class LumpedMass:
         mass: Mass at every owned entry, unrolled [kg].
     """
 
-    def __init__(self, problem: Problem, v: fem.Function, mass: Vector) -> None:
+    def __init__(self, problem: Problem, v: fem.Function, mass: FloatArray) -> None:
         self._problem, self._v = problem, v
         self._mass = mass.reshape(-1, problem.V.dofmap.index_map_bs)
         self._X = problem.V.tabulate_dof_coordinates()[: len(self._mass)]
 
-    def measure(self) -> tuple[float, Vector, Vector]:
+    def measure(self) -> tuple[float, FloatArray, FloatArray]:
         """Kinetic energy [J], linear [kg m/s] and angular [kg m^2/s] momentum. Collective."""
         shape = self._mass.shape
         u = self._problem.u.x.array[: self._mass.size].reshape(shape)
@@ -108,7 +106,7 @@ class LumpedMass:
         return _summed(self._problem, local)
 
 
-def _summed(problem: Problem, local: Vector) -> tuple[float, Vector, Vector]:
+def _summed(problem: Problem, local: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     """Energy, linear and angular momentum of all ranks. Collective."""
     sums, dim = problem.body.comm.allreduce(local, op=MPI.SUM), problem.body.dim
     if problem.geometry == "axisymmetric":  # what a section has is not the ring's
@@ -116,7 +114,7 @@ def _summed(problem: Problem, local: Vector) -> tuple[float, Vector, Vector]:
     return float(sums[0]), sums[1 : 1 + dim], sums[1 + dim :]
 
 
-def lumped(problem: Problem, assembler: Assembler) -> Vector:
+def lumped(problem: Problem, assembler: Assembler) -> FloatArray:
     """Row sums of the mass matrix at the owned displacements [kg]. Collective."""
     ones = ufl.as_vector([problem.constant(1.0)] * problem.body.dim)
     form = compiled(problem, [problem.inertia(ones, problem.v)])[0]
@@ -127,6 +125,6 @@ def lumped(problem: Problem, assembler: Assembler) -> Vector:
     return np.asarray(mass.array[assembler.moves])
 
 
-def work(problem: Problem, forces: Vector, du: Vector) -> float:
+def work(problem: Problem, forces: FloatArray, du: FloatArray) -> float:
     """Work of owned nodal forces over owned nodal displacements [J]. Collective."""
     return float(problem.body.comm.allreduce(float(np.dot(forces, du)), op=MPI.SUM))

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import ConvergenceError
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.assembly.matrix import TangentMatrix
 from dolfin_elastic.solvers.petsc.options import ksp_reason
 
-Vector = npt.NDArray[np.float64]
-
 TOLERANCE = 1e-14
 """Relative residual: the acceleration of the start is as exact as numbers are."""
 
 
-def initial_acceleration(assembler: Assembler, held: Vector, a: fem.Function) -> None:
+def initial_acceleration(assembler: Assembler, held: FloatArray, a: fem.Function) -> None:
     """Finds the acceleration that goes with the forces in `assembler.balance`. Collective.
 
     M a = -R where nothing is prescribed, R the forces out of balance without inertia; prescribed
@@ -76,7 +74,7 @@ def mass_diagonal(assembler: Assembler) -> PETSc.Vec:
     return out
 
 
-def held_acceleration(problem: Problem, h: float) -> Vector:
+def held_acceleration(problem: Problem, h: float) -> FloatArray:
     """Second derivative of what is prescribed at time 0 [m/s^2], as `DirichletConditions.targets`.
 
     By differences forward in time, of second order.  Not collective.
@@ -91,7 +89,7 @@ def held_acceleration(problem: Problem, h: float) -> Vector:
     return np.asarray(np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0))
 
 
-def held_rates(problem: Problem, t: float, h: float) -> tuple[Vector, Vector]:
+def held_rates(problem: Problem, t: float, h: float) -> tuple[FloatArray, FloatArray]:
     """Velocity [m/s], acceleration [m/s^2] of what is prescribed, as `DirichletConditions.targets`.
 
     By central differences: the velocity over h/4, the acceleration as the difference of velocities
@@ -105,7 +103,7 @@ def held_rates(problem: Problem, t: float, h: float) -> tuple[Vector, Vector]:
         h: The step [s].
     """
 
-    def velocity(at: float) -> Vector:
+    def velocity(at: float) -> FloatArray:
         times = (max(time, 0.0) for time in (at - h / 8, at + h / 8))
         before, after = problem.prescribed.targets_at(times)
         return np.asarray((after - before) * 4 / h)
@@ -115,14 +113,14 @@ def held_rates(problem: Problem, t: float, h: float) -> tuple[Vector, Vector]:
     return now, np.asarray((after - before) / h)
 
 
-def free(problem: Problem, rows: Vector) -> Vector:
+def free(problem: Problem, rows: FloatArray) -> FloatArray:
     """What supports leave of a vector at the owned displacements. Not collective."""
     held, out = problem.prescribed, rows.copy()
     held.impose(out, np.zeros(len(held.targets)))
     return out
 
 
-def _inertia(problem: Problem, a: fem.Function) -> Vector:
+def _inertia(problem: Problem, a: fem.Function) -> FloatArray:
     """M a, local entries of which the owned ones are complete. Collective."""
     V = problem.V
     form = compiled(problem, [problem.inertia(a, ufl.TestFunction(V))])[0]

@@ -12,14 +12,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem, la
 from petsc4py import PETSc
 
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.solvers.assembly.skew_rows import SkewProjection
 from dolfin_elastic.solvers.petsc.c_api import check, library
-
-Values = npt.NDArray[np.float64]
 
 
 class TangentMatrix:
@@ -39,8 +37,8 @@ class TangentMatrix:
     def __init__(
         self,
         form: fem.Form,
-        places: npt.NDArray[np.int32] | None = None,
-        P: Values | None = None,
+        places: IndexArray | None = None,
+        P: FloatArray | None = None,
     ) -> None:
         self._form = form
         self._native = fem.create_matrix(form, la.BlockMode.expanded)
@@ -77,7 +75,7 @@ class TangentMatrix:
         matrix.assemble()
         return matrix
 
-    def _global_columns(self) -> npt.NDArray[np.int64]:
+    def _global_columns(self) -> IntArray:
         columns = self._native.index_map(1)  # has ghosts that the function space has not
         return columns.local_to_global(self._native.indices.astype(np.int32))
 
@@ -117,7 +115,7 @@ class TangentMatrix:
         self.petsc.destroy()
 
 
-def _fill(matrix: PETSc.Mat, own: Values, others: Values) -> None:
+def _fill(matrix: PETSc.Mat, own: FloatArray, others: FloatArray) -> None:
     """Overwrites all values of an AIJ matrix: the block of its own columns, then the rest."""
     if matrix.getType() == "seqaij":
         _write(matrix.handle, own)
@@ -139,7 +137,7 @@ def _off_diagonal(matrix: PETSc.Mat) -> int:
     return others.value
 
 
-def _write(handle: int, values: Values) -> None:
+def _write(handle: int, values: FloatArray) -> None:
     """Copies contiguous values into a sequential AIJ matrix, through MatSeqAIJGetArray."""
     matrix, pointer = ctypes.c_void_p(handle), ctypes.c_void_p()
     check(library().MatSeqAIJGetArray(matrix, ctypes.byref(pointer)))

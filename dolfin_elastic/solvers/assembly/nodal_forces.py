@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem, la
 from dolfinx.cpp.fem import pack_coefficients, pack_constants
 
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
-
-Vector = npt.NDArray[np.float64]
 
 
 class Forces:
@@ -45,7 +43,7 @@ class Forces:
             for read in _reads(form, field, self._packed)
         ]
         self._constants = pack_constants(form._cpp_object)
-        self._at_points: Vector = np.empty(0)
+        self._at_points: FloatArray = np.empty(0)
         self.renew()
 
     def renew(self) -> None:
@@ -78,8 +76,8 @@ class _Read:
     def __init__(
         self,
         field: fem.Function,
-        packed: Vector,
-        cells: npt.NDArray[np.int32],
+        packed: FloatArray,
+        cells: IndexArray,
         first: int,
     ) -> None:
         dofmap = field.function_space.dofmap
@@ -99,7 +97,7 @@ class _Read:
 
 
 def _reads(
-    form: fem.Form, field: fem.Function, packed: dict[tuple[fem.IntegralType, int], Vector]
+    form: fem.Form, field: fem.Function, packed: dict[tuple[fem.IntegralType, int], FloatArray]
 ) -> Sequence[_Read]:
     """Where an assembly finds a field's values."""
     inner = form._cpp_object
@@ -127,6 +125,6 @@ def _used(form: fem.Form, field: fem.Function, first: int) -> set[tuple[fem.Inte
     return {key for key, values in found.items() if len(values) and values[0, first] == 1.0}
 
 
-def _cells(entities: npt.NDArray[np.int32], rows: int) -> npt.NDArray[np.int32]:
+def _cells(entities: IndexArray, rows: int) -> IndexArray:
     """Cells of an integral over cells, or over facets as pairs of cell and local facet."""
     return entities.ravel()[:: max(entities.size // max(rows, 1), 1)]

@@ -8,11 +8,9 @@ conditions, M. Ainsworth, Comput. Methods Appl. Mech. Engrg. 190 (2001) 6323.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import la
 
-Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 
 
 class SkewProjection:
@@ -29,8 +27,8 @@ class SkewProjection:
         self,
         matrix: la.MatrixCSR,
         rows: int,
-        places: npt.NDArray[np.int32],
-        P: Floats,
+        places: IndexArray,
+        P: FloatArray,
     ) -> None:
         self._dim = places.shape[1]
         self._P = P
@@ -47,8 +45,8 @@ class SkewProjection:
         self._right_Q = Q[self._columns[self._right[first]]]
 
     def _told(
-        self, matrix: la.MatrixCSR, places: npt.NDArray[np.int32]
-    ) -> tuple[Indices, Indices, Floats]:
+        self, matrix: la.MatrixCSR, places: IndexArray
+    ) -> tuple[IntArray, IntArray, FloatArray]:
         """For all columns: component (-1: none is held), node's number, row of Q. Collective."""
         dim, columns = self._dim, matrix.index_map(1)  # with ghosts that the space has not
         told = la.vector(columns, dim + 2)
@@ -61,7 +59,7 @@ class SkewProjection:
         told.scatter_forward()
         return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2:]
 
-    def _row_blocks(self, places: npt.NDArray[np.int32]) -> tuple[Indices, Indices]:
+    def _row_blocks(self, places: IndexArray) -> tuple[IntArray, IntArray]:
         """Places of values in one column and all rows of a held node, and the node."""
         starts = self._start[places].astype(np.int64)
         lengths = np.diff(self._start)[places[:, 0]].astype(np.int64)
@@ -73,16 +71,16 @@ class SkewProjection:
         return found, of
 
     def _own_blocks(
-        self, places: npt.NDArray[np.int32], component: Indices, node: Indices
-    ) -> tuple[Indices, tuple[Indices, Indices]]:
+        self, places: IndexArray, component: IntArray, node: IntArray
+    ) -> tuple[IntArray, tuple[IntArray, IntArray]]:
         """Of these, the columns of the node itself, and their (node, component)."""
         column = self._columns[self._down[:, 0]]
         own = (component[column] >= 0) & (node[column] == node[places[self._down_at, 0]])
         return self._down[own], (self._down_at[own], component[column[own]])
 
     def _column_blocks(
-        self, rows: int, component: Indices, node: Indices
-    ) -> tuple[Indices, Indices]:
+        self, rows: int, component: IntArray, node: IntArray
+    ) -> tuple[IntArray, IntArray]:
         """Places of values in one row and all columns of a held node, and the node's number."""
         at = np.flatnonzero(component[self._columns] >= 0)
         columns = self._columns[at]
@@ -91,7 +89,7 @@ class SkewProjection:
         found = at[order].reshape(-1, self._dim)
         return found, node[self._columns[found[:, 0]]]
 
-    def apply(self, values: Floats, unit: float) -> None:
+    def apply(self, values: FloatArray, unit: float) -> None:
         """Changes the values of the owned rows in place. Not collective.
 
         Args:

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -28,7 +28,6 @@ from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.small_strains import SmallStrains
 
 log = logging.getLogger("dolfin_elastic")
-Floats = npt.NDArray[np.float64]
 
 BALANCED = 1e-6
 """Unbalanced share of the forces that is let pass: a hundred times what Newton's method leaves with
@@ -49,8 +48,8 @@ class _Last:
         change: |change of forces . change of displacement| of the step that led there [J].
     """
 
-    u: Floats
-    forces: Floats
+    u: FloatArray
+    forces: FloatArray
     energy: float
     change: float
 
@@ -158,7 +157,7 @@ class EquilibriumAuditor:
         self._work, self._stored = kept["work"], kept["stored"]
         self._warned, self._strains.note = dict(kept["warned"]), kept["far"]
 
-    def _present(self) -> tuple[list[Floats], Floats, Floats]:
+    def _present(self) -> tuple[list[FloatArray], FloatArray, FloatArray]:
         """Nodal forces by origin (none of a cell), their sum, and what they move. Collective."""
         if self._assembler.cell is not None:
             return [], *self._macroscopic(self._assembler.cell)
@@ -202,7 +201,7 @@ class EquilibriumAuditor:
 
     # --- forces and moments ---
 
-    def _outside(self) -> list[Floats]:
+    def _outside(self) -> list[FloatArray]:
         """Nodal forces of loads, springs and supports, shape (nodes, dim) each [N]."""
         a = self._assembler
         reactions = a.constraint_forces(a.balance.array[: a.size])
@@ -211,7 +210,7 @@ class EquilibriumAuditor:
             forces.append(a.holding_forces()[a.moves])
         return [force.reshape(-1, self._dim) for force in forces]
 
-    def _inside(self, shape: tuple[int, ...]) -> Floats:
+    def _inside(self, shape: tuple[int, ...]) -> FloatArray:
         """Internal nodal forces, which are those from outside only in equilibrium [N]."""
         a = self._assembler
         forces = a.balance.array[: a.size] + a.external_forces() + a.holding_forces()
@@ -227,7 +226,7 @@ class EquilibriumAuditor:
                     "or more load steps help"
                 )
 
-    def _macroscopic(self, cell: CellStress) -> tuple[Floats, Floats]:
+    def _macroscopic(self, cell: CellStress) -> tuple[FloatArray, FloatArray]:
         """What does work on a periodic cell, V P [N], on what, F [m], by its length. Collective.
 
         All of it is on one rank; the others have nothing.
@@ -237,7 +236,7 @@ class EquilibriumAuditor:
         here = slice(None) if self._comm.rank == 0 else slice(0)
         return np.asarray(forces[here] / length), moved[here] * length
 
-    def _sum(self, outside: list[Floats], noise: float, reasons: dict[str, str]) -> float:
+    def _sum(self, outside: list[FloatArray], noise: float, reasons: dict[str, str]) -> float:
         rows = outside
         if self._problem.geometry == "axisymmetric":  # radial forces need not sum up to anything
             rows = [force[:, 1:] for force in outside]
@@ -248,7 +247,7 @@ class EquilibriumAuditor:
             )
         return share
 
-    def _moment(self, outside: list[Floats], noise: float, reasons: dict[str, str]) -> float:
+    def _moment(self, outside: list[FloatArray], noise: float, reasons: dict[str, str]) -> float:
         if self._places == "none":
             return float("nan")
         x = self._X[:, : self._dim]
@@ -264,11 +263,11 @@ class EquilibriumAuditor:
             )
         return share
 
-    def _moved(self) -> Floats:
+    def _moved(self) -> FloatArray:
         """Displacement of the owned nodes, with which forces and moments balance [m]."""
         return np.asarray(self._problem.u.x.array[: self._dim * len(self._X)])
 
-    def _share(self, rows: list[Floats], noise: float) -> tuple[float, float, float]:
+    def _share(self, rows: list[FloatArray], noise: float) -> tuple[float, float, float]:
         """What is left of a sum, over the sum of lengths; this sum; and the share that may be.
 
         Where round-off is a large part of small loads it excuses what it is, but is not taken off.
@@ -286,7 +285,12 @@ class EquilibriumAuditor:
     # --- energy ---
 
     def _follow(
-        self, forces: Floats, u: Floats, energy: float, noise: float, reasons: dict[str, str]
+        self,
+        forces: FloatArray,
+        u: FloatArray,
+        energy: float,
+        noise: float,
+        reasons: dict[str, str],
     ) -> None:
         """Adds the work of a step and compares it with what has been stored.
 
@@ -330,7 +334,7 @@ def _places(problem: Problem) -> str:
     return "reference" if all(linear) else "current"
 
 
-def _cross(x: Floats, force: Floats) -> Floats:
+def _cross(x: FloatArray, force: FloatArray) -> FloatArray:
     """Moments about the origin, shape (nodes, 3), in a plane (nodes, 1)."""
     if x.shape[1] == 2:
         return np.asarray(x[:, :1] * force[:, 1:] - x[:, 1:] * force[:, :1])

@@ -8,14 +8,12 @@ within the step breaks this: the forces before and after may be alike, and yet t
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.energy_momentum import Strain
-
-Vector = npt.NDArray[np.float64]
 
 SLACK = 0.02
 """Share of the step's energy that is no sign of anything."""
@@ -38,8 +36,8 @@ class PathEnergyCheck:
     def __init__(self, assembler: Assembler) -> None:
         self._assembler = assembler
         self.strain = Strain(assembler.problem)
-        self._before: tuple[float, Vector, Vector] | None = None
-        self._now: tuple[float, Vector, Vector] | None = None
+        self._before: tuple[float, FloatArray, FloatArray] | None = None
+        self._now: tuple[float, FloatArray, FloatArray] | None = None
 
     def look(self) -> None:
         """Takes in the present equilibrium, whose forces are in the assembler. Collective."""

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import la
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.problem import Problem
 
-Numbers = npt.NDArray[np.int64]
 _JOINED = 3
 """Regions that the name of one body is made of."""
 
@@ -40,10 +39,10 @@ class ConnectedBodies:
         self.places = problem.V.tabulate_dof_coordinates()[:, : problem.body.dim]
         own = self._components_here()
         self.count, numbers = self._joined(own)
-        self.of_node: Numbers = numbers[own]
+        self.of_node: IntArray = numbers[own]
         self._number_by_place()
 
-    def _components_here(self) -> Numbers:
+    def _components_here(self) -> IntArray:
         """Component of each local node, numbered from 0 on each rank."""
         nodes = self._map.size_local + self._map.num_ghosts
         first = np.repeat(self._dofs[:, 0], self._dofs.shape[1])
@@ -51,7 +50,7 @@ class ConnectedBodies:
         graph = coo_array((ones, (first, self._dofs.ravel())), shape=(nodes, nodes))
         return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
-    def _joined(self, own: Numbers) -> tuple[int, Numbers]:
+    def _joined(self, own: IntArray) -> tuple[int, IntArray]:
         """How many bodies there are, and the body of each of this rank's components."""
         mine = int(own.max(initial=-1)) + 1
         counts = self.comm.allgather(mine)
@@ -90,12 +89,12 @@ class ConnectedBodies:
             for k in range(self.count)
         ]
 
-    def _cells(self, cells: npt.NDArray[np.int32]) -> Numbers:
+    def _cells(self, cells: IndexArray) -> IntArray:
         """How many of these cells each body has."""
         of = self.of_node[self._dofs[cells, 0]]
         return np.asarray(total(self.comm, np.bincount(of, minlength=self.count)))
 
-    def _middles(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def _middles(self) -> tuple[FloatArray, FloatArray]:
         """Mean place of each body's cells [m], and how many there are. Collective."""
         own = self._body.owned_cells()
         dim = self.places.shape[1]

@@ -18,11 +18,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.core.errors import BadCell, Diagnosis
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
 from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
@@ -39,8 +39,6 @@ from dolfin_elastic.solvers.nonlinear.progress import (
     UNSTABLE,
     Progress,
 )
-
-Array = npt.NDArray[np.float64]
 
 FLOOR = 100.0
 """Times the estimated round-off that a residual may keep to be called so."""
@@ -73,8 +71,8 @@ def diagnose(
     assembler: Assembler,
     progress: Progress,
     *,
-    good: Array,
-    failed: Array,
+    good: FloatArray,
+    failed: FloatArray,
     stable: bool = True,
     moving: bool = False,
 ) -> Diagnosis:
@@ -103,7 +101,7 @@ class _Doctor:
     """One diagnosis. Collective."""
 
     def __init__(
-        self, assembler: Assembler, progress: Progress, good: Array, failed: Array
+        self, assembler: Assembler, progress: Progress, good: FloatArray, failed: FloatArray
     ) -> None:
         self.assembler, self.progress, self.problem = assembler, progress, assembler.problem
         self.good, self.failed = good.copy(), failed.copy()
@@ -132,7 +130,7 @@ class _Doctor:
                 return found
         return self._gave_up()
 
-    def put(self, values: Array) -> None:
+    def put(self, values: FloatArray) -> None:
         """Makes these the problem's unknowns."""
         self.problem.w.x.array[:] = values
         self.problem.unknowns.tell()
@@ -145,7 +143,7 @@ class _Doctor:
 
     # --- looking ---
 
-    def _residual(self, values: Array) -> bool:
+    def _residual(self, values: FloatArray) -> bool:
         """Evaluates the residual; returns whether all of it is finite."""
         self.put(values)
         x, f = self.assembler.create_vector(), self.assembler.create_vector()
@@ -156,7 +154,7 @@ class _Doctor:
         f.destroy()
         return largest(self.assembler.comm, float(not finite)) == 0.0
 
-    def _tangent(self, values: Array) -> bool:
+    def _tangent(self, values: FloatArray) -> bool:
         """Assembles the tangent; returns whether its diagonal is finite."""
         return instability.tangent(self.assembler, self.put, values)
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import basix
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
@@ -18,6 +17,7 @@ from dolfin_elastic.core.parallel import (
     smallest,
     total,
 )
+from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.material_point.checks import finite_twin
 from dolfin_elastic.material_point.domain import outside
 from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -25,8 +25,6 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.messages import coordinates, count
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 WORST = 10
 """Cells that a diagnosis lists."""
 
@@ -71,17 +69,17 @@ class Cells:
         corners = mesh.geometry.dofmap[self.own][:, : mesh.topology.dim + 1]
         self.middles = mesh.geometry.x[corners].mean(axis=1)[:, : problem.body.dim]
 
-    def gradients(self) -> Array:
+    def gradients(self) -> FloatArray:
         """F of the present displacement at owned cells, of shape (cells, points, 3, 3)."""
         values = self._F.eval(self.problem.body.mesh, self.own)
         return np.asarray(values).reshape(len(self.own), len(self.points), 3, 3)
 
-    def jacobians(self) -> Array:
+    def jacobians(self) -> FloatArray:
         """Smallest det F of each owned cell; NaN where there is none."""
         with np.errstate(all="ignore"):
             return np.asarray(np.linalg.det(self.gradients()).min(axis=1, initial=np.inf))
 
-    def residuals(self) -> Array:
+    def residuals(self) -> FloatArray:
         """Largest free force out of balance at the nodes of each owned cell [N]. Collective."""
         problem, a = self.problem, self.assembler
         out = a.balance.array[: a.size]
@@ -115,7 +113,7 @@ class Cells:
         regions = tuple(sorted(n for n, cells in body.regions.items() if cell in cells))
         return BadCell(plain(self.middles[cell]), material, regions, J, force)
 
-    def first(self, where: Mask) -> tuple[float, ...]:
+    def first(self, where: BoolArray) -> tuple[float, ...]:
         """Middle of a marked cell, on any number of ranks the same one. Collective."""
         return first_of(self.comm, map(plain, self.middles[where])) or ()
 
@@ -165,7 +163,7 @@ def _of_material(cells: Cells, part: MaterialRegion) -> Fault | None:
     return Fault(text, place, inverted=inverted)
 
 
-def _why(cells: Cells, part: MaterialRegion, F: Array) -> str:
+def _why(cells: Cells, part: MaterialRegion, F: FloatArray) -> str:
     """The operation to blame, the words of the lowest rank that knows. Collective."""
     with np.errstate(all="ignore"):
         said = outside(finite_twin(part.typical), F[:_SHOWN]) if len(F) else ""
@@ -202,7 +200,7 @@ def _flat(tensor: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
     return ufl.as_vector([tensor[i, j] for i in range(3) for j in range(3)])
 
 
-def plain(place: Array) -> tuple[float, ...]:
+def plain(place: FloatArray) -> tuple[float, ...]:
     """A place as numbers that are the same, and compare alike, on any number of ranks."""
     return tuple(float(x) + 0.0 for x in np.round(place, 12))
 

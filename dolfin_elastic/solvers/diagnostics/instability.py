@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.material_point.checks import finite_twin
 from dolfin_elastic.material_point.ellipticity import acoustic
 from dolfin_elastic.material_point.ufl_to_numpy import Point
@@ -24,8 +24,7 @@ from dolfin_elastic.solvers.diagnostics.stability import (
 )
 from dolfin_elastic.solvers.messages import coordinates
 
-Array = npt.NDArray[np.float64]
-Put = Callable[[Array], None]
+Put = Callable[[FloatArray], None]
 
 SOFT = 0.5
 """Share of its stiffness at rest that a motion may keep where the last iterate is unstable."""
@@ -78,7 +77,7 @@ class Finding:
 
 
 def unstable(
-    assembler: Assembler, put: Put, good: Array, failed: Array, *, settled: bool = False
+    assembler: Assembler, put: Put, good: FloatArray, failed: FloatArray, *, settled: bool = False
 ) -> Finding:
     """Looks for an instability. Collective.
 
@@ -113,7 +112,7 @@ def _left(at_rest: Look | None, mode: Mode) -> float:
     return mode.stiffness / at_rest.mode.stiffness
 
 
-def _look(assembler: Assembler, put: Put, values: Array) -> Look | None:
+def _look(assembler: Assembler, put: Put, values: FloatArray) -> Look | None:
     """Factorises the tangent of a state; None where it has none."""
     if not tangent(assembler, put, values):
         return None
@@ -124,7 +123,7 @@ def _look(assembler: Assembler, put: Put, values: Array) -> Look | None:
         stability.destroy()
 
 
-def _by_curvature(assembler: Assembler, put: Put, good: Array, failed: Array) -> Finding:
+def _by_curvature(assembler: Assembler, put: Put, good: FloatArray, failed: FloatArray) -> Finding:
     """For large bodies: whether the way Newton's method went has a negative stiffness."""
     unseen = "; the tangent's eigenvalues were not looked at, the body is too large for that"
     way = (failed - good)[: assembler.size]
@@ -139,7 +138,7 @@ def _by_curvature(assembler: Assembler, put: Put, good: Array, failed: Array) ->
     return Finding(unseen=unseen)
 
 
-def tangent(assembler: Assembler, put: Put, values: Array) -> bool:
+def tangent(assembler: Assembler, put: Put, values: FloatArray) -> bool:
     """Assembles the tangent of a state; whether its diagonal is finite. Collective."""
     put(values)
     x = assembler.create_vector()
@@ -177,7 +176,7 @@ def take_newton_step(assembler: Assembler) -> bool:
 def _told(
     assembler: Assembler,
     put: Put,
-    good: Array,
+    good: FloatArray,
     look: Look,
     *,
     left: float = 0.0,
@@ -236,7 +235,7 @@ def _largest_strain(assembler: Assembler) -> float:
     return largest(assembler.comm, float(np.max(np.abs(strains), initial=0.0)))
 
 
-def _kind(assembler: Assembler, motion: Array) -> tuple[str, str]:
+def _kind(assembler: Assembler, motion: FloatArray) -> tuple[str, str]:
     """Buckling, to which the load does no work, or a limit point.
 
     Source: E. Riks, Int. J. Solids Structures 15 (1979) 529: at a bifurcation the mode is
@@ -253,7 +252,7 @@ def _kind(assembler: Assembler, motion: Array) -> tuple[str, str]:
 
 
 def _largest_motion(
-    problem: Problem, motion: Array
+    problem: Problem, motion: FloatArray
 ) -> tuple[tuple[float, ...], tuple[float, ...], str]:
     """Place and direction of the largest nodal motion, and the material there. Collective."""
     dim, comm = problem.body.dim, problem.body.comm

@@ -5,20 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import la
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.types import BoolArray, IntArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 from dolfin_elastic.solvers.linear.nullspace import unresisted
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 FREE = 1e-10
 """Stiffness against a rigid motion, over that of the diagonal, which counts as none."""
@@ -41,7 +38,7 @@ class Loose:
     whole: bool
 
 
-def pieces(problem: Problem) -> Indices:
+def pieces(problem: Problem) -> IntArray:
     """Number of the piece each local node (ghosts included) belongs to. Collective.
 
     A rank finds the pieces of its own cells; the nodes it shares with others say which of them
@@ -84,9 +81,7 @@ def loose(assembler: Assembler) -> Loose | None:
     return None
 
 
-def _motions(
-    assembler: Assembler, inside: npt.NDArray[np.bool_]
-) -> tuple[list[str], tuple[float, ...]] | None:
+def _motions(assembler: Assembler, inside: BoolArray) -> tuple[list[str], tuple[float, ...]] | None:
     """Rigid motions of some nodes against which the tangent has no stiffness. Collective."""
     problem, comm = assembler.problem, assembler.comm
     dim, own = problem.body.dim, problem.V.dofmap.index_map.size_local
@@ -111,7 +106,7 @@ def _motions(
     return motions_in_words(null, centre, radius), place
 
 
-def _name(problem: Problem, inside: npt.NDArray[np.bool_]) -> str:
+def _name(problem: Problem, inside: BoolArray) -> str:
     """The named regions, or else the materials, of cells inside. Collective."""
     nodes, body = problem.V.dofmap.list, problem.body
     regions = {name: body.owned_cells(name) for name in sorted(body.regions)}

@@ -10,14 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
-from dolfin_elastic.solvers.diagnostics.rigid_body_names import Floats, motions_in_words, planes
+from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words, planes
 from dolfin_elastic.solvers.diagnostics.rigid_surfaces import couple, restricted, turns_alone
 from dolfin_elastic.solvers.nonlinear.contact import (
     check_start,
@@ -42,8 +42,8 @@ class Held:
         directions: Unit vectors, shape (rows, dim).
     """
 
-    nodes: npt.NDArray[np.int32]
-    directions: Floats
+    nodes: IndexArray
+    directions: FloatArray
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
     stray = False
     if any(len(motion.free) for motion in problem.prescribed.motions):
 
-        def motions_at(nodes: npt.NDArray[np.int32]) -> Floats:
+        def motions_at(nodes: IndexArray) -> FloatArray:
             of = bodies.of_node[nodes]
             return rigid_motions((bodies.places[nodes] - centres[of]) / sizes[of, None])
 
@@ -185,7 +185,7 @@ def held_directions(problem: Problem, *, reached: bool = False) -> Held:
     )
 
 
-def _frames(bodies: ConnectedBodies) -> tuple[Floats, Floats]:
+def _frames(bodies: ConnectedBodies) -> tuple[FloatArray, FloatArray]:
     """Middle, shape (bodies, dim), and size of each body's bounding box. Collective."""
     x, of = bodies.places, bodies.of_node
     corners = np.full((bodies.count, 2 * x.shape[1]), -np.inf)
@@ -195,7 +195,9 @@ def _frames(bodies: ConnectedBodies) -> tuple[Floats, Floats]:
     return (high - low) / 2, np.max(high + low, axis=1)
 
 
-def _products(bodies: ConnectedBodies, held: Held, centres: Floats, sizes: Floats) -> Floats:
+def _products(
+    bodies: ConnectedBodies, held: Held, centres: FloatArray, sizes: FloatArray
+) -> FloatArray:
     """The matrix of each body, shape (bodies, motions, motions). Collective."""
     of = bodies.of_node[held.nodes]
     arms = (bodies.places[held.nodes] - centres[of]) / sizes[of, None]
@@ -205,7 +207,7 @@ def _products(bodies: ConnectedBodies, held: Held, centres: Floats, sizes: Float
     return np.asarray(total(bodies.comm, sums))
 
 
-def _null(problem: Problem, matrix: Floats) -> Floats:
+def _null(problem: Problem, matrix: FloatArray) -> FloatArray:
     """Orthonormal null space of a matrix of products."""
     if problem.geometry == "axisymmetric":  # of rigid motions only the one along the axis is one
         matrix = matrix[1:2, 1:2]
@@ -213,13 +215,13 @@ def _null(problem: Problem, matrix: Floats) -> Floats:
     return np.asarray(vectors[:, values <= _ROUND_OFF * max(values[-1], 1.0)])
 
 
-def _motions(problem: Problem, null: Floats, centre: Floats, size: float) -> list[str]:
+def _motions(problem: Problem, null: FloatArray, centre: FloatArray, size: float) -> list[str]:
     if problem.geometry == "axisymmetric":
         return ["move along y"] * null.shape[1]
     return motions_in_words(null, centre, size)
 
 
-def rigid_motions(x: Floats) -> Floats:
+def rigid_motions(x: FloatArray) -> FloatArray:
     """Displacement of points under unit rigid motions, shape (points, component, motion)."""
     points, dim = x.shape
     turns = planes(dim)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from dolfin_elastic.core.types import FloatArray
+
 _SAME = 1e-6
 """Differences of directions and places, over the body's size, that nobody means."""
 
@@ -15,7 +15,7 @@ def planes(dim: int) -> list[tuple[int, int]]:
     return [(1, 2), (2, 0), (0, 1)] if dim == 3 else [(0, 1)]
 
 
-def motions_in_words(null: Floats, centre: Floats, size: float) -> list[str]:
+def motions_in_words(null: FloatArray, centre: FloatArray, size: float) -> list[str]:
     """Rigid motions in words.
 
     Args:
@@ -40,7 +40,7 @@ def motions_in_words(null: Floats, centre: Floats, size: float) -> list[str]:
     return said
 
 
-def _turn(axis: Floats, shift: Floats, centre: Floats, size: float) -> str:
+def _turn(axis: FloatArray, shift: FloatArray, centre: FloatArray, size: float) -> str:
     """Rotation about an axis: through the point that it leaves where it is.
 
     The velocity shift + axis x (x - centre) is along the axis at the point
@@ -56,11 +56,11 @@ def _turn(axis: Floats, shift: Floats, centre: Floats, size: float) -> str:
     return f"turn about {_direction(axis)} through {_place(point, size)}{while_moving}"
 
 
-def _basis(columns: Floats) -> list[Floats]:
+def _basis(columns: FloatArray) -> list[FloatArray]:
     """Orthonormal vectors that span the columns, coordinate axes first."""
     left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     span = left[:, sizes > _SAME]
-    found: list[Floats] = []
+    found: list[FloatArray] = []
     inside = span @ span.T
     for axis in [*np.eye(len(columns)), *span.T]:
         rest = axis - sum((f * (f @ axis) for f in found), np.zeros(len(axis)))
@@ -71,7 +71,7 @@ def _basis(columns: Floats) -> list[Floats]:
     return found
 
 
-def _direction(vector: Floats) -> str:
+def _direction(vector: FloatArray) -> str:
     for name, part in zip("xyz", vector, strict=False):
         if abs(part) > 1 - _SAME:
             return name
@@ -79,10 +79,10 @@ def _direction(vector: Floats) -> str:
     return _text(vector * np.sign(first), 1.0)
 
 
-def _place(point: Floats, size: float) -> str:
+def _place(point: FloatArray, size: float) -> str:
     return f"{_text(point, size)} m"
 
 
-def _text(vector: Floats, size: float) -> str:
+def _text(vector: FloatArray, size: float) -> str:
     rounded = np.where(np.abs(vector) < _SAME * size, 0.0, vector)
     return "(" + ", ".join(f"{x:.4g}" for x in rounded) + ")"

@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
 
-Floats = npt.NDArray[np.float64]
 _SAME = 1e-6
 """Share of a motion that is round-off."""
 
@@ -24,10 +23,10 @@ _SAME = 1e-6
 def couple(
     problem: Problem,
     bodies: ConnectedBodies,
-    products: Floats,
-    motions_at: Callable[[npt.NDArray[np.int32]], Floats],
-    sizes: Floats,
-) -> tuple[npt.NDArray[np.int64], Floats]:
+    products: FloatArray,
+    motions_at: Callable[[IndexArray], FloatArray],
+    sizes: FloatArray,
+) -> tuple[IntArray, FloatArray]:
     """The joint matrix of all bodies that have rigid surfaces with free motion. Collective.
 
     Args:
@@ -74,13 +73,13 @@ def couple(
     return which, joint
 
 
-def restricted(null: Floats, k: int, n: int) -> Floats:
+def restricted(null: FloatArray, k: int, n: int) -> FloatArray:
     """Orthonormal motions of the k-th body in a null space of the joint matrix."""
     left, sizes, _ = np.linalg.svd(null[k * n : (k + 1) * n], full_matrices=False)
     return np.asarray(left[:, sizes > _SAME])
 
 
-def turns_alone(null: Floats, size: int) -> bool:
+def turns_alone(null: FloatArray, size: int) -> bool:
     """A motion of a rigid surface alone moves none of its nodes.
 
     Args:

@@ -14,15 +14,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 
-Array = npt.NDArray[np.float64]
 LIMIT = {2: 200_000, 3: 40_000}
 """Unknowns up to which tangents are factorised here, by dimension.
 
@@ -43,7 +42,7 @@ class Mode:
     """
 
     stiffness: float
-    motion: Array
+    motion: FloatArray
 
 
 class Stability:
@@ -162,7 +161,7 @@ class _Compliance:
         self._f.destroy()
 
 
-def uneven(assembler: Assembler) -> Array:
+def uneven(assembler: Assembler) -> FloatArray:
     """Owned displacements that have a part in every mode, the same on any number of ranks."""
     problem = assembler.problem
     dim = problem.body.dim
@@ -171,7 +170,7 @@ def uneven(assembler: Assembler) -> Array:
     return np.asarray((1.0 + waves).ravel())
 
 
-def curvature(assembler: Assembler, direction: Array) -> float:
+def curvature(assembler: Assembler, direction: FloatArray) -> float:
     """d . K d / d . d of the tangent as it is assembled, free entries only [N/m]. Collective.
 
     A negative one proves that the tangent is not positive definite, without any factors.

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor, Found
@@ -20,7 +20,6 @@ from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 if TYPE_CHECKING:
     from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
 
-Floats = npt.NDArray[np.float64]
 
 GAINED = 0.02
 """Share of the largest energy that may appear from nowhere: the schemes keep the energy of a
@@ -59,12 +58,12 @@ class MotionAuditor(EquilibriumAuditor):
         self._moving, self._settings = moving, settings
         self._forces: Forces | None = None
         self._chords = RotationError(problem, settings)
-        self._du: Floats = np.empty(0)
+        self._du: FloatArray = np.empty(0)
         self._worst = [0.0, 0.0]
         self._reasons: dict[str, str] = {}
         self._off = self._scale = 0.0
 
-    def look(self, forces: Forces, du: Floats) -> None:
+    def look(self, forces: Forces, du: FloatArray) -> None:
         """Takes in a step. Collective.
 
         Args:
@@ -80,13 +79,13 @@ class MotionAuditor(EquilibriumAuditor):
         )
         self._worst = [max(pair) for pair in zip(self._worst, found, strict=True)]
 
-    def _outside(self) -> list[Floats]:
+    def _outside(self) -> list[FloatArray]:
         assert self._forces is not None
         f, moves = self._forces, self._moving.moves
         rows = [f.loads, f.reactions, f.holding, -f.inertia, -f.drag]
         return [row[moves].reshape(-1, self._dim) for row in rows]
 
-    def _moved(self) -> Floats:
+    def _moved(self) -> FloatArray:
         assert self._forces is not None
         return self._forces.u
 

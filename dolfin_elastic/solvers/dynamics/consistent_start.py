@@ -14,13 +14,13 @@ from __future__ import annotations
 import logging
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.petsc_options import PREFIX
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.mass import held_acceleration, initial_acceleration
@@ -28,7 +28,6 @@ from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 from dolfin_elastic.solvers.linear.choice import LAST_DIRECT, factorising
 from dolfin_elastic.solvers.petsc.options import Options, ksp_reason
 
-Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 HEAVY = 1e6
@@ -131,7 +130,7 @@ class _Saddle:
         self._a.forget_tangent()
         self._a.tangent(self._x, shift, unit=1.0)
 
-    def _diagonal(self) -> Vector:
+    def _diagonal(self) -> FloatArray:
         self._tangent(0.0)
         diagonal = self._a.matrix.getDiagonal()
         found = np.array(diagonal.array_r)
@@ -156,7 +155,7 @@ class _Saddle:
             v.x.scatter_forward()
             self._tell(self._largest(change), speed)
             step = self._step(self._largest(self._v))
-        self._curved: Vector = np.zeros(len(self._moving.extras))
+        self._curved: FloatArray = np.zeros(len(self._moving.extras))
         if step > 0.0 and (self._problem.rest or not self._problem.linear):
             self._curved = np.asarray(self._derivative(SECOND, step) / step**2)
 
@@ -167,7 +166,7 @@ class _Saddle:
             small = min(small, self._h)
         return small if small < np.inf else 0.0
 
-    def _largest(self, values: Vector) -> float:
+    def _largest(self, values: FloatArray) -> float:
         return largest(self._moving.comm, float(np.max(np.abs(values), initial=0.0)))
 
     def _tell(self, change: float, speed: float) -> None:
@@ -180,7 +179,7 @@ class _Saddle:
                 change,
             )
 
-    def _derivative(self, weights: tuple[float, ...], step: float) -> Vector:
+    def _derivative(self, weights: tuple[float, ...], step: float) -> FloatArray:
         """Sum of the pressure's rows on the way along the velocity, a step apart [N]."""
         moves, w = self._moving.moves, self._problem.w.x.array
         here, found = w[moves].copy(), np.zeros(len(self._moving.extras))
@@ -197,13 +196,13 @@ class _Saddle:
         self._problem.w.x.scatter_forward()
         self._problem.unknowns.tell()
 
-    def _rows(self) -> Vector:
+    def _rows(self) -> FloatArray:
         """The residual, without any boundary condition, of the problem's unknowns."""
         self._told()
         self._a.assemble_balance()
         return self._a.balance.array[: self._a.size].copy()
 
-    def _constraint(self, rows: Vector, *, first: bool) -> Vector:
+    def _constraint(self, rows: FloatArray, *, first: bool) -> FloatArray:
         """What is off in the pressure's rows.
 
         Where p stands in none of its own rows they are left as they are found: an initial shape is

@@ -6,15 +6,13 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import compiled, integral
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.dynamics.work import supports_move
-
-Vector = npt.NDArray[np.float64]
 
 _NAMES = ("external", "damping", "dashpots")
 
@@ -45,14 +43,14 @@ class EnergyBalance:
     def __init__(self, moving: DynamicResidual, v: fem.Function) -> None:
         self._moving, self._velocity = moving, v
         self._leads = supports_move(moving.problem)
-        self._v: Vector = np.empty(0)
+        self._v: FloatArray = np.empty(0)
         self._sums = dict.fromkeys(_NAMES, 0.0)
         self._initial: float | None = None
         self.scale = 0.0
         problem = moving.problem
         self._constant = bool(problem.loads) and not problem.loads_change
-        self._dead: Vector | None = None
-        self._places: Vector = np.empty(0)
+        self._dead: FloatArray | None = None
+        self._places: FloatArray = np.empty(0)
         size = problem.constant(1.0) * problem.volume(None, 1)
         volume = integral(problem, compiled(problem, [size])[0])
         self._round_off = _NOISE * np.finfo(float).eps * problem.stiffness * volume
@@ -62,7 +60,7 @@ class EnergyBalance:
         self._places = self._shifts()
         self._v = self._now()
 
-    def add(self, forces: Forces, du: Vector) -> None:
+    def add(self, forces: Forces, du: FloatArray) -> None:
         """Adds the work of one step. Collective.
 
         Args:
@@ -81,7 +79,7 @@ class EnergyBalance:
         for name, value in zip(_NAMES, found, strict=True):
             self._sums[name] += float(value)
 
-    def _carried(self, forces: Forces, du: Vector) -> float:
+    def _carried(self, forces: Forces, du: FloatArray) -> float:
         """What inertia costs supports, in place of its forces over the way, on this rank [J]."""
         a, moves = self._moving.assembler, self._moving.moves
         before, self._v = self._v, self._now()
@@ -89,10 +87,10 @@ class EnergyBalance:
         pushed = a.constraint_forces(forces.inertia)[moves]
         return float(np.dot(change, (before + self._v) / 2) - np.dot(pushed, du))
 
-    def _now(self) -> Vector:
+    def _now(self) -> FloatArray:
         return self._velocity.x.array[: len(self._moving.moves)].copy()
 
-    def _shifts(self) -> Vector:
+    def _shifts(self) -> FloatArray:
         """How far the obstacles have moved by now, shape (contacts, dim) [m]."""
         return np.array([touch.shift.value for touch in self._moving.problem.touching])
 

@@ -6,13 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.core.parallel import first_of, largest
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.messages import coordinates
-
-Vector = npt.NDArray[np.float64]
 
 SMALL = 1e-6
 """Share of the largest value of the motion up to which two values are the same: what formulas of
@@ -90,7 +88,7 @@ def jump(problem: Problem, t: float, step: float) -> str:
     return f"the support '{most.support}' jumps there, {at}"
 
 
-def misfits(problem: Problem, what: str, change: Vector, least: float) -> Iterator[SupportJump]:
+def misfits(problem: Problem, what: str, change: FloatArray, least: float) -> Iterator[SupportJump]:
     """Supports that change what the body would be without them. Collective.
 
     Args:
@@ -112,7 +110,7 @@ def misfits(problem: Problem, what: str, change: Vector, least: float) -> Iterat
         yield SupportJump(label, what, most, place[:dim])
 
 
-def _shares(problem: Problem, change: Vector) -> Iterator[tuple[str, Vector]]:
+def _shares(problem: Problem, change: FloatArray) -> Iterator[tuple[str, FloatArray]]:
     """Each support's label, and what it has changed at the owned nodes, of shape (nodes, dim)."""
     held, dim = problem.prescribed, problem.body.dim
     for label, entries in held.moving.items():

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import agree, largest, total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.values import Component
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.dynamics.impulsive_supports import (
@@ -22,11 +22,10 @@ from dolfin_elastic.solvers.dynamics.impulsive_supports import (
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 
-Vector = npt.NDArray[np.float64]
 EPS = float(np.finfo(float).eps)
 
 
-def nodal(V: fem.FunctionSpace, values: tuple[Component, ...], where: str) -> Vector:
+def nodal(V: fem.FunctionSpace, values: tuple[Component, ...], where: str) -> FloatArray:
     """A vector given by components at every local node, unrolled. Not collective.
 
     Raises:
@@ -102,7 +101,7 @@ def _check_upright(problem: Problem) -> None:
         )
 
 
-def _speeds(problem: Problem, moment: float) -> tuple[Vector, float]:
+def _speeds(problem: Problem, moment: float) -> tuple[FloatArray, float]:
     """Velocities of prescribed entries at time 0, and how far round-off lets them be off [m/s].
 
     By a one-sided difference of second order over a moment [s]. Collective.
@@ -114,7 +113,7 @@ def _speeds(problem: Problem, moment: float) -> tuple[Vector, float]:
 
 
 def _imposed(
-    problem: Problem, field: fem.Function, what: str, values: Vector, least: float
+    problem: Problem, field: fem.Function, what: str, values: FloatArray, least: float
 ) -> Iterator[SupportJump]:
     """Makes prescribed entries what supports say; tells where they were not. Collective."""
     size = problem.V.dofmap.index_map.size_local * problem.V.dofmap.index_map_bs

@@ -5,19 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.damping import Damping
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.assembly.energy_momentum import lumped
 from dolfin_elastic.solvers.assembly.mass import mass_diagonal
-
-Vector = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -37,16 +35,16 @@ class Forces:
         drag: The part of them that a rigid motion feels, too.
     """
 
-    u: Vector
-    loads: Vector
-    reactions: Vector
-    holding: Vector
-    dashpots: Vector
-    obstacles: Vector
-    pushes: Vector
-    inertia: Vector
-    damping: Vector
-    drag: Vector
+    u: FloatArray
+    loads: FloatArray
+    reactions: FloatArray
+    holding: FloatArray
+    dashpots: FloatArray
+    obstacles: FloatArray
+    pushes: FloatArray
+    inertia: FloatArray
+    damping: FloatArray
+    drag: FloatArray
 
     def mean(self, other: Forces) -> Forces:
         """Half of both."""
@@ -113,13 +111,13 @@ class DynamicResidual:
         stiffening = self.damping.stiffening()
         return tangent if stiffening is None else tangent + stiffening
 
-    def set_rates(self, v: Vector, a: Vector) -> None:
+    def set_rates(self, v: FloatArray, a: FloatArray) -> None:
         """Sets velocity and acceleration that the residual sees, owned entries. Collective."""
         self._a.x.array[: len(a)] = a
         self._a.x.scatter_forward()
         self.tell(v)
 
-    def tell(self, v: Vector) -> None:
+    def tell(self, v: FloatArray) -> None:
         """Gives dashpots and damping the owned entries of a velocity. Collective."""
         if self.problem.dashpots:
             velocity = self.problem.site.velocity.x
@@ -128,7 +126,7 @@ class DynamicResidual:
         if not self.damping.none:
             self.damping.tell(v)
 
-    def momentum(self, v: Vector) -> Vector:
+    def momentum(self, v: FloatArray) -> FloatArray:
         """M v of owned entries of a velocity, at owned entries of all unknowns. Collective."""
         a = self._a.x.array
         kept = a.copy()
@@ -138,16 +136,16 @@ class DynamicResidual:
         a[:] = kept
         return found
 
-    def inertia_norm(self, a: Vector) -> float:
+    def inertia_norm(self, a: FloatArray) -> float:
         """Size of the forces of inertia at an acceleration, from lumped masses [N]. Collective."""
         with np.errstate(over="ignore", invalid="ignore"):
             return float(np.sqrt(total(self.comm, np.sum((self._mass * a) ** 2))))
 
-    def pushes(self) -> list[Vector]:
+    def pushes(self) -> list[FloatArray]:
         """Nodal forces of each contact at the present state, owned entries [N]. Collective."""
         return [self.assembler.nodal(form)[self.moves] for form in self._touching]
 
-    def forces_at(self, t: float, v: Vector, a: Vector) -> Forces:
+    def forces_at(self, t: float, v: FloatArray, a: FloatArray) -> Forces:
         """The forces at the present place; `assembler.balance` holds them then. Collective.
 
         Args:

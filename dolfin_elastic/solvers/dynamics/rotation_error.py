@@ -19,18 +19,17 @@ from typing import TYPE_CHECKING
 
 import basix
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
 from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 
 if TYPE_CHECKING:
     from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
 
-Vector = npt.NDArray[np.float64]
 
 CHORD = 0.06
 """Share of the largest strain so far that chords may be before it is said.  The largest is that of
@@ -68,7 +67,7 @@ class RotationError:
         self._look = compile_expression(mesh.comm, seen, points, problem.jit)
         self._cells = problem.body.owned_cells()
 
-    def reason(self, du: Vector) -> str:
+    def reason(self, du: FloatArray) -> str:
         """What is wrong with the strains of the present state, if it was so before. Collective.
 
         Args:

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces
-
-Vector = npt.NDArray[np.float64]
 
 
 class _Share(Protocol):
@@ -27,7 +25,7 @@ class _Share(Protocol):
     def renew(self) -> None:
         """Takes over the numbers of the present time. Not collective."""
 
-    def step(self, du: Vector) -> float:
+    def step(self, du: FloatArray) -> float:
         """This rank's share of the work of a step with the displacement du [J]. Collective."""
 
 
@@ -45,7 +43,7 @@ class _Pushing:
     def renew(self) -> None:
         self._forces.renew()
 
-    def step(self, du: Vector) -> float:
+    def step(self, du: FloatArray) -> float:
         self._forces.assemble()
         now = self._forces.owned
         work = 0.5 * (np.dot(self._before, du) + np.dot(now, du))
@@ -69,7 +67,7 @@ class _Obstacle:
     def renew(self) -> None:
         self._forces.renew()
 
-    def step(self, du: Vector) -> float:
+    def step(self, du: FloatArray) -> float:
         force, place = self._force, self._place
         self.begin()
         return float((force + self._force) @ (self._place - place)) / 2
@@ -88,7 +86,7 @@ class _Leading:
 
     def renew(self) -> None: ...
 
-    def step(self, du: Vector) -> float:
+    def step(self, du: FloatArray) -> float:
         before = self._reactions
         self.begin()
         return float(np.dot(before + self._reactions, self._assembler.constraint_forces(du))) / 2
@@ -115,7 +113,7 @@ class ExternalWork:
     """
 
     def __init__(
-        self, problem: Problem, assembler: Assembler, mass: Vector, v: fem.Function
+        self, problem: Problem, assembler: Assembler, mass: FloatArray, v: fem.Function
     ) -> None:
         self._problem, self._assembler, self._mass = problem, assembler, mass
         size = assembler.size
@@ -172,7 +170,7 @@ class ExternalWork:
         for share in self.shares:
             share.renew()
 
-    def step(self, du: Vector) -> None:
+    def step(self, du: FloatArray) -> None:
         """Adds a step that has led to the present state; for nothing without `shares`. Collective.
 
         Args:

@@ -28,7 +28,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
@@ -38,6 +37,7 @@ from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.schema import Record, settled
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.values import depends_on_time
@@ -53,7 +53,6 @@ from dolfin_elastic.solvers.eigen.slepc import DIRECT_LIMIT, Pair, prefixed
 from dolfin_elastic.solvers.linear.choice import Choice, LinearSettings, factorising
 from dolfin_elastic.solvers.statics.statics import StaticsSettings
 
-Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 STRAIN = 1e-3
@@ -272,14 +271,14 @@ class _Path:
         self._put(kept, self._share)
         assembler.assemble_balance()
 
-    def _put(self, values: Vector, share: float) -> None:
+    def _put(self, values: FloatArray, share: float) -> None:
         """Puts all unknowns, ghosts included, and the loads."""
         problem = self._problem
         problem.set_time(1.0, default=Amplitude(((0.0, share), (1.0, share))))
         problem.w.x.array[:] = values
         problem.unknowns.tell()
 
-    def _tangent(self, values: Vector, share: float) -> PETSc.Mat:
+    def _tangent(self, values: FloatArray, share: float) -> PETSc.Mat:
         self._put(values, share)
         self._assembler.forget_tangent()
         x = self._assembler.create_vector()
@@ -288,7 +287,7 @@ class _Path:
         x.destroy()
         return self._assembler.matrix
 
-    def _velocity(self, kept: Vector) -> Vector:
+    def _velocity(self, kept: FloatArray) -> FloatArray:
         """dw/ds = -K^-1 dR/ds, ghosts included."""
         assembler, problem = self._assembler, self._problem
         rates = [self._residual(kept, self._share + h) for h in (SHARE, -SHARE)]
@@ -311,7 +310,7 @@ class _Path:
             thing.destroy()
         return np.array(along.x.array)
 
-    def _straining(self, along: Vector) -> float:
+    def _straining(self, along: FloatArray) -> float:
         """Root of the mean square of dE/ds = sym(F^T dF/ds), E = (F^T F - I)/2."""
         problem, w = self._problem, fem.Function(self._problem.W)
         w.x.array[:] = along
@@ -323,7 +322,7 @@ class _Path:
         )
         return float(np.sqrt(square / whole))
 
-    def _residual(self, values: Vector, share: float) -> Vector:
+    def _residual(self, values: FloatArray, share: float) -> FloatArray:
         self._put(values, share)
         assembler = self._assembler
         x, f = assembler.create_vector(), assembler.create_vector()

@@ -20,15 +20,10 @@ from slepc4py import SLEPc
 
 from dolfin_elastic.core.petsc_options import PREFIX
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.eigen.mode_shapes import SPARE, complete
-from dolfin_elastic.solvers.eigen.slepc import (
-    Pair,
-    Vector,
-    failing,
-    negative,
-    uneven,
-)
+from dolfin_elastic.solvers.eigen.slepc import Pair, failing, negative, uneven
 from dolfin_elastic.solvers.linear.choice import Choice
 from dolfin_elastic.solvers.petsc.options import Options
 
@@ -95,7 +90,13 @@ class CriticalLoad:
         return None if found is None else found - self._pressures
 
     def near(
-        self, shift: float, count: int, *, room: int, known: Sequence[Vector] = (), seed: int = 0
+        self,
+        shift: float,
+        count: int,
+        *,
+        room: int,
+        known: Sequence[FloatArray] = (),
+        seed: int = 0,
     ) -> list[Pair]:
         """The smallest positive values, in their order; fewer where there are no more. Collective.
 
@@ -152,7 +153,7 @@ class CriticalLoad:
         ]
         return sorted(real, key=lambda pair: pair.value)
 
-    def _vector(self, values: Vector | None) -> PETSc.Vec:
+    def _vector(self, values: FloatArray | None) -> PETSc.Vec:
         vector = self._K.createVecRight()
         if values is not None:
             vector.array_w[:] = values

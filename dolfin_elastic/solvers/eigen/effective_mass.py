@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.assembly.matrix import TangentMatrix
@@ -17,8 +17,6 @@ from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 from dolfin_elastic.solvers.linear.nullspace import times, unresisted
-
-Vector = npt.NDArray[np.float64]
 
 FREE = 1e-12
 """Force against a rigid motion, over the largest stiffness of a node, that is round-off."""
@@ -62,7 +60,7 @@ class Mass:
         self.matrix.zeroRowsColumns(rows, diag=0.0)
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
 
-    def times(self, columns: Vector) -> Vector:
+    def times(self, columns: FloatArray) -> FloatArray:
         """M times columns of owned entries, shape (entries, n). Collective."""
         return times(self.matrix, columns)
 
@@ -88,13 +86,13 @@ class Frame:
         size: Largest distance from the centre of mass [m].
     """
 
-    def __init__(self, problem: Problem, mass: Mass, inside: npt.NDArray[np.bool_]) -> None:
+    def __init__(self, problem: Problem, mass: Mass, inside: BoolArray) -> None:
         comm, dim = problem.body.comm, problem.body.dim
         places = _places(problem)
         unit = _spread(problem, np.eye(dim)[:1] * inside[:, None])
         nodal = mass.times(unit[:, None])[problem.unknowns.moves, 0].reshape(-1, dim)[:, 0]
         sums = total(comm, np.array([nodal.sum(), *(nodal @ places)]))
-        self.centre: Vector = sums[1:] / sums[0]
+        self.centre: FloatArray = sums[1:] / sums[0]
         motions = rigid_motions(places - self.centre) * inside[:, None, None]
         names = ["x", "y", "z"][:dim] + (["rx", "ry", "rz"] if dim == 3 else ["rz"])
         if problem.geometry == "axisymmetric":  # of rigid motions only the one along the axis is
@@ -104,17 +102,17 @@ class Frame:
             [_spread(problem, motions[:, :, k]) for k in range(len(names))], axis=1
         )
         self.images = mass.times(self.columns)
-        self.whole: Vector = np.diag(total(comm, self.columns.T @ self.images))
+        self.whole: FloatArray = np.diag(total(comm, self.columns.T @ self.images))
         arms = np.linalg.norm((places - self.centre)[inside], axis=1)
         self.size = largest(comm, float(np.max(arms, initial=0.0))) or 1.0
 
-    def scaled(self, mix: Vector) -> Vector:
+    def scaled(self, mix: FloatArray) -> FloatArray:
         """A combination of the motions with rotations in units of 1/size, as one unit column."""
         scaled = mix * np.where(np.arange(len(mix)) < len(self.centre), 1.0, self.size)
         return np.asarray(scaled / np.linalg.norm(scaled))[:, None]
 
 
-def _places(problem: Problem) -> Vector:
+def _places(problem: Problem) -> FloatArray:
     """Present places of the owned nodes [m]; with small-strain laws the undeformed ones."""
     dim = problem.body.dim
     own = len(problem.unknowns.moves) // dim
@@ -124,7 +122,7 @@ def _places(problem: Problem) -> Vector:
     return np.asarray(x + problem.u.x.array[: own * dim].reshape(-1, dim))
 
 
-def _spread(problem: Problem, motion: Vector) -> Vector:
+def _spread(problem: Problem, motion: FloatArray) -> FloatArray:
     """Displacement of the owned nodes, shape (nodes, dim), as entries of all unknowns."""
     moves, W = problem.unknowns.moves, problem.W.dofmap
     entries = np.zeros(W.index_map.size_local * W.index_map_bs)
@@ -141,7 +139,7 @@ class RigidMode:
         name: In words.
     """
 
-    vector: Vector
+    vector: FloatArray
     name: str
 
 
@@ -183,7 +181,7 @@ def _free(assembler: Assembler, frame: Frame) -> list[RigidMode]:
     return modes
 
 
-def _orthogonal(null: Vector, gram: Vector) -> list[Vector]:
+def _orthogonal(null: FloatArray, gram: FloatArray) -> list[FloatArray]:
     """A basis of combinations, orthonormal in `gram`: pure unit motions first, where there are.
 
     Args:
@@ -192,7 +190,7 @@ def _orthogonal(null: Vector, gram: Vector) -> list[Vector]:
     """
     candidates = (null @ null.T).T
     pure = [c for k, c in enumerate(candidates) if np.linalg.norm(c - np.eye(len(c))[k]) < SAME]
-    found: list[Vector] = []
+    found: list[FloatArray] = []
     for candidate in [*pure, *candidates]:
         size = np.sqrt(candidate @ gram @ candidate)
         rest = candidate - sum((f * (f @ gram @ candidate) for f in found), np.zeros(len(gram)))

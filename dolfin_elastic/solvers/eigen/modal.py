@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
@@ -21,6 +20,7 @@ from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.schema import Record, settled
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import Frequency
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.problem.problem import Problem
@@ -51,7 +51,6 @@ from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.linear.nullspace import times
 from dolfin_elastic.solvers.statics.statics import StaticsSettings
 
-Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 UNMOVED = "small-strain laws know no preload: the frequencies are those at rest"
@@ -284,7 +283,7 @@ class Vibration:
         """A negative eigenvalue that is no round-off."""
         return value < -NOTHING * self.smooth
 
-    def _product(self, a: Vector, b: Vector) -> float:
+    def _product(self, a: FloatArray, b: FloatArray) -> float:
         return float(self._comm.allreduce(float(np.sum(a * b))))
 
     def _pairs(self, shift: float, count: int) -> list[Pair]:
@@ -304,7 +303,7 @@ class Vibration:
         vector = found.vector
         images = self.mass.times(vector[:, None])[:, 0]
         mass = self._product(vector, images)
-        shared: Vector = total(self._comm, self.whole.images.T @ vector)
+        shared: FloatArray = total(self._comm, self.whole.images.T @ vector)
         rigid = isinstance(found, RigidMode)
         value = 0.0 if isinstance(found, RigidMode) else found.value
         u, size = shape(self.problem, vector)
@@ -323,7 +322,7 @@ class Vibration:
             done=done,
         )
 
-    def _named(self, values: Vector) -> dict[str, float]:
+    def _named(self, values: FloatArray) -> dict[str, float]:
         return {n: float(v) for n, v in zip(self.whole.names, values, strict=True)}
 
     def destroy(self) -> None:

@@ -7,18 +7,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.petsc_options import PREFIX
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.eigen.slepc import Pair, uneven
 from dolfin_elastic.solvers.nonlinear.scalars import refuse_scalars
 
-Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 GAP = 1e-4
@@ -37,7 +36,13 @@ class Pencil(Protocol):
     counted: bool
 
     def near(
-        self, shift: float, count: int, *, room: int, known: Sequence[Vector] = (), seed: int = 0
+        self,
+        shift: float,
+        count: int,
+        *,
+        room: int,
+        known: Sequence[FloatArray] = (),
+        seed: int = 0,
     ) -> list[Pair]:
         """The eigenpairs next to a shift."""
 
@@ -111,7 +116,7 @@ def at_rest(problem: Problem) -> None:
     problem.unknowns.tell()
 
 
-def shape(problem: Problem, vector: Vector) -> tuple[fem.Function, float]:
+def shape(problem: Problem, vector: FloatArray) -> tuple[fem.Function, float]:
     """The displacement in owned entries of all unknowns, of largest length 1, and that length.
 
     The sign is the same on any number of ranks. Collective.
@@ -133,7 +138,7 @@ def complete(
     count: int,
     *,
     room: int,
-    known: Sequence[Vector] = (),
+    known: Sequence[FloatArray] = (),
     zeros: int = 0,
 ) -> list[Pair]:
     """The lowest eigenpairs, of which none is missing. Collective.
@@ -204,7 +209,7 @@ def undetermined() -> ConvergenceError:
     )
 
 
-def _gap(values: Vector, count: int) -> tuple[float, int]:
+def _gap(values: FloatArray, count: int) -> tuple[float, int]:
     """A number above the last wanted value, away from all, and how many values lie below it."""
     for k in range(min(count, len(values)), len(values)):
         low, high = values[k - 1], values[k]

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 from slepc4py import SLEPc
 
@@ -27,6 +26,7 @@ from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.petsc_options import PREFIX
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.linear.choice import (
     GAMG,
@@ -38,8 +38,6 @@ from dolfin_elastic.solvers.linear.choice import (
     rigid_body_modes,
 )
 from dolfin_elastic.solvers.petsc.options import Options
-
-Vector = npt.NDArray[np.float64]
 
 DIRECT_LIMIT = {2: 600_000, 3: 100_000}
 """Unknowns up to which is factorised by default: more than in statics, for each of the factors
@@ -58,7 +56,7 @@ class Pair:
     """An eigenvalue and its vector: owned entries of all unknowns, of Euclidean norm 1."""
 
     value: float
-    vector: Vector
+    vector: FloatArray
 
 
 def choose_eigen(problem: Problem, settings: LinearSettings) -> Choice:
@@ -197,7 +195,13 @@ class Spectrum:
         return shifted
 
     def near(
-        self, shift: float, count: int, *, room: int, known: Sequence[Vector] = (), seed: int = 0
+        self,
+        shift: float,
+        count: int,
+        *,
+        room: int,
+        known: Sequence[FloatArray] = (),
+        seed: int = 0,
     ) -> list[Pair]:
         """The eigenpairs nearest to a shift, in the order of their values. Collective.
 
@@ -281,7 +285,7 @@ class Spectrum:
         far = ENDLESS * min(abs(pair.value - shift) for pair in pairs)
         return sorted((p for p in pairs if abs(p.value - shift) < far), key=lambda p: p.value)
 
-    def _vector(self, values: Vector | None) -> PETSc.Vec:
+    def _vector(self, values: FloatArray | None) -> PETSc.Vec:
         vector = self.A.createVecRight()
         if values is not None:
             vector.array_w[:] = values
@@ -294,7 +298,7 @@ def _reason(eps: Any) -> str:
     return next((n for n, value in names.items() if value == number), str(number))
 
 
-def uneven(problem: Problem, seed: int) -> Vector:
+def uneven(problem: Problem, seed: int) -> FloatArray:
     """A start that is the same on any number of ranks and has a part in every mode."""
     dim, U = problem.body.dim, problem.unknowns.U
     moves = problem.unknowns.moves

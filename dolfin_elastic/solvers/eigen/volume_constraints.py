@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import largest, smallest, total
+from dolfin_elastic.core.types import IntArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.dynamics.consistent_start import exactly, incompressible
 from dolfin_elastic.solvers.linear.nullspace import times
-
-Indices = npt.NDArray[np.int_]
 
 SMALL = 1e-10
 """Force of a uniform pressure on what is free, over that of an uneven one, that is round-off."""
@@ -45,7 +43,7 @@ def constrain(assembler: Assembler) -> int:
     return count
 
 
-def _is_null(assembler: Assembler, pressures: Indices) -> bool:
+def _is_null(assembler: Assembler, pressures: IntArray) -> bool:
     """Nothing feels a uniform pressure. Collective."""
     columns = np.zeros((assembler.size, 2))
     columns[pressures, 0] = 1.0
@@ -57,7 +55,7 @@ def _is_null(assembler: Assembler, pressures: Indices) -> bool:
     return even <= SMALL * uneven
 
 
-def _pin(matrix: PETSc.Mat, pressures: Indices) -> None:
+def _pin(matrix: PETSc.Mat, pressures: IntArray) -> None:
     """Puts the first pressure to zero. Collective."""
     comm, start = matrix.comm.tompi4py(), matrix.getOwnershipRange()[0]
     mine = float(comm.rank) if len(pressures) else np.inf

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem, la
 from petsc4py import PETSc
 from pydantic import Field
 
 from dolfin_elastic.core.compat import interpolation_matrix
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
 from dolfin_elastic.problem.constraints.skew import SkewConstraints
 from dolfin_elastic.problem.problem import Problem
@@ -144,7 +144,7 @@ QUADRATIC: dict[str, Any] = {
 
 def rigid_body_modes(
     V: fem.FunctionSpace,
-    u: npt.NDArray[np.float64] | None = None,
+    u: FloatArray | None = None,
 ) -> PETSc.NullSpace:
     """Orthonormal translations and rotations of a vector space, as a near null space.
 
@@ -237,7 +237,7 @@ class QuadraticMultigrid:
         self._coarse: PETSc.Mat | None = None
         self._pc: PETSc.PC | None = None
 
-    def _scale_interpolation(self, fixed: npt.NDArray[np.int32]) -> None:
+    def _scale_interpolation(self, fixed: IndexArray) -> None:
         rows, columns = self._P.createVecLeft(), self._P.createVecRight()
         rows.set(1.0)
         rows.array_w[fixed] = 0.0

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 
-Array = npt.NDArray[np.float64]
 
-
-def unresisted(assembler: Assembler, columns: Array, small: float) -> Array:
+def unresisted(assembler: Assembler, columns: FloatArray, small: float) -> FloatArray:
     """Orthonormal combinations of motions that the tangent, as it is assembled, maps to nothing.
 
     By the triangles of each rank's rows: products of columns would be right to half the digits.
@@ -40,7 +38,7 @@ def unresisted(assembler: Assembler, columns: Array, small: float) -> Array:
     return np.asarray(mixes[sizes <= small].T)
 
 
-def times(matrix: PETSc.Mat, columns: Array) -> Array:
+def times(matrix: PETSc.Mat, columns: FloatArray) -> FloatArray:
     """A matrix times columns of owned entries, shape (entries, n). Collective."""
     x, y = matrix.createVecs()
     images = np.zeros_like(columns)

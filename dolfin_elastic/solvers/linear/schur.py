@@ -11,11 +11,11 @@ Elman, Silvester & Wathen, Finite Elements and Fast Iterative Solvers (2014), se
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
 
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import UNUSED, Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.linear.choice import QuadraticMultigrid, rigid_body_modes
@@ -46,7 +46,7 @@ class SchurSplit:
         self._pc: PETSc.PC | None = None
         self._multigrid = QuadraticMultigrid(problem) if problem.degree > 1 else None
 
-    def _schur_diagonal(self) -> npt.NDArray[np.float64]:
+    def _schur_diagonal(self) -> FloatArray:
         """Row sums of the scaled pressure mass matrix, negative, owned entries."""
         problem = self._problem
         scale = problem.unknowns.scale["pressure"]

@@ -15,14 +15,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-
-Vector = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 
 class ScalarUnknowns:
@@ -37,27 +34,27 @@ class ScalarUnknowns:
     """
 
     size: int
-    steps: Vector
-    signs: Vector
-    prescribing: Flags
+    steps: FloatArray
+    signs: FloatArray
+    prescribing: BoolArray
 
-    def get(self) -> Vector:
+    def get(self) -> FloatArray:
         """The present scalars."""
         raise TypeError(f"{type(self).__name__} has no scalars")
 
-    def put(self, values: Vector) -> None:
+    def put(self, values: FloatArray) -> None:
         """Changes the scalars and what depends on them in the problem. Not collective."""
         raise TypeError(f"{type(self).__name__} has no scalars")
 
-    def residual(self) -> Vector:
+    def residual(self) -> FloatArray:
         """g at the present state; the assembler's `balance` is up to date. Collective."""
         raise TypeError(f"{type(self).__name__} has no equations")
 
-    def rows(self) -> list[Vector]:
+    def rows(self) -> list[FloatArray]:
         """dg/du at the owned entries, one array a scalar. Collective."""
         raise TypeError(f"{type(self).__name__} has no equations")
 
-    def settled(self, residual: Vector, target: float) -> bool:
+    def settled(self, residual: FloatArray, target: float) -> bool:
         """Whether the equations hold well enough.
 
         Args:
@@ -81,38 +78,38 @@ class JoinedScalars(ScalarUnknowns):
         self._cuts = np.cumsum([part.size for part in parts])[:-1]
 
     @property
-    def steps(self) -> Vector:  # type: ignore[override]
+    def steps(self) -> FloatArray:  # type: ignore[override]
         """See `ScalarUnknowns`."""
         return np.concatenate([part.steps for part in self.parts])
 
     @property
-    def signs(self) -> Vector:  # type: ignore[override]
+    def signs(self) -> FloatArray:  # type: ignore[override]
         """See `ScalarUnknowns`."""
         return np.concatenate([part.signs for part in self.parts])
 
     @property
-    def prescribing(self) -> Flags:  # type: ignore[override]
+    def prescribing(self) -> BoolArray:  # type: ignore[override]
         """See `ScalarUnknowns`."""
         return np.concatenate([part.prescribing for part in self.parts])
 
-    def get(self) -> Vector:
+    def get(self) -> FloatArray:
         """All scalars."""
         return np.concatenate([part.get() for part in self.parts])
 
-    def put(self, values: Vector) -> None:
+    def put(self, values: FloatArray) -> None:
         """Changes all scalars. Not collective."""
         for part, own in zip(self.parts, np.split(values, self._cuts), strict=True):
             part.put(own)
 
-    def residual(self) -> Vector:
+    def residual(self) -> FloatArray:
         """All equations. Collective."""
         return np.concatenate([part.residual() for part in self.parts])
 
-    def rows(self) -> list[Vector]:
+    def rows(self) -> list[FloatArray]:
         """All their derivatives. Collective."""
         return [row for part in self.parts for row in part.rows()]
 
-    def settled(self, residual: Vector, target: float) -> bool:
+    def settled(self, residual: FloatArray, target: float) -> bool:
         """All equations hold well enough."""
         owns = np.split(residual, self._cuts)
         return all(part.settled(own, target) for part, own in zip(self.parts, owns, strict=True))
@@ -142,13 +139,13 @@ class Bordered:
             ((self._own, None), (self._own, None)), context=self, comm=self._comm
         )
         self.matrix.setUp()
-        self._columns: list[Vector] = []
-        self._rows: list[Vector] = []
-        self._corner: Vector = np.zeros((border.size, border.size))
-        self._solved: list[Vector] | None = None
-        self._schur: Vector = self._corner
+        self._columns: list[FloatArray] = []
+        self._rows: list[FloatArray] = []
+        self._corner: FloatArray = np.zeros((border.size, border.size))
+        self._solved: list[FloatArray] | None = None
+        self._schur: FloatArray = self._corner
         self.iterations = self._reason = 0
-        self.last: Vector = np.zeros(border.size)
+        self.last: FloatArray = np.zeros(border.size)
 
     def create_vector(self) -> PETSc.Vec:
         """A vector of fields and scalars; the caller destroys it."""
@@ -156,12 +153,12 @@ class Bordered:
         vec.set(0.0)
         return vec
 
-    def scalars(self, x: PETSc.Vec) -> Vector:
+    def scalars(self, x: PETSc.Vec) -> FloatArray:
         """The scalars in a vector. Collective."""
         own = x.array_r[self._size :].copy() if self._comm.rank == 0 else None
         return np.asarray(self._comm.bcast(own))
 
-    def fill(self, x: PETSc.Vec, fields: Vector, scalars: Vector) -> None:
+    def fill(self, x: PETSc.Vec, fields: FloatArray, scalars: FloatArray) -> None:
         """Writes fields and scalars into a vector."""
         x.array_w[: self._size] = fields
         if self._comm.rank == 0:
@@ -196,7 +193,7 @@ class Bordered:
         self.assembler.tangent(self._x)
         self._solved = None
 
-    def _differences(self, values: Vector) -> tuple[list[Vector], Vector]:
+    def _differences(self, values: FloatArray) -> tuple[list[FloatArray], FloatArray]:
         """Derivatives of the fields' and the scalars' residuals with respect to the scalars."""
         steps, mild = self.border.steps, self.border.prescribing
         found = {j: self._difference(values, j, steps[j]) for j in np.flatnonzero(~mild)}
@@ -210,8 +207,8 @@ class Bordered:
         return list(columns), np.column_stack(corner)
 
     def _difference(
-        self, values: Vector, j: int, h: float, *, moving: bool = False
-    ) -> tuple[Vector, Vector]:
+        self, values: FloatArray, j: int, h: float, *, moving: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
         """The same with respect to one scalar, which only moves what is prescribed or not."""
         sides = []
         for sign in (1.0, -1.0):
@@ -240,7 +237,7 @@ class Bordered:
         below = self._products(x.array_r[: self._size]) + self._corner @ scalars
         self.fill(y, fields, below)
 
-    def _products(self, fields: Vector) -> Vector:
+    def _products(self, fields: FloatArray) -> FloatArray:
         local = np.array([np.dot(row, fields) for row in self._rows])
         return np.asarray(self._comm.allreduce(local, op=MPI.SUM))
 
@@ -251,7 +248,7 @@ class Bordered:
         self.eliminate()
         assert self._solved is not None
         right = self.scalars(b) - self._products(plain)
-        scalars: Vector
+        scalars: FloatArray
         try:
             scalars = np.asarray(np.linalg.solve(self._schur, right), dtype=np.float64)
         except np.linalg.LinAlgError:
@@ -279,7 +276,7 @@ class Bordered:
         below = int(np.sum(np.linalg.eigvalsh((S + S.T) / 2) < 0.0)) if len(kept) else 0
         return below - int(np.sum(signs < 0.0))
 
-    def _inverse(self, right: Vector) -> Vector:
+    def _inverse(self, right: FloatArray) -> FloatArray:
         self._b.array_w[:] = right
         self.ksp.solve(self._b, self._x)
         self.iterations += self.ksp.getIterationNumber()

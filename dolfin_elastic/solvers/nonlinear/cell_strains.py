@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.nonlinear.bordered import ScalarUnknowns
-
-Vector = npt.NDArray[np.float64]
 
 ROUND_OFF = 1e-14
 """Error of the mean stress over the cell's stiffness, of which strains are computed."""
@@ -37,11 +35,11 @@ class FreeStrains(ScalarUnknowns):
         self._row = mean.compiled([row])[0]
         self._stiff = 0.0
 
-    def get(self) -> Vector:
+    def get(self) -> FloatArray:
         """The free strains times the length of the cell [m]."""
         return self._cell.free_values() * self._cell.length
 
-    def put(self, values: Vector) -> None:
+    def put(self, values: FloatArray) -> None:
         """Sets the free strains."""
         self._cell.set_free(np.asarray(values / self._cell.length, dtype=np.float64))
 
@@ -49,12 +47,12 @@ class FreeStrains(ScalarUnknowns):
     def _area(self) -> float:
         return self._cell.volume / self._cell.length
 
-    def residual(self) -> Vector:
+    def residual(self) -> FloatArray:
         """Stress minus prescribed stress, times the area of a face [N]."""
         gaps = [self._mean.component(*ij) - self._cell.stress[ij] for ij in self._free]
         return self._area * np.array(gaps)
 
-    def rows(self) -> list[Vector]:
+    def rows(self) -> list[FloatArray]:
         """Its derivative with respect to the fields."""
         self._measure()
         found, dofmap = [], self._mean.problem.W.dofmap
@@ -80,7 +78,7 @@ class FreeStrains(ScalarUnknowns):
         self.put(values)
         self._stiff = float(np.abs(found).max())
 
-    def settled(self, residual: Vector, target: float) -> bool:
+    def settled(self, residual: FloatArray, target: float) -> bool:
         """The stresses are as prescribed, to the tolerance of forces or to round-off.
 
         The force of a face is spread over its nodes, the target is a norm of nodal forces.

@@ -7,12 +7,12 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, smallest, total
-from dolfin_elastic.mesh.body import Indices, span
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.body import span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
@@ -21,7 +21,6 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integ
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.progress import Progress
 
-Floats = npt.NDArray[np.float64]
 Gap = tuple[float, tuple[float, ...]]
 States = Generator[State | Mode, None, None]
 log = logging.getLogger("dolfin_elastic")
@@ -50,7 +49,7 @@ class ContactAugmentation:
         self._touching = problem.touching
         for touch in self._touching:
             touch.soften(1.0)
-        self._saved: list[Floats] = []
+        self._saved: list[FloatArray] = []
         self.save()
 
     def save(self) -> None:
@@ -270,7 +269,7 @@ def tell_untouched(problem: Problem, states: States) -> States:
         log.warning("contact '%s' was never touched", label)
 
 
-def rows_of(touch: ContactPair, within: float) -> tuple[Indices, Floats]:
+def rows_of(touch: ContactPair, within: float) -> tuple[IndexArray, FloatArray]:
     """Owned nodes of the displacement at most so far from the obstacle, and its normals there."""
     gaps, normals = touch.gaps()
     near = gaps <= within

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import basix
 import numpy as np
-import numpy.typing as npt
 import ufl
 from mpi4py import MPI
 
 from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 
-Floats = npt.NDArray[np.float64]
-Extreme = tuple[float, Floats]
+Extreme = tuple[float, FloatArray]
 """A value and the place of its cell in the reference configuration [m]."""
 
 
@@ -43,7 +42,7 @@ class JacobianWatch:
         self._problem, self._points = problem, points
         self._cells = problem.body.owned_cells()
 
-        self._seen: Floats | None = None
+        self._seen: FloatArray | None = None
         self._found: tuple[Extreme, Extreme] | None = None
         self._steepest: Extreme = (0.0, np.zeros(3))
 
@@ -71,7 +70,7 @@ class JacobianWatch:
         self.extremes()
         return self._steepest
 
-    def _state(self) -> Floats:
+    def _state(self) -> FloatArray:
         """All that F depends on."""
         fields, cell = self._problem.w.x.array, self._problem.cell
         return fields if cell is None else np.append(fields, cell.H.value)
@@ -94,7 +93,7 @@ class JacobianWatch:
             max((high for _, high in everywhere), key=lambda pair: pair[0]),
         )
 
-    def _largest(self, found: Floats) -> Extreme:
+    def _largest(self, found: FloatArray) -> Extreme:
         """See `steepest`. Collective."""
         if self._small is None:
             return 0.0, np.zeros(3)
@@ -105,7 +104,7 @@ class JacobianWatch:
             mine = self._at(steep, int(np.argmax(steep)))
         return max(self._problem.body.comm.allgather(mine), key=lambda pair: pair[0])
 
-    def _at(self, values: Floats, row: int) -> Extreme:
+    def _at(self, values: FloatArray, row: int) -> Extreme:
         mesh = self._problem.body.mesh
         nodes = mesh.geometry.dofmap[self._cells[row]]
         return float(values[row]), mesh.geometry.x[nodes].mean(axis=0)

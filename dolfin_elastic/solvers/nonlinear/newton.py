@@ -11,11 +11,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
 from dolfin_elastic.core.petsc_options import PREFIX
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import Choice
@@ -27,7 +27,6 @@ from dolfin_elastic.solvers.nonlinear.progress import Progress, Tolerance
 from dolfin_elastic.solvers.nonlinear.round_off import SAFETY, RoundOff
 from dolfin_elastic.solvers.petsc.options import Options, ksp_reason, snes_reason
 
-Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 FORCING = 1e-3
@@ -234,14 +233,14 @@ class Newton:
         if self.direct:
             p.krylov = 0
 
-    def present(self) -> Vector:
+    def present(self) -> FloatArray:
         """A copy of all unknowns: local array of the fields, and scalars behind them."""
         fields = self.assembler.problem.w.x.array
         if self.bordered is None:
             return np.asarray(fields.copy())
         return np.concatenate([fields, self.bordered.border.get()])
 
-    def put_back(self, unknowns: Vector) -> None:
+    def put_back(self, unknowns: FloatArray) -> None:
         """Changes all unknowns to those of `present`. Not collective."""
         problem = self.assembler.problem
         fields = problem.w.x.array
@@ -250,7 +249,7 @@ class Newton:
             self.bordered.border.put(unknowns[len(fields) :])
         problem.unknowns.tell()
 
-    def found(self) -> Vector:
+    def found(self) -> FloatArray:
         """Owned entries of where the last solve ended, from `assembler.origin`."""
         return np.asarray(self._x.array_r[: self.assembler.size].copy())
 

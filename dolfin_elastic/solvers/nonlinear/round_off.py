@@ -8,14 +8,12 @@ Numerical Algorithms (2002), (3.5): |error| <= n eps sum |K_ij| |x_j|.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-
-Vector = npt.NDArray[np.float64]
 
 SAFETY = 4.0
 """For the cells around a node, each with an error of its own."""
@@ -43,7 +41,7 @@ class RoundOff:
     def __init__(self, assembler: Assembler) -> None:
         self._assembler = assembler
         self._h, self._span = cell_size(assembler.problem.body), span(assembler.problem.body)
-        self._rows: Vector = np.zeros(assembler.size)
+        self._rows: FloatArray = np.zeros(assembler.size)
         self.first, self.norm = 0.0, 0.0
 
     def renew(self, tangent: PETSc.Mat) -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
 from dolfin_elastic.problem.loads.cavities import BodyCavity
@@ -20,7 +20,6 @@ from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars, ScalarUnkno
 from dolfin_elastic.solvers.nonlinear.cell_strains import free_strains
 
 log = logging.getLogger("dolfin_elastic")
-Vector = npt.NDArray[np.float64]
 
 VOLUME = 1e-10
 """Error of a prescribed volume, as a share of it: the next Newton step would find round-off."""
@@ -61,7 +60,7 @@ class Scalars:
         """All scalar unknowns."""
         return [] if self.border is None else [float(value) for value in self.border.get()]
 
-    def numbers(self, inertia: Vector | None = None) -> dict[str, float]:
+    def numbers(self, inertia: FloatArray | None = None) -> dict[str, float]:
         """What is told of cavities, rigid surfaces and periodic cells [SI]. Collective.
 
         Forces are up to date.
@@ -166,23 +165,23 @@ class CavityScalars(ScalarUnknowns):
         """Present volume [m^3]. Collective."""
         return integral(self._problem, self._forms[0])
 
-    def get(self) -> Vector:
+    def get(self) -> FloatArray:
         """The pressure [Pa]."""
         return np.array([self.cavity.pressure])
 
-    def put(self, values: Vector) -> None:
+    def put(self, values: FloatArray) -> None:
         """Sets it."""
         self.cavity.pressure = float(values[0])
 
-    def residual(self) -> Vector:
+    def residual(self) -> FloatArray:
         """Volume beyond the given one [m^3]. Collective."""
         return np.array([self.volume() - self.cavity.goal])
 
-    def rows(self) -> list[Vector]:
+    def rows(self) -> list[FloatArray]:
         """Its derivative [m^2]. Collective."""
         return [self._assembler.nodal(self._forms[1])]
 
-    def settled(self, residual: Vector, target: float) -> bool:
+    def settled(self, residual: FloatArray, target: float) -> bool:
         """The volume is the given one."""
         return bool(abs(residual[0]) <= VOLUME * max(self.cavity.initial, abs(self.cavity.goal)))
 
@@ -215,20 +214,20 @@ class RigidSurface(ScalarUnknowns):
         lever = np.abs(D).max(axis=0, initial=0.0)
         self._levers = np.array([max(problem.body.comm.allgather(x)) for x in lever])
 
-    def _directions(self) -> tuple[npt.NDArray[np.int32], Vector]:
+    def _directions(self) -> tuple[IndexArray, FloatArray]:
         dofs, D = self._prescribed.directions(self._motion)
         return dofs, D[:, list(self._motion.free)]
 
-    def get(self) -> Vector:
+    def get(self) -> FloatArray:
         """The free degrees of freedom [m, rad]."""
         return self._motion.values.copy()
 
-    def put(self, values: Vector) -> None:
+    def put(self, values: FloatArray) -> None:
         """Sets them and the prescribed values that depend on them."""
         self._motion.values[:] = values
         self._prescribed.follow(self._motion)
 
-    def residual(self) -> Vector:
+    def residual(self) -> FloatArray:
         """Forces and moments that the body needs beyond the applied ones [N, N m]. Collective."""
         dofs, D = self._directions()
         forces = self._assembler.balance.array[self._assembler.moves]
@@ -236,7 +235,7 @@ class RigidSurface(ScalarUnknowns):
         needed = total(self._problem.body.comm, D[own].T @ forces[dofs[own]])
         return np.asarray(needed - self._prescribed.applied(self._motion))
 
-    def rows(self) -> list[Vector]:
+    def rows(self) -> list[FloatArray]:
         """Their derivatives. Collective."""
         dofs, D = self._directions()
         places = self._problem.unknowns.places(dofs)
@@ -248,7 +247,7 @@ class RigidSurface(ScalarUnknowns):
             found.append(self._assembler.nodal(self._work))
         return found
 
-    def settled(self, residual: Vector, target: float) -> bool:
+    def settled(self, residual: FloatArray, target: float) -> bool:
         """Forces out of balance are small, and moments on their levers, too."""
         return bool(np.all(np.abs(residual) <= target * self._levers))
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import Choice
@@ -28,7 +28,6 @@ from dolfin_elastic.solvers.statics.inertia_count import negative_eigenvalues
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
 from dolfin_elastic.solvers.statics.step_speed import StepSpeed
 
-Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 WANTED = 4
@@ -63,15 +62,15 @@ class ArcLengthConstraint(ScalarUnknowns):
         self.t, self.wanted = 0.0, 1.0
         self.start = self.displacement().copy()
 
-    def displacement(self) -> Vector:
+    def displacement(self) -> FloatArray:
         """Owned displacements."""
         return np.asarray(self._problem.w.x.array[self._assembler.moves])
 
-    def get(self) -> Vector:
+    def get(self) -> FloatArray:
         """The load factor."""
         return np.array([self.t])
 
-    def put(self, values: Vector) -> None:
+    def put(self, values: FloatArray) -> None:
         """Sets the load factor."""
         self.t = float(values[0])
         self._problem.set_time(self.t, default=PROPORTIONAL)
@@ -80,25 +79,25 @@ class ArcLengthConstraint(ScalarUnknowns):
         """Length of the way from the start [m]. Collective."""
         return float(np.sqrt(self.product(self.moved(), self.moved())))
 
-    def moved(self) -> Vector:
+    def moved(self) -> FloatArray:
         """The way from the start at the owned displacements."""
         return self.displacement() - self.start
 
-    def product(self, a: Vector, b: Vector) -> float:
+    def product(self, a: FloatArray, b: FloatArray) -> float:
         """Inner product of two ways. Collective."""
         return float(total(self._assembler.comm, float(np.dot(a, b))))
 
-    def residual(self) -> Vector:
+    def residual(self) -> FloatArray:
         """(|du|^2 - dl^2)/dl [m]."""
         return np.array([self.gone() ** 2 / self.wanted - self.wanted])
 
-    def rows(self) -> list[Vector]:
+    def rows(self) -> list[FloatArray]:
         """Its derivative."""
         row = np.zeros(self._assembler.size)
         row[self._assembler.moves] = 2.0 * self.moved() / self.wanted
         return [row]
 
-    def settled(self, residual: Vector, target: float) -> bool:
+    def settled(self, residual: FloatArray, target: float) -> bool:
         """The step has its length."""
         return bool(abs(residual[0]) <= LOOSE * self.wanted)
 
@@ -118,8 +117,8 @@ class Found:
     t: float
     progress: Progress
     negative: int | None = None
-    good: Vector | None = None
-    failed: Vector | None = None
+    good: FloatArray | None = None
+    failed: FloatArray | None = None
 
 
 class ArcLength:
@@ -142,11 +141,11 @@ class ArcLength:
         self._problem = self._assembler.problem
         self._length = ArcLengthConstraint(self._assembler)
         self._all = JoinedScalars([self._length, *others])
-        self._lead: Vector = np.zeros(self._all.size)
+        self._lead: FloatArray = np.zeros(self._all.size)
         self._bordered: Newton | None = None
         self.limits: list[float] = []
         self._points: list[tuple[float, float]] = [(0.0, 0.0)]
-        self._way: Vector | None = None  # of the last step
+        self._way: FloatArray | None = None  # of the last step
         self._size = self._longest = 0.0
 
     def prepare(self, choice: Choice, tolerance: Tolerance, users: Mapping[str, Any]) -> None:
@@ -192,7 +191,7 @@ class ArcLength:
                 return
             yield point
 
-    def _next(self, way: Vector) -> Found:
+    def _next(self, way: FloatArray) -> Found:
         """The next point of the path, and how to go on from there; or a shorter step is due."""
         assert self._bordered is not None
         before, size = self._all.get(), self._size
@@ -265,7 +264,7 @@ class ArcLength:
             self._ladder.undo(here)
             t /= 2
 
-    def _step(self, way: Vector, size: float) -> Progress:
+    def _step(self, way: FloatArray, size: float) -> Progress:
         """Goes on in the last step's direction and corrects from there."""
         assert self._bordered is not None
         length, w = self._length, self._problem.w
@@ -287,17 +286,17 @@ class ArcLength:
             progress = self._bordered.solve("basic")
         return self._ladder.settled(progress, "basic", self._bordered.solve)
 
-    def _turned(self, way: Vector) -> bool:
+    def _turned(self, way: FloatArray) -> bool:
         """The path has turned so sharply that a part of it may have been left out. Collective."""
         now = self._length.moved()
         product = self._length.product
         return product(way, now) < SHARPEST * np.sqrt(product(way, way) * product(now, now))
 
-    def _back(self, here: Vector, t: float) -> None:
+    def _back(self, here: FloatArray, t: float) -> None:
         self._ladder.undo(here)
         self._length.put(np.array([t]))
 
-    def _land(self, here: Vector, t: float) -> Found:
+    def _land(self, here: FloatArray, t: float) -> Found:
         """Ends the path at its load factor, between the last two points."""
         beyond = self._newton.present()
         share = (self._end - t) / (self._length.t - t)

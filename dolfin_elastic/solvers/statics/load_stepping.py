@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.restart_state import Kept, Restore
 from dolfin_elastic.problem.state import State
@@ -39,7 +39,6 @@ from dolfin_elastic.solvers.statics.step_speed import StepSpeed
 if TYPE_CHECKING:
     from dolfin_elastic.solvers.statics.statics import Statics
 
-Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 JUMPS = 3
@@ -66,8 +65,8 @@ class LoadStepping:
         self._count = 0
         self._t, self._sizes = 0.0, statics.sizes()
         self._arc: ArcLength | None = None
-        self._before: tuple[float, Vector] | None = None
-        self._fallback: tuple[float, Vector] | None = None  # where a step has jumped to
+        self._before: tuple[float, FloatArray] | None = None
+        self._fallback: tuple[float, FloatArray] | None = None  # where a step has jumped to
         self._limits: tuple[float, ...] = ()
         self._jumps = 0
         self._pace = StepSpeed(self.assembler, corners(self.problem))
@@ -156,13 +155,13 @@ class LoadStepping:
     def _multipliers(self) -> dict[str, fem.Function]:
         return {f"contact_{i}": touch.lam for i, touch in enumerate(self.problem.touching)}
 
-    def _apart(self, unknowns: Vector) -> tuple[fem.Function, list[float]]:
+    def _apart(self, unknowns: FloatArray) -> tuple[fem.Function, list[float]]:
         """Fields and scalars of unknowns as `Newton.present` has them."""
         w = fem.Function(self.problem.W)
         w.x.array[:] = unknowns[: len(w.x.array)]
         return w, [float(value) for value in unknowns[len(w.x.array) :]]
 
-    def _together(self, w: fem.Function, scalars: Sequence[float]) -> Vector:
+    def _together(self, w: fem.Function, scalars: Sequence[float]) -> FloatArray:
         return np.concatenate([w.x.array, np.array(scalars, dtype=np.float64)])
 
     # --- the load grows ---
@@ -212,7 +211,7 @@ class LoadStepping:
         return ANOTHER if jumped else ""
 
     def _elsewhere(
-        self, t: float, goal: float, progress: Progress, fault: str, start: Vector
+        self, t: float, goal: float, progress: Progress, fault: str, start: FloatArray
     ) -> tuple[float, Progress]:
         """Goes on where no step is small enough, or gives up.
 
@@ -269,7 +268,7 @@ class LoadStepping:
         return self.ladder.solve(starts)
 
     def _failure(
-        self, t: float, goal: float, progress: Progress, good: Vector, failed: Vector | None
+        self, t: float, goal: float, progress: Progress, good: FloatArray, failed: FloatArray | None
     ) -> ConvergenceError:
         """The error, with why; the problem is left with the last iterate."""
         progress.converged = False

@@ -15,14 +15,13 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.progress import Progress
 
-Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 
@@ -39,14 +38,14 @@ class RetryStrategy:
 
     def __init__(self, newton: Newton, augmentation: ContactAugmentation) -> None:
         self.newton, self._augmentation = newton, augmentation
-        self.failed: Vector | None = None
+        self.failed: FloatArray | None = None
         self._first = True
 
     def go_on(self) -> None:
         """The displacement is not that of the solver's beginning: it looks anew."""
         self._first = False
 
-    def solve(self, starts: Sequence[tuple[str, Vector]]) -> Progress:
+    def solve(self, starts: Sequence[tuple[str, FloatArray]]) -> Progress:
         """Finds equilibrium from the first start that leads there. Collective.
 
         Args:
@@ -76,12 +75,14 @@ class RetryStrategy:
         self.undo(first)
         return progress
 
-    def undo(self, start: Vector) -> None:
+    def undo(self, start: FloatArray) -> None:
         """Goes back to where the last solve began, its contacts too. Not collective."""
         self.newton.put_back(start)
         self._augmentation.restore()
 
-    def _rungs(self, starts: Sequence[tuple[str, Vector]]) -> Iterator[tuple[str, Vector, str]]:
+    def _rungs(
+        self, starts: Sequence[tuple[str, FloatArray]]
+    ) -> Iterator[tuple[str, FloatArray, str]]:
         searches = self.newton.ladder()
         for line_search in searches:
             said = "" if line_search == searches[0] else f"by line search '{line_search}'"
@@ -89,7 +90,7 @@ class RetryStrategy:
         for said, start in starts[1:]:
             yield said, start, searches[0]
 
-    def _residual(self, start: Vector) -> float:
+    def _residual(self, start: FloatArray) -> float:
         """Norm of the residual at a start; infinite where a cell is inside out. Collective."""
         assembler, guard = self.newton.assembler, self.newton.guard
         self.newton.put_back(start)
@@ -97,7 +98,7 @@ class RetryStrategy:
             return np.inf
         return assembler.norm()
 
-    def _try(self, start: Vector, line_search: str) -> Progress:
+    def _try(self, start: FloatArray, line_search: str) -> Progress:
         self.newton.put_back(start)
         self._augmentation.restore()
         progress = self.newton.solve(line_search)

@@ -7,8 +7,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError
@@ -32,7 +30,6 @@ from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.statics.load_stepping import LoadStepping
 from dolfin_elastic.solvers.statics.step_size import StepSizes
 
-Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 FIRST = 0.25

@@ -10,13 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.nonlinear.progress import Progress
-
-Vector = npt.NDArray[np.float64]
 
 FASTER = 3.0
 """Speed over that of the step before from which a step is looked at more closely."""
@@ -37,7 +35,7 @@ class StepSpeed:
         self._assembler, self._corners = assembler, corners
         self.speed = self._now = 0.0
 
-    def hasty(self, t: float, goal: float, start: Vector, progress: Progress) -> bool:
+    def hasty(self, t: float, goal: float, start: FloatArray, progress: Progress) -> bool:
         """Whether the step that the problem is at the end of was faster than expected. Collective.
 
         Args:

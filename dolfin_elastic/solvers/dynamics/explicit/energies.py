@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.energy_momentum import LumpedMass, Strain
 from dolfin_elastic.solvers.dynamics.work import ExternalWork
 from dolfin_elastic.solvers.nonlinear.contact import Measured
 
-Vector = npt.NDArray[np.float64]
-Measures = tuple[dict[str, float], dict[str, Vector]]
+Measures = tuple[dict[str, float], dict[str, FloatArray]]
 """Energies [J], and momenta, by name."""
 
 
@@ -29,7 +28,9 @@ class Energies:
         work: Of loads and supports.
     """
 
-    def __init__(self, problem: Problem, v: fem.Function, mass: Vector, work: ExternalWork) -> None:
+    def __init__(
+        self, problem: Problem, v: fem.Function, mass: FloatArray, work: ExternalWork
+    ) -> None:
         self._comm, self._work = problem.body.comm, work
         self._strain, self._contacts = Strain(problem), Measured(problem, moving=True)
         self._inertia = LumpedMass(problem, v, mass)
@@ -49,7 +50,7 @@ class Energies:
         }
         return energies, {"linear": linear, "angular": angular}
 
-    def finite(self, energies: Mapping[str, float], forces: Vector) -> bool:
+    def finite(self, energies: Mapping[str, float], forces: FloatArray) -> bool:
         """Whether all of them have a value, but those that a law does not know. Collective.
 
         Args:

@@ -20,11 +20,11 @@ from time import perf_counter
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import StabilityError
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.restart_state import Kept, Restore
 from dolfin_elastic.problem.state import State
@@ -39,8 +39,6 @@ from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
 from dolfin_elastic.solvers.dynamics.explicit.support_acceleration import mean_acceleration
 from dolfin_elastic.solvers.dynamics.work import ExternalWork, supports_move
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
-
-Vector = npt.NDArray[np.float64]
 
 STATES = 200
 """About as many states are yielded if nothing else is said."""
@@ -108,7 +106,7 @@ class Explicit(ABC):
         self._dt_done = min(self.size.dt, self.end)
         self.every = self.every or max(1, ceil(self.end / self.size.dt / STATES))
 
-    def _mobility(self) -> Vector:
+    def _mobility(self) -> FloatArray:
         """-1/m at owned entries, 0 where supports hold still [1/kg]."""
         pull = -1 / self.mass
         if not self._leads:

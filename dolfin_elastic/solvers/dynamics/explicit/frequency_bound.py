@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-
-Floats = npt.NDArray[np.float64]
 
 
 class FrequencyBound:
@@ -47,7 +45,7 @@ class FrequencyBound:
         mass: Lumped mass at every owned entry [kg].
     """
 
-    def __init__(self, problem: Problem, assembler: Assembler, mass: Floats) -> None:
+    def __init__(self, problem: Problem, assembler: Assembler, mass: FloatArray) -> None:
         self._problem, self._assembler, self._dim = problem, assembler, problem.body.dim
         self._mass = mass[:: self._dim].copy()
         d = self._dim
@@ -91,11 +89,11 @@ class FrequencyBound:
         right = ufl.as_tensor(A[i, j, k, o] * H[o, m], (i, j, k, m))
         return ufl.sqrt(left[i, j, k, m] * right[i, j, k, m])
 
-    def now(self) -> Floats:
+    def now(self) -> FloatArray:
         """The bound at each owned node at the present displacement [1/s^2]. Collective."""
         return self._held + self._assembler.nodal(self._form)[:: self._dim] / self._mass
 
-    def place(self, rates: Floats) -> tuple[float, ...]:
+    def place(self, rates: FloatArray) -> tuple[float, ...]:
         """Reference place of the node with the largest rate [m]. Collective."""
         V = self._problem.V
         mine: tuple[float, tuple[float, ...]] = (-np.inf, ())
@@ -106,7 +104,9 @@ class FrequencyBound:
         return max(V.mesh.comm.allgather(mine), key=lambda pair: pair[0])[1]
 
 
-def rows_over_mass(assembler: Assembler, bounds: Sequence[ufl.Form], mass: Floats) -> Floats:
+def rows_over_mass(
+    assembler: Assembler, bounds: Sequence[ufl.Form], mass: FloatArray
+) -> FloatArray:
     """Bounds of the rows of a matrix at owned entries, over the mass there. Collective."""
     found = np.zeros(len(mass))
     for form in compiled(assembler.problem, bounds) if bounds else []:

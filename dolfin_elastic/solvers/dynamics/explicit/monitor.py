@@ -7,16 +7,15 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.messages import coordinates, worthless
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.small_strains import SmallStrains
 
-Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 DRIFT = 0.1
@@ -49,7 +48,7 @@ class StabilityMonitor:
         self.nonlinear = any(not part.law.linear for part in problem.parts)
         self._states, self.inside_out, self._told = 0, "", False
         self.place: tuple[float, ...] = ()
-        self._first: Vector | None = None
+        self._first: FloatArray | None = None
         self._most = 0.0
 
     def look(self, t: float, *, last: bool) -> None:

@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import Diagnosis, StabilityError
 from dolfin_elastic.core.parallel import first_of, total
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.restart_state import Kept, Restore
@@ -28,7 +28,6 @@ from dolfin_elastic.solvers.dynamics.explicit.monitor import RESISTS, StabilityM
 from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
 from dolfin_elastic.solvers.messages import coordinates
 
-Vector = npt.NDArray[np.float64]
 Place = tuple[float, ...]
 
 FAR = 1e6
@@ -73,7 +72,7 @@ class LastState:
     """The last sound state of a motion."""
 
     def __init__(self) -> None:
-        self._values: dict[str, Vector] = {}
+        self._values: dict[str, FloatArray] = {}
         self.plain: Mapping[str, Any] = {}
 
     def __bool__(self) -> bool:

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
@@ -16,6 +15,7 @@ from slepc4py import SLEPc
 from dolfin_elastic.core.errors import InputError, StabilityError
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.stability import uneven
@@ -27,7 +27,6 @@ from dolfin_elastic.solvers.dynamics.explicit.frequency_bound import (
 from dolfin_elastic.solvers.nonlinear.contact import all_touching
 
 log = logging.getLogger("dolfin_elastic")
-Floats = npt.NDArray[np.float64]
 
 LOOKS = (10, 200)
 """Fewest and most steps between two looks at the stable step: the less it changes, the more."""
@@ -87,7 +86,7 @@ class StepSize:
         self,
         problem: Problem,
         assembler: Assembler,
-        mass: Floats,
+        mass: FloatArray,
         *,
         chosen: float | None,
         safety: float,
@@ -312,7 +311,7 @@ class StepSize:
             self.dt = self._chosen
 
 
-def _top(values: Floats) -> float:
+def _top(values: FloatArray) -> float:
     """The largest, 0 of none; what is not finite is infinite."""
     return float(np.max(np.nan_to_num(values, nan=np.inf, posinf=np.inf), initial=0.0))
 

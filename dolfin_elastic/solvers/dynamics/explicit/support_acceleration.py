@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import FormulaError
+from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.problem.problem import Problem
-
-Vector = npt.NDArray[np.float64]
 
 
 def mean_acceleration(
     problem: Problem, v: fem.Function, t: float, dt: float, interval: float
-) -> Vector:
+) -> FloatArray:
     """The mean acceleration of supports in the next step, or the last where they end. Collective.
 
     Args:
@@ -29,15 +25,15 @@ def mean_acceleration(
     held = problem.prescribed
     here, now = held.present(problem.u.x.array), held.present(v.x.array)
 
-    def targets(time: float) -> Vector:
+    def targets(time: float) -> FloatArray:
         try:
             return np.asarray(held.targets_at((time,))[0])
         except FormulaError:  # of a curve or an angle: on all ranks
             return np.full_like(here, np.nan)
 
-    found: npt.NDArray[Any] = ((targets(t + dt) - here) / dt - now) / interval
+    found: AnyArray = ((targets(t + dt) - here) / dt - now) / interval
     if not np.all(np.isfinite(found)):
-        back: npt.NDArray[Any] = np.zeros_like(here)
+        back: AnyArray = np.zeros_like(here)
         if t > 1.5 * dt:
             back = (here - 2 * targets(t - dt) + targets(max(t - 2 * dt, 0.0))) / dt**2
         found = np.where(np.isfinite(found), found, back)

@@ -20,9 +20,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-Vector = npt.NDArray[np.float64]
+from dolfin_elastic.core.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -74,15 +73,15 @@ class Scheme:
         """Backward Euler: u1 = u0 + h v1, v1 = v0 + h a1; of first order, damps strongly."""
         return cls(0.0, 0.0, 1.0, 1.0, 0.0)
 
-    def acceleration(self, off: Vector, a0: Vector, h: float) -> Vector:
+    def acceleration(self, off: FloatArray, a0: FloatArray, h: float) -> FloatArray:
         """a1 from how far u1 is off what was `predicted`."""
         return np.asarray(a0 + off / (self.beta * h * h))
 
-    def velocity(self, v0: Vector, a0: Vector, a1: Vector, h: float) -> Vector:
+    def velocity(self, v0: FloatArray, a0: FloatArray, a1: FloatArray, h: float) -> FloatArray:
         """v1 from both accelerations."""
         return np.asarray(v0 + h * ((1 - self.gamma) * a0 + self.gamma * a1))
 
-    def predicted(self, v0: Vector, a0: Vector, h: float) -> Vector:
+    def predicted(self, v0: FloatArray, a0: FloatArray, h: float) -> FloatArray:
         """u1 - u0 if the acceleration did not change."""
         return np.asarray(h * v0 + h * h * (self.start + self.beta) * a0)
 
@@ -91,14 +90,16 @@ class Scheme:
         rate = 1 / (self.beta * h)
         return self.gamma * rate, (1 - self.alpha_m) / (1 - self.alpha_f) * rate / h
 
-    def at_end(self, a0: Vector, a1: Vector) -> Vector:
+    def at_end(self, a0: FloatArray, a1: FloatArray) -> FloatArray:
         """The acceleration at t1 to second order.
 
         a1 belongs to the time t1 - (alpha_f - alpha_m) h: Erlicher et al. (2002), section 3.
         """
         return np.asarray(a1 + (self.alpha_f - self.alpha_m) * (a1 - a0))
 
-    def error(self, v: tuple[Vector, Vector], a: tuple[Vector, Vector], h: float) -> Vector:
+    def error(
+        self, v: tuple[FloatArray, FloatArray], a: tuple[FloatArray, FloatArray], h: float
+    ) -> FloatArray:
         """Estimate of the error that a step makes in the displacement [m].
 
         The place is compared with that of a linear acceleration, which is of one order more:

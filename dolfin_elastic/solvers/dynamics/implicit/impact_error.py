@@ -11,11 +11,9 @@ are linear in time: Zienkiewicz & Xie (1991), see `alpha`.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
-
-Vector = npt.NDArray[np.float64]
 
 
 class ImpactError:
@@ -30,10 +28,10 @@ class ImpactError:
         self._moving, self._share = moving, alpha_f
         mass = moving.mass.array_r[moving.moves]
         self._mobility = np.divide(1.0, mass, out=np.zeros(len(mass)), where=mass > 0.0)
-        self._first: Vector = np.zeros(len(mass))
-        self._stage: Vector = self._first
+        self._first: FloatArray = np.zeros(len(mass))
+        self._stage: FloatArray = self._first
 
-    def _pushes(self) -> Vector:
+    def _pushes(self) -> FloatArray:
         """Nodal forces of all obstacles at the present place and time, owned entries [N]."""
         return sum(self._moving.pushes(), np.zeros(len(self._moving.moves)))
 
@@ -46,7 +44,7 @@ class ImpactError:
         """Notes what pushes at its stage."""
         self._stage = forces.obstacles[self._moving.moves]
 
-    def error(self, h: float) -> Vector:
+    def error(self, h: float) -> FloatArray:
         """What an unseen push does to the place at the end, where the problem is now [m]."""
         expected = (self._stage - self._share * self._first) / (1 - self._share)
         return np.asarray(-h * h / 6 * (self._pushes() - expected) * self._mobility)

@@ -9,13 +9,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.petsc_options import PREFIX
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.restart_state import Kept, Restore
 from dolfin_elastic.problem.state import State
@@ -46,7 +46,6 @@ from dolfin_elastic.solvers.petsc.options import ts_reason
 if TYPE_CHECKING:
     from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
 
-Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 AHEAD = 1e-4
@@ -312,7 +311,7 @@ class Implicit:
 
     # --- what is yielded ---
 
-    def _reactions(self, t: float) -> dict[str, Vector]:
+    def _reactions(self, t: float) -> dict[str, FloatArray]:
         """Of the state at the end of the step, its inertia included. Collective.
 
         PETSc's scheme does not tell its acceleration: they are those with its mean one.

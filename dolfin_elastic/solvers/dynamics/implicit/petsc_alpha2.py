@@ -7,18 +7,16 @@ cannot be gone on with exactly.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.dynamics.consistent_start import exactly
 from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import FAILURES, Done
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-
-Vector = npt.NDArray[np.float64]
 
 
 def check_alpha2(problem: Problem) -> None:
@@ -109,7 +107,9 @@ class Alpha2:
         size = len(self.moving.moves)
         self.moving.forces_at(t, self.v.x.array[:size], self.at_end.x.array[:size])
 
-    def _in_the_middle(self, before: Vector, after: Vector, t: float) -> tuple[Forces, Vector]:
+    def _in_the_middle(
+        self, before: FloatArray, after: FloatArray, t: float
+    ) -> tuple[Forces, FloatArray]:
         """Mean of the forces at both ends of the step, with its mean acceleration, and its way."""
         w, size = self.problem.w.x, self.assembler.size
         a, ends = self.at_end.x.array[: len(before)], []
@@ -158,7 +158,7 @@ class Alpha2:
             self._to = self._prescribed_at(self._start + h)
         return h
 
-    def _prescribed_at(self, t: float) -> Vector:
+    def _prescribed_at(self, t: float) -> FloatArray:
         self.problem.set_time(t)
         return np.asarray(self.problem.prescribed.targets)
 

@@ -12,12 +12,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.mass import free, held_rates
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import Scheme
 from dolfin_elastic.solvers.dynamics.implicit.impact_error import ImpactError
@@ -27,14 +27,13 @@ from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.petsc.ts_adapt import choose
 
-Vector = npt.NDArray[np.float64]
 log = logging.getLogger("dolfin_elastic")
 
 FAILURES = 8
 """Times that one step is made smaller, to a quarter each, before it is given up."""
 
 
-Done = tuple[Forces, Forces, Vector]
+Done = tuple[Forces, Forces, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -50,10 +49,10 @@ class Kept:
     """
 
     t: float
-    w: Vector
-    u: Vector
-    v: Vector
-    a: Vector
+    w: FloatArray
+    u: FloatArray
+    v: FloatArray
+    a: FloatArray
 
 
 class GeneralizedAlphaStepper:
@@ -97,11 +96,11 @@ class GeneralizedAlphaStepper:
         self._before: Kept | None = None
         self._ends: Forces | None = None
         self._old_ends: Forces | None = None
-        nothing: Vector = np.empty(0)
+        nothing: FloatArray = np.empty(0)
         self._goal = self._end_values = self._held_stage = self._ahead = self._off = nothing
         self._held_rates = nothing, nothing
         self._h = 0.0
-        self._hat: Vector | None = None
+        self._hat: FloatArray | None = None
 
     def start(self, t: float) -> None:
         """Looks at the state that the next step begins with."""
@@ -137,7 +136,7 @@ class GeneralizedAlphaStepper:
         self.assembler.tangent(x, self.newton.mass_factor)
         self.newton.note_tangent(P)
 
-    def _rates(self, off: Vector) -> tuple[Vector, Vector]:
+    def _rates(self, off: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Velocity and acceleration of the stage from how far it is off what was predicted."""
         assert self._before is not None
         s, old = self.scheme, self._before
@@ -147,7 +146,7 @@ class GeneralizedAlphaStepper:
         self.problem.prescribed.impose(a, self._held_stage)
         return v, a
 
-    def _rates_at_end(self, off: Vector) -> tuple[Vector, Vector]:
+    def _rates_at_end(self, off: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Velocity and acceleration at the end of the step, from how far its place is off.
 
         Those of prescribed motion are its own: by the formulas of the scheme an error of them, at
@@ -262,7 +261,7 @@ class GeneralizedAlphaStepper:
         finally:
             origin[:] = 0.0
 
-    def _solved_from(self, start: Vector) -> bool:
+    def _solved_from(self, start: FloatArray) -> bool:
         self._put_unknowns(start)
         progress = self.newton.solve(self.newton.ladder()[0])
         while "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
@@ -274,7 +273,7 @@ class GeneralizedAlphaStepper:
         self._off = np.asarray(off / (1 - self.scheme.alpha_f))
         return progress.converged
 
-    def _prescribed_at(self, t: float) -> Vector:
+    def _prescribed_at(self, t: float) -> FloatArray:
         """Prescribed values at the end of the step, where loads, too, must have values."""
         self.problem.set_time(t)
         self.problem.prescribed.check_finite()
@@ -282,7 +281,7 @@ class GeneralizedAlphaStepper:
             self.newton.begin()
         return np.asarray(self.problem.prescribed.targets)
 
-    def _starts(self) -> list[Vector]:
+    def _starts(self) -> list[FloatArray]:
         """Where Newton's method may begin, the better one first: on the way, or at rest."""
         old = self._before
         assert old is not None
@@ -297,7 +296,7 @@ class GeneralizedAlphaStepper:
             return [old.w]
         return [further, old.w] if sizes[0] <= sizes[1] else [old.w, further]
 
-    def _size(self, start: Vector) -> float:
+    def _size(self, start: FloatArray) -> float:
         """Norm of the residual at a start; infinite where a cell is inside out."""
         self._put_unknowns(start)
         if self.watch is not None and self.watch.smallest()[0] <= 0.0:
@@ -310,7 +309,7 @@ class GeneralizedAlphaStepper:
         f.destroy()
         return norm if np.isfinite(norm) else float(np.inf)
 
-    def _put_unknowns(self, w: Vector) -> None:
+    def _put_unknowns(self, w: FloatArray) -> None:
         self.problem.w.x.array[: len(w)] = w
         self.problem.w.x.scatter_forward()
         self.problem.unknowns.tell()

@@ -25,16 +25,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.dynamics.consistent_start import incompressible
-
-Vector = npt.NDArray[np.float64]
 
 
 class VolumeConstraint:
@@ -59,8 +57,8 @@ class VolumeConstraint:
         entries = np.ones(len(self._problem.w.x.array), dtype=bool)
         entries[self._problem.unknowns.places(np.arange(len(self._problem.u.x.array)))] = False
         self._scalars = entries
-        self._old: Vector = np.empty(0)
-        self._known: Vector = np.zeros(assembler.size)
+        self._old: FloatArray = np.empty(0)
+        self._known: FloatArray = np.zeros(assembler.size)
         self.end = 0.0
 
     @staticmethod
@@ -89,7 +87,7 @@ class VolumeConstraint:
         self._problem.w.x.array[:] = here
         self._assembler.balance.array[: len(more)] += more
 
-    def _rows(self, form: fem.Form | None, w: Vector) -> Vector:
+    def _rows(self, form: fem.Form | None, w: FloatArray) -> FloatArray:
         """g of a place, at no pressure, in the rows of all unknowns [N]."""
         if form is None:
             return np.zeros(self._assembler.size)

@@ -1,0 +1,22 @@
+"""Arrays of numpy as they pass through the package, by the type of their entries.
+
+Shapes, units and configuration are told where an array is an argument or a result.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+"""Coordinates, displacements, forces, values of fields."""
+IndexArray: TypeAlias = npt.NDArray[np.int32]
+"""Local indices of DOLFINx: cells, facets, nodes, dofs."""
+IntArray: TypeAlias = npt.NDArray[np.int64]
+"""Global indices, numbers of nodes in files, marks of regions."""
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
+"""Masks."""
+AnyArray: TypeAlias = npt.NDArray[Any]
+"""Arrays whose entries are of several types, or of one that only the caller knows."""
