@@ -17,7 +17,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from dolfin_elastic.core.version import __version__ as __version__
+from dolfin_elastic.core import __version__ as __version__
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.case import Case as Case

@@ -20,9 +20,9 @@ from click.exceptions import ClickException
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import go_on_without_readers
 from dolfin_elastic.cli.run import log_to_screen, restart, run
+from dolfin_elastic.core import __version__
 from dolfin_elastic.core.errors import CaseError, ElasticError
 from dolfin_elastic.core.signals import INTERRUPTED, launched_rank
-from dolfin_elastic.core.version import __version__
 
 if TYPE_CHECKING:
     from mpi4py import MPI

@@ -11,8 +11,8 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from dolfin_elastic.core import __version__
 from dolfin_elastic.core.jit import cache_folder
-from dolfin_elastic.core.version import __version__
 
 _FAST = ("openblas", "mkl", "blis", "atlas", "accelerate")
 

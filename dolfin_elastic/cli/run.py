@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from click.exceptions import Exit
 
-from dolfin_elastic.cli.petsc_arguments import petsc_options, start_petsc
 from dolfin_elastic.core.errors import SolveError
+from dolfin_elastic.core.petsc_options import parse_arguments, start_petsc
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
 
 if TYPE_CHECKING:
@@ -51,8 +51,8 @@ def run(
     checkpoint and no stop.
     What follows two dashes are PETSc options; they win over the case's own.
     """
-    options, of_petsc = petsc_options(petsc or [])
-    start_petsc(of_petsc)
+    options, at_start = parse_arguments(petsc or [])
+    start_petsc(at_start)
     from dolfin_elastic.case.case import read_case
     from dolfin_elastic.case.run import run as run_case
 
@@ -81,8 +81,8 @@ def restart(
     DIR is the folder of its results; it goes on from the last checkpoint there, and the results
     go on with it.  PETSc options of the first run hold; those after two dashes win over them.
     """
-    options, of_petsc = petsc_options(petsc or [])
-    start_petsc(of_petsc)
+    options, at_start = parse_arguments(petsc or [])
+    start_petsc(at_start)
     from dolfin_elastic.case.restart import unfinished
     from dolfin_elastic.case.run import restart as restart_case
 

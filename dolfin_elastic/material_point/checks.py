@@ -5,14 +5,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+from mpi4py import MPI
 
 from dolfin_elastic.core.errors import FormulaError, InputError
+from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.material_point.ufl_to_numpy import Point
@@ -354,3 +356,26 @@ def sound(law: Law) -> None:
     if found:
         raise InputError(f"{found[0].check}: {found[0].text}", where="energy")
     law.passed()
+
+
+def gate(laws: Mapping[str, Law], comm: MPI.Comm) -> None:
+    """Tries the energies that users wrote, each once; other laws are tried by our own tests.
+
+    Collective.
+
+    Args:
+        laws: Dotted key of a material to its law.
+        comm: The ranks that go on together.
+
+    Raises:
+        InputError: On every rank, with the key and the reason.
+    """
+    for key, law in laws.items():
+        # What varies in space is tried with its means, once it is bound to a body.
+        if not isinstance(law, UserEnergy) or law.sound or law.deferred():
+            continue
+        try:
+            on_root(comm, lambda law=law: sound(law))  # type: ignore[misc]
+        except InputError as error:
+            raise within(key, error) from None
+        law.passed()

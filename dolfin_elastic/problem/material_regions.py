@@ -13,7 +13,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import IndexArray
-from dolfin_elastic.material_point.gate import gate
+from dolfin_elastic.material_point.checks import gate
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.dimension import GEOMETRIES, Geometry
 from dolfin_elastic.model.materials.law import Law

@@ -17,8 +17,8 @@ import pytest
 from mpi4py import MPI
 
 from dolfin_elastic import __version__
-from dolfin_elastic.cli.petsc_arguments import petsc_options
 from dolfin_elastic.core.errors import CaseError
+from dolfin_elastic.core.petsc_options import parse_arguments
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
@@ -341,10 +341,13 @@ def test_petsc_options(folder: Path) -> None:
 
 def test_reading_petsc_options() -> None:
     """Words after two dashes; negative numbers are values."""
-    assert petsc_options(["-a", "-b", "3", "-c", "-1e-3", "--d", "x"]) == (
+    assert parse_arguments(["-a", "-b", "3", "-c", "-1e-3", "--d", "x"]) == (
         {"a": None, "b": "3", "c": "-1e-3", "d": "x"},
         [],
     )
-    assert petsc_options(["-log_view", ":f.txt", "-info"]) == ({}, ["-log_view", ":f.txt", "-info"])
+    assert parse_arguments(["-log_view", ":f.txt", "-info"]) == (
+        {},
+        ["-log_view", ":f.txt", "-info"],
+    )
     with pytest.raises(CaseError, match="'cg' is no PETSc option"):
-        petsc_options(["cg"])
+        parse_arguments(["cg"])

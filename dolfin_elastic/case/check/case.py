@@ -15,7 +15,7 @@ from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import CaseError, MeshError, nearest
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, IndexArray
-from dolfin_elastic.material_point.gate import gate
+from dolfin_elastic.material_point.checks import gate
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import SplitLaw

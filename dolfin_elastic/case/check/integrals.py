@@ -8,7 +8,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.types import FloatArray, IndexArray
-from dolfin_elastic.mesh.geometry.quadrature import Points, points_of_cells, points_of_facets
+from dolfin_elastic.mesh.geometry.curved import Points, points_of_cells, points_of_facets
 from dolfin_elastic.mesh.geometry.simplices import prepare_facets
 from dolfin_elastic.problem.problem import Problem
 

@@ -14,7 +14,7 @@ from dolfin_elastic.case.check.start import TIMES
 from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.mesh.geometry.quadrature import Points
+from dolfin_elastic.mesh.geometry.curved import Points
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.loads import ConcentratedLoad, Load, LoadSamples
 from dolfin_elastic.model.supports.rigid_surface import Rigid

@@ -22,7 +22,7 @@ from dolfin_elastic.case.check.sizes import (
 )
 from dolfin_elastic.case.check.start import check_probes, check_supports, start_notes
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.petsc_options import check_ours
+from dolfin_elastic.core.petsc_options import refuse_case_keys
 from dolfin_elastic.mesh.body import Body, extent
 from dolfin_elastic.problem.damping import check_damped
 from dolfin_elastic.problem.material_regions import locking_notes
@@ -110,7 +110,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
 
 def _start(case: Case, problem: Problem) -> tuple[str, ...]:
     """What the solver would refuse at its start, or warn of."""
-    check_ours(case.solver.petsc, "solver.petsc")
+    refuse_case_keys(case.solver.petsc, "solver.petsc")
     check_probes(case, problem)
     if case.analysis in ("statics", "buckling") or case.preloaded:
         check_held(problem)

@@ -20,7 +20,7 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import build_body, make_mesh
 from dolfin_elastic.mesh.fields import MeshField, spread
-from dolfin_elastic.mesh.formats.distributed_checks import check_shares
+from dolfin_elastic.mesh.formats.cleaning import check_shares
 from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
 
 _DIMS = {

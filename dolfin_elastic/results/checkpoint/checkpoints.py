@@ -30,13 +30,13 @@ from dolfinx import fem
 from mpi4py import MPI
 from pydantic import Field, model_validator
 
+from dolfin_elastic.core import __version__
 from dolfin_elastic.core.errors import InputError, RestartError
 from dolfin_elastic.core.parallel import agree, largest, on_root
 from dolfin_elastic.core.schema import Idle, Record, refuse_idle
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.core.units import Time
-from dolfin_elastic.core.version import __version__
 from dolfin_elastic.problem.restart_state import Kept
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results import hdf5 as heavy

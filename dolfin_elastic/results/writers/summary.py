@@ -16,9 +16,8 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfin_elastic.core import timing
+from dolfin_elastic.core import __version__, timing
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.core.version import __version__
 from dolfin_elastic.problem.state import Mode, State, plain
 from dolfin_elastic.results.extremes import Extremes
 from dolfin_elastic.results.files import make_folder, replace_text

@@ -11,7 +11,7 @@ from typing import Any
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.petsc_options import PREFIX, check_ours
+from dolfin_elastic.core.petsc_options import PREFIX, refuse_case_keys
 from dolfin_elastic.solvers.petsc.c_api import library
 
 log = logging.getLogger("dolfin_elastic")
@@ -33,7 +33,7 @@ class Options:
 
     def __init__(self, defaults: Mapping[str, Any], users: Mapping[str, Any]) -> None:
         self.users = {name.lstrip("-").removeprefix(PREFIX): value for name, value in users.items()}
-        check_ours(self.users, "solver.petsc")
+        refuse_case_keys(self.users, "solver.petsc")
         self._all = {**defaults, **self.users}
         self._reported = False
         self._used: set[str] = set()
