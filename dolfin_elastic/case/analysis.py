@@ -1,44 +1,129 @@
-"""What a case is made for: equilibrium, motion, vibration or buckling."""
+"""What is computed of a body: equilibrium, motion, vibration or buckling, and what is written."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, Self
 
+from pydantic import model_validator
+
+from dolfin_elastic.case.model_tables import ModelTables
+from dolfin_elastic.case.tables import Output
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Idle, refuse_idle
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.dynamics.dynamics import Dynamics
-from dolfin_elastic.solvers.eigen.buckling import Buckling
-from dolfin_elastic.solvers.eigen.modal import Modal
-from dolfin_elastic.solvers.statics.statics import Statics
-
-if TYPE_CHECKING:
-    from dolfin_elastic.case.case import Case
+from dolfin_elastic.results.outputs import Output as File
+from dolfin_elastic.solvers.dynamics.dynamics import Dynamics, DynamicsSettings
+from dolfin_elastic.solvers.eigen.buckling import Buckling, BucklingSettings
+from dolfin_elastic.solvers.eigen.modal import Modal, ModalSettings
+from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.statics.statics import Statics, StaticsSettings
 
 Analysis = Literal["statics", "dynamics", "modal", "buckling"]
 Solver = Statics | Dynamics | Modal | Buckling
 
 ANALYSES: tuple[Analysis, ...] = ("statics", "dynamics", "modal", "buckling")
 """Keys of the tables, of which a case has one; [statics] also beside a preload."""
+EXPLICIT_STATES = 200
+"""States whose fields are written of an explicit motion, which takes too many steps for all."""
 
 
-def refuse_both(tables: Any) -> None:
-    """Two analyses, said before what is wrong inside of one that may be left out.
+class AnalysisTables(ModelTables):
+    """The body, what is computed of it, and what is written.
 
-    Raises:
-        InputError: There are statics and dynamics.
+    Attributes:
+        statics: Equilibrium under growing load (what is done if nothing is said).
+        dynamics: Motion in time.
+        modal: Natural frequencies and modes; with a preload [statics] says how that is found.
+        buckling: Load factors at which it buckles; as above.
+        solver: How linear systems are solved.
+        output: What is written.
     """
-    if isinstance(tables, Mapping) and all(
-        tables.get(key) is not None for key in ("statics", "dynamics")
-    ):
-        raise InputError(
-            "[statics] and [dynamics] given together",
-            expected="a case has one analysis; leave one of them out",
+
+    statics: StaticsSettings | None = None
+    dynamics: DynamicsSettings | None = None
+    modal: ModalSettings | None = None
+    buckling: BucklingSettings | None = None
+    solver: LinearSettings = LinearSettings()
+    output: Output = Output()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_both(cls, tables: Any) -> Any:
+        # Before the tables are read: one of them may be left out, and then its faults matter not.
+        if isinstance(tables, Mapping) and all(
+            tables.get(key) is not None for key in ("statics", "dynamics")
+        ):
+            raise InputError(
+                "[statics] and [dynamics] given together",
+                expected="a case has one analysis; leave one of them out",
+            )
+        return tables
+
+    @model_validator(mode="after")
+    def _cross_check(self) -> Self:
+        _check_one_analysis(self)
+        _check_contacts(self)
+        _check_output(self)
+        return self
+
+    @property
+    def analysis(self) -> Analysis:
+        """What is done: "statics", "dynamics", "modal" or "buckling"."""
+        others: tuple[Analysis, ...] = ("dynamics", "modal", "buckling")
+        return next((key for key in others if getattr(self, key) is not None), "statics")
+
+    @property
+    def gives_modes(self) -> bool:
+        """The analysis is an eigenvalue problem."""
+        return self.analysis in ("modal", "buckling")
+
+    @property
+    def full(self) -> float:
+        """Load parameter at which statics ends; 1 is the full load."""
+        return self.statics.end if self.statics is not None and self.analysis == "statics" else 1.0
+
+    @property
+    def preloaded(self) -> bool:
+        """An equilibrium comes before the modes."""
+        settings = self.modal or self.buckling
+        return settings is not None and bool(settings.preload)
+
+    def solver_for(self, problem: Problem, petsc: Mapping[str, Any] | None) -> Solver:
+        """The solver of the analysis. Collective.
+
+        Args:
+            problem: Made of these tables.
+            petsc: PETSc options that win over those of [solver].
+
+        Raises:
+            InputError: The analysis cannot be made of this problem.
+        """
+        if self.dynamics is not None:
+            return Dynamics(problem, self.dynamics, linear=self.solver, petsc=petsc)
+        if self.modal is not None:
+            return Modal(problem, self.modal, statics=self.statics, linear=self.solver, petsc=petsc)
+        if self.buckling is not None:
+            return Buckling(
+                problem, self.buckling, statics=self.statics, linear=self.solver, petsc=petsc
+            )
+        return Statics(problem, self.statics, linear=self.solver, petsc=petsc)
+
+    def files(self) -> list[File]:
+        """Everything that is written."""
+        explicit = self.dynamics is not None and not self.dynamics.implicit
+        return self.output.files(
+            EXPLICIT_STATES if explicit else None,
+            self.title,
+            states=not self.gives_modes or self.preloaded,
+            modes=self.gives_modes,
         )
 
 
-def check_analyses(case: Case) -> None:
+# --- what fits together ---
+
+
+def _check_one_analysis(case: AnalysisTables) -> None:
     """A case has one analysis.
 
     Raises:
@@ -46,7 +131,7 @@ def check_analyses(case: Case) -> None:
     """
     given = [key for key in ANALYSES if getattr(case, key) is not None]
     others = [key for key in given if key != "statics"]
-    if len(others) > 1 or ("statics" in given and "dynamics" in given):
+    if len(others) > 1:
         raise InputError(
             f"[{given[0]}] and [{given[1]}] given together",
             expected="a case has one analysis; leave one of them out",
@@ -64,11 +149,14 @@ def check_analyses(case: Case) -> None:
             where=others[0],
             expected="leave it out, or write [statics]",
         )
-    _check_contacts(case)
-    _check_output(case)
 
 
-def _check_contacts(case: Case) -> None:
+def _check_contacts(case: AnalysisTables) -> None:
+    """Keys of [[contact]] without effect in motion.
+
+    Raises:
+        InputError: There is one.
+    """
     rule = Idle(
         ["gap_tolerance"],
         "in motion the penalty decides how far a surface penetrates",
@@ -78,14 +166,14 @@ def _check_contacts(case: Case) -> None:
         refuse_idle(contact, [rule], f"contact[{index}]")
 
 
-def _check_output(case: Case) -> None:
+def _check_output(case: AnalysisTables) -> None:
     """Keys of [output] for what the analysis does not give.
 
     Raises:
         InputError: There is one.
     """
     rules = [Idle(["frames", "amplitude"], f"there are no modes in {case.analysis}")]
-    if case.analysis in ("modal", "buckling"):
+    if case.gives_modes:
         rules = []
         if not case.output.checkpoint.off:
             what = f"a run of [{case.analysis}] has no checkpoints and is not gone on with"
@@ -95,22 +183,3 @@ def _check_output(case: Case) -> None:
             expected = f"leave it out, or write {case.analysis}.preload"
             rules.append(Idle(["fields", "every", "probes"], what, expected))
     refuse_idle(case.output, rules, "output")
-
-
-def solver_of(case: Case, problem: Problem, petsc: Mapping[str, Any] | None) -> Solver:
-    """The solver of a case's analysis. Collective.
-
-    Args:
-        case: The case.
-        problem: Made of it.
-        petsc: PETSc options that win over the case's own.
-    """
-    if case.dynamics is not None:
-        return Dynamics(problem, case.dynamics, linear=case.solver, petsc=petsc)
-    if case.modal is not None:
-        return Modal(problem, case.modal, statics=case.statics, linear=case.solver, petsc=petsc)
-    if case.buckling is not None:
-        return Buckling(
-            problem, case.buckling, statics=case.statics, linear=case.solver, petsc=petsc
-        )
-    return Statics(problem, case.statics, linear=case.solver, petsc=petsc)

@@ -16,143 +16,31 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
-import numpy as np
 from mpi4py import MPI
-from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
+from pydantic import PrivateAttr
 
-from dolfin_elastic.case.analysis import (
-    ANALYSES,
-    Analysis,
-    Solver,
-    check_analyses,
-    refuse_both,
-    solver_of,
-)
+from dolfin_elastic.case.analysis import ANALYSES, AnalysisTables, Solver
 from dolfin_elastic.case.curve_files import with_curves
-from dolfin_elastic.case.tables import (
-    Material,
-    MeshTable,
-    Output,
-    as_table,
-    listed,
-    named,
-    pick,
-    selectors,
-    written,
-)
+from dolfin_elastic.case.model_tables import read_material_tables
+from dolfin_elastic.case.tables import Material, written
 from dolfin_elastic.case.toml import read_toml, toml_text
 from dolfin_elastic.core.errors import InputError, RestartError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.core.schema import Record, within
-from dolfin_elastic.mesh import Body, Selector, name_parts
-from dolfin_elastic.model.contact import Contact
-from dolfin_elastic.model.loads import LOADS, Load
-from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.periodic import Periodic
-from dolfin_elastic.model.supports.displacement import Restraint
-from dolfin_elastic.model.supports.springs import SUPPORTS
+from dolfin_elastic.core.schema import within
+from dolfin_elastic.mesh import Body, name_parts
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.results.outputs import Output as File
-from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
-from dolfin_elastic.solvers.eigen.buckling import BucklingSettings
-from dolfin_elastic.solvers.eigen.modal import ModalSettings
-from dolfin_elastic.solvers.linear.choice import LinearSettings
-from dolfin_elastic.solvers.statics.statics import StaticsSettings
 
 
-class Case(Record):
-    """Everything a run needs to know.
+class Case(AnalysisTables):
+    """Everything a run needs to know: the tables of a case file, and where they came from.
 
-    Attributes:
-        title: For people.
-        mesh: The body's mesh.
-        surfaces: Name to selector, or to a list of selectors that are joined.
-        regions: The same for cells.
-        materials: Name to law and place; together they fill the body exactly once.
-        support: What holds surfaces; where displacements are prescribed twice the later one holds.
-        load: External forces.
-        contact: Rigid obstacles that surfaces may touch.
-        periodic: Opposite faces that are one, and the macroscopic deformation of the cell.
-        statics: Equilibrium under growing load (what is done if nothing is said).
-        dynamics: Motion in time.
-        modal: Natural frequencies and modes; with a preload [statics] says how that is found.
-        buckling: Load factors at which it buckles; as above.
-        solver: How linear systems are solved.
-        output: What is written.
+    The keys are the attributes of `ModelTables` and `AnalysisTables`.
     """
-
-    title: str = ""
-    mesh: MeshTable
-    surfaces: dict[str, list[Selector]] = Field(default={})
-    regions: dict[str, list[Selector]] = Field(default={})
-    materials: dict[str, Material]
-    support: list[Restraint] = Field(default=[])
-    load: list[Load] = Field(default=[])
-    contact: list[Contact] = Field(default=[])
-    periodic: Periodic | None = None
-    statics: StaticsSettings | None = None
-    dynamics: DynamicsSettings | None = None
-    modal: ModalSettings | None = None
-    buckling: BucklingSettings | None = None
-    solver: LinearSettings = LinearSettings()
-    output: Output = Output()
 
     _file: str = PrivateAttr(default="")
     _folder: Path = PrivateAttr(default=Path())
-
-    @field_validator("surfaces", "regions", mode="before")
-    @classmethod
-    def _selectors(cls, tables: Any) -> dict[str, list[Selector]]:
-        return named(tables, selectors)
-
-    @field_validator("materials", mode="before")
-    @classmethod
-    def _materials(cls, tables: Any) -> dict[str, Material]:
-        read = named(tables, Material.read)
-        if not read:
-            raise InputError("there is no material", expected="write [materials.NAME]")
-        return read
-
-    @field_validator("support", "load", "contact", mode="before")
-    @classmethod
-    def _rows(cls, rows: Any, info: ValidationInfo) -> list[Record]:
-        key = str(info.field_name)
-        if not isinstance(rows, list | tuple):
-            raise InputError(
-                f"a single table cannot be a {key}",
-                expected=f"write [[{key}]] with double brackets",
-            )
-        return listed(rows, {"support": _support, "load": _load, "contact": _contact}[key])
-
-    @model_validator(mode="before")
-    @classmethod
-    def _not_both(cls, tables: Any) -> Any:
-        refuse_both(tables)
-        return tables
-
-    @model_validator(mode="after")
-    def _one_analysis(self) -> Self:
-        check_analyses(self)
-        return self
-
-    @property
-    def analysis(self) -> Analysis:
-        """What is done: "statics", "dynamics", "modal" or "buckling"."""
-        others: tuple[Analysis, ...] = ("dynamics", "modal", "buckling")
-        return next((key for key in others if getattr(self, key) is not None), "statics")
-
-    @property
-    def full(self) -> float:
-        """Load parameter at which statics ends; 1 is the full load."""
-        return self.statics.end if self.statics is not None and self.analysis == "statics" else 1.0
-
-    @property
-    def preloaded(self) -> bool:
-        """An equilibrium comes before the modes."""
-        settings = self.modal or self.buckling
-        return settings is not None and bool(settings.preload)
 
     # --- where it came from ---
 
@@ -194,15 +82,7 @@ class Case(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """Nested dictionaries that `from_dict` reads back to an equal case."""
-        tables: dict[str, Any] = {"title": self.title} if self.title else {}
-        tables["mesh"] = written(self.mesh)
-        for key in ("surfaces", "regions"):
-            named = {n: [written(s) for s in rows] for n, rows in getattr(self, key).items()}
-            tables[key] = {n: rows[0] if len(rows) == 1 else rows for n, rows in named.items()}
-        tables["materials"] = {name: item.table() for name, item in self.materials.items()}
-        tables["support"] = [_support_table(item) for item in self.support]
-        tables["load"] = [{"kind": item.kind, **written(item)} for item in self.load]
-        tables["contact"] = [written(item) for item in self.contact]
+        tables = self.model_tables()
         for key in ("periodic", *ANALYSES, "solver", "output"):
             if key in self.model_fields_set and getattr(self, key) is not None:
                 tables[key] = written(getattr(self, key))
@@ -225,43 +105,26 @@ class Case(Record):
             )
 
     def make_problem(self, body: Body) -> Problem:
-        """The boundary value problem. Collective."""
+        """The boundary value problem. Collective.
+
+        Raises:
+            InputError: With the file's name and the dotted key.
+        """
         with located(self.file):
-            body, laws = _fill(body, self.materials)
-            return Problem(
-                body,
-                laws,
-                supports=self.support,
-                loads=self.load,
-                contacts=self.contact,
-                degree=self.mesh.degree,
-                quadrature_degree=self.mesh.quadrature_degree,
-                formulation=self.mesh.formulation,
-                geometry=self.mesh.geometry,
-                thickness=self.mesh.metres_thick,
-                periodic=self.periodic,
-            )
+            return self.problem_on(body)
 
     def make_solver(self, problem: Problem, *, petsc: Mapping[str, Any] | None = None) -> Solver:
-        """The solver of the case's analysis.
+        """The solver of the case's analysis. Collective.
 
         Args:
             problem: From `make_problem`.
             petsc: PETSc options that win over the case's own.
+
+        Raises:
+            InputError: With the file's name and the dotted key.
         """
         with located(self.file):
-            return solver_of(self, problem, petsc)
-
-    @property
-    def frames(self) -> int | None:
-        """States whose fields are written unless the case says: explicit schemes take too many."""
-        return 200 if self.dynamics is not None and not self.dynamics.implicit else None
-
-    def files(self) -> list[File]:
-        """Everything that is written."""
-        modes = self.analysis in ("modal", "buckling")
-        states = not modes or self.preloaded
-        return self.output.files(self.frames, self.title, states=states, modes=modes)
+            return self.solver_for(problem, petsc)
 
     def listing(self, folder: Path) -> list[str]:
         """What a run has written to its folder, as a user reads it. Not collective."""
@@ -299,10 +162,7 @@ def read_materials(path: str | PathLike[str]) -> dict[str, Material]:
     file = str(path)
     tables = read_toml(file)
     with located(file, "materials"):
-        found = named(tables.get("materials", {}), Material.read)
-        if not found:
-            raise InputError("there is no material", expected="write [materials.NAME]")
-    return found
+        return read_material_tables(tables.get("materials", {}))
 
 
 @contextmanager
@@ -328,64 +188,3 @@ def located(file: str, key: str = "", *, exact: bool = True) -> Iterator[None]:
         raise type(error)(
             error.what, where=": ".join(filter(None, where)), expected=error.expected
         ) from None
-
-
-# --- rows of lists ---
-
-
-def _support(row: Any) -> Restraint:
-    if isinstance(row, Restraint):
-        return row
-    table = {"kind": "displacement", **as_table(row)}
-    with _vector("displacement"):
-        return pick(SUPPORTS, table, "kind")(**table)
-
-
-def _support_table(support: Restraint) -> dict[str, Any]:
-    table = written(support)
-    return table if support.kind == "displacement" else {"kind": support.kind, **table}
-
-
-def _load(row: Any) -> Load:
-    if isinstance(row, Load):
-        return row
-    with _vector("value"):
-        return pick(LOADS, row, "kind")(**row)
-
-
-def _contact(row: Any) -> Contact:
-    if isinstance(row, Contact):
-        return row
-    with _vector("motion"):
-        return Contact(**as_table(row))
-
-
-@contextmanager
-def _vector(key: str) -> Iterator[None]:
-    """Says of a vector that is no list how one is written."""
-    try:
-        yield
-    except InputError as error:
-        if error.where == key and error.expected == "expected a list":
-            wanted = "expected a list of one number a component, for example [0, 0, 1]"
-            raise type(error)(error.what, where=key, expected=wanted) from None
-        raise
-
-
-# --- materials on the body ---
-
-
-def _fill(body: Body, materials: Mapping[str, Material]) -> tuple[Body, dict[str, Law]]:
-    """One region a material, so that a problem can be made of them."""
-    index_map = body.mesh.topology.index_map(body.mesh.topology.dim)
-    bare = np.ones(index_map.size_local + index_map.num_ghosts, dtype=bool)
-    regions, laws = {}, {}
-    for name, material in sorted(materials.items(), key=lambda item: item[1].on is None):
-        cells = np.flatnonzero(bare).astype(np.int32)
-        if material.regions:
-            cells = np.unique(np.concatenate([body.region(n) for n in material.regions]))
-        bare[cells] = False
-        taken = name in body.regions and material.regions != (name,)
-        key = f"{name} (material)" if taken else name
-        regions[key], laws[key] = cells, material.law
-    return body.named(regions=regions), laws

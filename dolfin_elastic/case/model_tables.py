@@ -1,0 +1,195 @@
+"""The tables of a case file that describe the body: mesh, names, materials, supports, loads.
+
+`AnalysisTables` (case/analysis.py) adds what is computed of it, `Case` (case/case.py) the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from pydantic import Field, ValidationInfo, field_validator
+
+from dolfin_elastic.case.tables import (
+    Material,
+    MeshTable,
+    as_table,
+    listed,
+    named,
+    pick,
+    selectors,
+    written,
+)
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.schema import Record
+from dolfin_elastic.mesh import Body, Selector
+from dolfin_elastic.model.contact import Contact
+from dolfin_elastic.model.loads import LOADS, Load
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.periodic import Periodic
+from dolfin_elastic.model.supports.displacement import Restraint
+from dolfin_elastic.model.supports.springs import SUPPORTS
+from dolfin_elastic.problem.problem import Problem
+
+
+class ModelTables(Record):
+    """The body and what acts on it, as a case file describes them.
+
+    Attributes:
+        title: For people.
+        mesh: The body's mesh.
+        surfaces: Name to selector, or to a list of selectors that are joined.
+        regions: The same for cells.
+        materials: Name to law and place; together they fill the body exactly once.
+        support: What holds surfaces; where displacements are prescribed twice the later one holds.
+        load: External forces.
+        contact: Rigid obstacles that surfaces may touch.
+        periodic: Opposite faces that are one, and the macroscopic deformation of the cell.
+    """
+
+    title: str = ""
+    mesh: MeshTable
+    surfaces: dict[str, list[Selector]] = Field(default={})
+    regions: dict[str, list[Selector]] = Field(default={})
+    materials: dict[str, Material]
+    support: list[Restraint] = Field(default=[])
+    load: list[Load] = Field(default=[])
+    contact: list[Contact] = Field(default=[])
+    periodic: Periodic | None = None
+
+    @field_validator("surfaces", "regions", mode="before")
+    @classmethod
+    def _selectors(cls, tables: Any) -> dict[str, list[Selector]]:
+        return named(tables, selectors)
+
+    @field_validator("materials", mode="before")
+    @classmethod
+    def _materials(cls, tables: Any) -> dict[str, Material]:
+        return read_material_tables(tables)
+
+    @field_validator("support", "load", "contact", mode="before")
+    @classmethod
+    def _rows(cls, rows: Any, info: ValidationInfo) -> list[Record]:
+        key = str(info.field_name)
+        if not isinstance(rows, list | tuple):
+            raise InputError(
+                f"a single table cannot be a {key}",
+                expected=f"write [[{key}]] with double brackets",
+            )
+        return listed(rows, _ROWS[key])
+
+    def model_tables(self) -> dict[str, Any]:
+        """Nested dictionaries that are read back to equal tables; without [periodic]."""
+        tables: dict[str, Any] = {"title": self.title} if self.title else {}
+        tables["mesh"] = written(self.mesh)
+        for key in ("surfaces", "regions"):
+            named = {n: [written(s) for s in rows] for n, rows in getattr(self, key).items()}
+            tables[key] = {n: rows[0] if len(rows) == 1 else rows for n, rows in named.items()}
+        tables["materials"] = {name: item.table() for name, item in self.materials.items()}
+        tables["support"] = [_support_table(item) for item in self.support]
+        tables["load"] = [{"kind": item.kind, **written(item)} for item in self.load]
+        tables["contact"] = [written(item) for item in self.contact]
+        return tables
+
+    def problem_on(self, body: Body) -> Problem:
+        """The boundary value problem on a body. Collective.
+
+        Raises:
+            InputError: The tables do not fit the body.
+        """
+        body, laws = _fill(body, self.materials)
+        return Problem(
+            body,
+            laws,
+            supports=self.support,
+            loads=self.load,
+            contacts=self.contact,
+            degree=self.mesh.degree,
+            quadrature_degree=self.mesh.quadrature_degree,
+            formulation=self.mesh.formulation,
+            geometry=self.mesh.geometry,
+            thickness=self.mesh.metres_thick,
+            periodic=self.periodic,
+        )
+
+
+def read_material_tables(tables: Any) -> dict[str, Material]:
+    """The table [materials]: name to material.
+
+    Raises:
+        InputError: It is empty, or a material is wrong.
+    """
+    read = named(tables, Material.read)
+    if not read:
+        raise InputError("there is no material", expected="write [materials.NAME]")
+    return read
+
+
+# --- rows of lists ---
+
+
+def _support(row: Any) -> Restraint:
+    if isinstance(row, Restraint):
+        return row
+    table = {"kind": "displacement", **as_table(row)}
+    with _vector("displacement"):
+        return pick(SUPPORTS, table, "kind")(**table)
+
+
+def _support_table(support: Restraint) -> dict[str, Any]:
+    table = written(support)
+    return table if support.kind == "displacement" else {"kind": support.kind, **table}
+
+
+def _load(row: Any) -> Load:
+    if isinstance(row, Load):
+        return row
+    with _vector("value"):
+        return pick(LOADS, row, "kind")(**row)
+
+
+def _contact(row: Any) -> Contact:
+    if isinstance(row, Contact):
+        return row
+    with _vector("motion"):
+        return Contact(**as_table(row))
+
+
+_ROWS: Mapping[str, Callable[[Any], Record]] = {
+    "support": _support,
+    "load": _load,
+    "contact": _contact,
+}
+
+
+@contextmanager
+def _vector(key: str) -> Iterator[None]:
+    """Adds an example of a vector to the error where one was written as a single number."""
+    try:
+        yield
+    except InputError as error:
+        if error.where == key and error.expected == "expected a list":
+            wanted = "expected a list of one number a component, for example [0, 0, 1]"
+            raise type(error)(error.what, where=key, expected=wanted) from None
+        raise
+
+
+# --- materials on the body ---
+
+
+def _fill(body: Body, materials: Mapping[str, Material]) -> tuple[Body, dict[str, Law]]:
+    """One region a material, so that a problem can be made of them."""
+    index_map = body.mesh.topology.index_map(body.mesh.topology.dim)
+    bare = np.ones(index_map.size_local + index_map.num_ghosts, dtype=bool)
+    regions, laws = {}, {}
+    for name, material in sorted(materials.items(), key=lambda item: item[1].on is None):
+        cells = np.flatnonzero(bare).astype(np.int32)
+        if material.regions:
+            cells = np.unique(np.concatenate([body.region(n) for n in material.regions]))
+        bare[cells] = False
+        taken = name in body.regions and material.regions != (name,)
+        key = f"{name} (material)" if taken else name
+        regions[key], laws[key] = cells, material.law
+    return body.named(regions=regions), laws
