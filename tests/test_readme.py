@@ -39,7 +39,7 @@ from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
 from dolfin_elastic.solvers.eigen.buckling import BucklingSettings
 from dolfin_elastic.solvers.eigen.modal import ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings
-from dolfin_elastic.solvers.statics.statics import StaticsSettings
+from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 MODELS: list[type[BaseModel]] = [

@@ -31,8 +31,8 @@ from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
+from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.progress import Tolerance
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
 
 FREE = "free"

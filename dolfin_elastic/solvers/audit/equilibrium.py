@@ -24,8 +24,7 @@ from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.audit.path_energy import SMALL, round_off
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import off_obstacle
-from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
-from dolfin_elastic.solvers.nonlinear.small_strains import SmallStrains
+from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains
 
 log = logging.getLogger("dolfin_elastic")
 

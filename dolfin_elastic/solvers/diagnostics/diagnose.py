@@ -32,13 +32,13 @@ from dolfin_elastic.solvers.diagnostics.loose_parts import loose
 from dolfin_elastic.solvers.diagnostics.stability import LIMIT
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import none_touching, pulled_off
-from dolfin_elastic.solvers.nonlinear.inversion_guard import PATIENCE
-from dolfin_elastic.solvers.nonlinear.progress import (
+from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
     BEYOND,
     UNSTABLE,
     Progress,
 )
+from dolfin_elastic.solvers.nonlinear.jacobian import PATIENCE
 
 FLOOR = 100.0
 """Times the estimated round-off that a residual may keep to be called so."""

@@ -51,7 +51,7 @@ from dolfin_elastic.solvers.eigen.mode_shapes import at_rest, refuse, shape
 from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
 from dolfin_elastic.solvers.eigen.slepc import DIRECT_LIMIT, Pair, prefixed
 from dolfin_elastic.solvers.linear.choice import Choice, LinearSettings, factorising
-from dolfin_elastic.solvers.statics.statics import StaticsSettings
+from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 log = logging.getLogger("dolfin_elastic")
 

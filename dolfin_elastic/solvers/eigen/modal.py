@@ -49,7 +49,7 @@ from dolfin_elastic.solvers.eigen.slepc import (
 from dolfin_elastic.solvers.eigen.volume_constraints import constrain
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.linear.nullspace import times
-from dolfin_elastic.solvers.statics.statics import StaticsSettings
+from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 log = logging.getLogger("dolfin_elastic")
 

@@ -14,7 +14,8 @@ from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.breakpoints import refuse_beyond
 from dolfin_elastic.solvers.eigen.mode_shapes import shared
 from dolfin_elastic.solvers.linear.choice import LinearSettings
-from dolfin_elastic.solvers.statics.statics import Statics, StaticsSettings
+from dolfin_elastic.solvers.statics.settings import StaticsSettings
+from dolfin_elastic.solvers.statics.statics import Statics
 
 log = logging.getLogger("dolfin_elastic")
 

@@ -19,7 +19,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.nonlinear.progress import Progress
+from dolfin_elastic.solvers.nonlinear.convergence import Progress
 
 Gap = tuple[float, tuple[float, ...]]
 States = Generator[State | Mode, None, None]

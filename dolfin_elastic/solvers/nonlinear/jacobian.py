@@ -1,16 +1,23 @@
-"""Watching det F: a cell that has turned inside out is no solution."""
+"""det F, which no cell may lose, and grad u, which laws for small strains expect to be small."""
 
 from __future__ import annotations
+
+import logging
+from typing import Any
 
 import basix
 import numpy as np
 import ufl
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.messages import coordinates
+from dolfin_elastic.solvers.nonlinear.bordered import Bordered
 
 Extreme = tuple[float, FloatArray]
 """A value and the place of its cell in the reference configuration [m]."""
@@ -108,3 +115,109 @@ class JacobianWatch:
         mesh = self._problem.body.mesh
         nodes = mesh.geometry.dofmap[self._cells[row]]
         return float(values[row]), mesh.geometry.x[nodes].mean(axis=0)
+
+
+HALVINGS = 10
+"""Times that one Newton step is halved before it is given up."""
+
+PATIENCE = 12
+"""Shortened steps in one solve from which a smaller load step gets there sooner."""
+
+
+class InversionGuard:
+    """Shortens Newton steps that would turn a cell inside out, before they are tried.
+
+    Laws that grow without bound as J goes to zero say so by an infinite residual; others let a
+    cell pass through zero volume and find an equilibrium on the other side of it.  So det F is
+    looked at itself, at the points where the energy is integrated.
+
+    Args:
+        assembler: Of the problem that is solved.
+        bordered: Scalar unknowns beside the fields, on which F may depend.
+
+    Attributes:
+        rejected: Trial states refused since `begin`.
+        worst: Smallest det F of them and the reference place of its cell [m].
+        stuck: No part of the last step was without inverted cells.
+    """
+
+    def __init__(self, assembler: Assembler, bordered: Bordered | None = None) -> None:
+        self._assembler, self._bordered = assembler, bordered
+        self.watch = JacobianWatch(assembler.problem)
+        self.begin()
+
+    def begin(self) -> None:
+        """Forgets what was refused."""
+        self.rejected, self.stuck = 0, False
+        self.worst: tuple[float, Any] = (np.inf, np.zeros(3))
+
+    def shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
+        """Halves the step y until x - y has no inverted cell. Collective.
+
+        Returns:
+            Whether y was changed.
+        """
+        size, w = self._assembler.size, self._assembler.problem.w.x
+        step = y.array_r[:size].copy()
+        share = 1.0
+        for _ in range(HALVINGS + 1):
+            w.array[:size] = self._assembler.origin + (x.array_r[:size] - share * step)
+            w.scatter_forward()
+            self._move_scalars(x, y, share)
+            found = self.watch.smallest()
+            if found[0] > 0.0:
+                break
+            self.rejected += 1
+            self.worst = min(self.worst, found, key=lambda pair: pair[0])
+            share /= 2
+        else:
+            self.stuck = True
+        if share < 1.0:
+            y.scale(share)
+        return share < 1.0
+
+    def _move_scalars(self, x: PETSc.Vec, y: PETSc.Vec, share: float) -> None:
+        if (bordered := self._bordered) is not None:
+            bordered.border.put(bordered.scalars(x) - share * bordered.scalars(y))
+
+
+log = logging.getLogger("dolfin_elastic")
+
+SMALL_STRAINS = 0.1
+"""|grad u| up to which laws for small strains may be trusted: they leave out terms of its square,
+one percent."""
+
+
+class SmallStrains:
+    """Says once that a law for small strains sees large ones.  Collective to make.
+
+    Args:
+        problem: Its laws.
+        watch: Of its displacement gradient; made here if none is given and one is needed.
+
+    Attributes:
+        note: What has been said; nothing at first.
+    """
+
+    def __init__(self, problem: Problem, watch: JacobianWatch | None = None) -> None:
+        self.note, self._dim = "", problem.body.dim
+        self._names = ", ".join(sorted({p.law.name() for p in problem.parts if p.law.linear}))
+        self._watch = (watch or JacobianWatch(problem)) if self._names else None
+
+    def look(self, when: str) -> None:
+        """Looks at the present displacement, unless all has been said. Collective.
+
+        Args:
+            when: Load factor or time, for the message.
+        """
+        if self._watch is None or self.note:
+            return
+        steepest, place = self._watch.steepest()
+        if steepest <= SMALL_STRAINS:
+            return
+        self.note = (
+            f"the law {self._names} is for small strains and rotations, but |grad u| is "
+            f"{steepest:.2g} at {coordinates(place[: self._dim])} m ({when}): st-venant-kirchhoff "
+            "or neo-hookean follow large ones"
+        )
+        log.warning("%s", self.note)

@@ -22,9 +22,8 @@ from dolfin_elastic.solvers.linear.choice import Choice
 from dolfin_elastic.solvers.linear.ksp import LinearSolver
 from dolfin_elastic.solvers.messages import worthless
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered, ScalarUnknowns, python_solver
-from dolfin_elastic.solvers.nonlinear.inversion_guard import PATIENCE, InversionGuard
-from dolfin_elastic.solvers.nonlinear.progress import Progress, Tolerance
-from dolfin_elastic.solvers.nonlinear.round_off import SAFETY, RoundOff
+from dolfin_elastic.solvers.nonlinear.convergence import SAFETY, Progress, RoundOff, Tolerance
+from dolfin_elastic.solvers.nonlinear.jacobian import PATIENCE, InversionGuard
 from dolfin_elastic.solvers.petsc.options import Options, ksp_reason, snes_reason
 
 log = logging.getLogger("dolfin_elastic")

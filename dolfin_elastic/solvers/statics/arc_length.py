@@ -21,12 +21,12 @@ from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import Choice
 from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars, ScalarUnknowns
+from dolfin_elastic.solvers.nonlinear.convergence import Progress, Tolerance
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.progress import Progress, Tolerance
 from dolfin_elastic.solvers.nonlinear.restart import remembered, remind
 from dolfin_elastic.solvers.statics.inertia_count import negative_eigenvalues
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
-from dolfin_elastic.solvers.statics.step_speed import StepSpeed
+from dolfin_elastic.solvers.statics.step_size import StepSpeed
 
 log = logging.getLogger("dolfin_elastic")
 

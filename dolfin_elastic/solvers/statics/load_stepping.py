@@ -21,20 +21,20 @@ from dolfin_elastic.solvers.breakpoints import corners, gentle
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation, Measured
-from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.progress import (
+from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
     BEYOND,
     UNSTABLE,
     Progress,
 )
+from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.restart import remembered, remind
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.statics.arc_length import ArcLength
 from dolfin_elastic.solvers.statics.inertia_count import negative_eigenvalues
 from dolfin_elastic.solvers.statics.pseudo_transient import flow_away
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
-from dolfin_elastic.solvers.statics.step_speed import StepSpeed
+from dolfin_elastic.solvers.statics.step_size import StepSpeed
 
 if TYPE_CHECKING:
     from dolfin_elastic.solvers.statics.statics import Statics

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import logging
 
+from dolfin_elastic.solvers.nonlinear.convergence import UNSTABLE, Progress
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.progress import UNSTABLE, Progress
 from dolfin_elastic.solvers.statics.inertia_count import disturb, negative_eigenvalues
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
 

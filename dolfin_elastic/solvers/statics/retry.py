@@ -19,8 +19,8 @@ import numpy as np
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
+from dolfin_elastic.solvers.nonlinear.convergence import Progress
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.progress import Progress
 
 log = logging.getLogger("dolfin_elastic")
 

@@ -29,7 +29,7 @@ from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.eigen.modal import ModalSettings
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest
 from dolfin_elastic.solvers.linear.choice import LinearSettings
-from dolfin_elastic.solvers.statics.statics import StaticsSettings
+from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 EULER = np.pi**2 * 1e7 / 12 / (1 - 0.3**2) / 400
 """B-11: pi^2 E/(1 - nu^2) I/(4 L^2) of a clamped column, L = 10, h = 1 [N/m]."""

@@ -13,8 +13,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.messages import coordinates, worthless
-from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
-from dolfin_elastic.solvers.nonlinear.small_strains import SmallStrains
+from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains
 
 log = logging.getLogger("dolfin_elastic")
 

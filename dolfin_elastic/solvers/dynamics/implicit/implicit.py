@@ -36,9 +36,9 @@ from dolfin_elastic.solvers.dynamics.settle import settle
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.messages import JUMP, coordinates
 from dolfin_elastic.solvers.nonlinear.contact import Measured
+from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.progress import Tolerance
 from dolfin_elastic.solvers.nonlinear.restart import remembered, remind, tell_forgotten
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.petsc.options import ts_reason

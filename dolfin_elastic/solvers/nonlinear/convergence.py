@@ -1,4 +1,4 @@
-"""Forces out of balance that rounding errors alone leave, row by row.
+"""When Newton's method has found an equilibrium: tolerances, and the round-off below them.
 
 A row of stiff, large entries cannot come closer to zero than a rounding error of them; it is no
 excuse for another row, of a soft material beside it.  Source: N. Higham, Accuracy and Stability of
@@ -7,6 +7,8 @@ Numerical Algorithms (2002), (3.5): |error| <= n eps sum |K_ij| |x_j|.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from petsc4py import PETSc
 
@@ -14,6 +16,57 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+
+UNSTABLE = "an unstable equilibrium"
+BEYOND = "the strain energy has no finite value: a material is beyond its limit"
+ANOTHER = "another equilibrium than that of the path"
+
+
+@dataclass
+class Progress:
+    """What one Newton solve went through.
+
+    Attributes:
+        residuals: Norm of the free residual at each iterate [N].
+        reference: Force the residual is measured against [N].
+        newton: Iterations.
+        krylov: Linear iterations.
+        reason: PETSc's name of why it ended.
+        converged: Whether equilibrium was found.
+        rejected: Trial states refused because a cell was inside out.
+        worst: Smallest det F of them, and the reference place of its cell [m].
+        target: Norm of the free residual that would have been small enough [N].
+        predicted: Norm of the first Newton step [m].
+        floor: Norm of the free residual that round-off alone may leave [N].
+    """
+
+    residuals: list[float] = field(default_factory=list)
+    reference: float = 0.0
+    newton: int = 0
+    krylov: int = 0
+    reason: str = ""
+    converged: bool = False
+    rejected: int = 0
+    worst: tuple[float, tuple[float, ...]] | None = None
+    target: float = 0.0
+    predicted: float = 0.0
+    floor: float = 0.0
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """When equilibrium counts as found.
+
+    Attributes:
+        rtol: Free residual over the larger of applied forces and reactions.
+        atol: Free residual [N].
+        max_iterations: Newton iterations after which a step is given up.
+    """
+
+    rtol: float = 1e-8
+    atol: float = 0.0
+    max_iterations: int = 30
+
 
 SAFETY = 4.0
 """For the cells around a node, each with an error of its own."""
