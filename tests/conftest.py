@@ -25,6 +25,8 @@ from mpi4py import MPI
 
 from dolfin_elastic import Problem
 
+pytest.register_assert_rewrite("helpers")
+
 _ENDED = pytest.StashKey[int]()
 """Tests that have ended in this session."""
 

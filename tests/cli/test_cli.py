@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 import pytest
+from helpers.processes import PROGRAM, cli, ranks_of, started
 from mpi4py import MPI
 
 from dolfin_elastic import __version__
@@ -39,7 +40,6 @@ value = [0, 0, "10 kPa"]
 [statics]
 steps = 2
 """
-PROGRAM = [sys.executable, "-m", "dolfin_elastic"]
 CRASH = """\
 import sys
 from mpi4py import MPI
@@ -53,31 +53,6 @@ dolfin_elastic.case.run.run = broken
 sys.argv = ["dolfin-elastic", "run", "case.toml"]
 dolfin_elastic.cli.app.main()
 """
-
-
-def started(command: list[str], folder: Path, ranks: int) -> subprocess.Popen[str]:
-    """Starts a program in a folder, with mpirun for more than one rank."""
-    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
-    clean = {
-        key: value
-        for key, value in os.environ.items()
-        if not re.match(r"PMIX|PRTE_(?!MCA)|OMPI_(?!MCA|ALLOW)", key)
-    }
-    return subprocess.Popen(
-        [*launcher, *command],
-        cwd=folder,
-        env=clean,
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-
-
-def cli(*words: str, folder: Path, ranks: int = 1) -> tuple[int, str, str]:
-    """Exit code, standard output and standard error of a command."""
-    with started([*PROGRAM, *words], folder, ranks) as process:
-        out, err = process.communicate(timeout=240)
-    return process.returncode, out, err
 
 
 @pytest.fixture
@@ -276,7 +251,7 @@ def test_interrupted(folder: Path, ranks: int) -> None:
             assert time.monotonic() < until
             assert process.poll() is None
             time.sleep(0.05)
-        for child in _ranks_of(process) if ranks > 1 else [process.pid]:
+        for child in ranks_of(process) if ranks > 1 else [process.pid]:
             os.kill(child, signal.SIGINT)
         out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
@@ -312,19 +287,6 @@ def test_errors_that_nobody_reads(folder: Path, redirect: str) -> None:
     """The exit code is the run's own."""
     (folder / "case.toml").write_text(CASE.replace("10 kPa", "-1e4 MPa"))
     assert piped(f"{redirect} | true", folder)[0] == "3\n"
-
-
-def _ranks_of(launcher: subprocess.Popen[str]) -> list[int]:
-    """Processes that a launcher has started."""
-    found = []
-    for status in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            parent = int(status.read_text().rsplit(")", 1)[1].split()[1])
-        except OSError:
-            continue
-        if parent == launcher.pid:
-            found.append(int(status.parent.name))
-    return found
 
 
 def test_petsc_options(folder: Path) -> None:

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.processes import PROGRAM, cli, ranks_of, started
+from helpers.runs import begun, case, check_same, check_same_frames, history, summary
 from mpi4py import MPI
 
 from dolfin_elastic import read_case, run
 from dolfin_elastic.results.checkpoint.checkpoints import FOLDER, last_step
 from dolfin_elastic.results.checkpoint.lock import LOCK, FolderLock
-from tests.case.test_restart import begun, case, check_same, check_same_frames, history, summary
-from tests.cli.test_cli import PROGRAM, _ranks_of, cli, started
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
@@ -162,7 +162,7 @@ def test_killed_again_and_again(tmp_path: Path) -> None:
         with started([*PROGRAM, *words, "-q"], tmp_path, ranks) as process:
             until(lambda: _newest_step(folder) > steps[-1], process)
             time.sleep(chance.uniform(0.0, 0.2))
-            for child in [*(_ranks_of(process) if ranks > 1 else []), process.pid]:
+            for child in [*(ranks_of(process) if ranks > 1 else []), process.pid]:
                 os.kill(child, signal.SIGKILL)
             process.communicate(timeout=60)
         steps.append(_newest_step(folder))
@@ -201,7 +201,7 @@ def test_a_folder_belongs_to_one_run_at_a_time(tmp_path: Path, ranks: int) -> No
             assert told[2] == socket.gethostname()
         rows = rows_written(tmp_path)
         until(lambda: rows_written(tmp_path) > rows, process)
-        for child in [*(_ranks_of(process) if ranks > 1 else []), process.pid]:
+        for child in [*(ranks_of(process) if ranks > 1 else []), process.pid]:
             os.kill(child, signal.SIGKILL)
         process.communicate(timeout=60)
     assert (folder / LOCK).exists()

@@ -14,6 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
+from helpers import laws as gate
+from helpers.processes import PROGRAM
+from helpers.processes import started as launched
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -43,9 +46,6 @@ from dolfin_elastic.material_point.ufl_to_numpy import Point
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.user import SplitEnergy, read_energy
-from tests.cli.test_cli import PROGRAM
-from tests.cli.test_cli import started as launched
-from tests.model.materials import test_laws as gate
 
 # A material at a point has no ranks; commands on two are tried in processes of their own.
 pytestmark = pytest.mark.usefixtures("serial_only")

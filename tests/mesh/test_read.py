@@ -6,13 +6,13 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import ROOT
+from helpers.bodies import ball, drawing
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
@@ -48,19 +48,6 @@ def made(action: Callable[[], object]) -> None:
 def cells_of(body: Body, name: str) -> int:
     """Number of cells of a region on all ranks."""
     return int(COMM.allreduce(len(body.owned_cells(name))))
-
-
-@contextmanager
-def drawing() -> Iterator[Any]:
-    """Gmsh, closed again whatever happens."""
-    import gmsh
-
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
-    gmsh.option.setNumber("General.Terminal", 0)
-    try:
-        yield gmsh
-    finally:
-        gmsh.finalize()
 
 
 def gmsh_cube(
@@ -126,19 +113,6 @@ def test_entities_in_two_groups(folder: Path, version: float) -> None:
     assert size.regions == pytest.approx({"soft part": 1, "hard": 1, "all": 2})
     assert size.volume == pytest.approx(2)
     assert cells_of(body, "all") == body.num_cells
-
-
-def ball(path: Path) -> None:
-    """An eighth of the unit ball with curved quadratic cells."""
-    with drawing() as gmsh:
-        gmsh.model.occ.addSphere(0, 0, 0, 1, angle1=0, angle2=np.pi / 2, angle3=np.pi / 2)
-        gmsh.model.occ.synchronize()
-        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.35)
-        gmsh.model.mesh.generate(3)
-        gmsh.model.mesh.setOrder(2)
-        gmsh.write(str(path))
-        gmsh.option.setNumber("Mesh.SaveAll", 1)
-        gmsh.write(str(path.with_suffix(".inp")))
 
 
 @pytest.mark.parametrize("suffix", [".msh", ".vtu", ".vtk", ".med", ".xdmf", ".inp"])

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from dolfinx.mesh import locate_entities
+from helpers.annulus import FREE, annulus, radial, solved
+from helpers.nodal_forces import forces, moved, total
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -34,7 +36,6 @@ from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.model.loads import LOADS, LoadSamples
 from dolfin_elastic.model.materials.registry import Corotated
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
-from tests.model.test_pressure import FREE, annulus, forces, moved, radial, solved, total
 
 E, NU, RHO = 1e6, 0.3, 1000.0
 SIZE = 1e4

@@ -6,6 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.annulus import FREE, annulus, radial, solved
+from helpers.bodies import made
+from helpers.nodal_forces import forces, moved, total
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -23,46 +26,11 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.mesh import Body
-from dolfin_elastic.mesh.distribute import make_mesh
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 
-FREE = "free"
 E, NU = 1e6, 0.3
 CORNERS = np.array([[1.0, 1, 0], [3, 1, 0], [1, 3, 0], [1, 1, 1]])
-
-
-def made(comm: MPI.Comm, cells: Any, points: Any, order: int = 1) -> Body:
-    """A body of plain arrays; the surface `all` is its whole boundary."""
-    cells, points = np.array(cells, dtype=np.int64), np.array(points, dtype=np.float64)
-    if comm.rank:
-        cells, points = cells[:0], points[:0]
-    return name_parts(
-        Body(make_mesh(comm, cells, points, order)), surfaces={"all": Selector(all=True)}
-    )
-
-
-def moved(problem: Problem, size: float, seed: int = 1) -> None:
-    """A smooth displacement that is the same function of place on every rank."""
-    x = problem.V.tabulate_dof_coordinates()[:, : problem.body.dim]
-    k = np.random.default_rng(seed).uniform(1, 3, (problem.body.dim, problem.body.dim))
-    problem.u.x.array[:] = size * np.sin(x @ k + seed).ravel()
-    problem.unknowns.take()
-    if problem.w is not problem.u:
-        problem.w.sub(1).interpolate(lambda x: size * np.sin(seed * x[0] + x[1]))
-
-
-def forces(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Places and applied forces of the nodes that this rank owns."""
-    assembler = Assembler(problem)
-    nodal = assembler.external_forces()[assembler.moves].reshape(-1, problem.body.dim)
-    assembler.destroy()
-    return problem.V.tabulate_dof_coordinates()[: len(nodal), : problem.body.dim], nodal
-
-
-def total(problem: Problem, values: np.ndarray) -> np.ndarray:
-    return problem.body.comm.allreduce(values.sum(axis=0), op=MPI.SUM)
 
 
 @pytest.mark.parametrize("law", [StVenantKirchhoff, LinearElastic])
@@ -232,33 +200,6 @@ def test_linear_problem_stays_linear(comm):
 # --- closed forms ---
 
 
-def annulus(comm: MPI.Comm, n: int) -> Body:
-    """Quarter of an annulus, radii 1 and 2, of quadratic triangles that follow the arcs."""
-    side = np.arange(2 * n + 1)
-    r, phi = np.meshgrid(1 + side / (2 * n), side / (2 * n) * np.pi / 2, indexing="ij")
-    points = np.stack([r * np.cos(phi), r * np.sin(phi)], axis=-1).reshape(-1, 2)
-    m = 2 * n + 1
-    cells = []
-    for i in range(0, 2 * n, 2):
-        for j in range(0, 2 * n, 2):
-            for corners in (
-                ((i, j), (i + 2, j), (i + 2, j + 2)),
-                ((i, j), (i + 2, j + 2), (i, j + 2)),
-            ):
-                a, b, c = (np.array(corner) for corner in corners)
-                places = [a, b, c, (b + c) // 2, (a + c) // 2, (a + b) // 2]
-                cells.append([p[0] * m + p[1] for p in places])
-    body = made(comm, cells, points, 2)
-    return name_parts(
-        body,
-        surfaces={
-            "x0": Selector(plane="x", at=0),
-            "y0": Selector(plane="y", at=0),
-            "inside": Selector(sphere={"center": [0, 0], "radius": 1}),
-        },
-    )
-
-
 SYMMETRY = [
     Support(on="x0", displacement=[0, FREE]),
     Support(on="y0", displacement=[FREE, 0]),
@@ -271,19 +212,6 @@ ANNULUS = {
 }
 """Radial displacements at both radii and energy of the whole ring at 0.1 MPa inside: the ordinary
 differential equation of the radius, solved by a spectral method; linear: Lame."""
-
-
-def solved(problem: Problem, steps: int = 4) -> Any:
-    *_, state = Statics(problem, steps=steps).steps()
-    return state
-
-
-def radial(problem: Problem, radius: float) -> float:
-    """Displacement on the x axis at a radius."""
-    x = problem.V.tabulate_dof_coordinates()
-    near = np.flatnonzero(np.linalg.norm(x - [radius, 0, 0], axis=1) < 1e-9)
-    mine = problem.u.x.array[problem.body.dim * near[0]] if len(near) else -np.inf
-    return problem.body.comm.allreduce(float(mine), op=MPI.MAX)
 
 
 @pytest.mark.parametrize("name", ANNULUS)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from dolfinx import fem
 from dolfinx.mesh import locate_entities_boundary
+from helpers.bodies import turned
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -48,15 +49,6 @@ FREE = "free"
 def last(problem: Problem, **settings: Any) -> Any:
     *_, state = Statics(problem, **settings).steps()
     return state
-
-
-def turned(body: Any, axis: Any, angle: float) -> np.ndarray:
-    """Turns a body's mesh about the origin; returns the rotation."""
-    n = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
-    K = np.array([[0, -n[2], n[1]], [n[2], 0, -n[0]], [-n[1], n[0], 0]])
-    R = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
-    body.mesh.geometry.x[:] = body.mesh.geometry.x @ R.T
-    return R
 
 
 def rows(problem: Problem) -> np.ndarray:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.annulus import FREE
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -24,7 +25,6 @@ from dolfin_elastic import (
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.results.evaluate import Evaluator
-from tests.model.test_pressure import FREE
 
 E, NU, ALPHA, WARMER = 1e6, 0.3, 1e-3, 50.0
 STRAIN = ALPHA * WARMER

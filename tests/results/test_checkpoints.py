@@ -14,8 +14,11 @@ import numpy as np
 import pytest
 from dolfinx import fem
 from dolfinx.io import XDMFFile
+from helpers.bodies import ball
+from helpers.checkpoints import saved
+from helpers.ranks import SIZES, WORLD, on_ranks
+from helpers.reference_meshes import ring
 from mpi4py import MPI
-from reference_meshes import ring
 
 from dolfin_elastic import (
     NeoHookeanSplit,
@@ -39,19 +42,8 @@ from dolfin_elastic.results.checkpoint.checkpoints import (
 )
 from dolfin_elastic.results.checkpoint.checksums import fingerprint
 from dolfin_elastic.results.checkpoint.mesh_order import DofOrdering
-from tests.mesh.test_read import ball
 
-WORLD = MPI.COMM_WORLD
-SIZES = sorted({1, min(2, WORLD.size), WORLD.size})
 MESHES = ["box", "rectangle", "geo", "msh", "xdmf"]
-
-
-def on_ranks(count: int, action: Callable[[MPI.Comm], Any]) -> Any:
-    """What the first so many ranks find together, on every rank."""
-    part = WORLD.Split(0 if WORLD.rank < count else 1)
-    found = action(part) if WORLD.rank < count else None
-    part.Free()
-    return WORLD.bcast(found)
 
 
 def write_mesh(kind: str, folder: Path) -> None:
@@ -124,13 +116,6 @@ def functions(body: Body, *, filled: bool) -> dict[str, fem.Function]:
                 function.interpolate(lambda x, name=name: shape(x)[: 1 if name == "cells" else d])
             function.x.scatter_forward()
     return found
-
-
-def saved(comm: MPI.Comm, folder: Path, kept: Kept, step: int = 3, **keys: Any) -> Checkpoints:
-    """Writes a checkpoint."""
-    to = Checkpoints(comm, folder, Checkpoint(**keys), About("", "", {}, {}))
-    to.save(State(step, 0.5, next(iter(kept.fields.values())), done=0.5), kept, [{}])
-    return to
 
 
 @pytest.mark.parametrize("kind", MESHES)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.runs import begun, case
 from mpi4py import MPI
 
 from dolfin_elastic import restart, run
@@ -17,7 +18,6 @@ from dolfin_elastic.core.errors import RestartError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.results.checkpoint import lock
 from dolfin_elastic.results.checkpoint.lock import LOCK, FolderLock, check_free
-from tests.case.test_restart import begun, case
 
 WORLD = MPI.COMM_WORLD
 GOING = r"a run is still going in this folder \(process \d+ on .*, since 20.*\); wait for its"

@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from dolfinx import fem
-from dolfinx.mesh import compute_midpoints, create_box, create_rectangle
-from mpi4py import MPI
+from dolfinx.mesh import compute_midpoints
+from helpers.states import COMM, displacement, make_problem, make_state
 
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import InputError, OutputError
@@ -46,8 +46,6 @@ from dolfin_elastic.results.pictures.colour_bar import bar
 from dolfin_elastic.results.pictures.pictures import picture
 from dolfin_elastic.results.pictures.surface import Surface
 
-COMM = MPI.COMM_WORLD
-
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
@@ -57,27 +55,6 @@ def folder() -> Iterator[Path]:
     COMM.barrier()
     if keeper:
         keeper.cleanup()
-
-
-def make_problem(dim: int = 3, degree: int = 1, *, cells: int = 3) -> Problem:
-    """A beam or a strip of rubber."""
-    mesh = (
-        create_box(COMM, [[0, 0, 0], [2, 1, 1]], [2 * cells, cells, cells])
-        if dim == 3
-        else create_rectangle(COMM, [[0, 0], [2, 1]], [2 * cells, cells])
-    )
-    return Problem(Body(mesh), NeoHookean(E=1e6, nu=0.3, density=1e3), degree=degree)
-
-
-def displacement(x: AnyArray, t: float = 1.0) -> AnyArray:
-    """A bent and stretched shape, quadratic in x; x of shape (3, n)."""
-    return t * np.stack([0.1 * x[0] - 0.05 * x[0] * x[1], 0.2 * x[0] ** 2, 0.03 * x[0] * x[1]])
-
-
-def make_state(problem: Problem, step: int = 1, t: float = 1.0, **more: Any) -> State:
-    """The state with the displacement above."""
-    problem.u.interpolate(lambda x: displacement(x, t)[: problem.body.dim])
-    return State(step, t, problem.u, **more)
 
 
 def grids(path: Path) -> list[ET.Element]:
@@ -225,7 +202,8 @@ def test_a_new_run_replaces_the_old_one(folder: Path) -> None:
 KILLED = """
 import sys
 from pathlib import Path
-from tests.test_results import Xdmf, make_problem, make_state
+from helpers.states import make_problem, make_state
+from dolfin_elastic.results.outputs import Xdmf
 problem = make_problem(3, 1, cells=6)
 writer = Xdmf().open(problem, Path(sys.argv[1]))
 for step in range(1, 100000):
@@ -236,11 +214,12 @@ for step in range(1, 100000):
 @pytest.mark.skipif(COMM.size > 1, reason="starts a program of its own")
 @pytest.mark.parametrize("delay", [0.0, 0.013, 0.029])
 def test_every_named_step_survives_a_kill(folder: Path, delay: float) -> None:
-    root = ROOT
     # Under mpirun the program must not take this one's place in the run.
     mine = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_", "PMI_"))}
-    mine["PYTHONPATH"] = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])
-    run = subprocess.Popen([sys.executable, "-c", KILLED, str(folder)], cwd=root, env=mine)
+    mine["PYTHONPATH"] = os.pathsep.join(
+        [str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")]
+    )
+    run = subprocess.Popen([sys.executable, "-c", KILLED, str(folder)], cwd=ROOT, env=mine)
     path = folder / "results.xdmf"
     end = time.monotonic() + 120
     while not (path.exists() and len(grids(path)) > 5) and time.monotonic() < end:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reference_meshes import patch, probing, solved, tables
+from helpers.reference_meshes import patch, probing, solved, tables
 
 from dolfin_elastic import Case, run
 

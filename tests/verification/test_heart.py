@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from reference_meshes import FREE, patch, probing, solved, tables
+from helpers.reference_meshes import FREE, patch, probing, solved, tables
 
 from dolfin_elastic import Case, run
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
-from reference_meshes import FREE, patch, probing, ring, solved, tables
+from helpers.reference_meshes import FREE, patch, probing, ring, solved, tables
 
 from dolfin_elastic import Case
 from dolfin_elastic.core.jit import compile_forms

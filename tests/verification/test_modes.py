@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.reference_meshes import tables
 from mpi4py import MPI
-from reference_meshes import tables
 
 from dolfin_elastic import (
     Body,

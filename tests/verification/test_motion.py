@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ROOT
+from helpers.motion import value_at
 
 from dolfin_elastic import (
     Dynamics,
@@ -23,7 +24,6 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.parallel import on_root, total
-from tests.solvers.dynamics.test_dynamics import value_at
 
 FLAG = ROOT / "demos/turek_hron"
 

@@ -12,9 +12,9 @@ from typing import Any
 import basix
 import numpy as np
 import pytest
-import reference_energies
 import ufl
 from dolfinx import fem
+from helpers import reference_energies
 from mpi4py import MPI
 
 from dolfin_elastic import (

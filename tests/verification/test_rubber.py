@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.reference_meshes import FREE, probing, ring, solved, tables
 from mpi4py import MPI
-from reference_meshes import FREE, probing, ring, solved, tables
 
 from dolfin_elastic import Case, run
 from dolfin_elastic.results.evaluate import Evaluator

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from dolfinx import fem, la
+from helpers.tetrahedron import CORNERS, GRADIENTS, V0
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -24,10 +25,7 @@ from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.distribute import make_mesh
 
-CORNERS = np.array([[1.0, 1, 0], [3, 1, 0], [1, 3, 0], [1, 1, 1]])
 SHIFT = np.array([[0.0, 0, 0], [0, 0, 0], [0, -1, 0], [0, 0, 0]])
-GRADIENTS = np.array([[-0.5, -0.5, -1], [0.5, 0, 0], [0, 0.5, 0], [0, 0, 1]])
-V0 = 2 / 3
 E, NU = 1e7, 0.4999
 MU, LMBDA = 5e10 / 14999, 2.4995e14 / 14999
 """The Lame constants of E = 10 MPa, nu = 0.4999 as exact fractions."""

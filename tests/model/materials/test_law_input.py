@@ -9,7 +9,8 @@ import pytest
 import ufl
 from conftest import ROOT
 from dolfinx import fem
-from law_at_points import Point
+from helpers.law_at_points import Point
+from helpers.laws import make, random_F
 
 from dolfin_elastic import Problem, box_body
 from dolfin_elastic.core.errors import InputError
@@ -17,7 +18,6 @@ from dolfin_elastic.model.materials import pages
 from dolfin_elastic.model.materials.fibres import direction, frame
 from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.materials.registry import MATERIALS, Isotropic
-from tests.model.materials.test_laws import make, random_F
 
 FOLDER = ROOT / "docs" / "laws"
 

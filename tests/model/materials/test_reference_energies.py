@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-import reference_energies as reference
-from law_at_points import Point
+from helpers import reference_energies as reference
+from helpers.law_at_points import Point
+from helpers.laws import FREE, ROLLERS, SIZE, homogeneous, random_F, rotation
 from mpi4py import MPI
 
 from dolfin_elastic.model.materials.isochoric import VOLUME_STRAINS, Volumetric
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
-from tests.model.materials.test_laws import FREE, ROLLERS, SIZE, homogeneous, random_F, rotation
 
 I = np.eye(3)
 ROUND = 1e-14 * 1e6

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import ufl
 from conftest import ROOT
+from helpers.processes import PROGRAM, started
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -37,7 +38,6 @@ from dolfin_elastic.model.materials import user_names
 from dolfin_elastic.model.materials.isochoric import simo_taylor
 from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.materials.user import read_energy
-from tests.cli.test_cli import PROGRAM, started
 
 NEO = "mu/2*(I1 - 3) - mu*ln(J) + lmbda/2*ln(J)^2"
 GEL = {"energy": NEO, "parameters": {"mu": "0.4 MPa", "lmbda": "2 MPa"}, "density": "1100 kg/m^3"}

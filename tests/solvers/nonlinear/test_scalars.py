@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.bodies import turned
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -35,7 +36,6 @@ from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered, JoinedScalars
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.statics.arc_length import ArcLengthConstraint
-from tests.model.test_supports import turned
 
 FREE = "free"
 

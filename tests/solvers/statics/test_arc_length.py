@@ -7,6 +7,7 @@ import logging
 import numpy as np
 import pytest
 from conftest import displacement_at
+from helpers.arch import FULL, RISE, SPAN, THICK, E, arch
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -19,9 +20,6 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.core.errors import ConvergenceError
-
-E, SPAN, THICK = 1e6, 10.0, 0.05
-FREE = "free"
 
 
 def arch_path(rise: float) -> tuple[np.ndarray, np.ndarray]:
@@ -67,36 +65,12 @@ def arch_path(rise: float) -> tuple[np.ndarray, np.ndarray]:
     return loads, deflections
 
 
-def arch(rise: float, force: float, cells: tuple[int, int]) -> Problem:
-    """The left half of the arch as a solid; the force acts on its section at midspan."""
-    body = rectangle_body(size=(SPAN / 2, THICK), cells=cells, origin=(0.0, -THICK / 2))
-    x = body.mesh.geometry.x
-    slope = 4 * rise / SPAN - 8 * rise / SPAN**2 * x[:, 0]
-    height = 4 * rise / SPAN * x[:, 0] - 4 * rise / SPAN**2 * x[:, 0] ** 2
-    along = np.sqrt(1 + slope**2)
-    x[:, 0], x[:, 1] = x[:, 0] - x[:, 1] * slope / along, height + x[:, 1] / along
-    return Problem(
-        body,
-        StVenantKirchhoff(E=E, nu=0.0),
-        degree=2,
-        supports=[
-            Support(on="left", displacement=[0, 0]),
-            Support(on="right", displacement=[0, FREE]),
-        ],
-        loads=[Traction(on="right", value=[0, -force / 2 / THICK])],
-    )
-
-
 def limits(rise: float) -> tuple[float, float]:
     """Upper and lower limit load of the closed form."""
     loads, deflections = arch_path(rise)
     upper = loads[deflections < 0.8 * rise].max()
     low = (deflections > 0.8 * rise) & (deflections < 1.4 * rise)
     return float(upper), float(loads[low].min())
-
-
-RISE, FULL = 0.15, 0.4
-"""Six times the thickness; a load beyond both limit points."""
 
 
 def test_snap_through_of_a_shallow_arch():

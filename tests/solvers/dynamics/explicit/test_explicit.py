@@ -8,11 +8,10 @@ differences give u_n = u_0 cos n theta with the same theta, and v_n = (u_n+1 - u
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from dolfinx import fem
+from helpers.matrices import dense
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -175,17 +174,6 @@ def test_free_body_keeps_its_momenta(scheme):
 
 
 # --- the stable step ---
-
-
-def dense(matrix: Any, comm: MPI.Comm) -> np.ndarray:
-    """A distributed matrix as one array on every rank."""
-    rows, columns, values = matrix.getValuesCSR()
-    start, _ = matrix.getOwnershipRange()
-    out = np.zeros(matrix.getSize())
-    for i in range(len(rows) - 1):
-        part = slice(rows[i], rows[i + 1])
-        out[start + i, columns[part]] = values[part]
-    return comm.allreduce(out, op=MPI.SUM)
 
 
 @pytest.mark.parametrize("dim", [2, 3])

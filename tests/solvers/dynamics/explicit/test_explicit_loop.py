@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dolfinx import fem
+from helpers.tetrahedron import CORNERS, GRADIENTS, V0
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -37,7 +38,6 @@ from dolfin_elastic.solvers.dynamics.explicit.explicit import (
     CentralDifferences,
     SymplecticEuler,
 )
-from tests.verification.test_tetrahedron import CORNERS, GRADIENTS, V0
 
 E, NU, RHO = 1e5, 0.3, 1000.0
 BOTH = pytest.mark.parametrize("scheme", SCHEMES)

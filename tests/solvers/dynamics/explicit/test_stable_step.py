@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dolfinx import fem
+from helpers.matrices import dense
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -28,7 +29,6 @@ from dolfin_elastic import (
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.solvers.dynamics.explicit.explicit import SymplecticEuler
 from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
-from tests.solvers.dynamics.explicit.test_explicit import dense
 
 E, RHO = 1e6, 1000.0
 

@@ -9,6 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.motion import (
+    NU,
+    PERIOD,
+    RHO,
+    STIFF,
+    E,
+    brick,
+    drift,
+    oscillator,
+    value_at,
+)
 
 from dolfin_elastic import (
     Body,
@@ -30,17 +41,6 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.results.writers.summary import peak_memory
 from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit
 from dolfin_elastic.solvers.linear.choice import LinearSettings
-from tests.solvers.dynamics.test_dynamics import (
-    NU,
-    PERIOD,
-    RHO,
-    STIFF,
-    E,
-    brick,
-    drift,
-    oscillator,
-    value_at,
-)
 
 # --- waves ---
 

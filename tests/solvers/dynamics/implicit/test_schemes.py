@@ -11,6 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.motion import (
+    NU,
+    OMEGA,
+    PERIOD,
+    RHO,
+    STIFF,
+    E,
+    oscillator,
+    swing,
+    tip,
+)
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -26,17 +37,6 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import Scheme
-from tests.solvers.dynamics.test_dynamics import (
-    NU,
-    OMEGA,
-    PERIOD,
-    RHO,
-    STIFF,
-    E,
-    oscillator,
-    swing,
-    tip,
-)
 
 # --- discrete oracles ---
 

@@ -1,0 +1,49 @@
+"""The command line in processes of its own, on any number of ranks."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+PROGRAM = [sys.executable, "-m", "dolfin_elastic"]
+
+
+def started(command: list[str], folder: Path, ranks: int) -> subprocess.Popen[str]:
+    """Starts a program in a folder, with mpirun for more than one rank."""
+    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
+    clean = {
+        key: value
+        for key, value in os.environ.items()
+        if not re.match(r"PMIX|PRTE_(?!MCA)|OMPI_(?!MCA|ALLOW)", key)
+    }
+    return subprocess.Popen(
+        [*launcher, *command],
+        cwd=folder,
+        env=clean,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+
+
+def cli(*words: str, folder: Path, ranks: int = 1) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of a command."""
+    with started([*PROGRAM, *words], folder, ranks) as process:
+        out, err = process.communicate(timeout=240)
+    return process.returncode, out, err
+
+
+def ranks_of(launcher: subprocess.Popen[str]) -> list[int]:
+    """Processes that a launcher has started."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parent = int(status.read_text().rsplit(")", 1)[1].split()[1])
+        except OSError:
+            continue
+        if parent == launcher.pid:
+            found.append(int(status.parent.name))
+    return found
