@@ -67,6 +67,7 @@ class DynamicResidual:
         shift: Derivative of the acceleration by the displacement [1/s^2] in the tangent.
         drag: The same of the velocity [1/s].
         mass: Diagonal of the mass matrix [kg]; owned here.
+        norm: Of the inertia forces at the stage that Newton's method solves for [N].
     """
 
     def __init__(self, problem: Problem, *, mass: float = 0.0, stiffness: float = 0.0) -> None:
@@ -99,7 +100,7 @@ class DynamicResidual:
         self._alone = [touch.label not in springs for touch in problem.touching]
         self._bare = {touch.label for touch in problem.touching} - springs
         self._mass = np.abs(lumped(problem, self.assembler))
-        self.mass = mass_diagonal(self.assembler)
+        self.mass, self.norm = mass_diagonal(self.assembler), 0.0
 
     def _tangent(self) -> ufl.Form:
         problem = self.problem
@@ -136,10 +137,23 @@ class DynamicResidual:
         a[:] = kept
         return found
 
-    def inertia_norm(self, a: FloatArray) -> float:
-        """Size of the forces of inertia at an acceleration, from lumped masses [N]. Collective."""
+    @property
+    def factor(self) -> float:
+        """Factor of the mass matrix in the tangent [1/s^2], as `Newton` asks for it."""
+        return float(self.shift.value)
+
+    def set_stage_rates(self, v: FloatArray, a: FloatArray) -> None:
+        """Sets the rates of a stage, and `norm`, by which its residual is judged. Collective.
+
+        The norm is that of lumped masses, which is found without the consistent mass matrix.
+
+        Args:
+            v: Velocity, owned entries [m/s].
+            a: Acceleration, owned entries [m/s^2].
+        """
+        self.set_rates(v, a)
         with np.errstate(over="ignore", invalid="ignore"):
-            return float(np.sqrt(total(self.comm, np.sum((self._mass * a) ** 2))))
+            self.norm = float(np.sqrt(total(self.comm, np.sum((self._mass * a) ** 2))))
 
     def pushes(self) -> list[FloatArray]:
         """Nodal forces of each contact at the present state, owned entries [N]. Collective."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from petsc4py import PETSc
@@ -41,6 +41,22 @@ HOPELESS = 1e8
 """Growth of the residual from which no Newton iteration comes back."""
 
 
+class Inertia(Protocol):
+    """What of the residual and of the tangent is inertia, kept up to date by the time scheme."""
+
+    @property
+    def mass(self) -> PETSc.Vec:
+        """Diagonal of the mass matrix [kg], in the layout of all unknowns."""
+
+    @property
+    def factor(self) -> float:
+        """Factor of the mass matrix in the tangent [1/s^2]."""
+
+    @property
+    def norm(self) -> float:
+        """Norm of the inertia forces at the present iterate [N]."""
+
+
 class Newton:
     """A SNES for one assembler.
 
@@ -53,8 +69,8 @@ class Newton:
         tolerance: When equilibrium counts as found.
         defaults: More PETSc options, such as the line search; `users`, the user's, win.
         snes: A SNES made elsewhere (by TS); its functions are then set elsewhere too.
-        moving: Inertia counts for what the residual is measured against, and for its round-off:
-            whoever calls keeps `inertia` and `mass_factor` up to date.
+        inertia: In motion, what of the residual and its tangent is inertia: it counts for what the
+            residual is measured against, and for its round-off.
         border: Scalar unknowns beside the fields.
 
     Attributes:
@@ -64,8 +80,6 @@ class Newton:
         round_off: Of the last tangent.
         factorised: The factors are those of where the last solve has ended.
         shift: Share of its diagonal that was added to the last tangent.
-        inertia: Norm of the forces of inertia at the present iterate [N], in motion.
-        mass: Diagonal of the mass [kg], in motion; `mass_factor` [1/s^2] stands before it.
     """
 
     def __init__(
@@ -77,14 +91,13 @@ class Newton:
         defaults: Mapping[str, Any] | None = None,
         users: Mapping[str, Any] | None = None,
         snes: PETSc.SNES | None = None,
-        moving: bool = False,
+        inertia: Inertia | None = None,
         border: ScalarUnknowns | None = None,
     ) -> None:
         self.assembler, self.choice, self.tolerance = assembler, choice, tolerance
-        self.progress, self._moving = Progress(), moving
+        self.progress, self._inertia = Progress(), inertia
         self.shift, self.factorised = 0.0, False
         self._flow: Callable[[float, float], float] | None = None
-        self.inertia, self.mass_factor, self.mass = 0.0, 0.0, None
         self._external = 0.0
         self.round_off = RoundOff(assembler)
         self._floor = self._first = self._norm = 0.0
@@ -154,6 +167,11 @@ class Newton:
         """Makes the SNES use our test of convergence."""
         self.snes.setTolerances(rtol=0.0, atol=0.0, stol=0.0, max_it=self.tolerance.max_iterations)
         self.snes.setConvergenceTest(self._test)
+
+    @property
+    def mass_factor(self) -> float:
+        """Factor of the mass matrix in the tangent [1/s^2], 0 in statics."""
+        return 0.0 if self._inertia is None else self._inertia.factor
 
     @property
     def direct(self) -> bool:
@@ -283,10 +301,12 @@ class Newton:
         a = self.assembler
         self.round_off.renew(P)
         self._floor = self.round_off.norm
-        if self.mass is not None:  # round-off of the stress is that of F, of inertia that of x
+        if self._inertia is not None:
+            # Round-off of the stress is that of F, round-off of inertia that of x.
+            factor, mass = self._inertia.factor, self._inertia.mass
             diagonal = P.getDiagonal()
-            diagonal.axpy(-self.mass_factor, self.mass)
-            heavy = self.mass_factor * float(self.mass.norm()) * a.max_unknown()
+            diagonal.axpy(-factor, mass)
+            heavy = factor * float(mass.norm()) * a.max_unknown()
             stiff = float(diagonal.norm()) * max(self.cell_size, a.max_displacement())
             self._floor = SAFETY * np.finfo(float).eps * (stiff + heavy)
             diagonal.destroy()
@@ -298,8 +318,8 @@ class Newton:
     def _wanted(self) -> float:
         a, p = self.assembler, self.progress
         reference = max(self._external, a.held, a.pushed, p.reference)
-        if self._moving:
-            reference = max(reference, self.inertia)
+        if self._inertia is not None:
+            reference = max(reference, self._inertia.norm)
         return max(self.tolerance.rtol * reference, self.tolerance.atol)
 
     def _target(self) -> float:
@@ -308,7 +328,7 @@ class Newton:
     def _balanced(self) -> bool:
         """The free residual is as small as wanted, but for the round-off of each row."""
         free, wanted = self.assembler.free, self._wanted()
-        if free <= wanted or self._moving:
+        if free <= wanted or self._inertia is not None:
             return free <= self._target()
         return free <= HOPELESS * self._floor and self.round_off.beyond() <= wanted
 
@@ -355,7 +375,7 @@ class Newton:
         norms = self.progress.residuals
         return (
             self._line_search == "bt"
-            and not self._moving
+            and self._inertia is None
             and len(norms) > STALL
             and norms[-1] > 0.7 * norms[-1 - STALL]
         )

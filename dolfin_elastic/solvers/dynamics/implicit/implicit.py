@@ -102,10 +102,9 @@ class Implicit:
             defaults={"snes_linesearch_type": "basic"},
             users=petsc,
             snes=self.ts.getSNES(),
-            moving=True,
+            inertia=self.moving,
         )
         self._owned.callback(self.newton.destroy)
-        self.newton.mass = self.moving.mass
         self.control = StepControl(self.ts, settings, self.moving, self.newton.span)
         self.times = self.control.times
         if isinstance(self.stepper, GeneralizedAlphaStepper):

@@ -130,8 +130,7 @@ class Alpha2:
         moves = self.moving.moves
         share = (t - self._start) / self._step(ts)
         self.problem.set_time(t)
-        self.moving.set_rates(V.array_r[moves], A.array_r[moves])
-        self.newton.inertia = self.moving.inertia_norm(A.array_r[moves])
+        self.moving.set_stage_rates(V.array_r[moves], A.array_r[moves])
         self.assembler.residual(U, F, target=(1 - share) * self._from + share * self._to)
 
     def _jacobian(
@@ -147,7 +146,6 @@ class Alpha2:
         P: PETSc.Mat,
     ) -> None:
         self.moving.shift.value, self.moving.drag.value = shift_a, shift_v
-        self.newton.mass_factor = shift_a
         self.assembler.tangent(U, shift_a)
         self.newton.note_tangent(P)
 

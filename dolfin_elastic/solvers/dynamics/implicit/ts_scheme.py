@@ -122,8 +122,7 @@ class GeneralizedAlphaStepper:
     def residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
         """Out-of-balance forces of the stage, with inertia."""
         v, a = self._rates(x.array_r[self.moving.moves])
-        self.moving.set_rates(v, a)
-        self.newton.inertia = self.moving.inertia_norm(a)
+        self.moving.set_stage_rates(v, a)
         with stage("assemble"):
             self.assembler.put(x)
             self.assembler.assemble_balance()
@@ -241,7 +240,6 @@ class GeneralizedAlphaStepper:
         self._h = h
         rate, shift = self.scheme.shifts(h)  # residuals, too, look at them: for prescribed values
         self.moving.shift.value, self.moving.drag.value = shift, rate
-        self.newton.mass_factor = shift
         goal = self._prescribed_at(old.t + h)
         held = self.problem.prescribed.present(self.problem.u.x.array)
         self._held_rates = held_rates(self.problem, old.t + h, h)
