@@ -22,10 +22,14 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.petsc_options import PREFIX
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
+from dolfin_elastic.problem.incompressible import partly_incompressible, wholly_incompressible
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.mass import held_acceleration, initial_acceleration
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
-from dolfin_elastic.solvers.linear.choice import LAST_DIRECT, factorising
+from dolfin_elastic.solvers.linear.choice import LAST_DIRECT, LinearSettings, choose, factorising
+from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
+from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.petsc.options import Options, ksp_reason
 
 log = logging.getLogger("dolfin_elastic")
@@ -48,23 +52,6 @@ UNSAID, SMALL = 1e-6, 0.01
 """Changes of a velocity, over its largest, that nobody is told of, and that nobody is warned of."""
 
 
-def exactly(problem: Problem) -> bool:
-    """Some pressure does not follow from the shape. Not collective.
-
-    Out of a plane that is free the body gives way: there it does.
-    """
-    return not problem.unknowns.has("stretch") and any(map(incompressible, _compliances(problem)))
-
-
-def _compliances(problem: Problem) -> list[object]:
-    return [part.compliance for part in problem.parts]
-
-
-def incompressible(compliance: object) -> bool:
-    """A part's compliance is none: its volume cannot change. Not collective."""
-    return isinstance(compliance, fem.Constant) and float(compliance.value) == 0.0
-
-
 def begin(moving: DynamicResidual, v: fem.Function, a: fem.Function, h: float) -> None:
     """Finds the acceleration, and the pressure where it is exact, of the initial state. Collective.
 
@@ -80,13 +67,13 @@ def begin(moving: DynamicResidual, v: fem.Function, a: fem.Function, h: float) -
     problem = moving.problem
     held = held_acceleration(problem, h)
     small = problem.num_dofs <= LAST_DIRECT[problem.body.dim]
-    if exactly(problem) and not small:
+    if partly_incompressible(problem) and not small:
         log.warning(
             "with so many unknowns the first acceleration and pressure of what cannot be "
             "compressed are not found: the motion begins without, and swings unless the scheme "
             "damps (generalized-alpha with a spectral_radius of 0.5)"
         )
-    if not (exactly(problem) and small):
+    if not (partly_incompressible(problem) and small):
         initial_acceleration(moving.assembler, held, a)
         return
     a.x.array[:] = 0.0
@@ -99,6 +86,32 @@ def begin(moving: DynamicResidual, v: fem.Function, a: fem.Function, h: float) -
             saddle.correct(a, first=count == 0)
     finally:
         saddle.destroy()
+
+
+def settle(problem: Problem, assembler: Assembler) -> None:
+    """Finds the scalar fields that belong to an initial displacement. Collective.
+
+    Args:
+        problem: Its scalar fields are changed.
+        assembler: Whose `balance` is assembled anew.
+    """
+    if (
+        not problem.unknowns.extras
+        or partly_incompressible(problem)
+        or assembler.max_displacement() == 0.0
+    ):
+        return  # an exactly incompressible body's pressure does not follow from its shape
+    still = Assembler(problem, still=True)
+    newton = Newton(still, choose(problem, LinearSettings(method="direct")), Tolerance())
+    start = problem.prescribed.values.x.array.copy()
+    try:
+        problem.prescribed.values.x.array[:] = problem.u.x.array
+        newton.solve("basic")
+    finally:
+        problem.prescribed.values.x.array[:] = start
+        newton.destroy()
+        still.destroy()
+    assembler.assemble_balance()
 
 
 class _Saddle:
@@ -210,9 +223,7 @@ class _Saddle:
         C knows but the differences of pressures.  The solve itself meets the derivative at once.
         """
         rows = np.where(self._pure, 0.0, rows)
-        if self._problem.unknowns.stabilised and all(
-            map(incompressible, _compliances(self._problem))
-        ):
+        if self._problem.unknowns.stabilised and wholly_incompressible(self._problem):
             found = total(self._moving.comm, np.array([rows.sum(), float(len(rows))]))
             rows = rows - found[0] / found[1]
         return rows + self._curved / self._s if first else rows
@@ -252,3 +263,34 @@ class _Saddle:
         self._a.forget_tangent()
         for thing in (self._ksp, self._x, self._b):
             thing.destroy()
+
+
+class AuxiliaryFields:
+    """The scalar unknowns of a problem, each in a space of its own.  Collective to make.
+
+    Args:
+        problem: Whose unknowns.
+
+    Attributes:
+        fields: Name to function, up to date after `take`.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        found = {
+            extra.name: problem.W.sub(1 + k).collapse()
+            for k, extra in enumerate(problem.unknowns.extras)
+        }
+        self._dofs = {name: dofs for name, (_, dofs) in found.items()}
+        self.fields = {name: fem.Function(S, name=name) for name, (S, _) in found.items()}
+
+    def take(self) -> None:
+        """From all unknowns to the fields. Not collective."""
+        for name, field in self.fields.items():
+            field.x.array[:] = self._problem.w.x.array[self._dofs[name]]
+
+    def give(self) -> None:
+        """From the fields and the displacement to all unknowns. Not collective."""
+        self._problem.unknowns.take()
+        for name, field in self.fields.items():
+            self._problem.w.x.array[self._dofs[name]] = field.x.array

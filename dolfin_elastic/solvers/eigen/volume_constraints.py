@@ -7,8 +7,8 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import IntArray
+from dolfin_elastic.problem.incompressible import is_incompressible, partly_incompressible
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.dynamics.consistent_start import exactly, incompressible
 from dolfin_elastic.solvers.linear.nullspace import times
 
 SMALL = 1e-10
@@ -26,13 +26,13 @@ def constrain(assembler: Assembler) -> int:
         assembler: With the tangent, which is changed.
     """
     problem = assembler.problem
-    if not exactly(problem):
+    if not partly_incompressible(problem):
         return 0
     comm, matrix = problem.body.comm, assembler.matrix
     pressures = np.setdiff1d(np.arange(assembler.size), assembler.moves)
     enclosed = _is_null(assembler, pressures)
     if problem.unknowns.stabilised:  # its own rows know all but the mean
-        count = int(all(incompressible(part.compliance) for part in problem.parts))
+        count = int(all(is_incompressible(part.compliance) for part in problem.parts))
     else:
         diagonal = matrix.getDiagonal()
         count = total(comm, int(np.sum(diagonal.array_r[pressures] == 0.0)))

@@ -32,11 +32,14 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.energy_momentum import lumped
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces
 from dolfin_elastic.solvers.dynamics.explicit.energies import Energies, Measures
-from dolfin_elastic.solvers.dynamics.explicit.limits import changes, check_explicit
+from dolfin_elastic.solvers.dynamics.explicit.limits import (
+    changes,
+    check_explicit,
+    mean_acceleration,
+)
 from dolfin_elastic.solvers.dynamics.explicit.monitor import StabilityMonitor
 from dolfin_elastic.solvers.dynamics.explicit.replay import LastState, Replay
 from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
-from dolfin_elastic.solvers.dynamics.explicit.support_acceleration import mean_acceleration
 from dolfin_elastic.solvers.dynamics.work import ExternalWork, supports_move
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 

@@ -22,17 +22,15 @@ from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, Strain
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
 from dolfin_elastic.solvers.dynamics.audit import MotionAuditor
-from dolfin_elastic.solvers.dynamics.consistent_start import begin
+from dolfin_elastic.solvers.dynamics.consistent_start import AuxiliaryFields, begin, settle
 from dolfin_elastic.solvers.dynamics.energy_balance import EnergyBalance
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import Scheme
 from dolfin_elastic.solvers.dynamics.implicit.impact_error import ImpactError
 from dolfin_elastic.solvers.dynamics.implicit.petsc_alpha2 import Alpha2
 from dolfin_elastic.solvers.dynamics.implicit.step_control import StepControl
 from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import GeneralizedAlphaStepper
-from dolfin_elastic.solvers.dynamics.impulsive_supports import jump
+from dolfin_elastic.solvers.dynamics.initial_conditions import jump
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
-from dolfin_elastic.solvers.dynamics.scalar_fields import AuxiliaryFields
-from dolfin_elastic.solvers.dynamics.settle import settle
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.messages import JUMP, coordinates
 from dolfin_elastic.solvers.nonlinear.contact import Measured

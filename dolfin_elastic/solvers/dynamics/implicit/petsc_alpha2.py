@@ -12,8 +12,8 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.incompressible import partly_incompressible
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.dynamics.consistent_start import exactly
 from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import FAILURES, Done
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.nonlinear.newton import Newton
@@ -25,7 +25,7 @@ def check_alpha2(problem: Problem) -> None:
     Raises:
         InputError: A material cannot be compressed.
     """
-    if exactly(problem):
+    if partly_incompressible(problem):
         raise InputError(
             "PETSc's 'alpha2' asks for volumes at its stages: the pressure of what cannot be "
             "compressed swings the more, the smaller dt is",

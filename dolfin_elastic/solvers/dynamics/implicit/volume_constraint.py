@@ -29,10 +29,10 @@ import ufl
 from dolfinx import fem
 
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.incompressible import is_incompressible
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-from dolfin_elastic.solvers.dynamics.consistent_start import incompressible
 
 
 class VolumeConstraint:
@@ -50,7 +50,7 @@ class VolumeConstraint:
         self._assembler, self._problem = assembler, assembler.problem
         self._share = alpha_f
         parts = [part for part in self._problem.parts if part.compliance is not None]
-        giving = [part for part in parts if not incompressible(part.compliance)]
+        giving = [part for part in parts if not is_incompressible(part.compliance)]
         forms = [_strain(self._problem, group) for group in (parts, giving) if group]
         found = compiled(self._problem, forms)
         self._all, self._giving = found[0], found[1] if giving else None
