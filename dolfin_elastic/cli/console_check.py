@@ -13,7 +13,7 @@ from dolfin_elastic.cli.console import console, show_table, vector_text
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.check import PartSize, Report
-    from dolfin_elastic.case.check.contact import ContactGap
+    from dolfin_elastic.case.check.initial_state import ContactGap
     from dolfin_elastic.case.check.loads import LoadSum
     from dolfin_elastic.solvers.diagnostics.rigid_body import FreeBody
 

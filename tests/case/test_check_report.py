@@ -16,9 +16,9 @@ from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check import PartSize, check, report
-from dolfin_elastic.case.check.hints import cell_notes, part_notes
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.memory import per_unknown
+from dolfin_elastic.case.check.mesh_quality import cell_notes, part_notes
 from dolfin_elastic.cli.console_check import show_check
 from dolfin_elastic.core import jit
 from dolfin_elastic.core.errors import InputError

@@ -1,6 +1,6 @@
 """Everything that can be said about a case before anything is compiled or solved."""
 
-from dolfin_elastic.case.check.case import check
+from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.case.check.report import Report, report
 from dolfin_elastic.case.check.sizes import PartSize
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check.case import acts_on_surfaces
+from dolfin_elastic.case.check.consistency import acts_on_surfaces
+from dolfin_elastic.case.check.initial_state import TIMES
 from dolfin_elastic.case.check.integrals import Integrals
-from dolfin_elastic.case.check.start import TIMES
 from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
@@ -20,6 +20,7 @@ from dolfin_elastic.model.loads import ConcentratedLoad, Load, LoadSamples
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.values import depends_on_time, vector_at
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
+from dolfin_elastic.problem.formulation import young
 from dolfin_elastic.problem.problem import Problem
 
 
@@ -60,6 +61,24 @@ def load_sums(case: Case, integrals: Integrals) -> tuple[LoadSum, ...]:
         force, moment = np.sum(forces, axis=0), np.sum(moments, axis=0)
         rows.append(LoadSum("all loads", "", _plain(force), _plain(moment), rows[0].time))
     return tuple(rows)
+
+
+def stress_notes(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) -> Iterator[str]:
+    """Loads that would stress the supports to half of Young's modulus. Collective."""
+    names = [name for support in case.support for name in support.surfaces]
+    forces = [row.force for row in sums if row.force is not None]
+    if not names or not forces:
+        return
+    points = integrals.facets(names)
+    area = float(total(integrals.body.comm, float(integrals.whole(points).sum())))
+    strongest = max(float(np.linalg.norm(force)) for force in forces)
+    weakest = min(integrals.problem.parts, key=lambda part: young(part.typical))
+    if area > 0 and strongest / area > young(weakest.typical) / 2:
+        yield (
+            f"the loads on the area of the supports are {strongest / area:.3g} Pa in the mean, "
+            f"Young's modulus of '{weakest.name}' is {young(weakest.typical):.3g} Pa: was "
+            "mesh.unit, or a unit of a load or modulus, forgotten?"
+        )
 
 
 def _load_sum(case: Case, index: int, load: Load, integrals: Integrals) -> LoadSum:

@@ -7,26 +7,32 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, located
-from dolfin_elastic.case.check.case import check, explicit, later_notes
 from dolfin_elastic.case.check.cavities import cavity_notes
-from dolfin_elastic.case.check.contact import ContactGap, contact_gaps, contact_notes
-from dolfin_elastic.case.check.hints import hints
+from dolfin_elastic.case.check.consistency import check, explicit, later_notes
+from dolfin_elastic.case.check.initial_state import (
+    ContactGap,
+    check_supports,
+    contact_gaps,
+    contact_notes,
+    start_notes,
+)
 from dolfin_elastic.case.check.integrals import Integrals
-from dolfin_elastic.case.check.loads import LoadSum, load_sums
+from dolfin_elastic.case.check.loads import LoadSum, load_sums, stress_notes
 from dolfin_elastic.case.check.memory import Memory, memory
+from dolfin_elastic.case.check.mesh_quality import cell_notes, part_notes
 from dolfin_elastic.case.check.sizes import (
     PartSize,
     material_sizes,
     region_sizes,
     surface_sizes,
 )
-from dolfin_elastic.case.check.start import check_probes, check_supports, start_notes
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.petsc_options import refuse_case_keys
 from dolfin_elastic.mesh.body import Body, extent
 from dolfin_elastic.problem.damping import check_damped
 from dolfin_elastic.problem.material_regions import locking_notes
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.results.probes import named_twice
 from dolfin_elastic.solvers.diagnostics.rigid_body import FreeBody, check_held, free_bodies
 from dolfin_elastic.solvers.dynamics.explicit.limits import check_explicit
 from dolfin_elastic.solvers.dynamics.implicit.petsc_alpha2 import check_alpha2
@@ -108,6 +114,20 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         raise
 
 
+def check_probes(case: Case, problem: Problem) -> None:
+    """No probe has the column of a reaction or a momentum. Not collective.
+
+    Raises:
+        InputError: One has.
+    """
+    taken = {f"reaction_{support.label}" for support in problem.supports}
+    taken |= {f"reaction_{touch.label}" for touch in problem.touching}
+    if case.dynamics is not None:
+        taken |= {"momentum", "angular_momentum"}
+    if twice := taken & case.output.probes.keys():
+        raise named_twice(f"{min(twice)}_x")
+
+
 def _start(case: Case, problem: Problem) -> tuple[str, ...]:
     """What the solver would refuse at its start, or warn of."""
     refuse_case_keys(case.solver.petsc, "solver.petsc")
@@ -154,7 +174,9 @@ def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> 
             *body.notes,
             *notes,
             *locking_notes(body, problem.parts, problem.degree, problem.geometry),
-            *hints(case, body, integrals, sums),
+            *stress_notes(case, integrals, sums),
+            *part_notes(body),
+            *cell_notes(body),
         ),
         fields=tuple(
             f"{name}: {body.fields[name].said(body.comm)}" for name in sorted(body.fields)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check.case import acts_on_surfaces
+from dolfin_elastic.case.check.consistency import acts_on_surfaces
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from dolfin_elastic.case.case import Case, located
-from dolfin_elastic.case.check.slips import slips
+from dolfin_elastic.case.check.plausibility import plausibility_notes
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import CaseError, MeshError, nearest
@@ -46,7 +46,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         case.output.check_probes(body, case.mesh.scale)
         if explicit(case):
             _check_explicit(case)
-    return (*_notes(case), *slips(case, body))
+    return (*_notes(case), *plausibility_notes(case, body))
 
 
 def explicit(case: Case) -> bool:

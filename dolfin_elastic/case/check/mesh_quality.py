@@ -1,4 +1,4 @@
-"""What is not wrong but looks like a mistake: units, empty parts, bad cells."""
+"""Quality of a mesh: empty parts, surfaces inside the body, thin cells."""
 
 from __future__ import annotations
 
@@ -7,36 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 from dolfinx.mesh import exterior_facet_indices
 
-from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check.integrals import Integrals
-from dolfin_elastic.case.check.loads import LoadSum
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.quality import worst_cells
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, prepare_facets, qualities
-from dolfin_elastic.problem.formulation import young
 
 THIN = 0.05
 """Quality below which a cell spoils results around it: a needle of one to twenty."""
 _SHOWN = 5
-
-
-def stress_hint(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) -> Iterator[str]:
-    """Loads that would stress the supports to half of Young's modulus. Collective."""
-    names = [name for support in case.support for name in support.surfaces]
-    forces = [row.force for row in sums if row.force is not None]
-    if not names or not forces:
-        return
-    points = integrals.facets(names)
-    area = float(total(integrals.body.comm, float(integrals.whole(points).sum())))
-    strongest = max(float(np.linalg.norm(force)) for force in forces)
-    weakest = min(integrals.problem.parts, key=lambda part: young(part.typical))
-    if area > 0 and strongest / area > young(weakest.typical) / 2:
-        yield (
-            f"the loads on the area of the supports are {strongest / area:.3g} Pa in the mean, "
-            f"Young's modulus of '{weakest.name}' is {young(weakest.typical):.3g} Pa: was "
-            "mesh.unit, or a unit of a load or modulus, forgotten?"
-        )
 
 
 def part_notes(body: Body) -> Iterator[str]:
@@ -76,14 +54,3 @@ def cell_notes(body: Body) -> Iterator[str]:
 
 def _place(point: tuple[float, ...]) -> str:
     return "(" + ", ".join(f"{x:.4g}" for x in point) + ")"
-
-
-def hints(
-    case: Case, body: Body, integrals: Integrals, sums: tuple[LoadSum, ...]
-) -> tuple[str, ...]:
-    """All of it. Collective."""
-    return (
-        *stress_hint(case, integrals, sums),
-        *part_notes(body),
-        *cell_notes(body),
-    )

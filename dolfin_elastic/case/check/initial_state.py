@@ -1,4 +1,4 @@
-"""Where contacts begin, and what looks wrong about it."""
+"""The initial state: gaps of contacts, initial displacement and velocity; supports over time."""
 
 from __future__ import annotations
 
@@ -6,15 +6,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from dolfinx import fem
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.tables import MeshTable
 from dolfin_elastic.core.parallel import smallest
 from dolfin_elastic.mesh.body import span
+from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.nonlinear.contact import first_gaps
+from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
+from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
+from dolfin_elastic.solvers.nonlinear.contact import buried, check_start, first_gaps
 
+TIMES = 41
+"""Times of a motion, or of statics, at which supports and loads are evaluated."""
 _SHARE = 0.5
 """Gap over the body's diagonal up to which an obstacle in another unit would fit."""
 _ROUND_OFF = 1e-9
@@ -93,3 +99,37 @@ def _unit_hint(mesh: MeshTable, touch: ContactPair, far: float) -> str:
         f"; bare numbers of a contact are in m, not in mesh.unit: were they in {mesh.unit}, it "
         f"would {there}"
     )
+
+
+# --- motion ---
+
+
+def check_supports(case: Case, problem: Problem) -> None:
+    """Looks whether supports have values all the way; ends as at the start. Collective.
+
+    Raises:
+        InputError: A formula gives no finite number somewhere.
+    """
+    if all(support.at_rest for support in problem.supports):
+        return
+    end, default = (case.dynamics.end, CONSTANT) if case.dynamics else (case.full, PROPORTIONAL)
+    held = problem.prescribed
+    for t in np.linspace(0.0, end, TIMES):
+        held.move_to(float(t), default)
+        held.check_finite()
+    held.move_to(0.0, default)
+
+
+def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]:
+    """Supports and obstacles that the body does not begin with; leaves it at rest. Collective.
+
+    Raises:
+        InputError: It cannot begin so: a formula is not finite, or it lies deep in an obstacle.
+    """
+    v, s = fem.Function(problem.V), settings
+    shocks = set_initial(problem, v, s.displacement, s.velocity, s.end)
+    gaps = zip(problem.touching, check_start(problem, moving=True), strict=True)
+    deep = [buried(touch, gap, at) for touch, (gap, at) in gaps if gap < -touch.tolerance]
+    problem.u.x.array[:] = 0.0
+    problem.unknowns.take()
+    return (*([s.limited] if s.limited else []), *(str(shock) for shock in shocks), *deep)

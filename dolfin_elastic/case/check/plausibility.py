@@ -1,6 +1,6 @@
-"""What looks like a slip of the pen: a forgotten unit, a load that does nothing.
+"""Plausibility of what a case says: forgotten units, loads and supports without effect.
 
-All of it comes from the case and the plain mesh, so a run says it, too.
+Nothing but the case and the mesh is needed, so a run warns of the same.
 """
 
 from __future__ import annotations
@@ -50,8 +50,13 @@ _STRAIN = 1.0
 """Thermal strain that no solid survives."""
 
 
-def slips(case: Case, body: Body) -> Iterator[str]:
-    """All of it. Collective."""
+def plausibility_notes(case: Case, body: Body) -> Iterator[str]:
+    """Values that are possible but unlikely, in the order of the functions below. Collective.
+
+    Args:
+        case: Consistent with the body, see `consistency.check`.
+        body: Its mesh, with all names.
+    """
     yield from size_notes(case, body)
     yield from _place_notes(case, body)
     yield from _angle_notes(case)
