@@ -37,7 +37,7 @@ def measure(name: str, degree: int, formulation: str) -> None:
     spent = []
     with tempfile.TemporaryDirectory() as cache:
         options = {"cffi_extra_compile_args": list(FLAGS), "timeout": 900, "cache_dir": cache}
-        for form in (problem.residual, problem.tangent):
+        for form in (problem.weak_form.residual, problem.weak_form.tangent):
             start = time.perf_counter()
             compiled = fem.form(form, jit_options=options)
             spent.append(time.perf_counter() - start)

@@ -191,7 +191,7 @@ def compare(comm, name, law, body):
     problem = Problem(body, law)
     move(problem)
     F = deformation_gradient(problem.u)
-    P = problem.parts[0].law.stress(F)
+    P = problem.regions[0].law.stress(F)
     sigma = of_the_cell(problem, cauchy_from_first(P, F))
     P, faces, forces = of_the_cell(problem, P), face_forces(sigma), nodal_forces(problem)
     P_hand = by_hand(name, law.lmbda, law.mu)

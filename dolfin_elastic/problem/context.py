@@ -31,7 +31,7 @@ class FormContext:
     Args:
         body: The mesh and its names.
         unknowns: What is solved for.
-        parts: The materials on the body.
+        regions: The material regions of the body.
         measures: Where integrals are taken.
         geometry: Kind of a two-dimensional body.
 
@@ -50,11 +50,11 @@ class FormContext:
         self,
         body: Body,
         unknowns: Unknowns,
-        parts: Sequence[MaterialRegion],
+        regions: Sequence[MaterialRegion],
         measures: Measures,
         geometry: Geometry,
     ) -> None:
-        self.body, self.unknowns, self.parts = body, unknowns, parts
+        self.body, self.unknowns, self.regions = body, unknowns, regions
         self.measures, self.geometry = measures, geometry
         self.v = unknowns.v
         self.u = unknowns.motion(unknowns.w)
@@ -81,7 +81,7 @@ class FormContext:
     @cached_property
     def linear(self) -> bool:
         """All laws are linear."""
-        return all(part.law.linear for part in self.parts)
+        return all(region.law.linear for region in self.regions)
 
     @property
     def order(self) -> int:
@@ -125,33 +125,34 @@ class FormContext:
         """Density and reference volume, material by material."""
         if regions:
             cells = np.concatenate([self.body.region(name) for name in regions])
-            for part in self.parts:
-                if total(self.body.comm, int(np.isin(part.cells, cells).any())):
-                    self.density(part)
+            for region in self.regions:
+                if total(self.body.comm, int(np.isin(region.cells, cells).any())):
+                    self.density(region)
             return [(self._density_field, self.volumes(regions))]
         degree = 2 * self.order
         return [
-            (self.density(part), self.measures.filled(part.marker, degree)) for part in self.parts
+            (self.density(region), self.measures.filled(region.marker, degree))
+            for region in self.regions
         ]
 
-    def density(self, part: MaterialRegion) -> Expr:
-        """Density of a part's material.
+    def density(self, region: MaterialRegion) -> Expr:
+        """Density of a region's material.
 
         Raises:
             InputError: The material has none.
         """
-        if part.density is None:
+        if region.density is None:
             raise InputError(
                 "weight and motion need a density",
-                where=f"materials.{part.name}",
+                where=f"materials.{region.name}",
                 expected='for example density = "1100 kg/m^3"',
             )
-        return part.density
+        return region.density
 
     @cached_property
     def _density_field(self) -> fem.Function:
         return CoefficientBinder(self.body, self.order).joined(
-            [(part.density, part.cells) for part in self.parts]
+            [(region.density, region.cells) for region in self.regions]
         )
 
     # --- values ---

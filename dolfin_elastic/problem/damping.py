@@ -57,7 +57,7 @@ def check_damped(problem: Problem, stiffness: float) -> None:
     Raises:
         InputError: They have none.
     """
-    inside = stiffness or any(part.law.viscosity is not None for part in problem.parts)
+    inside = stiffness or any(region.law.viscosity is not None for region in problem.regions)
     if not inside or not problem.unknowns.has("stretch"):
         return
     raise InputError(
@@ -87,13 +87,13 @@ class Damping:
         self._mass = problem.constant(mass) if mass else None
         self._stiffness = problem.constant(stiffness) if stiffness else None
         self.rate = fem.Function(problem.W, name="velocity")
-        self._parts = [p for p in problem.parts if p.law.viscosity is not None]
+        self._viscous_regions = [p for p in problem.regions if p.law.viscosity is not None]
         check_damped(problem, stiffness)
 
     @property
     def inside(self) -> bool:
         """There are stresses that damp."""
-        return bool(self._parts) or self._stiffness is not None
+        return bool(self._viscous_regions) or self._stiffness is not None
 
     @property
     def none(self) -> bool:
@@ -112,7 +112,7 @@ class Damping:
         if self._mass is None:
             return None
         v = self._problem.unknowns.displacement(self.rate)
-        return self._mass * self._problem.inertia(v, self._problem.v)
+        return self._mass * self._problem.weak_form.inertia(v, self._problem.v)
 
     def work(self) -> ufl.Form | None:
         """Virtual work of all that damps, at the velocity `rate`."""
@@ -129,32 +129,32 @@ class Damping:
         The rest is small, of the strain within a step over one.
         """
         forms = []
-        for part in self._problem.parts:
-            viscous = part.law.viscosity is not None
-            if (viscous or self._stiffness is not None) and not part.law.linear:
-                S = ufl.inv(self._F) * self._stress(part, self.rate)
+        for region in self._problem.regions:
+            viscous = region.law.viscosity is not None
+            if (viscous or self._stiffness is not None) and not region.law.linear:
+                S = ufl.inv(self._F) * self._stress(region, self.rate)
                 trial = self._gradient(ufl.TrialFunction(self._problem.W))
-                forms.append(ufl.inner(trial * S, self._test) * self._volume(part))
+                forms.append(ufl.inner(trial * S, self._test) * self._volume(region))
         return sum(forms) if forms else None
 
     def _terms(self, rate: Expr) -> list[ufl.Form]:
         problem, terms = self._problem, []
         if self._mass is not None:
             v = problem.unknowns.displacement(rate)
-            terms.append(self._mass * problem.inertia(v, problem.v))
-        for part in problem.parts:
-            if part.law.viscosity is not None:
-                viscous = self._viscous(part, rate)
-                terms.append(ufl.inner(viscous, self._test) * self._volume(part))
+            terms.append(self._mass * problem.weak_form.inertia(v, problem.v))
+        for region in problem.regions:
+            if region.law.viscosity is not None:
+                viscous = self._viscous(region, rate)
+                terms.append(ufl.inner(viscous, self._test) * self._volume(region))
             if self._stiffness is not None:
-                terms.append(self._elastic(part, rate))
+                terms.append(self._elastic(region, rate))
         return terms
 
     # --- stresses ---
 
     @property
     def _F(self) -> Expr:
-        return self._problem.F(self._problem.w)
+        return self._problem.weak_form.F(self._problem.w)
 
     def _gradient(self, w: Expr) -> Expr:
         """What a displacement adds to F, of a function of all unknowns."""
@@ -166,37 +166,37 @@ class Damping:
     def _test(self) -> Expr:
         return self._gradient(ufl.TestFunction(self._problem.W))
 
-    def _volume(self, part: MaterialRegion) -> Any:
-        return self._problem.volume(part, self._problem.rule(part))
+    def _volume(self, region: MaterialRegion) -> Any:
+        return self._problem.weak_form.volume(region, self._problem.weak_form.rule(region))
 
-    def _viscous(self, part: MaterialRegion, rate: Expr) -> Expr:
-        eta, dF, F = part.law.viscosity, self._gradient(rate), self._F
+    def _viscous(self, region: MaterialRegion, rate: Expr) -> Expr:
+        eta, dF, F = region.law.viscosity, self._gradient(rate), self._F
         assert eta is not None
-        if part.law.linear:
+        if region.law.linear:
             return 2 * eta * ufl.sym(dF)
         return F * (2 * eta * ufl.sym(F.T * dF))
 
-    def _elastic_stress(self, part: MaterialRegion) -> Expr:
-        law: Any = part.law if part.compliance is None else _Shape(part.law)
-        growth = self._problem.rest.get(part.name)
+    def _elastic_stress(self, region: MaterialRegion) -> Expr:
+        law: Any = region.law if region.compliance is None else _Shape(region.law)
+        growth = self._problem.eigenstrains.get(region.name)
         return (law if growth is None else GrownLaw(law, growth)).stress(self._F)
 
-    def _rate_of(self, part: MaterialRegion, rate: Expr) -> Expr:
+    def _rate_of(self, region: MaterialRegion, rate: Expr) -> Expr:
         """b F Sdot = b (Pdot - Fdot F^-1 P), b Pdot in laws of small strains."""
-        P = self._elastic_stress(part)
+        P = self._elastic_stress(region)
         dP = ufl.derivative(P, self._problem.w, rate)
-        if not part.law.linear:
+        if not region.law.linear:
             dP = dP - self._gradient(rate) * ufl.inv(self._F) * P
         return self._stiffness * dP
 
-    def _elastic(self, part: MaterialRegion, rate: Expr) -> ufl.Form:
-        return ufl.inner(self._rate_of(part, rate), self._test) * self._volume(part)
+    def _elastic(self, region: MaterialRegion, rate: Expr) -> ufl.Form:
+        return ufl.inner(self._rate_of(region, rate), self._test) * self._volume(region)
 
-    def _stress(self, part: MaterialRegion, rate: Expr) -> Expr:
-        """All damping stress of a part."""
+    def _stress(self, region: MaterialRegion, rate: Expr) -> Expr:
+        """All damping stress of a region."""
         found = 0 * self._F
-        if part.law.viscosity is not None:
-            found += self._viscous(part, rate)
+        if region.law.viscosity is not None:
+            found += self._viscous(region, rate)
         if self._stiffness is not None:
-            found += self._rate_of(part, rate)
+            found += self._rate_of(region, rate)
         return found

@@ -16,7 +16,7 @@ from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion
 
 
-def eigenstrains(site: FormContext, loads: Sequence[Load]) -> dict[str, Expr]:
+def eigenstrains(context: FormContext, loads: Sequence[Load]) -> dict[str, Expr]:
     """Material's name to its growth Fg; those that do not grow are left out. Collective.
 
     Raises:
@@ -26,35 +26,35 @@ def eigenstrains(site: FormContext, loads: Sequence[Load]) -> dict[str, Expr]:
     for index, load in enumerate(loads):
         if not isinstance(load, Eigenstrain):
             continue
-        share = _share(site, load.parts) if load.parts else None
-        for part in site.parts:
-            if share is not None and not _meets(site, part, share):
+        share = _share(context, load.parts) if load.parts else None
+        for region in context.regions:
+            if share is not None and not _meets(context, region, share):
                 continue
-            if load.kind == "thermal" and part.law.expansion is None:
+            if load.kind == "thermal" and region.law.expansion is None:
                 raise InputError(
                     f"load[{index}] ({load.kind}) needs a coefficient of expansion",
-                    where=f"materials.{part.name}.expansion",
+                    where=f"materials.{region.name}.expansion",
                     expected='for example "12 ppm/K"',
                 )
-            growth = load.growth(site, part.law.expansion, share)
-            found[part.name] = _joined(part, growth, found.get(part.name))
+            growth = load.growth(context, region.law.expansion, share)
+            found[region.name] = _joined(region, growth, found.get(region.name))
     return found
 
 
-def _joined(part: MaterialRegion, growth: Expr, before: Expr | None) -> Expr:
+def _joined(region: MaterialRegion, growth: Expr, before: Expr | None) -> Expr:
     """Growth after growth: a product, but small strains add up."""
     if before is None:
         return growth
-    return growth + before - ufl.Identity(3) if part.law.linear else growth * before
+    return growth + before - ufl.Identity(3) if region.law.linear else growth * before
 
 
-def _share(site: FormContext, regions: Sequence[str]) -> fem.Function:
+def _share(context: FormContext, regions: Sequence[str]) -> fem.Function:
     """1 in the cells of regions, 0 in all others."""
-    share = fem.Function(fem.functionspace(site.body.mesh, ("DG", 0)))
+    share = fem.Function(fem.functionspace(context.body.mesh, ("DG", 0)))
     for name in regions:
-        share.x.array[site.body.region(name)] = 1.0
+        share.x.array[context.body.region(name)] = 1.0
     return share
 
 
-def _meets(site: FormContext, part: MaterialRegion, share: fem.Function) -> bool:
-    return bool(total(site.body.comm, int(np.any(share.x.array[part.cells]))))
+def _meets(context: FormContext, region: MaterialRegion, share: fem.Function) -> bool:
+    return bool(total(context.body.comm, int(np.any(share.x.array[region.cells]))))

@@ -24,9 +24,9 @@ def partly_incompressible(problem: Problem) -> bool:
     """
     if problem.unknowns.has("stretch"):
         return False
-    return any(is_incompressible(part.compliance) for part in problem.parts)
+    return any(is_incompressible(part.compliance) for part in problem.regions)
 
 
 def wholly_incompressible(problem: Problem) -> bool:
     """Whether every region is incompressible. Not collective."""
-    return all(is_incompressible(part.compliance) for part in problem.parts)
+    return all(is_incompressible(part.compliance) for part in problem.regions)

@@ -1,4 +1,4 @@
-"""The parts of a body: which law fills which cells, bound to the body and ready for forms."""
+"""The material regions of a body: which law fills which cells, with constants bound to them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class MaterialRegion:
         name: Material's name.
         law: The law with UFL expressions in place of its numbers.
         cells: Owned local cells of this rank, sorted.
-        marker: The part's number in the volume measure.
+        marker: The region's number in the volume measure.
         density: UFL expression [kg/m^3], or None if not given.
         typical: The law with numbers only, the means of what varies in space.
         compliance: 1/k of the volumetric part [1/Pa] where a pressure carries it, or None.
@@ -96,12 +96,12 @@ def make_material_regions(
     for law in laws.values():
         if law.warning:
             log.warning("%s", law.warning)
-    parts = tuple(
-        _part(body, i + 1, name, cells[name], bound[name], fields) for i, name in enumerate(laws)
+    regions = tuple(
+        _region(body, i + 1, name, cells[name], bound[name], fields) for i, name in enumerate(laws)
     )
-    for note in locking_notes(body, parts, degree, geometry):
+    for note in locking_notes(body, regions, degree, geometry):
         log.warning("%s", note)
-    return parts, fields
+    return regions, fields
 
 
 def _is_whole(body: Body, name: str) -> bool:
@@ -112,7 +112,7 @@ def _cells(body: Body, name: str) -> IndexArray:
     return body.owned_cells(None if _is_whole(body, name) else name)
 
 
-def _part(
+def _region(
     body: Body, marker: int, name: str, cells: IndexArray, bound: BoundLaw, fields: Plan
 ) -> MaterialRegion:
     compliance = None
@@ -159,19 +159,19 @@ def _check_cover(body: Body, cells: Mapping[str, IndexArray]) -> None:
 
 
 def locking_notes(
-    body: Body, parts: Sequence[MaterialRegion], degree: int, geometry: Geometry
+    body: Body, regions: Sequence[MaterialRegion], degree: int, geometry: Geometry
 ) -> list[str]:
     """What to expect of linear elements of nearly incompressible materials. Collective."""
     if degree > 1 or geometry == "plane-stress":
         return []
     across = span(body) / cell_size(body)
     notes = []
-    for part in parts:
-        nu = poisson(part.typical)
-        if part.compliance is None and nu > STIFF_IN_VOLUME:
+    for region in regions:
+        nu = poisson(region.typical)
+        if region.compliance is None and nu > STIFF_IN_VOLUME:
             low, high = locking(nu, across)
             notes.append(
-                f"linear elements lock at nu = {nu:g} ('{part.name}'): expect the body to be "
+                f"linear elements lock at nu = {nu:g} ('{region.name}'): expect the body to be "
                 f"{low:.2g} to {high:.3g} times too stiff on this mesh; use "
                 'mesh.formulation = "mixed" or mesh.degree = 2'
             )

@@ -28,7 +28,7 @@ class Measures:
         fillings: The cells of each material, in the order of their numbers from 1.
         loaded: Names of the parts of each load.
         weight: Factor of every integrand, see `model.geometry.weight`.
-        touching: Names of the surfaces of each contact, whose integrals have rules of their own.
+        contacts: Names of the surfaces of each contact, whose integrals have rules of their own.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class Measures:
         fillings: Sequence[IndexArray],
         loaded: Iterable[tuple[str, ...]],
         weight: Expr | None,
-        touching: Iterable[tuple[str, ...]] = (),
+        contacts: Iterable[tuple[str, ...]] = (),
     ) -> None:
         self._body, self._fillings, self._weight = body, fillings, weight
         sets = [names for names in dict.fromkeys(loaded) if names]
@@ -46,7 +46,7 @@ class Measures:
         self._regions = {names: len(fillings) + 2 + i for i, names in enumerate(regions)}
         self._surfaces = {names: 1 + i for i, names in enumerate(surfaces)}
         first = 1 + len(surfaces)
-        self._touching = {names: first + i for i, names in enumerate(dict.fromkeys(touching))}
+        self._contacts = {names: first + i for i, names in enumerate(dict.fromkeys(contacts))}
 
     @property
     def _plain(self) -> bool:
@@ -73,7 +73,7 @@ class Measures:
         mesh.topology.create_connectivity(tdim, tdim - 1)
         mesh.topology.create_connectivity(tdim - 1, tdim)
         sides = []
-        for names, marker in (*self._surfaces.items(), *self._touching.items()):
+        for names, marker in (*self._surfaces.items(), *self._contacts.items()):
             facets = np.unique(np.concatenate([self._body.owned_facets(n) for n in names]))
             sides.append((marker, integration_entities(mesh, facets)))
         return ufl.Measure("ds", domain=mesh, subdomain_data=sides)
@@ -96,6 +96,6 @@ class Measures:
         rule = {"quadrature_degree": degree}
         return Weighted(self._weight, self._ds(self._surfaces[tuple(names)], metadata=rule))
 
-    def touching(self, names: Sequence[str], rule: Mapping[str, object]) -> Weighted:
+    def contact_area(self, names: Sequence[str], rule: Mapping[str, object]) -> Weighted:
         """Area of surfaces in contact, with a quadrature rule as UFL's metadata."""
-        return Weighted(self._weight, self._ds(self._touching[tuple(names)], metadata=dict(rule)))
+        return Weighted(self._weight, self._ds(self._contacts[tuple(names)], metadata=dict(rule)))

@@ -45,13 +45,13 @@ class Evaluator:
         self.w = fem.Function(problem.W)
         needed = (other for name in self.names for other in (name, *FIELDS[name].needs))
         self.cell_names = tuple(name for name in known(needed) if FIELDS[name].formula)
-        self._kernels = [self._kernel(part) for part in problem.parts] if self.cell_names else []
+        self._kernels = [self._kernel(part) for part in problem.regions] if self.cell_names else []
         if {"reaction", "residual"} & set(self.names):
             _ = self.residual
 
     def _kernel(self, part: MaterialRegion) -> _Kernel | None:
-        law = cast("Law", self.problem.response(part, self.w))
-        F = self.problem.F(self.w)
+        law = cast("Law", self.problem.weak_form.response(part, self.w))
+        F = self.problem.weak_form.F(self.w)
         if "energy_density" in self.cell_names and not law.has_energy:
             raise InputError(
                 f"the law of '{part.name}' has no strain energy",
@@ -74,7 +74,7 @@ class Evaluator:
     @cached_property
     def residual(self) -> fem.Form:
         """Compiled residual at this evaluator's own displacement; the same kernel as a solver's."""
-        form = ufl.replace(self.problem.residual, {self.problem.w: self.w})
+        form = ufl.replace(self.problem.weak_form.residual, {self.problem.w: self.w})
         return compile_forms(self.problem.body.comm, [form], self.problem.jit)[0]
 
     def __call__(self, state: State, more: Iterable[str] = ()) -> dict[str, AnyArray]:
@@ -98,7 +98,7 @@ class Evaluator:
     def _cells(self) -> dict[str, AnyArray]:
         widths = self._widths
         table = np.full((self.grid.own_cells, sum(widths)), np.nan)
-        for kernel, part in zip(self._kernels, self.problem.parts, strict=False):
+        for kernel, part in zip(self._kernels, self.problem.regions, strict=False):
             if len(part.cells) and kernel is not None:
                 values = kernel.expression.eval(self.grid.mesh, part.cells)
                 table[part.cells[:, None], kernel.columns] = values
@@ -167,7 +167,7 @@ class Source:
     def residual(self) -> AnyArray:
         """The same where no support holds."""
         forces = self._out_of_balance("residual")
-        held = self.evaluator.problem.prescribed
+        held = self.evaluator.problem.dirichlet
         forces[held.owned] = 0.0
         if (tilted := held.tilted) is not None:
             rows = forces.reshape(-1, self.evaluator.problem.body.dim)
@@ -204,7 +204,7 @@ class Source:
     def material(self) -> AnyArray:
         """Number of the material of each owned cell."""
         numbers = np.zeros((self.evaluator.grid.own_cells, 1), dtype=np.int32)
-        for i, part in enumerate(self.evaluator.problem.parts):
+        for i, part in enumerate(self.evaluator.problem.regions):
             numbers[part.cells] = i
         return numbers
 

@@ -42,7 +42,7 @@ class Extremes:
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         names = ["displacement", "von_mises", "jacobian"]
-        if any(part.law.allowable is not None for part in problem.parts):
+        if any(part.law.allowable is not None for part in problem.regions):
             names.append("safety_factor")
         self.evaluate = Evaluator(problem, names)
 
@@ -68,7 +68,7 @@ class Extremes:
     def _in_cells(self, values: AnyArray, *, sign: int = 1) -> Extreme:
         cell, value = _first_largest(sign * values)
         middle = _middle(self.evaluate.grid.mesh, cell) if cell >= 0 else np.zeros(0)
-        part = next((p.name for p in self.problem.parts if cell in p.cells), "")
+        part = next((p.name for p in self.problem.regions if cell in p.cells), "")
         return self._largest(Extreme(sign * value, _numbers(middle), part), sign)
 
     def _at_nodes(self, values: AnyArray) -> Extreme:

@@ -231,7 +231,7 @@ def named_twice(column: str) -> InputError:
 def _materials(problem: Problem) -> IndexArray:
     """Number of the material of each owned cell."""
     found = np.zeros(len(problem.body.owned_cells()), dtype=np.int32)
-    for number, part in enumerate(problem.parts):
+    for number, part in enumerate(problem.regions):
         found[part.cells] = number
     return found
 
@@ -284,7 +284,7 @@ class _CellFields:
         at_samples = np.array([_shape_functions(dim, 1, sample) for sample in self.samples])
         # From values at the samples to values at the corners, of the linear function through them.
         self.fit = np.linalg.pinv(at_samples)
-        self._parts = [self._of(part) for part in problem.parts]
+        self._parts = [self._of(part) for part in problem.regions]
 
     def _of(self, part: MaterialRegion) -> _PartFields | None:
         """A part's points, its kernel, and its owned cells near the points. None: no points."""
@@ -301,12 +301,12 @@ class _CellFields:
 
     def _kernel(self, part: MaterialRegion) -> tuple[IntArray, Any]:
         """The columns that a part's material has, and what gives them."""
-        law = cast("Law", self.problem.response(part, self.w))
+        law = cast("Law", self.problem.weak_form.response(part, self.w))
         if "energy_density" in self.names and not law.has_energy:
             raise InputError(
                 f"the law of '{part.name}' has no strain energy", where="output.probes"
             )
-        F = self.problem.F(self.w)
+        F = self.problem.weak_form.F(self.w)
         tensors = [FIELDS[name].formula(law, F) for name in self.names]  # type: ignore[misc]
         columns = np.flatnonzero(np.repeat([t is not None for t in tensors], self.widths))
         if not len(columns):

@@ -72,7 +72,7 @@ class SurfaceMean:
         space = fem.functionspace(mesh, ("DG", 0, (size,)))
         test, form = ufl.TestFunction(space), 0
         ds = self._measure(surface)
-        for k, part in enumerate(problem.parts):
+        for k, part in enumerate(problem.regions):
             components = [problem.constant(1.0), *self._components(part)]
             rho = weight(problem.geometry, problem.X, None)
             integrand = ufl.inner(ufl.as_vector(components), test)
@@ -89,14 +89,14 @@ class SurfaceMean:
         sides = integration_entities(mesh, np.asarray(body.owned_facets(surface))).reshape(-1, 2)
         data = [
             (1 + k, sides[np.isin(sides[:, 0], part.cells)].reshape(-1))
-            for k, part in enumerate(self.problem.parts)
+            for k, part in enumerate(self.problem.regions)
         ]
-        degree = {"quadrature_degree": 2 * self.problem.site.order}
+        degree = {"quadrature_degree": 2 * self.problem.context.order}
         return ufl.Measure("ds", domain=mesh, subdomain_data=data, metadata=degree)
 
     def _components(self, part: MaterialRegion) -> list[Expr]:
-        law = cast("Law", self.problem.response(part, self._w))
-        F, found = self.problem.F(self._w), []
+        law = cast("Law", self.problem.weak_form.response(part, self._w))
+        F, found = self.problem.weak_form.F(self._w), []
         for name in self.fields:
             if name in NODAL:
                 found += [*self._nodal[name]]

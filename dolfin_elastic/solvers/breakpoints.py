@@ -49,13 +49,17 @@ def winds(problem: Problem) -> bool:
     """A formula in t says how something changes: it may turn around at any time."""
     formulas = [load.values for load in problem.loads]
     formulas += [course for support in problem.supports for course in support.courses]
-    formulas += [touch.contact.values for touch in problem.touching]
+    formulas += [touch.contact.values for touch in problem.contact_pairs]
     curves = any(curve.winding for curve in _curves(problem))
     return curves or any(depends_on_time(vector) for vector in formulas)
 
 
 def _curves(problem: Problem) -> Iterator[Amplitude]:
-    things = [*problem.loads, *problem.supports, *(touch.contact for touch in problem.touching)]
+    things = [
+        *problem.loads,
+        *problem.supports,
+        *(pair.contact for pair in problem.contact_pairs),
+    ]
     for thing in things:
         curve = getattr(thing, "curve", None)
         if isinstance(curve, Amplitude):
@@ -71,7 +75,7 @@ def gentle(problem: Problem, t: float, goal: float) -> float:
         goal: Where it should end.
     """
     dim = problem.body.dim
-    for contact in (touch.contact for touch in problem.touching):
+    for contact in (pair.contact for pair in problem.contact_pairs):
         if not (contact.values and np.isfinite(stride := STRIDE * contact.obstacle.thickness)):
             continue
         start = np.array(contact.moved(t, PROPORTIONAL, dim))

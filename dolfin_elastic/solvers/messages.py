@@ -98,7 +98,7 @@ def count(number: int, thing: str) -> str:
 
 def material(problem: Problem, names: Sequence[str]) -> str:
     """Which materials, or the body where there is but one."""
-    if len(problem.parts) == 1 or not names:
+    if len(problem.regions) == 1 or not names:
         return "the body"
     return f"material{'s' if len(names) > 1 else ''} '{', '.join(names)}'"
 

@@ -789,5 +789,5 @@ def test_materials_fill_what_others_leave() -> None:
     tables["materials"]["rubber"] = {"law": "neo-hookean", "E": 1, "nu": 0.3, "on": "core"}
     case = Case.from_dict(tables)
     problem = case.make_problem(case.read_body())
-    cells = {part.name: COMM.allreduce(len(part.cells)) for part in problem.parts}
+    cells = {part.name: COMM.allreduce(len(part.cells)) for part in problem.regions}
     assert cells == {"steel": 6, "rubber": 6}

@@ -248,7 +248,7 @@ def test_same_as_the_forms(name, geometry):
     (row,) = report(this).loads
     problem = this.make_problem(this.read_body())
     problem.set_time(1.0)
-    form = jit.compile_forms(COMM, [problem.external], problem.jit)[0]
+    form = jit.compile_forms(COMM, [problem.weak_form.external], problem.jit)[0]
     nodal = fem.assemble_vector(form).array.reshape(-1, dim)
     sums = total(COMM, nodal.sum(axis=0))
     np.testing.assert_allclose(row.force, sums, rtol=EXACT, atol=EXACT)
@@ -464,7 +464,7 @@ def test_axis_and_its_place(along, motion):
     x = problem.V.tabulate_dof_coordinates()
     nodes = np.flatnonzero((np.abs(x[:, along]) < 1e-9).all(axis=1))
     nodes = nodes[nodes < problem.V.dofmap.index_map.size_local]
-    problem.prescribed.owned = (3 * nodes[:, None] + np.arange(3)).ravel().astype(np.int32)
+    problem.dirichlet.owned = (3 * nodes[:, None] + np.arange(3)).ravel().astype(np.int32)
     assert free_bodies(problem)[0].motions == (motion,)
 
 

@@ -147,8 +147,8 @@ def test_stretches_beside_formulas_grow():
     law = LinearElastic(E=E, nu=NU)
     problem = Problem(body(2), law, loads=[Growth(value=["1 + t", 3])])
     problem.set_time(0.5, default=RAMP)
-    (G,) = problem.rest.values()
-    form = compiled(problem, [G[0, 0] * G[1, 1] * G[2, 2] * problem.volume(None, 2)])[0]
+    (G,) = problem.eigenstrains.values()
+    form = compiled(problem, [G[0, 0] * G[1, 1] * G[2, 2] * problem.weak_form.volume(None, 2)])[0]
     assert integral(problem, form) == pytest.approx(3.0, rel=1e-13)
 
 

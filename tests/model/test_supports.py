@@ -285,10 +285,10 @@ def test_projected_tangent_is_the_residuals_derivative(degree, formulation):
     rng = np.random.default_rng(body.comm.rank)
     x.array_w[:] = 0.01 * rng.standard_normal(a.size)
     x.array_w[a.fixed] = 0.0
-    x.array_w[a.tilted] = problem.prescribed.tilted.free(x.array_r[a.tilted])
+    x.array_w[a.tilted] = problem.dirichlet.tilted.free(x.array_r[a.tilted])
     d.array_w[:] = rng.standard_normal(a.size)
     d.array_w[a.fixed] = 0.0
-    d.array_w[a.tilted] = problem.prescribed.tilted.free(d.array_r[a.tilted])
+    d.array_w[a.tilted] = problem.dirichlet.tilted.free(d.array_r[a.tilted])
     a.residual(x, f)
     assert a.gap < 1e-16
     a.tangent(x)
@@ -626,7 +626,7 @@ def test_looking_at_a_rim_changes_nothing():
         loads=[Pressure(on="left", value=1.0)],
     )
     problem.set_time(0.5)
-    prescribed = problem.prescribed
+    prescribed = problem.dirichlet
     before = prescribed.targets.copy(), prescribed.freedoms(prescribed.motions[0])
     _ = problem.symmetric
     np.testing.assert_array_equal(prescribed.targets, before[0])
@@ -687,7 +687,7 @@ def test_rows_are_read_written_and_named():
         "support[6]: a dashpot does nothing in statics"
     ]
     problem = read.make_problem(body)
-    assert set(problem.holding) == {"mount", "top"}
+    assert set(problem.weak_form.restraint_works) == {"mount", "top"}
 
 
 def test_a_value_that_is_none_is_told_with_its_support_and_place(comm: MPI.Comm) -> None:

@@ -225,7 +225,7 @@ def test_density_varies_in_weight_and_inertia() -> None:
         *_, state = Statics(problem).steps()
         assert state.reactions["bottom"][2] == pytest.approx(20 * 9.81, rel=1e-10)
         one = ufl.as_vector([0.0, 0.0, 1.0])
-        mass = fem.form(ufl.action(problem.inertia(one, problem.v), _ones(problem)))
+        mass = fem.form(ufl.action(problem.weak_form.inertia(one, problem.v), _ones(problem)))
         assert COMM.allreduce(fem.assemble_scalar(mass)) == pytest.approx(20, rel=1e-10)
 
 
@@ -631,7 +631,7 @@ def fibre_energy(fibre: Any, degree: int = 1, body: Body | None = None) -> float
     body = body or box_body(size=(1, 1, 1), cells=(4, 4, 4))
     problem = Problem(body, Fibres(fibre=fibre), degree=degree)
     problem.u.interpolate(lambda x: np.stack([0.1 * x[0], 0 * x[1], 0 * x[2]]))
-    return COMM.allreduce(fem.assemble_scalar(fem.form(problem.strain_energy)))
+    return COMM.allreduce(fem.assemble_scalar(fem.form(problem.weak_form.strain_energy)))
 
 
 BASE = 1e6 * 0.105**2

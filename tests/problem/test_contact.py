@@ -47,7 +47,7 @@ def last(problem: Problem, **settings: Any) -> Any:
 
 def summed(problem: Problem, integrand: Any, index: int = 0) -> float:
     """An integral over the surface of a contact, by the contact's own rule."""
-    form = fem.form(integrand * problem.touching[index]._measure)
+    form = fem.form(integrand * problem.contact_pairs[index]._measure)
     return float(problem.body.comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM))
 
 
@@ -106,7 +106,7 @@ def test_a_block_between_plates(dim, degree):
     state = last(problem, steps=1)
     floor, plate = state.reactions["floor"], state.reactions["plate"]
     deep = state.numbers["penetration_floor"]
-    assert 0 < deep <= problem.touching[0].tolerance
+    assert 0 < deep <= problem.contact_pairs[0].tolerance
     # Uniform: the plates penetrate alike, to the solver's tolerance.
     assert state.numbers["penetration_plate"] == pytest.approx(deep, rel=1e-5)
     # Newton's tolerance is 1e-8 of the norm of the nodal forces.
@@ -144,7 +144,7 @@ def test_what_an_undone_step_has_learnt_is_forgotten():
     ladder, start = RetryStrategy(newton, ContactAugmentation(problem)), newton.present()
     problem.set_time(0.25, default=RAMP)
     assert ladder.solve([("", start)]).converged
-    lam = problem.touching[0].lam.x.array
+    lam = problem.contact_pairs[0].lam.x.array
     assert problem.body.comm.allreduce(float(lam.max(initial=0)), op=MPI.MAX) > 0
     ladder.undo(start)
     assert not lam.any()
@@ -158,7 +158,7 @@ def test_each_point_of_a_path_is_settled():
     problem = between_plates(2, 1)
     states = list(Statics(problem, method="arc-length", first_step=0.25).steps())
     assert len(states) > 3
-    tolerance = problem.touching[0].tolerance
+    tolerance = problem.contact_pairs[0].tolerance
     assert max(state.numbers["penetration_floor"] for state in states) <= tolerance
     assert {state.audit.verdict for state in states} == {"pass"}
 
@@ -274,7 +274,7 @@ def test_hertz(geometry, folder, comm):
         geometry=geometry,
     )
     P, effective = last(problem).reactions["floor"][1], E / (1 - NU**2)
-    touch = problem.touching[0]
+    touch = problem.contact_pairs[0]
     x, p = problem.X[0], touch.pressure
     spread = summed(problem, p * x**2) / summed(problem, p)
     if turned:
@@ -372,11 +372,11 @@ def test_the_whole_way_round_a_ball():
     for state in Statics(problem, steps=10).steps():
         if state.step:
             forces.append(state.reactions["ball"])
-            assert state.numbers["penetration_ball"] <= problem.touching[0].tolerance
+            assert state.numbers["penetration_ball"] <= problem.contact_pairs[0].tolerance
             np.testing.assert_allclose(
                 state.reactions["ball"], -state.reactions["top"], rtol=0, atol=1e-6 * E
             )
-    touch = problem.touching[0]
+    touch = problem.contact_pairs[0]
     _, n = touch._gap
     arm = ufl.as_vector([problem.X[i] + problem.u[i] - float(centre[i]) for i in range(2)])
     moment = summed(problem, touch.pressure * (arm[0] * n[1] - arm[1] * n[0]))
@@ -412,7 +412,7 @@ def test_tangent(shape):
     places = problem.V.tabulate_dof_coordinates()[: assembler.size // 2, :2]
     x.array_w[:] = 0.01 * np.sin(3 * places + places[:, ::-1]).ravel()
     d.array_w[:] = np.cos(5 * places + 1 + places[:, ::-1]).ravel()
-    problem.touching[0].lam.x.array[:] = 1e4
+    problem.contact_pairs[0].lam.x.array[:] = 1e4
     step, found = 1e-7, []
     start = x.array_r.copy()
     for sign in (1, -1):
@@ -501,7 +501,7 @@ def test_a_node_in_the_middle_of_a_hollow(shape):
             contacts=contacts,
         )
         found.append(last(problem).max_displacement)
-        for touch in problem.touching:
+        for touch in problem.contact_pairs:
             assert touch.gaps()[0].max(initial=0.0) <= 2.0
     assert found[0] == pytest.approx(found[1], rel=1e-12)
 

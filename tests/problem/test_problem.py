@@ -223,7 +223,9 @@ def test_residual_is_the_sum_of_its_terms(materials, degree, load):
     expected = np.sum(list(totals.values()), axis=0) if load == "all of them" else totals[load]
     problem.u.x.array[:] = wave(problem, 1)
     forms = compile_forms(
-        problem.body.comm, [problem.residual, problem.internal, problem.external], problem.jit
+        problem.body.comm,
+        [problem.weak_form.residual, problem.weak_form.internal, problem.weak_form.external],
+        problem.jit,
     )
     whole, internal, external = (assembled(problem, form) for form in forms)
     mask = np.tile(np.eye(2), (1, len(whole) // 2))
@@ -240,8 +242,8 @@ def test_residual_is_the_sum_of_its_terms(materials, degree, load):
 )
 def test_internal_forces_are_the_derivative_of_the_energy(name):
     problem = Problem(square(), MATERIALS[name](**MATERIALS[name].example), degree=2)
-    energy = compiled(problem, [problem.strain_energy])[0]
-    force = compile_forms(problem.body.comm, [problem.internal], problem.jit)[0]
+    energy = compiled(problem, [problem.weak_form.strain_energy])[0]
+    force = compile_forms(problem.body.comm, [problem.weak_form.internal], problem.jit)[0]
     u, w, h = wave(problem, 1), wave(problem, 2), 1e-3
 
     def psi(s: float) -> float:
@@ -261,11 +263,11 @@ def test_energy_and_residual_see_the_same_laws():
     problem.u.x.array[:] = (x @ np.array([[c, s], [-s, c]]) - x).ravel()
     energy, force = (
         compile_forms(problem.body.comm, [form], problem.jit)[0]
-        for form in (problem.strain_energy, problem.internal)
+        for form in (problem.weak_form.strain_energy, problem.weak_form.internal)
     )
     assert abs(integral(problem, energy)) < 1e-25 * E
     assert dot(problem, *[assembled(problem, force)] * 2) < (1e-14 * E) ** 2
-    assert Problem(square(), MATERIALS["textbook"](E=E, nu=NU)).strain_energy is None
+    assert Problem(square(), MATERIALS["textbook"](E=E, nu=NU)).weak_form.strain_energy is None
     assert not Problem(
         square(), {"west": NeoHookean(E=E, nu=NU), "east": MATERIALS["textbook"](E=E, nu=NU)}
     ).has_energy
@@ -281,7 +283,9 @@ def test_inertia_is_the_mass():
         degree=2,
     )
     one = ufl.as_vector([1.0, 0.0])
-    mass = compile_forms(problem.body.comm, [problem.inertia(one, problem.v)], problem.jit)[0]
+    mass = compile_forms(
+        problem.body.comm, [problem.weak_form.inertia(one, problem.v)], problem.jit
+    )[0]
     forces = assembled(problem, mass).reshape(-1, 2)
     ones = np.ones_like(forces).ravel()
     assert dot(problem, forces.ravel(), ones) == pytest.approx(4.0, rel=1e-13)
@@ -331,7 +335,8 @@ def test_other_numbers_compile_nothing():
     first = forms_of(E=1e6, nu=0.3, density=1000.0, hold=0.0, pull=5.0)
     other = forms_of(E=7.3e9, nu=0.1, density=0.5, hold=0.1, pull=-3.0)
     for name in ("residual", "tangent", "strain_energy", "external"):
-        assert getattr(first, name).signature() == getattr(other, name).signature(), name
+        forms = [getattr(problem.weak_form, name) for problem in (first, other)]
+        assert forms[0].signature() == forms[1].signature(), name
 
 
 def test_the_cache_does_not_grow(comm, folder, monkeypatch):
@@ -368,7 +373,7 @@ def test_time_moves_loads_and_supports():
             Traction(on="right", value=[0, "10*t"]),
         ],
     )
-    form = compile_forms(body.comm, [problem.external], problem.jit)[0]
+    form = compile_forms(body.comm, [problem.weak_form.external], problem.jit)[0]
     for t in (0.0, 0.5, 2.0):
         problem.set_time(t)
         forces = assembled(problem, form).reshape(-1, 2)
@@ -379,7 +384,7 @@ def test_time_moves_loads_and_supports():
         assert dot(problem, forces.ravel(), np.outer(ones, [0, 1]).ravel()) == pytest.approx(
             10 * t, abs=1e-13
         )
-        held = problem.prescribed
+        held = problem.dirichlet
         assert (
             body.comm.allreduce(
                 float(held.values.x.array[held.owned].max(initial=-1.0)), op=MPI.MAX

@@ -59,9 +59,9 @@ class Tetrahedron:
         cells = np.array([[0, 1, 2, 3]] if root else np.empty((0, 4)), dtype=np.int64)
         self.mesh = make_mesh(comm, cells, CORNERS if root else np.empty((0, 3)), 1)
         self.comm, self.problem = comm, Problem(Body(self.mesh), law(E=E, nu=nu))
-        wanted = [self.problem.internal]
+        wanted = [self.problem.weak_form.internal]
         if self.problem.has_energy:
-            wanted.append(self.problem.strain_energy)
+            wanted.append(self.problem.weak_form.strain_energy)
         self._forms = compile_forms(comm, wanted, self.problem.jit)
         x = self.problem.V.tabulate_dof_coordinates()
         near = np.linalg.norm(x[:, None] - CORNERS[None], axis=2)
@@ -105,7 +105,7 @@ def test_strain_energy(comm, law):
     element = Tetrahedron(comm, law)
     element.move(SHIFT)
     if law not in ENERGY:
-        assert element.problem.strain_energy is None
+        assert element.problem.weak_form.strain_energy is None
         return
     assert element.energy() == pytest.approx(ENERGY[law], rel=1e-12)
 

@@ -50,12 +50,12 @@ def cavity_notes(case: Case, problem: Problem) -> Iterator[str]:
 def _open(load: Cavity, problem: Problem) -> bool:
     """Whether its rim can carry volume away; not told of oblique supports. Collective."""
     body, dim = problem.body, problem.body.dim
-    if problem.prescribed.tilted is not None or problem.cell is not None:
+    if problem.dirichlet.tilted is not None or problem.cell is not None:
         return False
     origin = np.zeros(dim)
     origin[: len(load.middle)] = [float(x or 0.0) for x in load.middle]  # type: ignore[arg-type]
-    held = np.zeros(len(problem.prescribed.values.x.array), dtype=bool)
-    held[problem.prescribed.dofs] = True
+    held = np.zeros(len(problem.dirichlet.values.x.array), dtype=bool)
+    held[problem.dirichlet.dofs] = True
     turned, lost = problem.geometry == "axisymmetric", 0
     for edge in rim(body, load.parts):
         points, nodes = _ends(problem, int(edge))

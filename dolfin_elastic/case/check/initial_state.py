@@ -57,17 +57,17 @@ def contact_gaps(case: Case, problem: Problem) -> tuple[ContactGap, ...]:
             gap if abs(gap) > _ROUND_OFF * touch.size else 0.0,
             place,
         )
-        for i, (touch, (gap, place)) in enumerate(zip(problem.touching, gaps, strict=True))
+        for i, (touch, (gap, place)) in enumerate(zip(problem.contact_pairs, gaps, strict=True))
     )
 
 
 def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     """Obstacles that begin farther away than the body is large and do not come near. Collective."""
-    if not problem.touching:
+    if not problem.contact_pairs:
         return
     far = span(problem.body)
     gaps = first_gaps(problem, moving=case.dynamics is not None)
-    for touch, (gap, _) in zip(problem.touching, gaps, strict=True):
+    for touch, (gap, _) in zip(problem.contact_pairs, gaps, strict=True):
         moved = float(np.linalg.norm([_size(value) for value in touch.contact.values])) * case.full
         if abs(gap) > far + moved:
             yield (
@@ -113,7 +113,7 @@ def check_supports(case: Case, problem: Problem) -> None:
     if all(support.at_rest for support in problem.supports):
         return
     end, default = (case.dynamics.end, CONSTANT) if case.dynamics else (case.full, PROPORTIONAL)
-    held = problem.prescribed
+    held = problem.dirichlet
     for t in np.linspace(0.0, end, TIMES):
         held.move_to(float(t), default)
         held.check_finite()
@@ -128,7 +128,7 @@ def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]
     """
     v, s = fem.Function(problem.V), settings
     shocks = set_initial(problem, v, s.displacement, s.velocity, s.end)
-    gaps = zip(problem.touching, check_start(problem, moving=True), strict=True)
+    gaps = zip(problem.contact_pairs, check_start(problem, moving=True), strict=True)
     deep = [buried(touch, gap, at) for touch, (gap, at) in gaps if gap < -touch.tolerance]
     problem.u.x.array[:] = 0.0
     problem.unknowns.take()

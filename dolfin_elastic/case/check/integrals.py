@@ -26,7 +26,7 @@ class Integrals:
     def __init__(self, problem: Problem, thickness: float = 1.0) -> None:
         self.problem, self.body = problem, problem.body
         self._thickness = thickness if problem.body.dim == 2 else 1.0
-        self._degree = 2 * problem.site.order
+        self._degree = 2 * problem.context.order
         prepare_facets(self.body.mesh)
 
     def cells(self, names: Sequence[str] = ()) -> Points:
@@ -51,7 +51,7 @@ class Integrals:
         found = np.full(points.weights.shape, np.nan)
         row = np.full(len(self.body.owned_cells()), -1)
         row[points.cells] = np.arange(len(points.cells))
-        for part in self.problem.parts:
+        for part in self.problem.regions:
             cells = part.cells[row[part.cells] >= 0]
             if part.density is not None:
                 found[row[cells]] = _at(part.density, cells, points.local)

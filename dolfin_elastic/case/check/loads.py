@@ -72,7 +72,7 @@ def stress_notes(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) ->
     points = integrals.facets(names)
     area = float(total(integrals.body.comm, float(integrals.whole(points).sum())))
     strongest = max(float(np.linalg.norm(force)) for force in forces)
-    weakest = min(integrals.problem.parts, key=lambda part: young(part.typical))
+    weakest = min(integrals.problem.regions, key=lambda part: young(part.typical))
     if area > 0 and strongest / area > young(weakest.typical) / 2:
         yield (
             f"the loads on the area of the supports are {strongest / area:.3g} Pa in the mean, "
@@ -102,7 +102,7 @@ def _load_sum(case: Case, index: int, load: Load, integrals: Integrals) -> LoadS
 
 def _rigid_sums(case: Case, problem: Problem) -> Iterator[LoadSum]:
     """Forces and moments given on rigid surfaces."""
-    motions, dim = {m.label: m for m in problem.prescribed.motions}, problem.body.dim
+    motions, dim = {m.label: m for m in problem.dirichlet.motions}, problem.body.dim
     for index, support in enumerate(case.support):
         if not isinstance(support, Rigid) or not any(x != 0.0 for x in support.action(dim)):
             continue

@@ -121,7 +121,7 @@ def check_probes(case: Case, problem: Problem) -> None:
         InputError: One has.
     """
     taken = {f"reaction_{support.label}" for support in problem.supports}
-    taken |= {f"reaction_{touch.label}" for touch in problem.touching}
+    taken |= {f"reaction_{touch.label}" for touch in problem.contact_pairs}
     if case.dynamics is not None:
         taken |= {"momentum", "angular_momentum"}
     if twice := taken & case.output.probes.keys():
@@ -143,7 +143,7 @@ def _start(case: Case, problem: Problem) -> tuple[str, ...]:
     notes = start_notes(problem, case.dynamics) if case.dynamics is not None else ()
     if case.analysis in ("statics", "dynamics") or case.preloaded:
         check_supports(case, problem)
-    if case.modal is not None and case.preloaded and problem.site.linear:
+    if case.modal is not None and case.preloaded and problem.context.linear:
         notes = (*notes, UNMOVED)
     return notes
 
@@ -173,7 +173,7 @@ def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> 
         notes=(
             *body.notes,
             *notes,
-            *locking_notes(body, problem.parts, problem.degree, problem.geometry),
+            *locking_notes(body, problem.regions, problem.degree, problem.geometry),
             *stress_notes(case, integrals, sums),
             *part_notes(body),
             *cell_notes(body),

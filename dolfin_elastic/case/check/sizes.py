@@ -69,7 +69,7 @@ def material_sizes(integrals: Integrals) -> tuple[PartSize, ...]:
     """What each material fills. Collective."""
     cells = _Cells(integrals)
     return tuple(
-        cells.size(part.name, part.cells, part.law.name()) for part in integrals.problem.parts
+        cells.size(part.name, part.cells, part.law.name()) for part in integrals.problem.regions
     )
 
 

@@ -39,6 +39,8 @@ class DirichletConditions:
         V: Space of the displacement.
         supports: What is prescribed; those that prescribe nothing are passed over.
         axis: The body is axisymmetric: nothing leaves the axis.
+        pinned: Of a periodic cell, which has no supports: local entries that are unknowns of its
+            fixed vertex, and one of them for each such unknown that this rank owns.
 
     Attributes:
         values: Function whose entries at the constrained dofs are the prescribed values.
@@ -58,6 +60,7 @@ class DirichletConditions:
         supports: Sequence[Restraint],
         *,
         axis: bool = False,
+        pinned: tuple[IndexArray, IndexArray] | None = None,
     ) -> None:
         self.values = fem.Function(V)
         self._V = V
@@ -85,6 +88,8 @@ class DirichletConditions:
         self.owned = self.dofs[self.dofs < owned_size]
         self.bcs = [self._condition(i) for i in range(self._bs)] if dofs else []
         self.moving = self._reactions_of(owned_size)
+        if pinned is not None:
+            self.dofs, self.owned = np.sort(pinned[0]), pinned[1]
         self._t, self._default = 0.0, CONSTANT
 
     def _rigid(self, body: Body, support: Rigid, axis: bool) -> list[SkewSupport]:
@@ -234,15 +239,6 @@ class DirichletConditions:
             for label, parts in held.items()
             for dofs in [np.concatenate([empty, *parts])]
         }
-
-    def pin(self, dofs: IndexArray, owned: IndexArray) -> None:
-        """Holds the unknowns of a periodic cell's vertex, where there are no supports.
-
-        Args:
-            dofs: Local entries that are these unknowns.
-            owned: One of them for each unknown that this rank owns.
-        """
-        self.dofs, self.owned = np.sort(dofs), owned
 
     def move_to(self, t: float, default: Amplitude = CONSTANT) -> None:
         """Sets the values of time t. Not collective.

@@ -23,7 +23,7 @@ class BodyCavity:
         exact: The same, though all laws may be linear.
         push: Virtual work of a unit pressure, on the deformed surface, too [m^3].
         cavity: What is prescribed.
-        site: Where its unknown pressure is.
+        context: Where its unknown pressure is.
         where: Key of its surfaces in the case.
         initial: Volume of the undeformed cavity [m^3], once a solver has found it.
         t: Time [s], or load parameter.
@@ -35,7 +35,7 @@ class BodyCavity:
     exact: ufl.Form
     push: ufl.Form
     cavity: Cavity
-    site: FormContext
+    context: FormContext
     where: str = "load"
     initial: float = 0.0
     t: float = 0.0
@@ -54,14 +54,14 @@ class BodyCavity:
     @property
     def pressure(self) -> float:
         """The present pressure [Pa]."""
-        return float(self.site.unknown(self.label).value) if self.controlled else self.goal
+        return float(self.context.unknown(self.label).value) if self.controlled else self.goal
 
     @pressure.setter
     def pressure(self, value: float) -> None:
-        self.site.unknown(self.label).value = value
+        self.context.unknown(self.label).value = value
 
 
-def make_cavities(loads: Sequence[Load], site: FormContext) -> Iterator[BodyCavity]:
+def make_cavities(loads: Sequence[Load], context: FormContext) -> Iterator[BodyCavity]:
     """The cavities among the loads.
 
     Raises:
@@ -77,7 +77,7 @@ def make_cavities(loads: Sequence[Load], site: FormContext) -> Iterator[BodyCavi
                 where=f"load[{index}].name",
                 expected="a name of its own",
             )
-        if site.geometry == "plane-stress":
+        if context.geometry == "plane-stress":
             raise InputError(
                 "in plane stress the thickness changes, and no cavity has a volume",
                 where=f"load[{index}].kind",
@@ -85,8 +85,8 @@ def make_cavities(loads: Sequence[Load], site: FormContext) -> Iterator[BodyCavi
             )
         labels.add(load.label)
         try:
-            volume, exact = (load.enclosed(site, linear) for linear in (site.linear, False))
+            volume, exact = (load.enclosed(context, linear) for linear in (context.linear, False))
         except InputError as error:
             raise error.at(f"load[{index}]" if error.where else f"load[{index}].on") from None
-        push = load.work(site, site.constant(1.0), linear=False)
-        yield BodyCavity(load.label, volume, exact, push, load, site, f"load[{index}].on")
+        push = load.work(context, context.constant(1.0), linear=False)
+        yield BodyCavity(load.label, volume, exact, push, load, context, f"load[{index}].on")

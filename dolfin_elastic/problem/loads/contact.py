@@ -58,7 +58,7 @@ class ContactPair:
 
     Args:
         contact: What the user wrote.
-        site: The body.
+        context: The body.
         measure: Reference area of its surfaces, with the rule of `rule`.
 
     Attributes:
@@ -73,14 +73,19 @@ class ContactPair:
         nodes: Owned nodes of the surface in the space of `lam`.
     """
 
-    def __init__(self, contact: Contact, site: FormContext, measure: Weighted) -> None:
-        body = site.body
-        self.contact, self.label, self._site, self._measure = contact, contact.label, site, measure
-        self._turned = site.geometry == "axisymmetric"
+    def __init__(self, contact: Contact, context: FormContext, measure: Weighted) -> None:
+        body = context.body
+        self.contact, self.label, self._context, self._measure = (
+            contact,
+            contact.label,
+            context,
+            measure,
+        )
+        self._turned = context.geometry == "axisymmetric"
         self.comm, self._dim = body.comm, body.dim
         prepare_facets(body.mesh)
         facets = np.unique(np.concatenate([body.surface(name) for name in contact.surfaces]))
-        self.lam, self.nodes, self._in_V = _nodal(site, facets)
+        self.lam, self.nodes, self._in_V = _nodal(context, facets)
         self.penalty = fem.Function(fem.functionspace(body.mesh, ("DG", 0)))
         self._heights = _heights(body, facets)
         self.size = _mean(body, facets, self._heights)
@@ -90,15 +95,15 @@ class ContactPair:
             self._mind_the_axis(facets)
         self._eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
         self._first = self.penalty.x.array.copy(), self._eps.copy()
-        self.shift = site.constant([0.0] * body.dim)
-        self.reach = site.constant(SLACK * cell_size(body))
+        self.shift = context.constant([0.0] * body.dim)
+        self.reach = context.constant(SLACK * cell_size(body))
 
     def _fill_penalty(self) -> None:
         cells, heights = self._heights
         eps = np.zeros(len(cells))
-        for part in self._site.parts:
-            mine = np.isin(cells, part.cells)
-            eps[mine] = FACTOR * _modulus(part) / heights[mine]
+        for region in self._context.regions:
+            mine = np.isin(cells, region.cells)
+            eps[mine] = FACTOR * _modulus(region) / heights[mine]
         if self.contact.stiffness is not None:
             eps[:] = self.contact.stiffness
         dofs = self.penalty.function_space.dofmap.list[:, 0]
@@ -121,12 +126,12 @@ class ContactPair:
         vertex of a quadratic element has no such integral on the axis: it is left to its
         neighbours.
         """
-        if self._site.order > 1:
+        if self._context.order > 1:
             X = self.lam.function_space.tabulate_dof_coordinates()
             off = X[self.nodes, 0] > 1e-9 * self.size
             self.nodes, self._in_V = self.nodes[off], self._in_V[off]
             return
-        weight = 2 * ufl.pi * (self._site.X[0] + 2 * self._middle_radius(facets)) / 3
+        weight = 2 * ufl.pi * (self._context.X[0] + 2 * self._middle_radius(facets)) / 3
         self._measure = Weighted(weight, self._measure.measure)
 
     def _middle_radius(self, facets: IndexArray) -> Expr:
@@ -134,7 +139,7 @@ class ContactPair:
 
         On the reference triangle the outward normals are (1, 1)/sqrt(2), (-1, 0) and (0, -1).
         """
-        mesh = self._site.body.mesh
+        mesh = self._context.body.mesh
         radii = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))))
         beside, local = facet_places(mesh, facets)
         cells = radii.function_space.dofmap.list[beside, 0]
@@ -150,9 +155,9 @@ class ContactPair:
     @cached_property
     def _gap(self) -> tuple[Expr, Expr]:
         """Gap and normal of the current place."""
-        place = self._site.X + self._site.u - self.shift
+        place = self._context.X + self._context.u - self.shift
         found, normal = self.contact.obstacle.gap(
-            [place[i] for i in range(self._dim)], self._site.constant, ufl.sqrt
+            [place[i] for i in range(self._dim)], self._context.constant, ufl.sqrt
         )
         return found, ufl.as_vector(normal)
 
@@ -170,7 +175,7 @@ class ContactPair:
     @cached_property
     def work(self) -> ufl.Form:
         """Virtual work of the obstacle's force on the body."""
-        return self.pressure * ufl.inner(self._gap[1], self._site.v) * self._measure
+        return self.pressure * ufl.inner(self._gap[1], self._context.v) * self._measure
 
     @cached_property
     def energy(self) -> ufl.Form:
@@ -180,11 +185,11 @@ class ContactPair:
 
     @cached_property
     def bound(self) -> ufl.Form:
-        """The penalty times each component of `site.v`: bounds the rows of its part of the tangent.
+        """The penalty times each component of `context.v`: bounds the rows of its tangent.
 
         At an obstacle's curvature 1/R it has the further eigenvalue eps g/R, which is smaller.
         """
-        return self.penalty * sum(self._site.v) * self._measure
+        return self.penalty * sum(self._context.v) * self._measure
 
     @cached_property
     def area(self) -> ufl.Form:
@@ -205,7 +210,7 @@ class ContactPair:
 
     def gaps(self) -> tuple[FloatArray, FloatArray]:
         """Gaps [m] and obstacle's normals at the owned nodes, (n,) and (n, dim). Not collective."""
-        u = self._site.unknowns.u.x.array.reshape(-1, self._dim)
+        u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
         x = self.places() + u[self._in_V] - self.shift.value
         found, normal = self.contact.obstacle.gap(list(x.T), float, np.sqrt)
         normals = [np.broadcast_to(item, found.shape) for item in normal]
@@ -229,18 +234,17 @@ class ContactPair:
         self.shift.value[:] = self.contact.moved(t, default, self._dim)
 
 
-def make_contacts(
-    contacts: Sequence[Contact], site: FormContext, order: int
-) -> tuple[ContactPair, ...]:
+def make_contacts(contacts: Sequence[Contact], context: FormContext) -> tuple[ContactPair, ...]:
     """All contacts on a body. Collective.
 
     Args:
         contacts: What the user wrote.
-        site: The body.
-        order: Degree of the displacement or of the mesh's curved cells, whichever is higher.
+        context: The body.
     """
-    points = rule(order, site.body.dim)
-    return tuple(ContactPair(c, site, site.measures.touching(c.surfaces, points)) for c in contacts)
+    points = rule(context.order, context.body.dim)
+    return tuple(
+        ContactPair(c, context, context.measures.contact_area(c.surfaces, points)) for c in contacts
+    )
 
 
 def rule(degree: int, dim: int) -> dict[str, object]:
@@ -277,21 +281,21 @@ def check_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> 
             raise error.at(f"contact[{index}]") from None
 
 
-def _modulus(part: MaterialRegion) -> float:
+def _modulus(region: MaterialRegion) -> float:
     """K + 4 mu/3 of a material [Pa], K bounded."""
-    mu = shear_modulus(part.typical)
-    known = part.typical.small_strain()
-    K = volume_modulus(part.typical) if known is None else known.K
+    mu = shear_modulus(region.typical)
+    known = region.typical.small_strain()
+    K = volume_modulus(region.typical) if known is None else known.K
     return min(K, ROUND * mu) + 4 / 3 * mu
 
 
-def _nodal(site: FormContext, facets: IndexArray) -> tuple[fem.Function, IndexArray, IndexArray]:
+def _nodal(context: FormContext, facets: IndexArray) -> tuple[fem.Function, IndexArray, IndexArray]:
     """Multiplier, owned nodes of the surface, and the same nodes of the displacement. Collective.
 
     Two spaces of one element need not number their nodes alike, but do so within each cell.
     """
-    mesh, V = site.body.mesh, site.unknowns.V
-    S = fem.functionspace(mesh, ("Lagrange", site.unknowns.degree))
+    mesh, V = context.body.mesh, context.unknowns.V
+    S = fem.functionspace(mesh, ("Lagrange", context.unknowns.degree))
     nodes = fem.locate_dofs_topological(S, mesh.topology.dim - 1, facets)
     owned = np.sort(nodes[nodes < S.dofmap.index_map.size_local]).astype(np.int32)
     number = np.zeros(S.dofmap.index_map.size_local + S.dofmap.index_map.num_ghosts, np.int32)

@@ -26,16 +26,16 @@ _MOMENTS = (0.3141, 0.8314)
 """Load parameters at which prescribed values are compared."""
 
 
-def rim_held(body: Body, prescribed: DirichletConditions, surfaces: Sequence[str]) -> bool:
+def rim_held(body: Body, dirichlet: DirichletConditions, surfaces: Sequence[str]) -> bool:
     """Whether supports hold a surface's rim so that even pressure has a potential. Collective.
 
     Args:
         body: The mesh and its names.
-        prescribed: What supports prescribe.
+        dirichlet: What supports prescribe.
         surfaces: Names of the surfaces that together are loaded.
     """
     edges = rim(body, surfaces)
-    supports = _Supports(body, prescribed)
+    supports = _Supports(body, dirichlet)
     free = sum(not supports.hold(edge) for edge in edges)
     return not total(body.comm, int(free))
 
@@ -61,15 +61,15 @@ class _Supports:
 
     Args:
         body: The mesh and its names.
-        prescribed: What supports prescribe.
+        dirichlet: What supports prescribe.
     """
 
     body: Body
-    prescribed: DirichletConditions
+    dirichlet: DirichletConditions
 
     def __post_init__(self) -> None:
         mesh, dim = self.body.mesh, self.body.dim
-        V = self.prescribed.values.function_space
+        V = self.dirichlet.values.function_space
         mesh.topology.create_connectivity(dim - 2, dim)
         mesh.topology.create_connectivity(dim, dim - 2)
         self._cells = mesh.topology.connectivity(dim - 2, dim)
@@ -77,10 +77,10 @@ class _Supports:
         self._dofmap, self._nodes = V.dofmap, mesh.geometry.dofmap
         self._layout = mesh.geometry.cmap.create_dof_layout()
         self._tolerance = 1e-9 * span(self.body)
-        entries = np.zeros(len(self.prescribed.values.x.array), dtype=bool)
-        entries[self.prescribed.dofs] = True
+        entries = np.zeros(len(self.dirichlet.values.x.array), dtype=bool)
+        entries[self.dirichlet.dofs] = True
         self._held = entries.reshape(-1, dim)
-        values = self.prescribed.probed(_MOMENTS, RAMP)
+        values = self.dirichlet.probed(_MOMENTS, RAMP)
         self._values = [value.reshape(-1, dim) for value in values]
 
     def hold(self, edge: int) -> bool:

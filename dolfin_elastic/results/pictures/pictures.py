@@ -270,7 +270,7 @@ class Painter:
     def _names(self) -> tuple[int, list[str]]:
         """The first number of a field of names, and the names."""
         if self.field == "material":
-            return 0, [part.name for part in self.problem.parts]
+            return 0, [part.name for part in self.problem.regions]
         return -1, ["no region", *sorted(self.problem.body.regions)]
 
 
@@ -289,7 +289,7 @@ def _noise(problem: Problem, unit: str) -> float:
 
     Stresses and strains are differences of displacements, and lose digits to them.
     """
-    stiff = min(float(part.shear.value) for part in problem.parts)
+    stiff = min(float(part.shear.value) for part in problem.regions)
     scales = {
         "Pa": 1e-9 * stiff,
         "J/m^3": 1e-14 * stiff,

@@ -62,23 +62,24 @@ class Assembler:
         still: bool = False,
     ) -> None:
         self.problem, self.comm = problem, problem.body.comm
-        residual = problem.residual if extra is None else problem.residual + extra
-        tangent = problem.tangent if extra_tangent is None else problem.tangent + extra_tangent
+        weak_form = problem.weak_form
+        residual = weak_form.residual if extra is None else weak_form.residual + extra
+        tangent = weak_form.tangent if extra_tangent is None else weak_form.tangent + extra_tangent
         forms = [residual, tangent]
-        if problem.external is not None:
-            forms.append(problem.external)
-        forms += problem.holding.values()
+        if weak_form.external is not None:
+            forms.append(weak_form.external)
+        forms += weak_form.restraint_works.values()
         compiled = compile_forms(self.comm, forms, problem.jit)
         self.form, self._tangent = compiled[:2]
-        self._external = compiled[2] if problem.external is not None else None
-        first = len(compiled) - len(problem.holding)
-        self._holding = dict(zip(problem.holding, compiled[first:], strict=True))
+        self._external = compiled[2] if weak_form.external is not None else None
+        first = len(compiled) - len(weak_form.restraint_works)
+        self._holding = dict(zip(weak_form.restraint_works, compiled[first:], strict=True))
         self._map, self._bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
         self._dim = problem.body.dim
         self.size = self._map.size_local * self._bs
         self.origin: FloatArray = np.zeros(self.size)
         self.balance, self._lift = self._vector(), self._vector()
-        held, places = problem.prescribed, problem.unknowns.places
+        held, places = problem.dirichlet, problem.unknowns.places
         self._held, self.fixed = held.owned, places(held.owned)
         self.moves = problem.unknowns.moves
         self._places = places(np.arange(len(problem.u.x.array), dtype=np.int32))
@@ -180,7 +181,7 @@ class Assembler:
 
     def _differences(self, target: FloatArray | None) -> tuple[FloatArray, FloatArray]:
         """What prescribed entries, and tilted nodes along their directions, are off [m]."""
-        held, x = self.problem.prescribed, self.problem.w.x.array
+        held, x = self.problem.dirichlet, self.problem.w.x.array
         if self._tilted is None:
             wanted = held.values.x.array[self._held] if target is None else target
             return x[self.fixed] - wanted, np.zeros((0, self._dim))
@@ -327,7 +328,7 @@ class Assembler:
         if more is not None:
             forces = forces + more
         forces = forces[self.moves]
-        held = self.problem.prescribed.moving
+        held = self.problem.dirichlet.moving
         local = np.zeros((len(held), self._dim))
         for row, dofs in zip(local, held.values(), strict=True):
             np.add.at(row, dofs % self._dim, forces[dofs])

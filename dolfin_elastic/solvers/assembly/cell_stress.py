@@ -28,11 +28,11 @@ class CellStress:
         assert problem.cell is not None
         self.problem, self.cell = problem, problem.cell
         self._pick = problem.constant([[0.0] * 3] * 3)
-        F = problem.F(problem.w)
+        F = problem.weak_form.F(problem.w)
         self.mean = sum(
-            ufl.inner(self._pick, problem.response(part, problem.w).stress(F))
-            * problem.volume(part, problem.rule(part))
-            for part in problem.parts
+            ufl.inner(self._pick, problem.weak_form.response(region, problem.w).stress(F))
+            * problem.weak_form.volume(region, problem.weak_form.rule(region))
+            for region in problem.regions
         )
         self._form = self.compiled([self.mean])[0]
 

@@ -27,10 +27,10 @@ class Strain:
     """
 
     def __init__(self, problem: Problem) -> None:
-        form = problem.strain_energy
+        form = problem.weak_form.strain_energy
         self._problem = problem
         self._form = compiled(problem, [form])[0] if form is not None else None
-        springs = problem.spring_energy
+        springs = problem.weak_form.spring_energy
         self._springs = compiled(problem, [springs])[0] if springs is not None else None
 
     def energy(self) -> float:
@@ -63,8 +63,8 @@ class ConsistentMass:
         degree = 2 * problem.degree + 1
         forms = [
             sum(
-                problem.site.density(part) * term * problem.volume(part, degree)
-                for part in problem.parts
+                problem.context.density(region) * term * problem.weak_form.volume(region, degree)
+                for region in problem.regions
             )
             for term in terms
         ]
@@ -117,7 +117,7 @@ def _summed(problem: Problem, local: FloatArray) -> tuple[float, FloatArray, Flo
 def lumped(problem: Problem, assembler: Assembler) -> FloatArray:
     """Row sums of the mass matrix at the owned displacements [kg]. Collective."""
     ones = ufl.as_vector([problem.constant(1.0)] * problem.body.dim)
-    form = compiled(problem, [problem.inertia(ones, problem.v)])[0]
+    form = compiled(problem, [problem.weak_form.inertia(ones, problem.v)])[0]
     index_map, bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
     mass = la.vector(index_map, bs)
     fem.assemble_vector(mass.array, form)

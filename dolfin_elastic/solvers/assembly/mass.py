@@ -36,7 +36,7 @@ def initial_acceleration(assembler: Assembler, held: FloatArray, a: fem.Function
     """
     problem, size = assembler.problem, len(assembler.moves)
     a.x.array[:] = 0.0
-    problem.prescribed.impose(a.x.array, held)
+    problem.dirichlet.impose(a.x.array, held)
     a.x.scatter_forward()
     rows = assembler.balance.array[assembler.moves] + _inertia(problem, a)[:size]
     matrix = _matrix(problem)
@@ -83,7 +83,7 @@ def held_acceleration(problem: Problem, h: float) -> FloatArray:
         problem: Its time is 0 afterwards.
         h: Step of the differences [s].
     """
-    values = problem.prescribed.targets_at(k * h for k in range(4))
+    values = problem.dirichlet.targets_at(k * h for k in range(4))
     problem.set_time(0.0)
     found = (2 * values[0] - 5 * values[1] + 4 * values[2] - values[3]) / h**2
     return np.asarray(np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0))
@@ -105,7 +105,7 @@ def held_rates(problem: Problem, t: float, h: float) -> tuple[FloatArray, FloatA
 
     def velocity(at: float) -> FloatArray:
         times = (max(time, 0.0) for time in (at - h / 8, at + h / 8))
-        before, after = problem.prescribed.targets_at(times)
+        before, after = problem.dirichlet.targets_at(times)
         return np.asarray((after - before) * 4 / h)
 
     before, now, after = (velocity(at) for at in (t - h / 2, t, t + h / 2))
@@ -115,7 +115,7 @@ def held_rates(problem: Problem, t: float, h: float) -> tuple[FloatArray, FloatA
 
 def free(problem: Problem, rows: FloatArray) -> FloatArray:
     """What supports leave of a vector at the owned displacements. Not collective."""
-    held, out = problem.prescribed, rows.copy()
+    held, out = problem.dirichlet, rows.copy()
     held.impose(out, np.zeros(len(held.targets)))
     return out
 
@@ -123,7 +123,7 @@ def free(problem: Problem, rows: FloatArray) -> FloatArray:
 def _inertia(problem: Problem, a: fem.Function) -> FloatArray:
     """M a, local entries of which the owned ones are complete. Collective."""
     V = problem.V
-    form = compiled(problem, [problem.inertia(a, ufl.TestFunction(V))])[0]
+    form = compiled(problem, [problem.weak_form.inertia(a, ufl.TestFunction(V))])[0]
     out = la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
     fem.assemble_vector(out.array, form)
     out.scatter_reverse(la.InsertMode.add)
@@ -132,9 +132,9 @@ def _inertia(problem: Problem, a: fem.Function) -> FloatArray:
 
 def _matrix(problem: Problem) -> TangentMatrix:
     """The mass matrix with supports; the caller destroys it. Collective."""
-    V, held, dim = problem.V, problem.prescribed, problem.body.dim
+    V, held, dim = problem.V, problem.dirichlet, problem.body.dim
     trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
-    form = compiled(problem, [problem.inertia(trial, test)])[0]
+    form = compiled(problem, [problem.weak_form.inertia(trial, test)])[0]
     if (tilted := held.tilted) is None:
         matrix = TangentMatrix(form)
     else:

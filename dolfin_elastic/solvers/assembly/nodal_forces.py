@@ -39,7 +39,7 @@ class Forces:
         self._packed = pack_coefficients(form._cpp_object)
         self._reads = [
             read
-            for field in (problem.u, problem.site.velocity)
+            for field in (problem.u, problem.context.velocity)
             for read in _reads(form, field, self._packed)
         ]
         self._constants = pack_constants(form._cpp_object)

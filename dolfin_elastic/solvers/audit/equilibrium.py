@@ -103,7 +103,7 @@ class EquilibriumAuditor:
                 forces, self._unbalanced = self._inside(forces.shape), True
         if self._last is not None:  # what begins in an obstacle has not been pushed out yet
             self._touch(reasons)
-        if np.isfinite(energy) or self._problem.strain_energy is None:
+        if np.isfinite(energy) or self._problem.weak_form.strain_energy is None:
             self._follow(forces, u, energy, energy_noise, reasons)
         else:
             reasons["energy"] = "the strain energy has no finite value"
@@ -181,9 +181,9 @@ class EquilibriumAuditor:
                 f"forces balance to {self._blur:.1g} of their sum only: rounding errors of the "
                 "stiffest cells"
             )
-        if self._problem.strain_energy is None:
+        if self._problem.weak_form.strain_energy is None:
             notes.append("no balance of energy: a law has none")
-        elif self._problem.rest:
+        elif self._problem.eigenstrains:
             notes.append("no balance of energy: heat or growth stores some of its own")
         elif self._problem.unknowns.stabilised:
             notes.append("no balance of energy: the stabilised pressure stores some of its own")
@@ -205,7 +205,7 @@ class EquilibriumAuditor:
         a = self._assembler
         reactions = a.constraint_forces(a.balance.array[: a.size])
         forces = [a.external_forces()[a.moves], reactions[a.moves]]
-        if self._problem.holding:
+        if self._problem.weak_form.restraint_works:
             forces.append(a.holding_forces()[a.moves])
         return [force.reshape(-1, self._dim) for force in forces]
 
@@ -217,7 +217,7 @@ class EquilibriumAuditor:
 
     def _touch(self, reasons: dict[str, str]) -> None:
         """Nothing is deeper in an obstacle, or presses farther off it, than was promised."""
-        for touch in self._problem.touching:
+        for touch in self._problem.contact_pairs:
             if (off := off_obstacle(touch)) > touch.tolerance:
                 reasons[f"contact {touch.label}"] = (
                     f"contact '{touch.label}': a node that presses is {off:.3g} m off the "
@@ -309,9 +309,9 @@ class EquilibriumAuditor:
         bound = max(abs(change), last.change) / 2
         allowed = bound + STORED * max(abs(work), abs(stored))
         allowed += self._assembler.free * float(np.sqrt(moved)) + noise
-        if self._problem.touching:
+        if self._problem.contact_pairs:
             allowed += SMALL * max(abs(energy), abs(last.energy))
-        judged = not (self._problem.unknowns.stabilised or self._problem.rest)
+        judged = not (self._problem.unknowns.stabilised or self._problem.eigenstrains)
         if abs(work - stored) > allowed and judged:
             reasons["energy"] = (
                 f"the work of the step, {work:.4g} J, and what it has stored, {stored:.4g} J, "
@@ -327,7 +327,7 @@ def _places(problem: Problem) -> str:
     The stress P of a small-strain law is symmetric itself, that of all others is where it acts:
     P F^T is symmetric (Bonet & Wood (2008), section 5.2).
     """
-    linear = [part.law.linear for part in problem.parts]
+    linear = [part.law.linear for part in problem.regions]
     if problem.geometry == "axisymmetric" or (any(linear) and not all(linear)):
         return "none"
     return "reference" if all(linear) else "current"

@@ -65,7 +65,7 @@ class PathEnergyCheck:
             unsure: Norm of the forces that Newton's method leaves undetermined [N].
         """
         problem = self._assembler.problem
-        if self.strain.none or problem.rest or problem.unknowns.stabilised:
+        if self.strain.none or problem.eigenstrains or problem.unknowns.stabilised:
             return False  # what is stored does not tell what has been done
         if self._before is None or self._now is None:
             return False

@@ -190,9 +190,9 @@ class _Doctor:
         return self._nan(fault.text, fault)
 
     def _energy_is_finite(self) -> bool:
-        if self.problem.strain_energy is None:
+        if self.problem.weak_form.strain_energy is None:
             return True
-        form = compiled(self.problem, [self.problem.strain_energy])[0]
+        form = compiled(self.problem, [self.problem.weak_form.strain_energy])[0]
         return bool(np.isfinite(integral(self.problem, form)))
 
     def _nan(self, text: str, fault: Fault) -> Diagnosis:

@@ -61,9 +61,11 @@ class Cells:
         self.comm, mesh = assembler.comm, assembler.problem.body.mesh
         kind = getattr(basix.CellType, mesh.topology.cell_name())
         problem = self.problem
-        self.points, _ = basix.make_quadrature(kind, max(map(problem.rule, problem.parts)))
+        self.points, _ = basix.make_quadrature(
+            kind, max(map(problem.weak_form.rule, problem.regions))
+        )
         self._F = compile_expression(
-            self.comm, _flat(problem.F(problem.w)), self.points, problem.jit
+            self.comm, _flat(problem.weak_form.F(problem.w)), self.points, problem.jit
         )
         self.own = problem.body.owned_cells()
         corners = mesh.geometry.dofmap[self.own][:, : mesh.topology.dim + 1]
@@ -109,7 +111,7 @@ class Cells:
 
     def _bad(self, cell: int, J: float, force: float) -> BadCell:
         body = self.problem.body
-        material = next((p.name for p in self.problem.parts if cell in p.cells), "")
+        material = next((p.name for p in self.problem.regions if cell in p.cells), "")
         regions = tuple(sorted(n for n, cells in body.regions.items() if cell in cells))
         return BadCell(plain(self.middles[cell]), material, regions, J, force)
 
@@ -124,11 +126,17 @@ class Cells:
 def not_finite(cells: Cells) -> Fault | None:
     """The first term of the residual that has no finite value in the present state. Collective."""
     problem = cells.problem
-    for part in problem.parts:
+    for part in problem.regions:
         if (fault := _of_material(cells, part)) is not None:
             return fault
-    terms = [(f"the load '{load.kind}'" + _on(load.parts), work) for load, work in problem.works]
-    terms += [(f"the force of '{label}'", work) for label, work in problem.holding.items()]
+    terms = [
+        (f"the load '{load.kind}'" + _on(load.parts), work)
+        for load, work in problem.weak_form.works
+    ]
+    terms += [
+        (f"the force of '{label}'", work)
+        for label, work in problem.weak_form.restraint_works.items()
+    ]
     for name, work in terms:
         if (fault := _of_term(problem, name, work)) is not None:
             return fault
@@ -137,7 +145,7 @@ def not_finite(cells: Cells) -> Fault | None:
 
 def _of_material(cells: Cells, part: MaterialRegion) -> Fault | None:
     problem = cells.problem
-    law, F = problem.response(part, problem.w), problem.F(problem.w)
+    law, F = problem.weak_form.response(part, problem.w), problem.weak_form.F(problem.w)
     entries = [*_flat(law.stress(F)), *([law.energy(F)] if law.has_energy else [])]
     kernel = compile_expression(cells.comm, ufl.as_vector(entries), cells.points, problem.jit)
     values = np.zeros((0, 1))

@@ -278,10 +278,10 @@ def _largest_motion(
 
 
 def _material_at(problem: Problem, node: int) -> str:
-    if len(problem.parts) == 1:
+    if len(problem.regions) == 1:
         return ""
     nodes = problem.unknowns.U.dofmap.list
-    names = sorted(p.name for p in problem.parts if np.any(nodes[p.cells] == node))
+    names = sorted(p.name for p in problem.regions if np.any(nodes[p.cells] == node))
     return f" ({messages.material(problem, names)})" if names else ""
 
 
@@ -294,7 +294,7 @@ def _material_fails(assembler: Assembler) -> tuple[float, ...] | None:
     cells = Cells(assembler)
     F, bad = cells.gradients(), np.zeros(len(cells.own), dtype=bool)
     flat = assembler.problem.body.dim == 2
-    for part in assembler.problem.parts:
+    for part in assembler.problem.regions:
         if part.compliance is not None:  # the pressure of the present state is not in F
             continue
         inside = F[part.cells].reshape(-1, 3, 3)

@@ -110,7 +110,7 @@ def _name(problem: Problem, inside: BoolArray) -> str:
     """The named regions, or else the materials, of cells inside. Collective."""
     nodes, body = problem.V.dofmap.list, problem.body
     regions = {name: body.owned_cells(name) for name in sorted(body.regions)}
-    materials = {part.name: part.cells for part in problem.parts}
+    materials = {part.name: part.cells for part in problem.regions}
     for groups, kind in ((regions, "region"), (materials, "material")):
         hit = []
         for name, cells in groups.items():

@@ -69,7 +69,7 @@ def check_held(problem: Problem) -> None:
     Raises:
         InputError: One is not.
     """
-    if problem.touching:
+    if problem.contact_pairs:
         check_start(problem, moving=False)
     bodies = free_bodies(problem)
     free = [body for body in bodies if body.motions]
@@ -83,7 +83,7 @@ def check_held(problem: Problem) -> None:
             where="periodic",
             expected="a cell that hangs together; a soft filling binds what lies in a hole",
         )
-    if problem.touching:
+    if problem.contact_pairs:
         _say_what_is_away(problem, free)
     what = "the supports leave the body free" if problem.supports else "there is no support"
     said = f"as a rigid body it can {', '.join(free[0].motions)}"
@@ -104,7 +104,7 @@ def _say_what_is_away(problem: Problem, free: list[FreeBody]) -> None:
     """Raises if obstacles would hold the body once they touched. Collective."""
     if free_motions(problem, reached=True):
         return
-    away = {touch.label: nearest_gap(touch) for touch in problem.touching if not touches(touch)}
+    away = {pair.label: nearest_gap(pair) for pair in problem.contact_pairs if not touches(pair)}
     said = ", ".join(f"'{label}' is {gap:.3g} m away" for label, gap in away.items())
     raise InputError(
         f"no obstacle holds the body yet ({said or 'they touch elsewhere'}): as a rigid body it "
@@ -135,7 +135,7 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
     sums = _products(bodies, held_directions(problem, reached=reached), centres, sizes)
     nulls = [_null(problem, matrix) for matrix in sums]
     stray = False
-    if any(len(motion.free) for motion in problem.prescribed.motions):
+    if any(len(motion.free) for motion in problem.dirichlet.motions):
 
         def motions_at(nodes: IndexArray) -> FloatArray:
             of = bodies.of_node[nodes]
@@ -158,7 +158,7 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
 
 def _parts_of_cell(problem: Problem, bodies: ConnectedBodies) -> list[FreeBody]:
     """Of a periodic cell all that hangs together with its held vertex is held. Collective."""
-    nodes = problem.unknowns.local(problem.prescribed.dofs) // problem.body.dim
+    nodes = problem.unknowns.local(problem.dirichlet.dofs) // problem.body.dim
     marks = np.bincount(bodies.of_node[nodes], minlength=bodies.count)
     held = total(bodies.comm, marks) > 0
     return [
@@ -173,14 +173,14 @@ def held_directions(problem: Problem, *, reached: bool = False) -> Held:
     Prescribed components and directions, springs, and obstacles that touch, as if they could pull,
     too; dashpots hold nothing.
     """
-    dim, prescribed = problem.body.dim, problem.prescribed
+    dim, prescribed = problem.body.dim, problem.dirichlet
     held = prescribed.owned
     rows = [Held((held // dim).astype(np.int32), np.eye(dim)[held % dim])]
-    more = list(problem.resisting)
+    more = list(problem.spring_projections)
     if (tilted := prescribed.tilted) is not None:
         more.append((tilted.nodes[: tilted.count], tilted.P[: tilted.count]))
     rows += [Held(np.repeat(nodes, dim), P.reshape(-1, dim)) for nodes, P in more]
-    for touch in problem.touching:
+    for touch in problem.contact_pairs:
         within = np.inf if reached else float(touch.reach.value)
         rows.append(Held(*rows_of(touch, within)))
     return Held(
@@ -261,15 +261,15 @@ def couple(
         Numbers of these bodies, and the matrix of their motions and then those of the surfaces.
     """
     dim, n, comm = problem.body.dim, products.shape[1], problem.body.comm
-    plates = [motion for motion in problem.prescribed.motions if len(motion.free)]
+    plates = [motion for motion in problem.dirichlet.motions if len(motion.free)]
     count = sum(len(motion.free) for motion in plates)
     mixed, own = np.zeros((bodies.count, n, count)), np.zeros((count, count))
     touched, first = np.zeros(bodies.count, dtype=np.int64), 0
-    last = len(problem.prescribed.values.x.array)
+    last = len(problem.dirichlet.values.x.array)
     owned = np.zeros(last, dtype=bool)
-    owned[problem.prescribed.owned] = True
+    owned[problem.dirichlet.owned] = True
     for motion in plates:
-        dofs, D = problem.prescribed.directions(motion)
+        dofs, D = problem.dirichlet.directions(motion)
         dofs, D = dofs[owned[dofs]], D[owned[dofs]]
         scale = np.where(np.arange(D.shape[1]) < dim, 1.0, 1 / float(sizes.max()))
         G = (D * scale)[:, list(motion.free)]

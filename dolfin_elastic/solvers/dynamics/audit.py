@@ -99,7 +99,7 @@ class MotionAuditor(EquilibriumAuditor):
         """
         reasons = dict(self._reasons)
         stabilised = self._problem.unknowns.stabilised
-        if not (stabilised or self._problem.rest):
+        if not (stabilised or self._problem.eigenstrains):
             off = ledger.off(energies)
             reasons.update(self._lasting(self._energy(off), off, ledger.scale, t))
         if self._forces is not None and (chords := self._chords.reason(self._du)):

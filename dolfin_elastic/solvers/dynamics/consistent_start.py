@@ -77,7 +77,7 @@ def begin(moving: DynamicResidual, v: fem.Function, a: fem.Function, h: float) -
         initial_acceleration(moving.assembler, held, a)
         return
     a.x.array[:] = 0.0
-    problem.prescribed.impose(a.x.array, held)
+    problem.dirichlet.impose(a.x.array, held)
     a.x.scatter_forward()
     saddle = _Saddle(moving, v, h)
     try:
@@ -103,12 +103,12 @@ def settle(problem: Problem, assembler: Assembler) -> None:
         return  # an exactly incompressible body's pressure does not follow from its shape
     still = Assembler(problem, still=True)
     newton = Newton(still, choose(problem, LinearSettings(method="direct")), Tolerance())
-    start = problem.prescribed.values.x.array.copy()
+    start = problem.dirichlet.values.x.array.copy()
     try:
-        problem.prescribed.values.x.array[:] = problem.u.x.array
+        problem.dirichlet.values.x.array[:] = problem.u.x.array
         newton.solve("basic")
     finally:
-        problem.prescribed.values.x.array[:] = start
+        problem.dirichlet.values.x.array[:] = start
         newton.destroy()
         still.destroy()
     assembler.assemble_balance()
@@ -169,13 +169,13 @@ class _Saddle:
             self._tell(self._largest(change), speed)
             step = self._step(self._largest(self._v))
         self._curved: FloatArray = np.zeros(len(self._moving.extras))
-        if step > 0.0 and (self._problem.rest or not self._problem.linear):
+        if step > 0.0 and (self._problem.eigenstrains or not self._problem.linear):
             self._curved = np.asarray(self._derivative(SECOND, step) / step**2)
 
     def _step(self, speed: float) -> float:
         """Step of differences in time [s]; 0 where nothing changes."""
         small = STRAIN * cell_size(self._problem.body) / speed if speed > 0.0 else np.inf
-        if self._problem.rest:
+        if self._problem.eigenstrains:
             small = min(small, self._h)
         return small if small < np.inf else 0.0
 

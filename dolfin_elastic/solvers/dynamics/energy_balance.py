@@ -51,7 +51,7 @@ class EnergyBalance:
         self._constant = bool(problem.loads) and not problem.loads_change
         self._dead: FloatArray | None = None
         self._places: FloatArray = np.empty(0)
-        size = problem.constant(1.0) * problem.volume(None, 1)
+        size = problem.constant(1.0) * problem.weak_form.volume(None, 1)
         volume = integral(problem, compiled(problem, [size])[0])
         self._round_off = _NOISE * np.finfo(float).eps * problem.stiffness * volume
 
@@ -92,7 +92,7 @@ class EnergyBalance:
 
     def _shifts(self) -> FloatArray:
         """How far the obstacles have moved by now, shape (contacts, dim) [m]."""
-        return np.array([touch.shift.value for touch in self._moving.problem.touching])
+        return np.array([touch.shift.value for touch in self._moving.problem.contact_pairs])
 
     def energies(self, kinetic: float, stored: float) -> dict[str, float]:
         """Work, dissipation, potential and balance [J] by name. Collective.

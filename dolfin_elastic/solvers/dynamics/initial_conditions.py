@@ -72,7 +72,7 @@ def set_initial(
     Returns:
         Where supports and what was asked for differ.
     """
-    u, held = problem.u, problem.prescribed
+    u, held = problem.u, problem.dirichlet
     if displacement:
         _put(problem, u, displacement, "dynamics.initial_displacement")
     v.x.array[:] = 0.0
@@ -111,7 +111,7 @@ def _speeds(problem: Problem, moment: float) -> tuple[FloatArray, float]:
 
     By a one-sided difference of second order over a moment [s]. Collective.
     """
-    start, half, whole = problem.prescribed.targets_at((0.0, moment / 2, moment))
+    start, half, whole = problem.dirichlet.targets_at((0.0, moment / 2, moment))
     size = largest(problem.body.comm, float(np.max(np.abs(whole), initial=0.0)))
     speeds = np.asarray((4 * (half - start) - (whole - start)) / moment, dtype=np.float64)
     return speeds, 64 * EPS * size / moment
@@ -123,7 +123,7 @@ def _imposed(
     """Makes prescribed entries what supports say; tells where they were not. Collective."""
     size = problem.V.dofmap.index_map.size_local * problem.V.dofmap.index_map_bs
     before = field.x.array[:size].copy()
-    problem.prescribed.impose(field.x.array, values)
+    problem.dirichlet.impose(field.x.array, values)
     scale = largest(problem.body.comm, float(np.max(np.abs(before), initial=0.0)))
     yield from misfits(problem, what, field.x.array[:size] - before, least + SMALL * scale)
 
@@ -180,7 +180,7 @@ class SupportJump:
 
 def reach(problem: Problem, span: float) -> float:
     """How far supports move within a time, from where they start [m]. Collective."""
-    held, most = problem.prescribed, 0.0
+    held, most = problem.dirichlet, 0.0
     start, *later = held.targets_at(span * k / LOOKS for k in range(LOOKS + 1))
     for there in later:
         gone = np.abs(there - start)
@@ -197,7 +197,7 @@ def jump(problem: Problem, t: float, step: float) -> str:
         t: Time [s]; it is the problem's afterwards.
         step: As long as the steps of the motion [s].
     """
-    held = problem.prescribed
+    held = problem.dirichlet
     start, *later = held.targets_at((t, t + 1e-4 * step, t + step))
     problem.set_time(t)
     sudden, whole = (np.nan_to_num(there - start) for there in later)
@@ -237,7 +237,7 @@ def misfits(problem: Problem, what: str, change: FloatArray, least: float) -> It
 
 def _shares(problem: Problem, change: FloatArray) -> Iterator[tuple[str, FloatArray]]:
     """Each support's label, and what it has changed at the owned nodes, of shape (nodes, dim)."""
-    held, dim = problem.prescribed, problem.body.dim
+    held, dim = problem.dirichlet, problem.body.dim
     for label, entries in held.moving.items():
         share = np.zeros_like(change)
         share[entries] = change[entries]

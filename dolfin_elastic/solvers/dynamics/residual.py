@@ -75,7 +75,7 @@ class DynamicResidual:
         self._a = fem.Function(problem.V, name="acceleration in the residual")
         self.damping = Damping(problem, mass, stiffness)
         self.shift, self.drag = problem.constant(0.0), problem.constant(0.0)
-        inertia = problem.inertia(self._a, problem.v)
+        inertia = problem.weak_form.inertia(self._a, problem.v)
         work = self.damping.work()
         self.assembler = Assembler(
             problem,
@@ -84,7 +84,7 @@ class DynamicResidual:
         )
         self.moves = self.assembler.moves
         self.extras = np.setdiff1d(np.arange(self.assembler.size), self.moves)
-        dashpots = [d.virtual_work(problem.site) for d in problem.dashpots]
+        dashpots = [d.virtual_work(problem.context) for d in problem.dashpots]
         forms = {
             "inertia": inertia,
             "damping": work,
@@ -93,20 +93,20 @@ class DynamicResidual:
         }
         named = {name: form for name, form in forms.items() if form is not None}
         self._forms = dict(zip(named, compiled(problem, list(named.values())), strict=True))
-        works = [touch.work for touch in problem.touching]
+        works = [touch.work for touch in problem.contact_pairs]
         self._touching = compiled(problem, works) if works else []
         # Obstacles whose forces are not one with those of springs under the same label.
         springs = {spring.label for spring in (*problem.springs, *problem.dashpots)}
-        self._alone = [touch.label not in springs for touch in problem.touching]
-        self._bare = {touch.label for touch in problem.touching} - springs
+        self._alone = [touch.label not in springs for touch in problem.contact_pairs]
+        self._bare = {touch.label for touch in problem.contact_pairs} - springs
         self._mass = np.abs(lumped(problem, self.assembler))
         self.mass, self.norm = mass_diagonal(self.assembler), 0.0
 
     def _tangent(self) -> ufl.Form:
         problem = self.problem
         trial = problem.unknowns.displacement(ufl.TrialFunction(problem.W))
-        tangent = self.shift * problem.inertia(trial, problem.v)
-        for damping in (problem.damping(trial), self.damping.tangent()):
+        tangent = self.shift * problem.weak_form.inertia(trial, problem.v)
+        for damping in (problem.weak_form.damping(trial), self.damping.tangent()):
             if damping is not None:
                 tangent += self.drag * damping
         stiffening = self.damping.stiffening()
@@ -121,7 +121,7 @@ class DynamicResidual:
     def tell(self, v: FloatArray) -> None:
         """Gives dashpots and damping the owned entries of a velocity. Collective."""
         if self.problem.dashpots:
-            velocity = self.problem.site.velocity.x
+            velocity = self.problem.context.velocity.x
             velocity.array[: len(v)] = v
             velocity.scatter_forward()
         if not self.damping.none:

@@ -53,7 +53,7 @@ class RotationError:
         if settings.scheme in ("generalized-alpha", "alpha2"):
             old = settings.spectral_radius / (1 + settings.spectral_radius)
         self._share = old * (1 - old) / 2
-        feels = any(not part.law.linear for part in problem.parts)
+        feels = any(not part.law.linear for part in problem.regions)
         self._needed = self._share > 0.0 and feels
         if not self._needed:
             return
@@ -61,7 +61,7 @@ class RotationError:
         kind = getattr(basix.CellType, mesh.topology.cell_name())
         points, _ = basix.make_quadrature(kind, 1)
         self._change = fem.Function(problem.V)
-        D, F = ufl.grad(self._change), problem.F(problem.w)
+        D, F = ufl.grad(self._change), problem.weak_form.F(problem.w)
         chord, strain = D.T * D, (F.T * F - ufl.Identity(3)) / 2
         seen = ufl.as_vector([ufl.inner(chord, chord), ufl.inner(strain, strain)])
         self._look = compile_expression(mesh.comm, seen, points, problem.jit)

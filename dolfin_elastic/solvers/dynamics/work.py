@@ -128,23 +128,25 @@ class ExternalWork:
         resting = all(spring.at_rest for spring in problem.springs)
         for support in problem.supports:
             if support in problem.dashpots or (support in problem.springs and not resting):
-                work = support.virtual_work(problem.site)
+                work = support.virtual_work(problem.context)
                 self.shares.append(_Pushing(self._of(work)))
         self.leading = supports_move(problem)
         if self.leading:
             self.shares.append(_Leading(assembler))
-        for touch in problem.touching:
+        for touch in problem.contact_pairs:
             if touch.contact.values:
                 self.shares.append(_Obstacle(touch, self._of(touch.work)))
-        springs = problem.spring_energy if resting else None
+        springs = problem.weak_form.spring_energy if resting else None
         self._springs = None if springs is None else compiled(problem, [springs])[0]
         self._stored = self._carried = self._local = self.sum = 0.0
 
     def _external(self) -> ufl.Form:
         problem = self._problem
-        if problem.external is not None:
-            return problem.external
-        return problem.constant(0.0) * sum(problem.v) * problem.volume(None, 1)  # points only
+        if problem.weak_form.external is not None:
+            return problem.weak_form.external
+        return (
+            problem.constant(0.0) * sum(problem.v) * problem.weak_form.volume(None, 1)
+        )  # points only
 
     def _of(self, form: ufl.Form, points: float = 0.0) -> Forces:
         dofmap = self._problem.V.dofmap

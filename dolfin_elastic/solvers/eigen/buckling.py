@@ -314,9 +314,11 @@ class _Path:
         """Root of the mean square of dE/ds = sym(F^T dF/ds), E = (F^T F - I)/2."""
         problem, w = self._problem, fem.Function(self._problem.W)
         w.x.array[:] = along
-        rate = ufl.sym(problem.F(problem.w).T * (problem.F(w) - ufl.Identity(3)))
+        rate = ufl.sym(
+            problem.weak_form.F(problem.w).T * (problem.weak_form.F(w) - ufl.Identity(3))
+        )
         forms = [ufl.inner(rate, rate), problem.constant(1.0)]
-        volume = problem.volume(None, 2)
+        volume = problem.weak_form.volume(None, 2)
         square, whole = (
             integral(problem, form) for form in compiled(problem, [f * volume for f in forms])
         )
@@ -340,7 +342,7 @@ class _Path:
 
 
 def _check_laws(problem: Problem) -> None:
-    for part in problem.parts:
+    for part in problem.regions:
         if part.law.linear:
             raise InputError(
                 f"'{part.law.name()}' is for small rotations: its stiffness does not change "

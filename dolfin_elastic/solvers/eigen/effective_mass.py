@@ -39,14 +39,14 @@ class Mass:
     def __init__(self, assembler: Assembler) -> None:
         self._assembler, problem = assembler, assembler.problem
         trial = problem.unknowns.displacement(ufl.TrialFunction(problem.W))
-        self._form = compiled(problem, [problem.inertia(trial, problem.v)])[0]
+        self._form = compiled(problem, [problem.weak_form.inertia(trial, problem.v)])[0]
         self._filled = TangentMatrix(self._form)
         self._filled.assemble([])
         self.matrix: PETSc.Mat = self._filled.petsc
 
     def constrain(self) -> None:
         """Leaves the inertia of what is free to move only. Collective."""
-        assembler, tilted = self._assembler, self._assembler.problem.prescribed.tilted
+        assembler, tilted = self._assembler, self._assembler.problem.dirichlet.tilted
         if tilted is not None:
             self._filled.destroy()
             P = tilted.P[: tilted.count]
@@ -117,7 +117,7 @@ def _places(problem: Problem) -> FloatArray:
     dim = problem.body.dim
     own = len(problem.unknowns.moves) // dim
     x = problem.V.tabulate_dof_coordinates()[:own, :dim]
-    if problem.site.linear:
+    if problem.context.linear:
         return np.asarray(x)
     return np.asarray(x + problem.u.x.array[: own * dim].reshape(-1, dim))
 

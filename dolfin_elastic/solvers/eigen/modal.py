@@ -115,8 +115,8 @@ class Modal(PreloadedAnalysis):
         self.settings = settled(ModalSettings, settings, fields)
         self._check_way("modal.preload", 1.0 if self.settings.preload else 0.0)
         refuse(problem, "modal", loaded=self.settings.preload)
-        for part in problem.parts:
-            problem.site.density(part)  # says where there is none
+        for part in problem.regions:
+            problem.context.density(part)  # says where there is none
         self.choice = choose_eigen(problem, self.linear)
         if self.settings.below is not None and not self.choice.direct:
             raise InputError(
@@ -134,7 +134,7 @@ class Modal(PreloadedAnalysis):
         """
         self._tell_dashpots("undamped modes")
         if self.settings.preload:
-            if self.problem.site.linear:
+            if self.problem.context.linear:
                 log.warning(UNMOVED)
             yield from self._load(self.statics)
         else:
@@ -158,13 +158,13 @@ def _assembler(problem: Problem, *, loaded: bool) -> Assembler:
         for load in problem.loads
         if load.follows and not load.swells and (load.amplitude or RAMP).at(0.0) != 0.0
     ]
-    if loaded or not on or problem.external is None:
+    if loaded or not on or problem.weak_form.external is None:
         return Assembler(problem)
     trial = ufl.TrialFunction(problem.W)
     return Assembler(
         problem,
-        extra=problem.external,
-        extra_tangent=ufl.derivative(problem.external, problem.w, trial),
+        extra=problem.weak_form.external,
+        extra_tangent=ufl.derivative(problem.weak_form.external, problem.w, trial),
     )
 
 
@@ -207,7 +207,7 @@ class Vibration:
 
     def _room(self) -> int:
         """How many modes there are: displacements that nothing prescribes."""
-        assembler, tilted = self.assembler, self.problem.prescribed.tilted
+        assembler, tilted = self.assembler, self.problem.dirichlet.tilted
         free = len(assembler.moves) - len(assembler.fixed)
         if tilted is not None:
             traces = np.trace(tilted.P[: tilted.count], axis1=1, axis2=2)

@@ -67,14 +67,14 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
             where="periodic",
             expected=f"leave it out, or write [statics] in place of [{table}]",
         )
-    if problem.touching:
+    if problem.contact_pairs:
         raise InputError(
             "what opens and closes has no modes",
             where="contact",
             expected="a support in its place, or [dynamics]",
         )
     refuse_scalars(problem)
-    for part in problem.parts:
+    for part in problem.regions:
         if not part.law.has_energy:
             raise InputError(
                 f"'{part.law.name()}' has no energy, so that its modes are no modes",

@@ -32,7 +32,7 @@ def constrain(assembler: Assembler) -> int:
     pressures = np.setdiff1d(np.arange(assembler.size), assembler.moves)
     enclosed = _is_null(assembler, pressures)
     if problem.unknowns.stabilised:  # its own rows know all but the mean
-        count = int(all(is_incompressible(part.compliance) for part in problem.parts))
+        count = int(all(is_incompressible(part.compliance) for part in problem.regions))
     else:
         diagonal = matrix.getDiagonal()
         count = total(comm, int(np.sum(diagonal.array_r[pressures] == 0.0)))

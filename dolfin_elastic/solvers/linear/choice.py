@@ -230,9 +230,9 @@ class QuadraticMultigrid:
         self._fixed = self._P.createVecRight()
         self._fixed.array_w[coarse.owned] = 1.0
         self._fixed.array_w[pinned] = 1.0
-        self._scale_interpolation(problem.unknowns.local(problem.prescribed.owned))
-        if problem.prescribed.tilted is not None:
-            self._project_interpolation(problem.prescribed.tilted)
+        self._scale_interpolation(problem.unknowns.local(problem.dirichlet.owned))
+        if problem.dirichlet.tilted is not None:
+            self._project_interpolation(problem.dirichlet.tilted)
         self._problem = problem
         self._coarse: PETSc.Mat | None = None
         self._pc: PETSc.PC | None = None

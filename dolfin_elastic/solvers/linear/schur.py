@@ -16,7 +16,8 @@ from dolfinx import fem, la
 from petsc4py import PETSc
 
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.problem.problem import UNUSED, Problem
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.linear.choice import QuadraticMultigrid, rigid_body_modes
 
@@ -55,8 +56,8 @@ class SchurSplit:
             -((1 / part.shear + part.compliance) if part.compliance else UNUSED / part.shear)
             * scale
             * q
-            * problem.volume(part, 2)
-            for part in problem.parts
+            * problem.weak_form.volume(part, 2)
+            for part in problem.regions
         )
         index_map, bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
         sums = la.vector(index_map, bs)

@@ -46,7 +46,7 @@ class ContactAugmentation:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self._touching = problem.touching
+        self._touching = problem.contact_pairs
         for touch in self._touching:
             touch.soften(1.0)
         self._saved: list[FloatArray] = []
@@ -105,7 +105,7 @@ class Measured:
     """
 
     def __init__(self, problem: Problem, *, moving: bool = False) -> None:
-        self._problem, self._touching = problem, problem.touching
+        self._problem, self._touching = problem, problem.contact_pairs
         areas = [touch.area for touch in self._touching]
         self._areas: list[fem.Form] = compiled(problem, areas) if areas else []
         stored = [touch.energy for touch in self._touching] if moving else []
@@ -131,37 +131,37 @@ class Measured:
 @contextmanager
 def all_touching(problem: Problem) -> Iterator[None]:
     """Counts every surface that may touch as touching, for the stiffest tangent there can be."""
-    kept = [float(touch.reach.value) for touch in problem.touching]
-    far = 10 * span(problem.body) if problem.touching else 0.0
+    kept = [float(touch.reach.value) for touch in problem.contact_pairs]
+    far = 10 * span(problem.body) if problem.contact_pairs else 0.0
     try:
-        for touch in problem.touching:
+        for touch in problem.contact_pairs:
             touch.reach.value = max(far, 10 * farthest(touch))
         yield
     finally:
-        for touch, value in zip(problem.touching, kept, strict=True):
+        for touch, value in zip(problem.contact_pairs, kept, strict=True):
             touch.reach.value = value
 
 
 @contextmanager
 def none_touching(problem: Problem) -> Iterator[None]:
     """Counts no surface as touching, for the tangent of a body that has been lifted off."""
-    kept = [float(touch.reach.value) for touch in problem.touching]
+    kept = [float(touch.reach.value) for touch in problem.contact_pairs]
     try:
-        for touch in problem.touching:
+        for touch in problem.contact_pairs:
             touch.reach.value = -1e30
         yield
     finally:
-        for touch, value in zip(problem.touching, kept, strict=True):
+        for touch, value in zip(problem.contact_pairs, kept, strict=True):
             touch.reach.value = value
 
 
 def pulled_off(assembler: Assembler) -> bool:
     """The loads as a whole point away from the obstacles that are near. Collective."""
     problem, dim = assembler.problem, assembler.problem.body.dim
-    if not problem.touching:
+    if not problem.contact_pairs:
         return False
     normals = np.zeros(dim)
-    for touch in problem.touching:
+    for touch in problem.contact_pairs:
         gaps, n = touch.gaps()
         normals += n[gaps <= touch.size].sum(axis=0)
     forces = assembler.external_forces()[assembler.moves].reshape(-1, dim)
@@ -192,7 +192,7 @@ def begin_motion(problem: Problem, *, tell: bool) -> None:
         InputError: See `check_start`.
     """
     for touch, (gap, place) in zip(
-        problem.touching, check_start(problem, moving=True), strict=True
+        problem.contact_pairs, check_start(problem, moving=True), strict=True
     ):
         if tell and gap < -touch.tolerance:
             log.warning("%s", buried(touch, gap, place))
@@ -219,7 +219,7 @@ def check_start(problem: Problem, *, moving: bool) -> list[Gap]:
         InputError: With place and depth.
     """
     gaps = first_gaps(problem, moving=moving)
-    for index, (touch, (gap, place)) in enumerate(zip(problem.touching, gaps, strict=True)):
+    for index, (touch, (gap, place)) in enumerate(zip(problem.contact_pairs, gaps, strict=True)):
         if gap < -touch.size:
             raise InputError(
                 f"at the start '{touch.label}' lies {-gap:.3g} m deep in the obstacle, "
@@ -238,10 +238,10 @@ def first_gaps(problem: Problem, *, moving: bool) -> list[Gap]:
         problem: What may touch.
         moving: In motion, where what names no curve acts in full from the start.
     """
-    if problem.touching:
+    if problem.contact_pairs:
         problem.set_time(0.0, default=CONSTANT if moving else PROPORTIONAL)
     found = []
-    for touch in problem.touching:
+    for touch in problem.contact_pairs:
         gaps = touch.gaps()[0]
         mine = [
             (float(gap), tuple(place.round(12).tolist()))
@@ -258,7 +258,7 @@ def first_gaps(problem: Problem, *, moving: bool) -> list[Gap]:
 
 def tell_untouched(problem: Problem, states: States) -> States:
     """The same states; at their end, warns of contacts that none of them touches."""
-    never = {touch.label for touch in problem.touching}
+    never = {touch.label for touch in problem.contact_pairs}
     with closing(states):
         for state in states:
             numbers = state.numbers if isinstance(state, State) else {}

@@ -36,9 +36,11 @@ class JacobianWatch:
     def __init__(self, problem: Problem) -> None:
         mesh = problem.body.mesh
         kind = getattr(basix.CellType, mesh.topology.cell_name())
-        points, _ = basix.make_quadrature(kind, max(problem.rule(part) for part in problem.parts))
-        F = problem.F(problem.w)
-        small = [part.cells for part in problem.parts if part.law.linear]
+        points, _ = basix.make_quadrature(
+            kind, max(problem.weak_form.rule(region) for region in problem.regions)
+        )
+        F = problem.weak_form.F(problem.w)
+        small = [part.cells for part in problem.regions if part.law.linear]
         self._small = np.concatenate(small) if small else None
         seen = [ufl.det(F)]
         if self._small is not None:
@@ -201,7 +203,7 @@ class SmallStrains:
 
     def __init__(self, problem: Problem, watch: JacobianWatch | None = None) -> None:
         self.note, self._dim = "", problem.body.dim
-        self._names = ", ".join(sorted({p.law.name() for p in problem.parts if p.law.linear}))
+        self._names = ", ".join(sorted({p.law.name() for p in problem.regions if p.law.linear}))
         self._watch = (watch or JacobianWatch(problem)) if self._names else None
 
     def look(self, when: str) -> None:

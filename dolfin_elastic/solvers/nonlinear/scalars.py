@@ -44,7 +44,7 @@ class Scalars:
 
     def __init__(self, assembler: Assembler) -> None:
         self._assembler, problem = assembler, assembler.problem
-        self._prescribed = problem.prescribed
+        self._prescribed = problem.dirichlet
         self._cavities = [CavityScalars(assembler, cavity) for cavity in problem.cavities]
         self.parts: list[ScalarUnknowns] = [c for c in self._cavities if c.cavity.controlled]
         self.parts += [
@@ -200,7 +200,7 @@ class RigidSurface(ScalarUnknowns):
     def __init__(self, assembler: Assembler, motion: RigidMotion) -> None:
         self._assembler, self._problem, self._motion = assembler, assembler.problem, motion
         problem = self._problem
-        self._prescribed, self.size = problem.prescribed, len(motion.free)
+        self._prescribed, self.size = problem.dirichlet, len(motion.free)
         dim = problem.body.dim
         length = span(problem.body)
         is_turn = np.array(motion.free) >= dim
@@ -208,7 +208,7 @@ class RigidSurface(ScalarUnknowns):
         self.prescribing = np.ones(self.size, dtype=bool)
         self._along = fem.Function(problem.W)
         test = ufl.TestFunction(problem.W)
-        works = ufl.derivative(ufl.action(problem.residual, self._along), problem.w, test)
+        works = ufl.derivative(ufl.action(problem.weak_form.residual, self._along), problem.w, test)
         self._work = compiled(problem, [works])[0]
         _, D = self._directions()
         lever = np.abs(D).max(axis=0, initial=0.0)
@@ -264,7 +264,7 @@ def refuse_scalars(problem: Problem) -> None:
             where="load",
             expected="its pressure, or [statics]",
         )
-    if any(len(motion.free) for motion in problem.prescribed.motions):
+    if any(len(motion.free) for motion in problem.dirichlet.motions):
         raise InputError(
             "a rigid surface with free motion exists in statics only",
             where="support",

@@ -153,7 +153,7 @@ class LoadStepping:
         self._auditor.go_on(numbers["audit"])
 
     def _multipliers(self) -> dict[str, fem.Function]:
-        return {f"contact_{i}": touch.lam for i, touch in enumerate(self.problem.touching)}
+        return {f"contact_{i}": touch.lam for i, touch in enumerate(self.problem.contact_pairs)}
 
     def _apart(self, unknowns: FloatArray) -> tuple[fem.Function, list[float]]:
         """Fields and scalars of unknowns as `Newton.present` has them."""
@@ -259,7 +259,7 @@ class LoadStepping:
     def _attempt(self, t: float, goal: float) -> Progress:
         """Tries to go to a load factor; the displacement is put back if that fails."""
         self.problem.set_time(goal, default=PROPORTIONAL)
-        self.problem.prescribed.check_finite()
+        self.problem.dirichlet.check_finite()
         now = self.newton.present()
         starts = [("", now)]
         if self._before is not None and t > self._before[0]:

@@ -183,8 +183,8 @@ def test_held_by_springs():
     """Forces that hold the body by springs count as forces from outside."""
     problem = block()
     stiffness = problem.constant(1e5)
-    springs = -stiffness * ufl.inner(problem.site.u, problem.v)
-    springs = springs * problem.site.areas(("right",))
+    springs = -stiffness * ufl.inner(problem.context.u, problem.v)
+    springs = springs * problem.context.areas(("right",))
     problem.__dict__["holding"] = {"bed": springs}
     found = audits(problem, steps=2)
     assert {audit.verdict for audit in found} == {"pass"}

@@ -215,7 +215,7 @@ def test_moving_supports_hold_at_every_step(scheme):
     moved = Support(on="left", displacement=["0.01*sin(200*t)", "0.02*(1 - cos(100*t))*y"])
     problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), supports=[moved])
     dt = {} if scheme == "symplectic-euler" else {"dt": 1e-3}
-    held = problem.prescribed
+    held = problem.dirichlet
     places = problem.V.tabulate_dof_coordinates()
     worst = speed = 0.0
     times = []
@@ -334,7 +334,7 @@ def test_adaptive_steps_with_moving_supports():
     ends = []
     for tolerance in (1e-3, 1e-5):
         problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), supports=[moved])
-        held = problem.prescribed.owned
+        held = problem.dirichlet.owned
         worst = 0.0
         for state in Dynamics(
             problem, end=0.02, dt=1e-4, adaptive=True, tolerance=tolerance

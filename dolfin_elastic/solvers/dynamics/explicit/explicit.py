@@ -98,11 +98,11 @@ class Explicit(ABC):
         self._energies = Energies(problem, v, self.mass, self.work)
         self._forces = Forces(problem, a.form, a.balance, points=-1.0)
         self._leads, self._timed = supports_move(problem), changes(problem)
-        self._tilts = problem.prescribed.tilted is not None
+        self._tilts = problem.dirichlet.tilted is not None
         arrays = problem.u.x.array, v.x.array, a.balance.array
         self._u, self._v, self._out = (array[: a.size] for array in arrays)
         self._pull, self._free = self._mobility(), np.ones(a.size)
-        self._free[problem.prescribed.owned] = 0.0
+        self._free[problem.dirichlet.owned] = 0.0
         self._change, self._du = np.zeros(a.size), np.zeros(a.size)
         self._t, self._step, self._chosen = 0.0, 0, dt
         self.size.begin(self.end)
@@ -113,7 +113,7 @@ class Explicit(ABC):
         """-1/m at owned entries, 0 where supports hold still [1/kg]."""
         pull = -1 / self.mass
         if not self._leads:
-            pull[self.problem.prescribed.owned] = 0.0
+            pull[self.problem.dirichlet.owned] = 0.0
         return np.asarray(pull)
 
     @property
@@ -228,7 +228,7 @@ class Explicit(ABC):
 
     def _hold(self, dt: float) -> None:
         """Makes the change of velocity one that takes supports where they are to be."""
-        held = self.problem.prescribed
+        held = self.problem.dirichlet
         goal = (held.targets - held.present(self.problem.u.x.array)) / dt
         self._change += self._v
         held.impose(self._change, goal)
@@ -236,7 +236,7 @@ class Explicit(ABC):
 
     def _tell_dashpots(self) -> None:
         if self.problem.dashpots:
-            seen = self.problem.site.velocity.x
+            seen = self.problem.context.velocity.x
             seen.array[: len(self._v)] = self._v
             seen.scatter_forward()
 
@@ -257,7 +257,7 @@ class Explicit(ABC):
         np.multiply(self._out, self._pull, out=self._change)
         if self._leads or self._tilts:
             driven = mean_acceleration(self.problem, self.v, self._t, self._dt_done, interval)
-            self.problem.prescribed.impose(self._change, driven)
+            self.problem.dirichlet.impose(self._change, driven)
         self.a.x.array[: len(self._v)] = self._change + 0.0  # no -0
         self.a.x.scatter_forward()
 
@@ -319,7 +319,7 @@ class Explicit(ABC):
     def _fields(self) -> dict[str, fem.Function]:
         fields = {"displacement": self.problem.u, "velocity": self.v, "rates": self.size.field}
         if self.problem.dashpots:  # they have seen that of half a step before
-            fields["dashpots"] = self.problem.site.velocity
+            fields["dashpots"] = self.problem.context.velocity
         return fields
 
     def restore(self, restore: Restore) -> None:

@@ -50,12 +50,12 @@ class FrequencyBound:
         self._mass = mass[:: self._dim].copy()
         d = self._dim
         stiff = sum(
-            (d + 1) * self._norm(part) * problem.v[0] * problem.volume(part, 1)
-            for part in problem.parts
+            (d + 1) * self._norm(part) * problem.v[0] * problem.weak_form.volume(part, 1)
+            for part in problem.regions
         )
         self._form = compiled(problem, [stiff])[0]
-        bounds = [spring.bound(problem.site) for spring in problem.springs]
-        bounds += [touch.bound for touch in problem.touching]
+        bounds = [spring.bound(problem.context) for spring in problem.springs]
+        bounds += [touch.bound for touch in problem.contact_pairs]
         self._held = rows_over_mass(assembler, bounds, mass)[::d]
 
     @staticmethod
@@ -65,7 +65,8 @@ class FrequencyBound:
         In a body of revolution the tangent changes inside a cell, also in a curved one.
         """
         follows = any(
-            load.follows and not (load.linearises and problem.site.linear) for load in problem.loads
+            load.follows and not (load.linearises and problem.context.linear)
+            for load in problem.loads
         )
         straight = int(problem.body.mesh.geometry.cmap.degree) == 1
         return straight and problem.geometry == "plane-strain" and not follows
@@ -73,8 +74,8 @@ class FrequencyBound:
     def _norm(self, part: MaterialRegion) -> Expr:
         """kappa/V in cells of a part [N/m^4] (UFL)."""
         problem, d = self._problem, self._dim
-        F = ufl.variable(problem.F(problem.w))
-        P = problem.response(part, problem.w).stress(F)
+        F = ufl.variable(problem.weak_form.F(problem.w))
+        P = problem.weak_form.response(part, problem.w).stress(F)
         A = ufl.diff(P, F)
         if d == 2:
             ways = range(2)

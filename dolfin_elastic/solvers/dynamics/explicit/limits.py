@@ -34,7 +34,7 @@ def check_explicit(problem: Problem, scheme: str) -> None:
             expected=f"{'not plane stress' if stretch else 'displacement'}, or the scheme "
             "'generalized-alpha'",
         )
-    for part in problem.parts:
+    for part in problem.regions:
         if part.law.viscosity is not None:
             raise InputError(
                 f"the scheme '{scheme}' knows no viscosity",
@@ -48,7 +48,7 @@ def changes(problem: Problem) -> bool:
     return (
         (bool(problem.loads) and problem.loads_change)
         or any(not support.at_rest for support in problem.supports)
-        or any(touch.contact.values for touch in problem.touching)
+        or any(touch.contact.values for touch in problem.contact_pairs)
     )
 
 
@@ -64,7 +64,7 @@ def mean_acceleration(
         dt: The last step [s].
         interval: From the time of the velocity to the middle of its next step [s].
     """
-    held = problem.prescribed
+    held = problem.dirichlet
     here, now = held.present(problem.u.x.array), held.present(v.x.array)
 
     def targets(time: float) -> FloatArray:

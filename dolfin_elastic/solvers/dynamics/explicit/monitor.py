@@ -44,7 +44,7 @@ class StabilityMonitor:
         self._problem, self._assembler = problem, assembler
         self.watch = JacobianWatch(problem)
         self._small = SmallStrains(problem, self.watch)
-        self.nonlinear = any(not part.law.linear for part in problem.parts)
+        self.nonlinear = any(not part.law.linear for part in problem.regions)
         self._states, self.inside_out, self._told = 0, "", False
         self.place: tuple[float, ...] = ()
         self._first: FloatArray | None = None
@@ -91,7 +91,7 @@ class StabilityMonitor:
             quiver: What the energy that the scheme conserves has beyond these, this rank's part.
             t: Time [s].
         """
-        if self._problem.rest:  # what grows or is heated stores energy without work
+        if self._problem.eigenstrains:  # what grows or is heated stores energy without work
             return False
         gained = energies["total"] - energies["external"]
         now = np.array([gained, gained + total(self._problem.body.comm, quiver)])
@@ -119,7 +119,7 @@ class StabilityMonitor:
             InputError: It is.
         """
         problem, u = self._problem, self._problem.u.x.array
-        problem.prescribed.check_finite()
+        problem.dirichlet.check_finite()
         kept = u.copy()
         u[:] = 0.0  # loads that follow the body are not finite where it is not
         forces = self._assembler.external_forces()

@@ -93,13 +93,13 @@ class StepSize:
     ) -> None:
         self._problem, self._assembler, self._mass = problem, assembler, mass
         self._chosen = chosen
-        self._shaken = bool(problem.touching)
+        self._shaken = bool(problem.contact_pairs)
         self._safety = min(safety, RESONANCE) if self._shaken else safety
         self.rates = (
             FrequencyBound(problem, assembler, mass) if FrequencyBound.fits(problem) else None
         )
-        self._drag = self._largest_row([d.bound(problem.site) for d in problem.dashpots])
-        hits = self._largest_row([touch.bound for touch in problem.touching])
+        self._drag = self._largest_row([d.bound(problem.context) for d in problem.dashpots])
+        hits = self._largest_row([touch.bound for touch in problem.contact_pairs])
         self.gentle = np.sqrt(HIT / hits) if hits else np.inf
         self._known = fem.Function(problem.V)
         self._places = slice(0, assembler.size, problem.body.dim)
@@ -122,7 +122,7 @@ class StepSize:
             with all_touching(self._problem):
                 a.tangent(x, unit=0.0)
             scale.array_w[:] = 1 / np.sqrt(self._mass)
-            scale.array_w[self._problem.prescribed.owned] = 0.0
+            scale.array_w[self._problem.dirichlet.owned] = 0.0
             a.matrix.diagonalScale(scale, scale)
             a.forget_tangent()
             x.array_w[a.moves] = uneven(a)
@@ -233,7 +233,7 @@ class StepSize:
             self._confirm(step, t)
         change = abs(self.stable / before - 1) if np.isfinite(before) else 0.0
         factor = 2.0 if change < 0.01 else 0.5 if change > 0.03 else 1.0
-        most = AT_CONTACT if self._problem.touching else LOOKS[1]
+        most = AT_CONTACT if self._problem.contact_pairs else LOOKS[1]
         self._interval = int(np.clip(factor * self._interval, LOOKS[0], most))
         self.due = step + self._interval
 

@@ -127,7 +127,7 @@ class Implicit:
         """Lets the scheme and the control of its steps know of each other."""
         stepper.reached, stepper.weigh = self.control.meant, self.control.weigh
         # With alpha_f = 0 the stage is the end of the step: nothing there is unseen.
-        if self.settings.adaptive and self.problem.touching and stepper.scheme.alpha_f > 0:
+        if self.settings.adaptive and self.problem.contact_pairs and stepper.scheme.alpha_f > 0:
             stepper.strikes = ImpactError(self.moving, stepper.scheme.alpha_f)
 
     # --- TS ---

@@ -60,7 +60,7 @@ class Alpha2:
         self.at_end = fem.Function(self.problem.V, name="acceleration")
         self._F = self.assembler.create_vector()
         self._start, self._known_h = 0.0, 0.0
-        self._from = self._to = self.problem.prescribed.targets
+        self._from = self._to = self.problem.dirichlet.targets
         self._w = np.empty(0)
 
     def set_up(self, ts: PETSc.TS) -> None:
@@ -78,7 +78,7 @@ class Alpha2:
         try:
             self._from = self._prescribed_at(self._start)
             self.problem.set_time(self._start + float(ts.getTimeStep()))
-            self.problem.prescribed.check_finite()
+            self.problem.dirichlet.check_finite()
             self.newton.begin()
         except InputError as error:  # the same on all ranks; PETSc would lose it
             self.error = error
@@ -158,7 +158,7 @@ class Alpha2:
 
     def _prescribed_at(self, t: float) -> FloatArray:
         self.problem.set_time(t)
-        return np.asarray(self.problem.prescribed.targets)
+        return np.asarray(self.problem.dirichlet.targets)
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""

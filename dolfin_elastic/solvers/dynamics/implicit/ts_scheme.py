@@ -142,7 +142,7 @@ class GeneralizedAlphaStepper:
         v1, a1 = self._rates_at_end(np.asarray(off / (1 - s.alpha_f)))
         v = (1 - s.alpha_f) * v1 + s.alpha_f * old.v
         a = (1 - s.alpha_m) * a1 + s.alpha_m * old.a
-        self.problem.prescribed.impose(a, self._held_stage)
+        self.problem.dirichlet.impose(a, self._held_stage)
         return v, a
 
     def _rates_at_end(self, off: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -152,7 +152,7 @@ class GeneralizedAlphaStepper:
         a kink of a curve, would hardly ever die out, and grow as steps become smaller.
         """
         assert self._before is not None
-        s, old, held = self.scheme, self._before, self.problem.prescribed
+        s, old, held = self.scheme, self._before, self.problem.dirichlet
         a = s.acceleration(off, old.a, self._h)
         v = s.velocity(old.v, old.a, a, self._h)
         held.impose(v, self._held_rates[0])
@@ -241,9 +241,9 @@ class GeneralizedAlphaStepper:
         rate, shift = self.scheme.shifts(h)  # residuals, too, look at them: for prescribed values
         self.moving.shift.value, self.moving.drag.value = shift, rate
         goal = self._prescribed_at(old.t + h)
-        held = self.problem.prescribed.present(self.problem.u.x.array)
+        held = self.problem.dirichlet.present(self.problem.u.x.array)
         self._held_rates = held_rates(self.problem, old.t + h, h)
-        was = self.problem.prescribed.present(self.a.x.array)
+        was = self.problem.dirichlet.present(self.a.x.array)
         self._held_stage = (1 - s.alpha_f) * self._held_rates[1] + s.alpha_f * was
         self._end_values = goal
         self._goal = s.alpha_f * held + (1 - s.alpha_f) * goal
@@ -274,10 +274,10 @@ class GeneralizedAlphaStepper:
     def _prescribed_at(self, t: float) -> FloatArray:
         """Prescribed values at the end of the step, where loads, too, must have values."""
         self.problem.set_time(t)
-        self.problem.prescribed.check_finite()
+        self.problem.dirichlet.check_finite()
         if self.problem.loads_change:
             self.newton.begin()
-        return np.asarray(self.problem.prescribed.targets)
+        return np.asarray(self.problem.dirichlet.targets)
 
     def _starts(self) -> list[FloatArray]:
         """Where Newton's method may begin, the better one first: on the way, or at rest."""
@@ -285,7 +285,7 @@ class GeneralizedAlphaStepper:
         assert old is not None
         further = self.assembler.origin.copy()
         moved = further[self.moving.moves]
-        self.problem.prescribed.impose(moved, self._goal)
+        self.problem.dirichlet.impose(moved, self._goal)
         further[self.moving.moves] = moved
         if self.problem.linear:
             return [further]
@@ -326,12 +326,12 @@ class GeneralizedAlphaStepper:
         moves, size = self.moving.moves, len(self.moving.moves)
         w = self.problem.w.x.array[: self.assembler.size].copy()
         u = old.u + (self._ahead + self._off)
-        self.problem.prescribed.impose(u, self._end_values)
+        self.problem.dirichlet.impose(u, self._end_values)
         v, a = self._rates_at_end(self._off)
         w[moves] = u
         self._put_unknowns(w)
         at_end = s.at_end(old.a, a)
-        self.problem.prescribed.impose(at_end, self._held_rates[1])
+        self.problem.dirichlet.impose(at_end, self._held_rates[1])
         for field, values in ((self.v, v), (self.a, a), (self.at_end, at_end)):
             field.x.array[:size] = values
             field.x.scatter_forward()

@@ -49,7 +49,7 @@ class VolumeConstraint:
     def __init__(self, assembler: Assembler, alpha_f: float) -> None:
         self._assembler, self._problem = assembler, assembler.problem
         self._share = alpha_f
-        parts = [part for part in self._problem.parts if part.compliance is not None]
+        parts = [part for part in self._problem.regions if part.compliance is not None]
         giving = [part for part in parts if not is_incompressible(part.compliance)]
         forms = [_strain(self._problem, group) for group in (parts, giving) if group]
         found = compiled(self._problem, forms)
@@ -98,6 +98,6 @@ class VolumeConstraint:
 
 
 def _strain(problem: Problem, parts: Sequence[MaterialRegion]) -> ufl.Form:
-    F = problem.F(problem.w)
+    F = problem.weak_form.F(problem.w)
     q = problem.unknowns.extra("pressure", ufl.TestFunction(problem.W))
-    return sum(problem.volume_gap(part, F, q) for part in parts)
+    return sum(problem.weak_form.volume_gap(part, F, q) for part in parts)

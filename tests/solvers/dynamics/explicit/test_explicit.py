@@ -193,7 +193,7 @@ def test_stable_step_against_all_eigenvalues(comm, dim, held):
     explicit.assembler.tangent(x)
     K = dense(explicit.assembler.matrix, comm)
     mass = np.concatenate(comm.allgather(explicit.mass))
-    fixed = explicit.assembler.matrix.getOwnershipRange()[0] + problem.prescribed.owned
+    fixed = explicit.assembler.matrix.getOwnershipRange()[0] + problem.dirichlet.owned
     free = np.setdiff1d(np.arange(len(mass)), np.concatenate(comm.allgather(fixed)))
     scaled = (K / np.sqrt(np.outer(mass, mass)))[np.ix_(free, free)]
     exact = 2 / np.sqrt(np.linalg.eigvalsh(scaled).max())

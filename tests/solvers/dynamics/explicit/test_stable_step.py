@@ -47,7 +47,7 @@ def true_square(march: SymplecticEuler) -> float:
     a.tangent(x)
     x.destroy()
     K, mass = dense(a.matrix, comm), np.concatenate(comm.allgather(march.mass))
-    fixed = a.matrix.getOwnershipRange()[0] + march.problem.prescribed.owned
+    fixed = a.matrix.getOwnershipRange()[0] + march.problem.dirichlet.owned
     free = np.setdiff1d(np.arange(len(mass)), np.concatenate(comm.allgather(fixed)))
     scaled = (K / np.sqrt(np.outer(mass, mass)))[np.ix_(free, free)]
     return float(np.abs(np.linalg.eigvals(scaled)).max())

@@ -114,7 +114,7 @@ def test_a_velocity_that_fits_is_left_as_it_is(caplog):
 
 
 def area(problem: Problem) -> float:
-    form = ufl.det(problem.F(problem.w)) * problem.volume(None, 4)
+    form = ufl.det(problem.weak_form.F(problem.w)) * problem.weak_form.volume(None, 4)
     return integral(problem, compile_forms(COMM, [form], problem.jit)[0])
 
 

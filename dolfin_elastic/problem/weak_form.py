@@ -1,0 +1,240 @@
+"""`WeakForm`: the one sum of virtual-work terms.
+
+Find u with  delta W_int(u; v) - delta W_ext(v) - delta W_res(u; v) = 0  for all virtual
+displacements v, where delta W_int is the integral of P(F) : grad v over the reference volume,
+delta W_ext the virtual work of the loads and delta W_res that of springs and contact pressure.
+Motion adds inertia to the same sum.  Source: Bonet & Wood (2008), (5.41).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.dimension import Weighted, gradient_variation
+from dolfin_elastic.model.loads import Load
+from dolfin_elastic.model.materials.growth import GrownLaw
+from dolfin_elastic.model.materials.law import Law, SplitLaw
+from dolfin_elastic.model.materials.mixed import Mixed, variance
+from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
+from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.loads.contact import ContactPair
+from dolfin_elastic.problem.material_regions import MaterialRegion
+
+UNUSED = 1e-6
+"""Compliance, over 1/shear modulus, of the pressure in regions that have none."""
+
+
+class WeakForm:
+    """The virtual work of a body, term by term, in UFL.  Nothing is compiled here.
+
+    Args:
+        context: The body, its unknowns, material regions and measures.
+        loads: External forces; those at points and lines are no integrals and have no term here.
+        restraints: Springs and dashpots.
+        contacts: Contact pairs.
+        eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
+        quadrature_degree: Of the internal forces, in place of the laws' own choice.
+    """
+
+    def __init__(
+        self,
+        context: FormContext,
+        loads: Sequence[Load],
+        restraints: Sequence[ResistingSupport],
+        contacts: Sequence[ContactPair],
+        *,
+        eigenstrains: Mapping[str, Expr],
+        quadrature_degree: int | None,
+    ) -> None:
+        self._context, self._unknowns = context, context.unknowns
+        self._loads, self._restraints, self._contacts = loads, restraints, contacts
+        self._eigenstrains, self._quadrature_degree = eigenstrains, quadrature_degree
+
+    def F(self, w: Expr) -> Expr:
+        """The 3x3 deformation gradient of a function of all unknowns."""
+        return self._context.deformation(w)
+
+    # --- integration ---
+
+    def rule(self, region: MaterialRegion) -> int:
+        """Quadrature degree of a region's internal forces."""
+        if self._quadrature_degree is not None:
+            return self._quadrature_degree
+        degree = region.law.quadrature_degree(self._context.order)
+        if region.compliance is not None or self._context.revolved:
+            return max(degree, 2)  # the pressure and the radius vary inside a linear element, too
+        return degree
+
+    def volume(self, region: MaterialRegion | None, quadrature_degree: int) -> Weighted:
+        """Reference volume as a measure.
+
+        Args:
+            region: The material region; None: the whole body.
+            quadrature_degree: Degree of polynomials that are integrated exactly.
+        """
+        return self._context.measures.filled(region.marker if region else None, quadrature_degree)
+
+    def _internal_volume(self, region: MaterialRegion) -> Weighted:
+        return self.volume(region, self.rule(region))
+
+    # --- internal forces ---
+
+    def response(self, region: MaterialRegion, w: Expr) -> Law | Mixed | GrownLaw:
+        """The law of a region, with its growth and its pressure.
+
+        Args:
+            region: The material region.
+            w: Function of all unknowns, from which the pressure is taken.
+        """
+        law: Law | Mixed = region.law
+        if region.compliance is not None:
+            assert isinstance(region.law, SplitLaw)
+            law = Mixed(region.law, self._unknowns.extra("pressure", w), region.compliance)
+        growth = self._eigenstrains.get(region.name)
+        return law if growth is None else GrownLaw(law, growth)
+
+    @cached_property
+    def internal(self) -> ufl.Form:
+        """Internal virtual work: the integral of P(F) : grad v, and the pressure's equation."""
+        context, unknowns = self._context, self._unknowns
+        test = ufl.TestFunction(unknowns.W)
+        stretch = unknowns.extra("stretch", test) if unknowns.has("stretch") else None
+        F = self.F(unknowns.w)
+        dF = gradient_variation(context.geometry, unknowns.v, context.X, stretch)
+        work = sum(
+            ufl.inner(self.response(region, unknowns.w).stress(F), dF)
+            * self._internal_volume(region)
+            for region in context.regions
+        )
+        if not unknowns.has("pressure"):
+            return work
+        q = unknowns.extra("pressure", test)
+        return work + sum(self._pressure_terms(region, F, q) for region in context.regions)
+
+    def _pressure_terms(self, region: MaterialRegion, F: Expr, q: Expr) -> ufl.Form:
+        """The pressure's equation in a region.
+
+        With linear elements it is stabilised by what the pressure differs from its mean over each
+        cell: Bochev, Dohrmann & Gunzburger, SIAM J. Numer. Anal. 44 (2006), (2.9).  A region whose
+        law carries its own volumetric part needs no pressure: the field is one for the whole
+        mesh, so there a small compliance keeps it at zero and the tangent regular.
+        """
+        p = self._unknowns.extra("pressure", self._unknowns.w)
+        if region.compliance is None:
+            return -UNUSED / region.shear * p * q * self.volume(region, 2)
+        terms = self.volume_gap(region, F, q)
+        if self._unknowns.stabilised:
+            off = variance(p, q, ufl.Jacobian(self._context.body.mesh))
+            terms -= off / region.shear * self.volume(region, 0)
+        return terms
+
+    def volume_gap(self, region: MaterialRegion, F: Expr, q: Expr) -> ufl.Form:
+        """Virtual work of the volumetric constraint in a region with a pressure.
+
+        Args:
+            region: A material region whose volumetric part a pressure carries.
+            F: Deformation gradient, 3x3.
+            q: Virtual pressure [Pa]; see `Mixed.gap`.
+        """
+        response = self.response(region, self._unknowns.w)
+        assert not isinstance(response, Law)
+        return q * response.gap(F) * self._internal_volume(region)
+
+    @property
+    def has_energy(self) -> bool:
+        """All laws derive from an energy."""
+        return all(region.law.has_energy for region in self._context.regions)
+
+    @cached_property
+    def strain_energy(self) -> ufl.Form | None:
+        """Stored energy of the whole body [J]; None when a law has none."""
+        if not self.has_energy:
+            return None
+        F = self.F(self._unknowns.w)
+        return sum(
+            self.response(region, self._unknowns.w).energy(F) * self._internal_volume(region)
+            for region in self._context.regions
+        )
+
+    # --- external forces ---
+
+    @cached_property
+    def works(self) -> list[tuple[Load, ufl.Form]]:
+        """Each load that is an integral, with its external virtual work."""
+        return [
+            (load, self._work(index))
+            for index, load in enumerate(self._loads)
+            if not (load.nodal or load.swells)
+        ]
+
+    def _work(self, index: int) -> ufl.Form:
+        try:
+            return self._loads[index].virtual_work(self._context)
+        except InputError as error:
+            if error.where.startswith("materials"):  # a fault of a material names its own key
+                raise
+            raise error.at(f"load[{index}]" if error.where else f"load[{index}].value") from None
+
+    @cached_property
+    def external(self) -> ufl.Form | None:
+        """External virtual work of all loads; None without loads."""
+        return sum(work for _, work in self.works) if self.works else None
+
+    # --- springs, dashpots and contact ---
+
+    @cached_property
+    def restraint_works(self) -> dict[str, ufl.Form]:
+        """Virtual work of the forces of springs, dashpots and contact pairs, by label."""
+        works: dict[str, ufl.Form] = {}
+        terms = [(s.label, s.virtual_work(self._context)) for s in self._restraints]
+        terms += [(pair.label, pair.work) for pair in self._contacts]
+        for label, work in terms:
+            works[label] = works[label] + work if label in works else work
+        return works
+
+    @cached_property
+    def spring_energy(self) -> ufl.Form | None:
+        """Energy stored in springs [J]; None without any."""
+        springs = [s for s in self._restraints if isinstance(s, Spring)]
+        return sum(s.energy(self._context) for s in springs) if springs else None
+
+    def damping(self, velocity: Expr) -> ufl.Form | None:
+        """Virtual work against dashpots at a velocity [m/s]; None without any."""
+        works = [
+            s.work_at(self._context, velocity) for s in self._restraints if isinstance(s, Dashpot)
+        ]
+        return -sum(works) if works else None
+
+    # --- the sum ---
+
+    @cached_property
+    def residual(self) -> ufl.Form:
+        """Internal virtual work minus that of loads, springs, dashpots and contact."""
+        residual = self.internal if self.external is None else self.internal - self.external
+        for work in self.restraint_works.values():
+            residual -= work
+        return residual
+
+    @cached_property
+    def tangent(self) -> ufl.Form:
+        """Derivative of the residual with respect to all unknowns."""
+        return ufl.derivative(self.residual, self._unknowns.w, ufl.TrialFunction(self._unknowns.W))
+
+    def inertia(self, a: Expr, v: Expr) -> ufl.Form:
+        """Virtual work of the inertia forces, the integral of density a . v (consistent mass).
+
+        Args:
+            a: Acceleration [m/s^2], or a trial function.
+            v: Virtual displacement.
+        """
+        return sum(
+            self._context.density(region)
+            * ufl.inner(a, v)
+            * self.volume(region, 2 * self._context.order)
+            for region in self._context.regions
+        )
