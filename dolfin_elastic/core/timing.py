@@ -1,10 +1,11 @@
-"""Where the time of a run goes."""
+"""Where the time of a run goes: seconds per stage, and the same stages in PETSc's log."""
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 
 STAGES = ("mesh", "compile", "assemble", "solve", "output")
@@ -63,17 +64,40 @@ def begin() -> Stopwatch:
 
 @contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Adds the time spent inside to a stage of the current watch, if there is one."""
-    watch = _watch.get()
-    if watch is None:
+    """Adds the time spent inside to a stage of the current watch, if there is one, and of PETSc.
+
+    Args:
+        name: One of `STAGES`, or another; `-log_view` shows what PETSc did inside under this name.
+    """
+    with ExitStack() as inside:
+        inside.enter_context(_petsc_stage(name))
+        if (watch := _watch.get()) is not None:
+            inside.enter_context(watch.stage(name))
+        yield
+
+
+@contextmanager
+def _petsc_stage(name: str) -> Iterator[None]:
+    # Not imported: this would start PETSc, before its options are known and even for --help.
+    petsc = sys.modules.get("petsc4py.PETSc")
+    if petsc is None:
         yield
         return
-    with watch.stage(name):
+    log_stage = petsc.Log.Stage(name)
+    log_stage.push()
+    try:
         yield
+    finally:
+        log_stage.pop()
 
 
 def add(name: str, seconds: float) -> None:
-    """Adds time that the caller has measured: for loops in which a `stage` would cost too much."""
+    """Adds time that the caller has measured: for loops in which a `stage` would cost too much.
+
+    Args:
+        name: The stage; PETSc's log counts this time to the stage around it.
+        seconds: Wall time [s].
+    """
     watch = _watch.get()
     if watch is not None:
         watch.add(name, seconds)

@@ -299,6 +299,9 @@ def test_petsc_options(folder: Path) -> None:
     code, out, _ = cli("run", "case.toml", "--", "-log_view", folder=folder)
     assert code == 0
     assert "PETSc Performance Summary" in out
+    stages = re.findall(r"^ *\d+: +(\w[\w ]*): \d", out, re.MULTILINE)
+    assert stages[0] == "Main Stage"
+    assert {"mesh", "assemble", "solve", "output"} <= set(stages)  # see core/timing.py
 
 
 def test_reading_petsc_options() -> None:
