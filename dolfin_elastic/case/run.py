@@ -13,6 +13,7 @@ from typing import Any, cast
 
 from mpi4py import MPI
 
+from dolfin_elastic.case.analysis import Solver
 from dolfin_elastic.case.case import Case, located
 from dolfin_elastic.case.check import check
 from dolfin_elastic.case.check.initial_state import contact_notes
@@ -22,8 +23,7 @@ from dolfin_elastic.core.errors import ElasticError, OutputError, SolveError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.signals import forget
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.restart_state import Kept
-from dolfin_elastic.problem.state import Mode, State
+from dolfin_elastic.problem.state import Mode, RestartableSolver, State
 from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
 from dolfin_elastic.results.checkpoint.checksums import fingerprint
 from dolfin_elastic.results.checkpoint.lock import FolderLock
@@ -140,10 +140,7 @@ class _Run:
         for note in contact_notes(self.case, problem):
             log.warning("%s", note)
         solver = self.case.make_solver(problem, petsc=self.petsc)
-        restore = {} if before is None else {"restore": before.found.restore}
-        steps = cast(States, solver.steps(**restore))
-        if before is None:  # what was touched before is not known
-            steps = tell_untouched(problem, steps)
+        steps = _steps(solver, problem, before)
         step, settings = 0 if before is None else before.step, self.case.output.checkpoint
         checkpoints = Checkpoints(self.comm, self.folder, settings, told, step=step)
         with located(self.case.file), closing(steps):
@@ -161,8 +158,8 @@ class _Run:
         first = [] if before else list(islice(probed, 1))
         self.claim.take(make=True)
         keeper.begin(new=before is None)
-        kept = None if before is None else before.found.content["outputs"]
-        with open_outputs(self.case.files(), problem, self.folder, kept) as writers:
+        saved = None if before is None else before.found.content["outputs"]
+        with open_outputs(self.case.files(), problem, self.folder, saved) as writers:
             for found in chain(first, probed):
                 for writer in writers:
                     _write(writer, found)
@@ -172,6 +169,14 @@ class _Run:
                 except GeneratorExit:
                     keeper.stop(found, writers)
                     raise
+
+
+def _steps(solver: Solver, problem: Problem, before: Unfinished | None) -> States:
+    """The solver's generator, from the start or from a checkpoint."""
+    if before is None:  # whether something touched earlier is unknown after a restart
+        return tell_untouched(problem, cast(States, solver.steps()))
+    assert isinstance(solver, RestartableSolver)  # others have no checkpoints
+    return cast(States, solver.steps(before.found))
 
 
 def _write(writer: Writer, found: State | Mode) -> None:
@@ -186,41 +191,41 @@ class _Keeper:
 
     Args:
         checkpoints: Where they go.
-        solver: Whoever has `kept`, see problem/restart_state.py.
+        solver: What is saved; modes and buckling loads are not.
     """
 
-    def __init__(self, checkpoints: Checkpoints, solver: Any) -> None:
+    def __init__(self, checkpoints: Checkpoints, solver: Solver) -> None:
         self._checkpoints = checkpoints
-        self._kept: Callable[[], Kept] | None = getattr(solver, "kept", None)
+        self._solver = solver if isinstance(solver, RestartableSolver) else None
 
     def begin(self, *, new: bool) -> None:
         """Removes the checkpoints that are none of this run."""
         if not new:
-            self._checkpoints.go_on()
+            self._checkpoints.remove_later()
         elif self._checkpoints.clear():
             log.warning("the checkpoints of a run that had not ended are removed")
 
     def look(self, state: State | Mode, writers: Sequence[Writer], *, asked: bool) -> None:
         """Makes one if it is time."""
-        if self._kept is None or isinstance(state, Mode):
+        if self._solver is None or isinstance(state, Mode):
             return
         if self._checkpoints.due(state, asked=asked):
-            self._save(self._kept, state, writers)
+            self._save(self._solver, state, writers)
 
     def stop(self, state: State | Mode, writers: Sequence[Writer]) -> None:
         """Makes one for whoever goes on."""
-        if self._kept is None or isinstance(state, Mode):
+        if self._solver is None or isinstance(state, Mode):
             return
         if self._checkpoints.off or state.done >= 1.0:
             return
         try:
-            self._save(self._kept, state, writers)
+            self._save(self._solver, state, writers)
         except OutputError as error:
             log.warning("%s", error)
 
-    def _save(self, kept: Callable[[], Kept], state: State, writers: Sequence[Writer]) -> None:
-        outputs = [writer.kept() if hasattr(writer, "kept") else {} for writer in writers]
-        self._checkpoints.save(state, kept(), outputs)
+    def _save(self, solver: RestartableSolver, state: State, writers: Sequence[Writer]) -> None:
+        outputs = [writer.restart_state() for writer in writers]
+        self._checkpoints.save(state, solver.restart_state(), outputs)
 
 
 # --- output files ---
@@ -231,7 +236,7 @@ def open_outputs(
     files: Sequence[Output],
     problem: Problem,
     folder: Path,
-    kept: Sequence[Mapping[str, Any]] | None = None,
+    saved: Sequence[Mapping[str, Any]] | None = None,
 ) -> Iterator[list[Writer]]:
     """Opens files and closes them with how it ended: completed, failed or stopped.
 
@@ -239,17 +244,13 @@ def open_outputs(
         files: What is written.
         problem: The problem that is solved.
         folder: Of the results.
-        kept: What their writers said at the checkpoint that the run goes on from.
+        saved: Restart states of their writers, where the run continues from a checkpoint.
     """
     writers: list[Writer] = []
     ending: tuple[str, object] = ("completed", None)
     try:
         for index, file in enumerate(files):
-            writers.append(
-                file.open(problem, folder)
-                if kept is None
-                else file.reopen(problem, folder, kept[index])
-            )
+            writers.append(file.open(problem, folder, None if saved is None else saved[index]))
         on_root(problem.body.comm, lambda: _remove_others(folder, files))
         yield writers
     except ElasticError as error:

@@ -1,11 +1,12 @@
-"""`State` and `Mode`: what solvers yield, one converged step or one mode at a time."""
+"""`State` and `Mode`: what solvers yield; `RestartState`: what a solver needs to continue a run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field
 from math import pi
-from typing import Literal
+from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
 from dolfinx import fem
 
@@ -162,3 +163,103 @@ class Mode:
     def load_factor(self) -> float:
         """What all loads are multiplied by where the body buckles."""
         return self.eigenvalue if self.kind == "buckling" else float("nan")
+
+
+@dataclass(frozen=True)
+class RestartState:
+    """All that the step after the present one depends on.
+
+    Attributes:
+        fields: Name to function, the solver's own, in spaces of Lagrange or piecewise constant
+            elements: they change with the next step.
+        numbers: The rest as JSON data: numbers, texts, lists and tables with text keys; the same
+            on all ranks.
+    """
+
+    fields: Mapping[str, fem.Function]
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+
+
+class SavedState(Protocol):
+    """A `RestartState` that was saved, in memory or in a checkpoint."""
+
+    @property
+    def numbers(self) -> Mapping[str, Any]:
+        """Those of the `RestartState`."""
+
+    def fill(self, fields: Mapping[str, fem.Function]) -> None:
+        """Writes the saved values into these functions, ghosts too. Collective.
+
+        Args:
+            fields: Names of the `RestartState` to functions in the same spaces.
+        """
+
+
+class StateCopy:
+    """A restart state saved in memory, for the same mesh on the same ranks.
+
+    Args:
+        state: What is saved first; without it the copy is empty, and false.
+    """
+
+    def __init__(self, state: RestartState | None = None) -> None:
+        self._values: dict[str, FloatArray] = {}
+        self.numbers: Mapping[str, Any] = {}
+        if state is not None:
+            self.save(state)
+
+    def __bool__(self) -> bool:
+        """A state has been saved."""
+        return bool(self._values)
+
+    def save(self, state: RestartState) -> None:
+        """Replaces what was saved before. Not collective."""
+        for name, function in state.fields.items():
+            if name in self._values:
+                self._values[name][:] = function.x.array
+            else:
+                self._values[name] = function.x.array.copy()
+        self.numbers = deepcopy(dict(state.numbers))
+
+    def fill(self, fields: Mapping[str, fem.Function]) -> None:
+        """See `SavedState`. Not collective."""
+        assert fields.keys() == self._values.keys()
+        for name, function in fields.items():
+            function.x.array[:] = self._values[name]
+
+
+Data_co = TypeVar("Data_co", covariant=True)
+Saved_contra = TypeVar("Saved_contra", contravariant=True)
+
+
+class Restartable(Protocol[Data_co, Saved_contra]):
+    """What takes part in a restart: a loop over steps, or a part of it with a memory.
+
+    A loop gives a `RestartState` and restores a `SavedState`; its parts (step sizes, audits,
+    monitors) give JSON data, which the loop puts among its own numbers, and restore the same data.
+    """
+
+    def restart_state(self) -> Data_co:
+        """All that its next step depends on, between two steps."""
+
+    def restore(self, saved: Saved_contra) -> None:
+        """Sets what `restart_state` gave, so that the next step is the one after it.
+
+        Args:
+            saved: What `restart_state` gave.
+        """
+
+
+@runtime_checkable
+class RestartableSolver(Protocol):
+    """An analysis whose run can be continued from a checkpoint."""
+
+    def restart_state(self) -> RestartState:
+        """All that the next step depends on, while `steps` has stopped at a state. Collective."""
+
+    def steps(self, saved: SavedState | None = None) -> Iterator[State]:
+        """Yields the states. Collective.
+
+        Args:
+            saved: Where the run continues: the first state is the one after it.
+        """

@@ -46,23 +46,20 @@ class Output(Record):
     file: str = Field(default="", min_length=1)
 
     @abstractmethod
-    def open(self, problem: Problem, folder: Path) -> Writer:
+    def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> Writer:
         """Opens the output in a folder, which is made if need be. Collective.
-
-        Raises:
-            InputError: A field that the problem does not have.
-            OutputError: The folder cannot be written to.
-        """
-
-    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> Writer:
-        """Opens it to go on after a checkpoint, here as if nothing had been. Collective.
 
         Args:
             problem: The problem that is solved.
             folder: Of the results.
-            kept: What the writer said of itself at the checkpoint.
+            saved: `Writer.restart_state` at the checkpoint from which the run continues: results
+                after it are cut off. An output that cannot be cut back begins anew.
+
+        Raises:
+            InputError: A field that the problem does not have.
+            OutputError: The folder cannot be written to.
+            RestartError: Results from before the checkpoint are missing.
         """
-        return self.open(problem, folder)
 
     def listing(self, folder: Path) -> list[str]:
         """What of it is in the results' folder, as a user reads it. Not collective."""
@@ -98,22 +95,15 @@ class Xdmf(Output):
     def _check_fields(cls, fields: Iterable[str] | None) -> tuple[str, ...] | None:
         return fields if fields is None else known(fields)
 
-    def open(self, problem: Problem, folder: Path) -> XdmfWriter:
+    def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> XdmfWriter:
         """See `Output.open`."""
-        return self._writer(problem, folder)
-
-    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> XdmfWriter:
-        """See `Output.reopen`."""
-        return self._writer(problem, folder, kept)
-
-    def _writer(self, problem: Problem, folder: Path, kept: Numbers | None = None) -> XdmfWriter:
         return XdmfWriter(
             problem,
             folder / self.file,
             fields=self.fields,
             every=self.every,
             frames=self.frames,
-            kept=kept,
+            saved=saved,
         )
 
 
@@ -126,13 +116,9 @@ class History(Output):
 
     file: str = "history.csv"
 
-    def open(self, problem: Problem, folder: Path) -> HistoryWriter:
+    def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> HistoryWriter:
         """See `Output.open`."""
-        return HistoryWriter(problem, folder / self.file)
-
-    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> HistoryWriter:
-        """See `Output.reopen`."""
-        return HistoryWriter(problem, folder / self.file, kept)
+        return HistoryWriter(problem, folder / self.file, saved)
 
 
 class Summary(Output):
@@ -144,13 +130,9 @@ class Summary(Output):
 
     file: str = "summary.json"
 
-    def open(self, problem: Problem, folder: Path) -> SummaryWriter:
+    def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> SummaryWriter:
         """See `Output.open`."""
-        return SummaryWriter(problem, folder / self.file)
-
-    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> SummaryWriter:
-        """See `Output.reopen`."""
-        return SummaryWriter(problem, folder / self.file, kept)
+        return SummaryWriter(problem, folder / self.file, saved)
 
 
 class Picture(Output):
@@ -182,20 +164,13 @@ class Picture(Output):
             raise InputError(f"{every} is wrong", expected='"last", 1, 2, 3, ...')
         return every
 
-    def open(self, problem: Problem, folder: Path) -> Writer:
+    def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> Writer:
         """See `Output.open`."""
-        return self._writer(problem, folder)
-
-    def reopen(self, problem: Problem, folder: Path, kept: Numbers) -> PictureWriter:
-        """See `Output.reopen`."""
-        return self._writer(problem, folder, kept)
-
-    def _writer(self, problem: Problem, folder: Path, kept: Numbers | None = None) -> PictureWriter:
         return PictureWriter(
             problem,
             folder / self.file,
             field=self.field,
-            kept=kept,
+            saved=saved,
             view=self.view,
             scale=self.scale,
             title=self.title or "",
@@ -220,7 +195,7 @@ class ModePicture(Picture):
 
     amplitude: float = Field(default=0.1, gt=0)
 
-    def open(self, problem: Problem, folder: Path) -> Writer:
+    def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> Writer:
         """See `Output.open`."""
         return ModePictureWriter(
             problem,
@@ -245,7 +220,7 @@ class Modes(Output):
     frames: int = Field(default=20, ge=1)
     amplitude: float = Field(default=0.1, gt=0)
 
-    def open(self, problem: Problem, folder: Path) -> ModesWriter:
+    def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> ModesWriter:
         """See `Output.open`."""
         return ModesWriter(
             problem, folder / self.file, frames=self.frames, amplitude=self.amplitude

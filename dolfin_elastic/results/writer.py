@@ -1,4 +1,4 @@
-"""What every output is once it is open, which states it takes, and how one is kept for later."""
+"""`Writer`: an open output; which states it takes, and a copy of the last one."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.state import Mode, State
 
 Numbers = Mapping[str, Any]
-"""What a writer needs to go on after a checkpoint, as JSON knows it."""
+"""Restart state of a writer, as JSON data."""
 
 
 class Writer(Protocol):
-    """An open output.  All of it is collective.
-
-    One with `kept() -> Numbers` can go on after a checkpoint (`Output.reopen`): what it has written
-    so far is on disk when that returns.
-    """
+    """An open output.  All of it is collective."""
 
     def write(self, state: State) -> None:
         """Takes one converged step."""
+
+    def restart_state(self) -> Numbers:
+        """Where the output ends now, for `Output.open`; brings what is written to the disk first.
+
+        Nothing of an output that begins anew after a restart.
+        """
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """Ends the output.
@@ -79,8 +81,8 @@ class Every:
         return due
 
 
-class Kept:
-    """Copies of the last state's fields, which the solver overwrites in its next step.
+class LastState:
+    """A copy of the last state, whose fields the solver overwrites in its next step.
 
     Attributes:
         state: The last state with fields of its own, or None before the first.
@@ -90,7 +92,7 @@ class Kept:
         self.state: State | None = None
         self._copies: dict[str, fem.Function] = {}
 
-    def keep(self, state: State) -> None:
+    def copy(self, state: State) -> None:
         """Copies a state. Not collective."""
         self.state = replace(
             state,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,7 @@ from dolfin_elastic import (
 from dolfin_elastic.case.restart import portable
 from dolfin_elastic.core.errors import RestartError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.state import State, StateCopy
 from dolfin_elastic.results.checkpoint.checkpoints import FOLDER, newest
 from dolfin_elastic.results.writers.history import row
 from dolfin_elastic.solvers.linear.choice import LinearSettings
@@ -191,7 +191,7 @@ def test_a_solver_goes_on(name: str, folder: Path) -> None:
     for state in solver.steps():
         known.append(row(state))
         limits.append(state.limit_points)
-        saved(WORLD, folder / str(state.step), solver.kept(), max(state.step, 1))
+        saved(WORLD, folder / str(state.step), solver.restart_state(), max(state.step, 1))
     assert len(known) > 3
     first = 0 if name == "arc-length" else 1
     # Along a path where the first limit point is still to be noticed.
@@ -199,7 +199,7 @@ def test_a_solver_goes_on(name: str, folder: Path) -> None:
     for step in (first, later):
         found = newest(WORLD, folder / str(step))
         assert found is not None
-        again = list(Statics(make(), **keys).steps(found.restore))
+        again = list(Statics(make(), **keys).steps(found))
         check_same([row(state) for state in again], known[step + 1 :])
         assert [state.limit_points for state in again] == pytest.approx(limits[step + 1 :])
     if name == "arc-length":
@@ -213,12 +213,12 @@ def test_a_solver_goes_on_after_failures(folder: Path, caplog: pytest.LogCapture
     with caplog.at_level(logging.INFO):
         for state in solver.steps():
             known.append(row(state))
-            saved(WORLD, folder / str(state.step), solver.kept(), max(state.step, 1))
+            saved(WORLD, folder / str(state.step), solver.restart_state(), max(state.step, 1))
     assert on_root(WORLD, lambda: "a smaller step" in caplog.text and "snapped" in caplog.text)
     for step in (1, len(known) // 2):
         found = newest(WORLD, folder / str(step))
         assert found is not None
-        again = Statics(snapping(), max_step=0.5).steps(found.restore)
+        again = Statics(snapping(), max_step=0.5).steps(found)
         check_same([row(state) for state in again], known[step + 1 :])
 
 
@@ -230,11 +230,11 @@ def test_from_two_ranks_to_three_to_one(folder: Path) -> None:
     def part(comm: MPI.Comm) -> list[dict[str, Any]]:
         solver, rows = Statics(bent(comm), **keys), []
         found = newest(comm, folder)
-        states = solver.steps() if found is None else solver.steps(found.restore)
+        states = solver.steps() if found is None else solver.steps(found)
         for state in states:
             rows.append(row(state))
             if len(rows) == 2:
-                saved(comm, folder, solver.kept(), state.step)
+                saved(comm, folder, solver.restart_state(), state.step)
                 break
         states.close()
         return rows
@@ -345,18 +345,12 @@ def test_a_motion_that_goes_on_says_what_is_new(
     motion = moved(body, scheme, petsc)
     states = motion.steps()
     next(states), next(states)
-    kept = motion.kept()
-    values = {name: field.x.array.copy() for name, field in kept.fields.items()}
+    saved = StateCopy(motion.restart_state())
     states.close()
     assert on_root(WORLD, lambda: "is for small strains" in caplog.text)
     caplog.clear()
 
-    def restore(fields: Mapping[str, Any]) -> Mapping[str, Any]:
-        for name, field in fields.items():
-            field.x.array[:] = values[name]
-        return kept.numbers
-
-    states = moved(body, scheme, petsc).steps(restore)
+    states = moved(body, scheme, petsc).steps(saved)
     next(states)
     states.close()
     told = on_root(WORLD, lambda: [one.getMessage() for one in caplog.records if one.levelno > 20])

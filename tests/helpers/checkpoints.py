@@ -1,14 +1,14 @@
-"""A checkpoint with given content."""
+"""Checkpoints with given content, and restart states saved without a file."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
 
-from dolfin_elastic.problem.restart_state import Kept
-from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.state import RestartState, State, StateCopy
 from dolfin_elastic.results.checkpoint.checkpoints import (
     About,
     Checkpoint,
@@ -16,8 +16,15 @@ from dolfin_elastic.results.checkpoint.checkpoints import (
 )
 
 
-def saved(comm: MPI.Comm, folder: Path, kept: Kept, step: int = 3, **keys: Any) -> Checkpoints:
+def saved(
+    comm: MPI.Comm, folder: Path, restart: RestartState, step: int = 3, **keys: Any
+) -> Checkpoints:
     """Writes a checkpoint."""
     to = Checkpoints(comm, folder, Checkpoint(**keys), About("", "", {}, {}))
-    to.save(State(step, 0.5, next(iter(kept.fields.values())), done=0.5), kept, [{}])
+    to.save(State(step, 0.5, next(iter(restart.fields.values())), done=0.5), restart, [{}])
     return to
+
+
+def through_json(state: RestartState) -> StateCopy:
+    """A copy in memory, whose numbers have been JSON text, as in a checkpoint."""
+    return StateCopy(RestartState(state.fields, json.loads(json.dumps(dict(state.numbers)))))

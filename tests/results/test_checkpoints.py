@@ -31,8 +31,7 @@ from dolfin_elastic import (
 from dolfin_elastic.core.errors import OutputError, RestartError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.mesh import Body
-from dolfin_elastic.problem.restart_state import Kept
-from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.state import RestartState, State
 from dolfin_elastic.results.checkpoint.checkpoints import (
     FOLDER,
     About,
@@ -129,14 +128,15 @@ def test_fields_on_other_ranks(kind: str, folder: Path) -> None:
 
     def write(comm: MPI.Comm) -> None:
         fields = functions(make_body(kind, folder, comm), filled=True)
-        saved(comm, folder, Kept(fields, {"a": [1.1, None], "b": {"c": "d"}}))
+        saved(comm, folder, RestartState(fields, {"a": [1.1, None], "b": {"c": "d"}}))
 
     def read(comm: MPI.Comm) -> float:
         body = make_body(kind, folder, comm)
         empty, full = functions(body, filled=False), functions(body, filled=True)
         found = newest(comm, folder)
         assert found is not None
-        assert found.restore(empty) == {"a": [1.1, None], "b": {"c": "d"}}
+        found.fill(empty)
+        assert found.numbers == {"a": [1.1, None], "b": {"c": "d"}}
         off = [np.abs(empty[name].x.array - full[name].x.array).max() for name in full]
         return float(comm.allreduce(max(off), op=MPI.MAX))
 
@@ -165,7 +165,7 @@ def test_merged_nodes(folder: Path) -> None:
 
     def write(comm: MPI.Comm) -> None:
         fill(whole := problem(comm))
-        saved(comm, folder, Kept({"w": whole.w}))
+        saved(comm, folder, RestartState({"w": whole.w}))
 
     def read(comm: MPI.Comm) -> float:
         fill(whole := problem(comm))
@@ -173,7 +173,7 @@ def test_merged_nodes(folder: Path) -> None:
         whole.w.x.array[:] = 0
         found = newest(comm, folder)
         assert found is not None
-        found.restore({"w": whole.w})
+        found.fill({"w": whole.w})
         whole.unknowns.tell()
         return float(comm.allreduce(np.abs(whole.u.x.array - known).max(), op=MPI.MAX))
 
@@ -219,7 +219,9 @@ def several(folder: Path, *steps: int, **keys: Any) -> tuple[Checkpoints, fem.Fu
     to = Checkpoints(WORLD, folder, Checkpoint(**keys), About("x = 1", "", {"cells": 18}, {}))
     for step in steps:
         u.x.array[:] = step
-        to.save(State(step, step / 10, u, done=step / 10), Kept({"u": u}, {"step": step}), [])
+        to.save(
+            State(step, step / 10, u, done=step / 10), RestartState({"u": u}, {"step": step}), []
+        )
     return to, u
 
 
@@ -229,7 +231,8 @@ def step_found(folder: Path, u: fem.Function) -> int | None:
     if found is None:
         return None
     u.x.array[:] = np.nan
-    numbers = found.restore({"u": u})
+    found.fill({"u": u})
+    numbers = found.numbers
     assert np.all(u.x.array == numbers["step"])
     return int(numbers["step"])
 
@@ -324,7 +327,7 @@ def test_killed_between_any_two_changes(
     died = False
     try:
         u.x.array[:] = 3
-        to.save(State(3, 0.3, u, done=0.3), Kept({"u": u}, {"step": 3}), [])
+        to.save(State(3, 0.3, u, done=0.3), RestartState({"u": u}, {"step": 3}), [])
     except KeyboardInterrupt:
         died = True
     dying(10**9)
@@ -339,7 +342,7 @@ def test_a_full_disk_leaves_the_one_before(folder: Path, monkeypatch: pytest.Mon
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr("shutil.disk_usage", lambda path: usage(1, 1, 10))
     with pytest.raises(OutputError, match=r"cannot write .*: no space left on device; make room"):
-        to.save(State(2, 0.2, u, done=0.2), Kept({"u": u}, {"step": 2}), [])
+        to.save(State(2, 0.2, u, done=0.2), RestartState({"u": u}, {"step": 2}), [])
     assert step_found(folder, u) == 1
 
 
@@ -348,9 +351,9 @@ def test_another_solver_is_refused(folder: Path) -> None:
     found = newest(WORLD, folder)
     assert found is not None
     with pytest.raises(RestartError, match=r"it has no field 'velocity' of 16 values"):
-        found.restore({"velocity": u})
+        found.fill({"velocity": u})
     with pytest.raises(RestartError, match=r"it has no field 'u' of 18 values"):
-        found.restore({"u": fem.Function(fem.functionspace(u.function_space.mesh, ("DG", 0)))})
+        found.fill({"u": fem.Function(fem.functionspace(u.function_space.mesh, ("DG", 0)))})
 
 
 def test_when(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,8 +37,7 @@ from dolfin_elastic.core.schema import Idle, Record, refuse_idle
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.core.units import Time
-from dolfin_elastic.problem.restart_state import Kept
-from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.state import RestartState, State
 from dolfin_elastic.results import hdf5 as heavy
 from dolfin_elastic.results.checkpoint.checksums import sum_of
 from dolfin_elastic.results.checkpoint.mesh_order import DofOrdering
@@ -165,13 +164,15 @@ class Checkpoints:
         wanted = largest(self._comm, float(asked or late or by_step)) > 0
         return wanted and state.done < 1.0
 
-    def save(self, state: State, kept: Kept, outputs: Sequence[Mapping[str, Any]]) -> None:
+    def save(
+        self, state: State, restart: RestartState, outputs: Sequence[Mapping[str, Any]]
+    ) -> None:
         """Writes a checkpoint, if there is none of this step.
 
         Args:
             state: The last step.
-            kept: What its solver needs to go on.
-            outputs: What the writers of results need, in their order.
+            restart: Of the solver.
+            outputs: Restart states of the writers, in their order.
 
         Raises:
             OutputError: It cannot be written.
@@ -180,8 +181,10 @@ class Checkpoints:
             return
         with stage("output"):
             on_root(self._comm, self._begin)
-            orders = {name: self._spaces.order(f.function_space) for name, f in kept.fields.items()}
-            rows = {name: orders[name].rows(f) for name, f in kept.fields.items()}
+            orders = {
+                name: self._spaces.order(f.function_space) for name, f in restart.fields.items()
+            }
+            rows = {name: orders[name].rows(f) for name, f in restart.fields.items()}
             draft = self._path / ".part.h5"
             heavy.write(self._comm, draft, rows, lasting=True)
             arrays = {
@@ -200,7 +203,7 @@ class Checkpoints:
                 "file": self._about.file,
                 "petsc": self._about.petsc,
                 "arrays": arrays,
-                "numbers": kept.numbers,
+                "numbers": restart.numbers,
                 "outputs": list(outputs),
             }
             on_root(self._comm, lambda: self._commit(state.step, draft, content))
@@ -224,8 +227,8 @@ class Checkpoints:
         steps = _steps(self._path)
         _remove(self._path, steps[self._settings.keep :])
 
-    def go_on(self) -> None:
-        """Removes the later checkpoints: what they tell of is computed again."""
+    def remove_later(self) -> None:
+        """Removes checkpoints after the one that the run continues from."""
         on_root(
             self._comm,
             lambda: _remove(self._path, [s for s in _steps(self._path) if s > self.saved]),
@@ -266,8 +269,16 @@ class Found:
     path: Path
     content: Mapping[str, Any]
 
-    def restore(self, fields: Mapping[str, fem.Function]) -> Mapping[str, Any]:
-        """Fills these fields of a solver, and returns its numbers. Collective; see `kept.Restore`.
+    @property
+    def numbers(self) -> Mapping[str, Any]:
+        """See `SavedState`."""
+        return dict(self.content["numbers"])
+
+    def fill(self, fields: Mapping[str, fem.Function]) -> None:
+        """See `SavedState`. Collective.
+
+        Args:
+            fields: Names to functions of any mesh with the same cells, on any ranks.
 
         Raises:
             RestartError: The checkpoint is of another solver, or got damaged just now.
@@ -290,7 +301,6 @@ class Found:
                 error = RestartError(f"cannot be read: {caught}", where=str(self.path))
             agree(self.comm, error)
             order.fill(function, rows)
-        return dict(self.content["numbers"])
 
 
 def newest(comm: MPI.Comm, folder: Path) -> Found | None:

@@ -13,6 +13,7 @@ from dolfin_elastic.mesh.body import extent
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.results.files import make_folder, writing
 from dolfin_elastic.results.pictures.pictures import Painter, own_files
+from dolfin_elastic.results.writer import Numbers
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -56,6 +57,10 @@ class ModePictureWriter:
             file = self.path.with_name(f"{self.path.stem}_{mode.number:04d}{self.path.suffix}")
             title = "   |   ".join(filter(None, (self.title, _told(mode))))
             self._painter.paint(state, file, title=title, **self.options)
+
+    def restart_state(self) -> Numbers:
+        """See `Writer`; runs of modes have no checkpoints."""
+        return {}
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """There is nothing more to draw."""

@@ -32,7 +32,7 @@ from dolfin_elastic.results.grid import to_nodes
 from dolfin_elastic.results.pictures.colour_bar import bar
 from dolfin_elastic.results.pictures.renderer import SHARED
 from dolfin_elastic.results.pictures.surface import Surface, gather
-from dolfin_elastic.results.writer import Every, Kept, Numbers
+from dolfin_elastic.results.writer import Every, LastState, Numbers
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -112,7 +112,7 @@ class PictureWriter:
         every: Each n-th step (see `Every`) and the last one, with the step's number in the
             file's name; None: the last only, without it.
         field: See `picture`.
-        kept: Where it goes on after a checkpoint: pictures of later steps are removed.
+        saved: Its restart state: pictures of later steps are removed.
         options: `scale`, `view` and `title` of `picture`.
     """
 
@@ -123,13 +123,15 @@ class PictureWriter:
         *,
         every: int | None = None,
         field: str = "von_mises",
-        kept: Numbers | None = None,
+        saved: Numbers | None = None,
         **options: Any,
     ) -> None:
         self.path, self.options = path, options
-        self._every = None if every is None else Every(every, -1 if kept is None else kept["taken"])
-        self._drawn = -1 if kept is None else int(kept["drawn"])
-        self._kept = Kept()
+        self._every = (
+            None if every is None else Every(every, -1 if saved is None else saved["taken"])
+        )
+        self._drawn = -1 if saved is None else int(saved["drawn"])
+        self._last_state = LastState()
         with stage("output"):
             on_root(problem.body.comm, self._clear)
             self._painter = Painter(problem, field)
@@ -141,17 +143,17 @@ class PictureWriter:
                 if file == self.path or _number(self.path, file) > self._drawn:
                     file.unlink()
 
-    def kept(self) -> Numbers:
-        """Which pictures there are now."""
+    def restart_state(self) -> Numbers:
+        """See `Writer`."""
         return {"drawn": self._drawn, "taken": -1 if self._every is None else self._every.taken}
 
     def write(self, state: State) -> None:
         """Draws the step, or keeps it for the end."""
         with stage("output"):
             if self._every is None or not self._every.takes(state.step):
-                self._kept.keep(state)
+                self._last_state.copy(state)
             else:
-                self._kept.state = None
+                self._last_state.state = None
                 self._paint(state)
 
     def _paint(self, state: State) -> None:
@@ -163,9 +165,9 @@ class PictureWriter:
     def close(self, status: str = "completed", error: object = None) -> None:
         """Draws the last converged step if it has not been drawn."""
         try:
-            if self._kept.state:
+            if self._last_state.state:
                 with stage("output"):
-                    self._paint(self._kept.state)
+                    self._paint(self._last_state.state)
         finally:
             self._painter.close()
 

@@ -15,14 +15,14 @@ class WorstAudit:
     """Takes in the audit of each step and tells the worst of all.  Not collective.
 
     Args:
-        kept: Of the steps before a checkpoint.
+        saved: Restart state: the worst audits before the checkpoint.
     """
 
-    def __init__(self, kept: Iterable[Mapping[str, Any]] = ()) -> None:
-        self._audits = [_audit(table) for table in kept]
+    def __init__(self, saved: Iterable[Mapping[str, Any]] = ()) -> None:
+        self._audits = [_audit(table) for table in saved]
 
-    def kept(self) -> list[dict[str, Any]]:
-        """What the next steps are compared with, as JSON knows it."""
+    def restart_state(self) -> list[dict[str, Any]]:
+        """The worst audits so far, as JSON data."""
         return [asdict(audit) for audit in self._audits]
 
     def take(self, state: State) -> None:

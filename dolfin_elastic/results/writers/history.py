@@ -51,25 +51,25 @@ class HistoryWriter:
     Args:
         problem: The problem that is solved.
         path: The file; an old one is overwritten.
-        kept: Where it goes on after a checkpoint: rows from there on are cut off.
+        saved: Its restart state: rows after it are cut off.
 
     Raises:
         OutputError: The file cannot be written.
         RestartError: It has lost rows since the checkpoint.
     """
 
-    def __init__(self, problem: Problem, path: Path, kept: Numbers | None = None) -> None:
+    def __init__(self, problem: Problem, path: Path, saved: Numbers | None = None) -> None:
         self.comm, self.path = problem.body.comm, path
         self._file: BinaryIO | None = None
         self._columns: list[str] = []
-        on_root(self.comm, self._open if kept is None else lambda: self._reopen(kept["bytes"]))
+        on_root(self.comm, self._open if saved is None else lambda: self._cut(saved["bytes"]))
 
     def _open(self) -> None:
         make_folder(self.path.parent)
         with writing(self.path):
             self._file = self.path.open("wb", buffering=0)
 
-    def _reopen(self, size: int) -> None:
+    def _cut(self, size: int) -> None:
         if not self.path.is_file() or self.path.stat().st_size < size:
             raise shortened(self.path, "rows")
         with writing(self.path):
@@ -79,8 +79,8 @@ class HistoryWriter:
             self._file.seek(size)
         self._columns = next(csv.reader([head.decode()]), [])
 
-    def kept(self) -> Numbers:
-        """Where it ends now, on disk."""
+    def restart_state(self) -> Numbers:
+        """See `Writer`."""
         return {"bytes": on_root(self.comm, self._synced)}
 
     def _synced(self) -> int:

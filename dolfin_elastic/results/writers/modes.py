@@ -29,6 +29,7 @@ from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.results import hdf5 as heavy
 from dolfin_elastic.results.files import make_folder, replace_text, writing
 from dolfin_elastic.results.grid import Grid
+from dolfin_elastic.results.writer import Numbers
 from dolfin_elastic.results.writers.xdmf import item, mesh_rows, mesh_xml
 
 if TYPE_CHECKING:
@@ -113,6 +114,10 @@ class ModesWriter:
         values = np.zeros((own, 3))
         values[:, :dim] = function.x.array[: own * dim].reshape(-1, dim)
         return values
+
+    def restart_state(self) -> Numbers:
+        """See `Writer`; runs of modes have no checkpoints."""
+        return {}
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """Everything is on disk already."""

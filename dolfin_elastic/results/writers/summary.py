@@ -21,7 +21,7 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.problem.state import Mode, State, plain
 from dolfin_elastic.results.extremes import Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
-from dolfin_elastic.results.writer import Kept, Numbers
+from dolfin_elastic.results.writer import LastState, Numbers
 from dolfin_elastic.results.writers.audit_summary import WorstAudit
 from dolfin_elastic.results.writers.modes import row
 
@@ -57,25 +57,25 @@ class SummaryWriter:
     Args:
         problem: The problem that is solved.
         path: The file; an old one is overwritten.
-        kept: Where it goes on after a checkpoint; numbers and seconds are then of both together.
+        saved: Its restart state: counts and seconds before the checkpoint are added.
 
     Raises:
         OutputError: The file cannot be written.
     """
 
-    def __init__(self, problem: Problem, path: Path, kept: Numbers | None = None) -> None:
+    def __init__(self, problem: Problem, path: Path, saved: Numbers | None = None) -> None:
         self.problem, self.path, self.comm = problem, path, problem.body.comm
         self._begin = self._written = time.monotonic()
-        before = dict(kept or {})
+        before = dict(saved or {})
         self._started = before.get("started", _now())
         self._newton, self._krylov = before.get("newton", 0), before.get("krylov", 0)
         self._last: dict[str, Any] = before.get("last", _NUMBERS)
         self._spent: dict[str, float] = before.get("timings", {})
         self._restarts: list[dict[str, Any]] = before.get("restarts", [])
-        if kept is not None:
+        if saved is not None:
             again = {"step": self._last["steps"], "t": self._last["t"], "ranks": self.comm.size}
             self._restarts = [*self._restarts, {**again, "at": _now()}]
-        self._kept = Kept()
+        self._last_state = LastState()
         self._audit = WorstAudit(before.get("audits", ()))
         self._extremes: Extremes | None = None
         self._modes: list[Mode] = []
@@ -90,7 +90,7 @@ class SummaryWriter:
                 self._extremes = Extremes(self.problem)
             self._newton += state.newton
             self._krylov += state.krylov
-            self._kept.keep(state)
+            self._last_state.copy(state)
             self._last = _numbers(state)
             self._audit.take(state)
             self._save_now_and_then()
@@ -106,8 +106,8 @@ class SummaryWriter:
         if self.comm.bcast(time.monotonic() - self._written > _INTERVAL):
             self._save("running")
 
-    def kept(self) -> Numbers:
-        """The numbers so far. Collective."""
+    def restart_state(self) -> Numbers:
+        """See `Writer`."""
         found = {
             "started": self._started,
             "newton": self._newton,
@@ -115,14 +115,14 @@ class SummaryWriter:
             "last": _plain(self._last),
             "timings": self._timings(),
             "restarts": self._restarts,
-            "audits": self._audit.kept(),
+            "audits": self._audit.restart_state(),
         }
         return self.comm.bcast(found)  # clocks differ
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """Writes the file for the last time, with the extremes of the last converged step."""
         with timing.stage("output"):
-            state = self._kept.state
+            state = self._last_state.state
             found = self._extremes.of(state) if state and self._extremes else {}
             extra: dict[str, Any] = {
                 "finished": _now(),

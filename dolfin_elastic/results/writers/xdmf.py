@@ -47,7 +47,7 @@ from dolfin_elastic.results.files import (
 )
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.hdf5 import Rows
-from dolfin_elastic.results.writer import Every, Kept, Numbers
+from dolfin_elastic.results.writer import Every, LastState, Numbers
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -67,7 +67,7 @@ class XdmfWriter:
         fields: Names from `FIELDS`; None: displacement and stresses, in motion also velocity.
         every: Writes each n-th step (see `Every`), and always the last one.
         frames: Instead of that, as many states as this, evenly over the run, and the last one.
-        kept: Where it goes on after a checkpoint: later steps are cut off.
+        saved: Its restart state: later steps are cut off.
 
     Raises:
         InputError: An unknown field.
@@ -83,23 +83,23 @@ class XdmfWriter:
         fields: tuple[str, ...] | None = None,
         every: int = 1,
         frames: int | None = None,
-        kept: Numbers | None = None,
+        saved: Numbers | None = None,
     ) -> None:
         self.problem, self.path, self.fields = problem, path, fields
-        self.every, self.frames = Every(every, -1 if kept is None else kept["taken"]), frames
+        self.every, self.frames = Every(every, -1 if saved is None else saved["taken"]), frames
         self.comm = problem.body.comm
         self.data = _data(path)
         self._frames: list[str] = []
         self._synced = 0
         self._mesh_file = self._mesh_xml = ""
-        self._kept = Kept()
+        self._last_state = LastState()
         self._pending = False
         with stage("output"):
             self._evaluate = Evaluator(problem, fields or DEFAULT)
-            if kept is None:
+            if saved is None:
                 on_root(self.comm, self._clear)
             else:
-                self._frames = on_root(self.comm, lambda: self._cut(kept["frames"]))
+                self._frames = on_root(self.comm, lambda: self._cut(saved["frames"]))
                 self._synced = len(self._frames)
 
     def _clear(self) -> None:
@@ -126,8 +126,8 @@ class XdmfWriter:
                     file.unlink()
         return frames
 
-    def kept(self) -> Numbers:
-        """How many steps there are now, on disk."""
+    def restart_state(self) -> Numbers:
+        """See `Writer`."""
         on_root(self.comm, self._sync)
         self._synced = len(self._frames)
         return {"frames": len(self._frames), "taken": self.every.taken}
@@ -144,7 +144,7 @@ class XdmfWriter:
         with stage("output"):
             self._pending = not self._due(state)
             if self._pending:
-                self._kept.keep(state)
+                self._last_state.copy(state)
             else:
                 self._write(state)
 
@@ -189,9 +189,9 @@ class XdmfWriter:
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """Writes the last step if `every` has left it out."""
-        if self._pending and self._kept.state:
+        if self._pending and self._last_state.state:
             with stage("output"):
-                self._write(self._kept.state)
+                self._write(self._last_state.state)
             self._pending = False
 
 

@@ -134,8 +134,8 @@ class EquilibriumAuditor:
             notes=notes,
         )
 
-    def kept(self) -> dict[str, Any]:
-        """What the next audit needs of those before, but for what the state itself tells."""
+    def restart_state(self) -> dict[str, Any]:
+        """See `Restartable`; forces follow from the state itself. Not collective."""
         last = self._last
         return {
             "work": self._work,
@@ -147,14 +147,14 @@ class EquilibriumAuditor:
             "far": self._strains.note,
         }
 
-    def go_on(self, kept: Mapping[str, Any]) -> None:
-        """Takes up what `kept` has told, in the state it was told in. Collective."""
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """See `Restartable`; the problem has the state of that time already. Collective."""
         _, forces, u = self._present()
-        if kept["unbalanced"]:
+        if saved["unbalanced"]:
             forces = self._inside(forces.shape)
-        self._last = _Last(u, forces, kept["energy"], kept["change"])
-        self._work, self._stored = kept["work"], kept["stored"]
-        self._warned, self._strains.note = dict(kept["warned"]), kept["far"]
+        self._last = _Last(u, forces, saved["energy"], saved["change"])
+        self._work, self._stored = saved["work"], saved["stored"]
+        self._warned, self._strains.note = dict(saved["warned"]), saved["far"]
 
     def _present(self) -> tuple[list[FloatArray], FloatArray, FloatArray]:
         """Nodal forces by origin (none of a cell), their sum, and what they move. Collective."""

@@ -144,8 +144,8 @@ class MotionAuditor(EquilibriumAuditor):
 
     # --- restarts ---
 
-    def kept(self) -> dict[str, Any]:
-        """All that it has to know later on."""
+    def restart_state(self) -> dict[str, Any]:
+        """See `Restartable`. Not collective."""
         return {
             "warned": dict(self._warned),
             "worst": self._worst,
@@ -153,13 +153,13 @@ class MotionAuditor(EquilibriumAuditor):
             "far": self._strains.note,
             "off": self._off,
             "scale": self._scale,
-            "chords": self._chords.kept(),
+            "chords": self._chords.restart_state(),
         }
 
-    def restore(self, numbers: Mapping[str, Any]) -> None:
-        """Goes on from there."""
-        self._warned, self._reasons = dict(numbers["warned"]), dict(numbers["reasons"])
-        self._worst = [float(value) for value in numbers["worst"]]
-        self._strains.note = str(numbers.get("far", ""))
-        self._off, self._scale = float(numbers["off"]), float(numbers["scale"])
-        self._chords.restore(numbers["chords"])
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """See `Restartable`. Not collective."""
+        self._warned, self._reasons = dict(saved["warned"]), dict(saved["reasons"])
+        self._worst = [float(value) for value in saved["worst"]]
+        self._strains.note = str(saved.get("far", ""))
+        self._off, self._scale = float(saved["off"]), float(saved["scale"])
+        self._chords.restore(saved["chords"])

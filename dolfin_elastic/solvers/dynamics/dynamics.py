@@ -21,8 +21,7 @@ from dolfin_elastic.core.schema import (
 from dolfin_elastic.core.units import Force, Rate, Time
 from dolfin_elastic.model.values import Component, components, depends_on_time
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.restart_state import Kept, Restore
-from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.breakpoints import refuse_beyond
 from dolfin_elastic.solvers.dynamics.explicit.explicit import SCHEMES as EXPLICIT
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
@@ -316,12 +315,11 @@ class Dynamics:
         self.velocity = fem.Function(problem.V, name="velocity")
         self._march: Explicit | Implicit | None = None
 
-    def steps(self, restore: Restore | None = None) -> Iterator[State]:
+    def steps(self, saved: SavedState | None = None) -> Iterator[State]:
         """Yields the initial state and then every state asked for. Collective.
 
         Args:
-            restore: Fills what was `kept`, to go on from there; the state that was kept is not
-                yielded again.
+            saved: A `restart_state` from which the run continues, with the state after it.
 
         Raises:
             ConvergenceError: A step found no equilibrium however small it was made.
@@ -336,10 +334,10 @@ class Dynamics:
         s = self.settings
         shocks = set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
         notes = [s.limited] if s.limited else []
-        for note in [*notes, *shocks] if restore is None else ():
+        for note in [*notes, *shocks] if saved is None else ():
             log.warning("%s", note)
-        begin_motion(self.problem, tell=restore is None)
-        yield from self._implicit(restore) if s.implicit else self._explicit(restore)
+        begin_motion(self.problem, tell=saved is None)
+        yield from self._implicit(saved) if s.implicit else self._explicit(saved)
 
     @property
     def ts(self) -> PETSc.TS:
@@ -351,11 +349,15 @@ class Dynamics:
             raise RuntimeError("there is no TS: no implicit motion is on")
         return self._march.ts
 
-    def kept(self) -> Kept:
-        """What the next step needs to know, between two steps. Collective."""
+    def restart_state(self) -> RestartState:
+        """See `RestartableSolver`. Collective.
+
+        Raises:
+            RuntimeError: `steps` has not begun, or has ended.
+        """
         if self._march is None:
             raise RuntimeError("there is nothing to keep: the motion has not begun, or has ended")
-        return self._march.kept()
+        return self._march.restart_state()
 
     def _refuse_linear(self) -> None:
         """Keys of [solver], where there is nothing to solve."""
@@ -363,7 +365,7 @@ class Dynamics:
         keys = ["petsc"] if self.linear.method == "auto" else ["method", "petsc"]
         refuse_idle(self.linear, [Idle(keys, what)], "solver")
 
-    def _explicit(self, restore: Restore | None) -> Iterator[State]:
+    def _explicit(self, saved: SavedState | None) -> Iterator[State]:
         s = self.settings
         for name in self.petsc:
             log.warning("PETSc option '-%s' was not used: '%s' solves no equations", name, s.scheme)
@@ -373,15 +375,15 @@ class Dynamics:
         )
         self._march = march
         try:
-            yield from march.steps(restore)
+            yield from march.steps(saved)
         finally:
             self._march = None
 
-    def _implicit(self, restore: Restore | None) -> Iterator[State]:
+    def _implicit(self, saved: SavedState | None) -> Iterator[State]:
         march = Implicit(self.problem, self.velocity, self.settings, self.linear, self.petsc)
         self._march = march
         try:
-            yield from march.run(restore)
+            yield from march.run(saved)
         finally:
             self._march = None
             march.destroy()

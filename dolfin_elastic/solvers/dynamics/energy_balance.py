@@ -141,12 +141,12 @@ class EnergyBalance:
 
     # --- restarts ---
 
-    def kept(self) -> dict[str, float | None]:
-        """All that it has to know later on."""
+    def restart_state(self) -> dict[str, float | None]:
+        """See `Restartable`. Not collective."""
         return {**self._sums, "initial": self._initial, "scale": self.scale}
 
-    def restore(self, numbers: Mapping[str, float | None]) -> None:
-        """Goes on from there, at the problem's time."""
+    def restore(self, saved: Mapping[str, float | None]) -> None:
+        """See `Restartable`; the problem has the state of that time already. Collective."""
         self.begin()
-        self._sums = {name: float(numbers[name] or 0.0) for name in _NAMES}
-        self._initial, self.scale = numbers["initial"], float(numbers["scale"] or 0.0)
+        self._sums = {name: float(saved[name] or 0.0) for name in _NAMES}
+        self._initial, self.scale = saved["initial"], float(saved["scale"] or 0.0)

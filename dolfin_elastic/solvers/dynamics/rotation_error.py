@@ -96,10 +96,10 @@ class RotationError:
 
     # --- restarts ---
 
-    def kept(self) -> list[float]:
-        """All that has been seen."""
+    def restart_state(self) -> list[float]:
+        """See `Restartable`. Not collective."""
         return [self._most, float(self._seen)]
 
-    def restore(self, numbers: list[float]) -> None:
-        """Goes on with what `kept` gave."""
-        self._most, self._seen = float(numbers[0]), bool(numbers[1])
+    def restore(self, saved: list[float]) -> None:
+        """See `Restartable`. Not collective."""
+        self._most, self._seen = float(saved[0]), bool(saved[1])

@@ -266,6 +266,23 @@ class Newton:
             self.bordered.border.put(unknowns[len(fields) :])
         problem.unknowns.tell()
 
+    def restart_state(self) -> dict[str, Any]:
+        """See `Restartable`: the first stiffness and the linear solver in use. Not collective."""
+        return {"stiffest": self.round_off.first, "linear": self.ksp.getType()}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """See `Restartable`; evaluates the tangent of the problem's present state. Collective."""
+        self.round_off.first = saved["stiffest"]
+        x = self.assembler.create_vector()
+        self.assembler.get(x)
+        self.assembler.tangent(x, self.mass_factor)
+        x.destroy()
+        self.note_tangent(self.assembler.matrix)
+        self.progress.reason = "before the checkpoint"
+        while self.ksp.getType() != saved["linear"] and self.fall_back():
+            with self.options.in_force():
+                self.ksp.setFromOptions()
+
     def found(self) -> FloatArray:
         """Owned entries of where the last solve ended, from `assembler.origin`."""
         return np.asarray(self._x.array_r[: self.assembler.size].copy())

@@ -18,12 +18,12 @@ from dolfinx import fem
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
+from dolfin_elastic.problem.state import RestartState
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import Choice
 from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars, ScalarUnknowns
 from dolfin_elastic.solvers.nonlinear.convergence import Progress, Tolerance
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.restart import remembered, remind
 from dolfin_elastic.solvers.statics.inertia_count import negative_eigenvalues
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
 from dolfin_elastic.solvers.statics.step_size import StepSpeed
@@ -207,10 +207,10 @@ class ArcLength:
             self._size = min(self._longest, size * float(np.clip(factor, 0.5, 2.0)))
         return Found(self._length.t, progress, negative_eigenvalues(self._bordered))
 
-    def kept(self) -> tuple[fem.Function | None, dict[str, Any]]:
-        """The last step at all unknowns, and what else the next one needs, between two steps."""
+    def restart_state(self) -> RestartState:
+        """The last step at all unknowns, "way", and what else the next one depends on."""
         if self._way is None or self._bordered is None:
-            return None, {}
+            return RestartState({})
         way = fem.Function(self._problem.W)
         way.x.array[self._assembler.moves] = self._way
         numbers = {
@@ -219,27 +219,27 @@ class ArcLength:
             "longest": self._longest,
             "points": self._points,
             "limits": self.limits,
-            "newton": remembered(self._bordered),
+            "newton": self._bordered.restart_state(),
         }
-        return way, numbers
+        return RestartState({"way": way}, numbers)
 
-    def go_on(self, t: float, way: fem.Function | None, kept: Mapping[str, Any]) -> None:
-        """Takes up what `kept` has told, after `prepare`. Collective.
+    def restore(self, t: float, way: fem.Function | None, saved: Mapping[str, Any]) -> None:
+        """Sets what `restart_state` gave, after `prepare`. Collective.
 
         Args:
             t: Load factor of the present point.
             way: The last step at all unknowns.
-            kept: The numbers.
+            saved: The numbers.
         """
         if way is None or self._bordered is None:
             return
         self._length.t = t
         self._way = way.x.array[self._assembler.moves].copy()
-        self._lead = np.array(kept["lead"])
-        self._size, self._longest = kept["size"], kept["longest"]
-        self._points = [(load, arc) for load, arc in kept["points"]]
-        self.limits = list(kept["limits"])
-        remind(self._bordered, kept["newton"])
+        self._lead = np.array(saved["lead"])
+        self._size, self._longest = saved["size"], saved["longest"]
+        self._points = [(load, arc) for load, arc in saved["points"]]
+        self.limits = list(saved["limits"])
+        self._bordered.restore(saved["newton"])
 
     def _first(self, t: float, smallest: float, longest: float) -> Found:
         """A step of the load, of at most so large displacements, which gives the path a direction.

@@ -13,8 +13,7 @@ from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
-from dolfin_elastic.problem.restart_state import Kept, Restore
-from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
 from dolfin_elastic.solvers.audit.path_energy import PathEnergyCheck
 from dolfin_elastic.solvers.breakpoints import corners, gentle
@@ -28,7 +27,6 @@ from dolfin_elastic.solvers.nonlinear.convergence import (
     Progress,
 )
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.restart import remembered, remind
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.statics.arc_length import ArcLength
 from dolfin_elastic.solvers.statics.inertia_count import negative_eigenvalues
@@ -71,17 +69,17 @@ class LoadStepping:
         self._jumps = 0
         self._pace = StepSpeed(self.assembler, corners(self.problem))
 
-    def run(self, restore: Restore | None = None) -> Iterator[State]:
+    def run(self, saved: SavedState | None = None) -> Iterator[State]:
         """Yields the states; see `Statics.steps`. Collective."""
         try:
             if self.settings.method == "arc-length":
                 self._make_arc()
-            if restore is None:
+            if saved is None:
                 self.problem.set_time(0.0, default=PROPORTIONAL)
                 self._arrive()
                 yield self._state(0.0, Progress(reason="initial state"))
             else:
-                self._go_on(restore)
+                self.restore(saved)
             yield from self._load() if self._arc is None else self._path(self._arc)
         finally:
             if self._arc is not None:
@@ -96,19 +94,19 @@ class LoadStepping:
 
     # --- from one run to the next ---
 
-    def kept(self) -> Kept:
-        """What the next step needs to know, between two steps; see `kept.Kept`. Collective."""
+    def restart_state(self) -> RestartState:
+        """See `Restartable`. Collective."""
         fields = {"unknowns": self.problem.w, **self._multipliers()}
         numbers: dict[str, Any] = {
             "t": self._t,
             "scalars": self._scalars.get(),
             "count": self._count,
-            "sizes": self._sizes.kept(),
+            "sizes": self._sizes.restart_state(),
             "jumps": self._jumps,
             "speed": self._pace.speed,
             "limits": self._limits,
-            "audit": self._auditor.kept(),
-            "newton": remembered(self.newton),
+            "audit": self._auditor.restart_state(),
+            "newton": self.newton.restart_state(),
         }
         fallback = self._fallback if self._fallback and self._fallback[0] > self._t else None
         for name, other in (("before", self._before), ("fallback", fallback)):
@@ -116,23 +114,24 @@ class LoadStepping:
                 fields[name], scalars = self._apart(other[1])
                 numbers[name] = {"t": other[0], "scalars": scalars}
         if self._arc is not None:
-            way, numbers["arc"] = self._arc.kept()
-            fields |= {} if way is None else {"way": way}
-        return Kept(fields, numbers)
+            arc = self._arc.restart_state()
+            fields |= arc.fields
+            numbers["arc"] = arc.numbers
+        return RestartState(fields, numbers)
 
-    def _go_on(self, restore: Restore) -> None:
-        """Takes up what `kept` has told, on the unloaded problem. Collective."""
-        numbers, multipliers = restore({}), self._multipliers()
+    def restore(self, saved: SavedState) -> None:
+        """See `Restartable`; the problem is unloaded before. Collective."""
+        numbers, multipliers = saved.numbers, self._multipliers()
         names = [name for name in ("before", "fallback") if name in numbers]
         names += ["way"] if numbers.get("arc") else []
         others = {name: fem.Function(self.problem.W) for name in names}
-        restore({"unknowns": self.problem.w, **multipliers, **others})
+        saved.fill({"unknowns": self.problem.w, **multipliers, **others})
         self._t, self._count = numbers["t"], numbers["count"]
         self.problem.set_time(self._t, default=PROPORTIONAL)
         if self._scalars.border is not None:
             self._scalars.border.put(np.array(numbers["scalars"]))
         self.problem.unknowns.tell()
-        self._sizes.go_on(numbers["sizes"])
+        self._sizes.restore(numbers["sizes"])
         self._jumps, self._limits = numbers["jumps"], tuple(numbers["limits"])
         self._pace.speed = numbers["speed"]
         self._before, self._fallback = (
@@ -141,16 +140,16 @@ class LoadStepping:
             else None
             for name in ("before", "fallback")
         )
-        self.ladder.go_on()
+        self.ladder.restarted()
         self._arrive_again(numbers)
         if self._arc is not None:
-            self._arc.go_on(self._t, others.get("way"), numbers["arc"])
+            self._arc.restore(self._t, others.get("way"), numbers["arc"])
 
     def _arrive_again(self, numbers: Mapping[str, Any]) -> None:
         """Evaluates the state that was restored, as the last step has left it. Collective."""
-        remind(self.newton, numbers["newton"])
+        self.newton.restore(numbers["newton"])
         self._arrive()
-        self._auditor.go_on(numbers["audit"])
+        self._auditor.restore(numbers["audit"])
 
     def _multipliers(self) -> dict[str, fem.Function]:
         return {f"contact_{i}": touch.lam for i, touch in enumerate(self.problem.contact_pairs)}

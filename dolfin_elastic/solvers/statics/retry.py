@@ -41,8 +41,8 @@ class RetryStrategy:
         self.failed: FloatArray | None = None
         self._first = True
 
-    def go_on(self) -> None:
-        """The displacement is not that of the solver's beginning: it looks anew."""
+    def restarted(self) -> None:
+        """The displacement is not the one the solver was made at: the first solve refreshes it."""
         self._first = False
 
     def solve(self, starts: Sequence[tuple[str, FloatArray]]) -> Progress:

@@ -10,8 +10,7 @@ from typing import Any
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import settled
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.restart_state import Kept, Restore
-from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.breakpoints import corners, winds
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_held
@@ -55,11 +54,11 @@ class Statics:
         self.choice = choose(problem, self.linear)
         self._stepping: LoadStepping | None = None
 
-    def steps(self, restore: Restore | None = None) -> Iterator[State]:
+    def steps(self, saved: SavedState | None = None) -> Iterator[State]:
         """Yields the initial state and then one equilibrium a step. Collective.
 
         Args:
-            restore: Gives back what `kept` has told: then it goes on with the step after that.
+            saved: A `restart_state` from which the run continues, with the step after it.
 
         Raises:
             InputError: The supports do not hold the body against every rigid motion.
@@ -82,16 +81,20 @@ class Statics:
             newton.watch_inversion()
             self._stepping = LoadStepping(self, scalars, newton)
             owned.callback(self._forget)
-            yield from self._stepping.run(restore)
+            yield from self._stepping.run(saved)
 
     def _forget(self) -> None:
         self._stepping = None
 
-    def kept(self) -> Kept:
-        """What the next step needs to know, while `steps` has stopped at a state. Collective."""
+    def restart_state(self) -> RestartState:
+        """See `RestartableSolver`. Collective.
+
+        Raises:
+            RuntimeError: `steps` has not begun, or has ended.
+        """
         if self._stepping is None:
             raise RuntimeError("there is nothing to keep: no step has been made, or all have")
-        return self._stepping.kept()
+        return self._stepping.restart_state()
 
     def _check_path(self) -> None:
         if self.problem.cell is not None and self.settings.method == "arc-length":

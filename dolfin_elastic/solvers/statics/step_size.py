@@ -76,13 +76,13 @@ class StepSizes:
         elif newton >= SLOW and not self._steady:
             self.size = max(self._smallest, 0.7 * (goal - t))
 
-    def kept(self) -> dict[str, float]:
-        """What has been learnt so far."""
+    def restart_state(self) -> dict[str, float]:
+        """See `Restartable`. Not collective."""
         return {"size": self.size, "calm": self._calm}
 
-    def go_on(self, kept: Mapping[str, Any]) -> None:
-        """Takes up what `kept` has told."""
-        self.size, self._calm = kept["size"], kept["calm"]
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """See `Restartable`. Not collective."""
+        self.size, self._calm = saved["size"], saved["calm"]
 
     def begin_anew(self) -> None:
         """After a jump: nothing is known of the path that has been reached."""

@@ -14,10 +14,10 @@ Elements for Continua and Structures, 2nd ed., Wiley 2014, section 6.2 (box 6.1)
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from math import ceil
 from time import perf_counter
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from dolfinx import fem
@@ -26,8 +26,7 @@ from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import StabilityError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.restart_state import Kept, Restore
-from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.state import RestartState, SavedState, State, StateCopy
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.energy_momentum import lumped
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces
@@ -38,7 +37,7 @@ from dolfin_elastic.solvers.dynamics.explicit.limits import (
     mean_acceleration,
 )
 from dolfin_elastic.solvers.dynamics.explicit.monitor import StabilityMonitor
-from dolfin_elastic.solvers.dynamics.explicit.replay import LastState, Replay
+from dolfin_elastic.solvers.dynamics.explicit.replay import Replay
 from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
 from dolfin_elastic.solvers.dynamics.work import ExternalWork, supports_move
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
@@ -92,7 +91,7 @@ class Explicit(ABC):
         problem, v, a = self.problem, self.v, self.assembler
         problem.set_time(0.0)  # what is packed below are the loads of motion
         self._lookout, self.mass = StabilityMonitor(problem, a), lumped(problem, a)
-        self._scalars, self._last = Scalars(a), LastState()
+        self._scalars, self._last = Scalars(a), StateCopy()
         self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety)
         self.work = ExternalWork(problem, a, self.mass, v)
         self._energies = Energies(problem, v, self.mass, self.work)
@@ -149,17 +148,17 @@ class Explicit(ABC):
 
     # --- the loop ---
 
-    def steps(self, restore: Restore | None = None) -> Iterator[State]:
+    def steps(self, saved: SavedState | None = None) -> Iterator[State]:
         """Yields the initial state and then every `every`-th one. Collective.
 
         Args:
-            restore: Brings back what `kept` gave: begins with the state after.
+            saved: A `restart_state` from which the run continues, with the state after it.
 
         Raises:
             StabilityError: The step became larger than the stable one, or the state is lost.
         """
         try:
-            if restore is None:
+            if saved is None:
                 self._tell_dashpots()
                 self._balance()
                 self.work.begin()
@@ -168,13 +167,13 @@ class Explicit(ABC):
                 self._lookout.drifts(first.energies, self._quiver(), 0.0)
                 yield first
             else:
-                self.restore(restore)
+                self.restore(saved)
             yield from self._march()
         finally:
             self.assembler.destroy()
 
     def _march(self) -> Iterator[State]:
-        self._last.keep(self.kept())
+        self._last.save(self.restart_state())
         while self._t < self.end * END:
             try:
                 self.forward()
@@ -185,7 +184,7 @@ class Explicit(ABC):
                 state = self._state()
                 if self._lookout.drifts(state.energies, self._quiver(), self._t):
                     self.size.doubt(self._step)
-                self._last.keep(self.kept())
+                self._last.save(self.restart_state())
                 yield state
 
     @np.errstate(all="ignore")  # what is lost is told of when it is found
@@ -304,17 +303,17 @@ class Explicit(ABC):
 
     # --- from one run to the next ---
 
-    def kept(self) -> Kept:
-        """All that the step after a yielded state needs to know. Not collective."""
+    def restart_state(self) -> RestartState:
+        """See `Restartable`; at a state that is yielded. Not collective."""
         numbers = {
             "t": self._t,
             "step": self._step,
             "every": self.every,
             "work": self.work.sum,
-            "lookout": self._lookout.kept(),
-            **self.size.kept(),
+            "lookout": self._lookout.restart_state(),
+            **self.size.restart_state(),
         }
-        return Kept(self._fields(), numbers)
+        return RestartState(self._fields(), numbers)
 
     def _fields(self) -> dict[str, fem.Function]:
         fields = {"displacement": self.problem.u, "velocity": self.v, "rates": self.size.field}
@@ -322,9 +321,10 @@ class Explicit(ABC):
             fields["dashpots"] = self.problem.context.velocity
         return fields
 
-    def restore(self, restore: Restore) -> None:
-        """Brings back what `kept` gave. Collective."""
-        numbers: Mapping[str, Any] = restore(self._fields())
+    def restore(self, saved: SavedState) -> None:
+        """See `Restartable`. Collective."""
+        saved.fill(self._fields())
+        numbers = saved.numbers
         self._t, self._step = float(numbers["t"]), int(numbers["step"])
         self.every = int(numbers["every"])
         self._lookout.restore(numbers["lookout"])
@@ -386,10 +386,10 @@ class CentralDifferences(Explicit):
     def _start(self) -> None:
         self._meet()
 
-    def restore(self, restore: Restore) -> None:
+    def restore(self, saved: SavedState) -> None:
         """See `Explicit`; states owe nothing. Collective."""
         self._owed = 0.0
-        super().restore(restore)
+        super().restore(saved)
 
     def _quiver(self) -> float:
         a = self.a.x.array[: len(self._v)]

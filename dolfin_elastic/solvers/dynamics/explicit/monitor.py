@@ -129,8 +129,8 @@ class StabilityMonitor:
 
     # --- from one run to the next ---
 
-    def kept(self) -> dict[str, Any]:
-        """All that has been seen."""
+    def restart_state(self) -> dict[str, Any]:
+        """See `Restartable`. Not collective."""
         return {
             "far": self._small.note,
             "inside_out": self.inside_out,
@@ -141,10 +141,10 @@ class StabilityMonitor:
             "most": self._most,
         }
 
-    def restore(self, numbers: Mapping[str, Any]) -> None:
-        """Goes on with what `kept` gave. Not collective."""
-        self._small.note, self.inside_out = numbers["far"], numbers["inside_out"]
-        self.place = tuple(numbers["place"])
-        self._told, self._most = numbers["told"], numbers["most"]
-        self._states = int(numbers["states"])
-        self._first = np.array(numbers["first"]) if numbers["first"] else None
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """See `Restartable`. Not collective."""
+        self._small.note, self.inside_out = saved["far"], saved["inside_out"]
+        self.place = tuple(saved["place"])
+        self._told, self._most = saved["told"], saved["most"]
+        self._states = int(saved["states"])
+        self._first = np.array(saved["first"]) if saved["first"] else None

@@ -7,20 +7,16 @@ at the cells, at how far nodes are thrown, and at whether forces and energies ar
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from dolfinx import fem
 
 from dolfin_elastic.core.errors import Diagnosis, StabilityError
 from dolfin_elastic.core.parallel import first_of, total
 from dolfin_elastic.core.timing import stage
-from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.restart_state import Kept, Restore
-from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.state import RestartState, SavedState, State, StateCopy
 from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.evidence import Cells, not_finite, plain
@@ -52,11 +48,11 @@ class ExplicitMarch(Protocol):
     def now(self) -> tuple[int, float]:
         """Steps done, and the time [s]."""
 
-    def kept(self) -> Kept:
-        """All that the next step needs to know."""
+    def restart_state(self) -> RestartState:
+        """See `Restartable`."""
 
-    def restore(self, restore: Restore) -> None:
-        """Brings back what was kept. Collective."""
+    def restore(self, saved: SavedState) -> None:
+        """See `Restartable`. Collective."""
 
     def forward(self) -> None:
         """One step. Collective."""
@@ -66,33 +62,6 @@ class ExplicitMarch(Protocol):
 
     def reached(self, *, moved: bool) -> State:
         """The present state. Collective."""
-
-
-class LastState:
-    """The last sound state of a motion."""
-
-    def __init__(self) -> None:
-        self._values: dict[str, FloatArray] = {}
-        self.plain: Mapping[str, Any] = {}
-
-    def __bool__(self) -> bool:
-        """There has been one."""
-        return bool(self.plain)
-
-    def keep(self, kept: Kept) -> None:
-        """Takes in the present one, which is finite. Not collective."""
-        for name, field in kept.fields.items():
-            if name in self._values:
-                self._values[name][:] = field.x.array
-            else:
-                self._values[name] = field.x.array.copy()
-        self.plain = kept.numbers
-
-    def give(self, fields: Mapping[str, fem.Function]) -> Mapping[str, Any]:
-        """Fills fields with it, see `Restore`."""
-        for name, field in fields.items():
-            field.x.array[:] = self._values[name]
-        return self.plain
 
 
 class Replay:
@@ -106,7 +75,7 @@ class Replay:
         last: Its last sound state.
     """
 
-    def __init__(self, march: ExplicitMarch, lookout: StabilityMonitor, last: LastState) -> None:
+    def __init__(self, march: ExplicitMarch, lookout: StabilityMonitor, last: StateCopy) -> None:
         self._march, self._lookout, self._last = march, lookout, last
         self._crushed: tuple[int, str, Place] | None = None
         self._far: tuple[int, str, Place] | None = None
@@ -141,7 +110,7 @@ class Replay:
         if self._far is not None:
             goal = min(goal, self._far[0] - 1)
         if self._last:
-            march.restore(self._last.give)
+            march.restore(self._last)
         begin, _ = march.now
         while march.now[0] < goal:
             march.forward()
@@ -171,7 +140,7 @@ class Replay:
             The time before that step [s].
         """
         march = self._march
-        march.restore(self._last.give)
+        march.restore(self._last)
         before = march.now[1]
         self._look("by")
         while march.finite() and march.now[0] < last:

@@ -162,7 +162,7 @@ class StepSize:
         """
         self._find(0)
         if self._chosen is None:
-            self._take()
+            self._set_step()
             said = self.stable, min(self.dt, end), self._safety, self._where()
             log.info("stable step %.4g s, taken %.4g s (safety %g%s)", *said)
         elif self._chosen > self.stable:
@@ -228,7 +228,7 @@ class StepSize:
         before = self.stable
         self._follow(step)
         if self._chosen is None:
-            self._take()
+            self._set_step()
         elif self._chosen > self.stable:
             self._confirm(step, t)
         change = abs(self.stable / before - 1) if np.isfinite(before) else 0.0
@@ -237,7 +237,7 @@ class StepSize:
         self._interval = int(np.clip(factor * self._interval, LOOKS[0], most))
         self.due = step + self._interval
 
-    def _take(self) -> None:
+    def _set_step(self) -> None:
         self.dt = min(self._safety * self.stable, self.gentle)
 
     def _confirm(self, step: int, t: float) -> None:
@@ -288,8 +288,8 @@ class StepSize:
         """Rates of the nodes, as first components, when that of the body was last found."""
         return self._known
 
-    def kept(self) -> dict[str, Any]:
-        """All numbers that the next look needs."""
+    def restart_state(self) -> dict[str, Any]:
+        """See `Restartable`. Not collective."""
         return {
             "square": self._square,
             "known_square": self._known_square,
@@ -299,14 +299,14 @@ class StepSize:
             "doubtful": self._doubtful,
         }
 
-    def restore(self, numbers: Mapping[str, Any]) -> None:
-        """Goes on with numbers from `kept`. Not collective."""
-        self._square, self._known_square = numbers["square"], numbers["known_square"]
-        self._found_at, self._interval = numbers["found_at"], numbers["interval"]
-        self.due, self._doubtful = numbers["due"], numbers["doubtful"]
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """See `Restartable`. Not collective."""
+        self._square, self._known_square = saved["square"], saved["known_square"]
+        self._found_at, self._interval = saved["found_at"], saved["interval"]
+        self.due, self._doubtful = saved["due"], saved["doubtful"]
         self.stable = self.step_for(self._square)
         if self._chosen is None:
-            self._take()
+            self._set_step()
         else:
             self.dt = self._chosen
 

@@ -17,8 +17,7 @@ from dolfin_elastic.core.petsc_options import PREFIX
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.restart_state import Kept, Restore
-from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, Strain
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
 from dolfin_elastic.solvers.dynamics.audit import MotionAuditor
@@ -27,7 +26,10 @@ from dolfin_elastic.solvers.dynamics.energy_balance import EnergyBalance
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import Scheme
 from dolfin_elastic.solvers.dynamics.implicit.impact_error import ImpactError
 from dolfin_elastic.solvers.dynamics.implicit.petsc_alpha2 import Alpha2
-from dolfin_elastic.solvers.dynamics.implicit.step_control import StepControl
+from dolfin_elastic.solvers.dynamics.implicit.step_control import (
+    StepControl,
+    warn_of_inexact_restart,
+)
 from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import GeneralizedAlphaStepper
 from dolfin_elastic.solvers.dynamics.initial_conditions import jump
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
@@ -37,7 +39,6 @@ from dolfin_elastic.solvers.nonlinear.contact import Measured
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.restart import remembered, remind, tell_forgotten
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.petsc.options import ts_reason
 
@@ -197,18 +198,17 @@ class Implicit:
 
     # --- the loop ---
 
-    def run(self, restore: Restore | None = None) -> Iterator[State]:
+    def run(self, saved: SavedState | None = None) -> Iterator[State]:
         """Yields the initial state and then every state asked for. Collective.
 
         Args:
-            restore: Fills what is kept, so that the motion goes on from there; then the state
-                that was kept is not yielded again.
+            saved: A `restart_state` from which the motion continues, with the state after it.
         """
-        if restore is None:
+        if saved is None:
             self._begin()
             yield self._state()
         else:
-            self._take(restore(self.kept().fields))
+            self.restore(saved)
         while not self.times.done(float(self.ts.getTime())):
             self._march()
             yield self._state()
@@ -353,31 +353,35 @@ class Implicit:
 
     # --- restarts ---
 
-    def kept(self) -> Kept:
-        """What the next step needs to know. Collective."""
+    def restart_state(self) -> RestartState:
+        """See `Restartable`. Collective."""
         self.extras.take()
-        fields = {
-            "displacement": self.problem.u,
-            "velocity": self.v,
-            "acceleration": self.a,
-            "acceleration_at_end": self.stepper.at_end,
-            **self.extras.fields,
-        }
         numbers = {
             "t": float(self.ts.getTime()),
             "step": int(self.ts.getStepNumber()),
             "dt": float(self.ts.getTimeStep()),
             "scale": self.control.scale,
             "usual": self._usual,
-            "ledger": self.ledger.kept(),
-            "audit": self.auditor.kept(),
-            "newton": remembered(self.newton),
+            "ledger": self.ledger.restart_state(),
+            "audit": self.auditor.restart_state(),
+            "newton": self.newton.restart_state(),
         }
-        return Kept(fields, numbers)
+        return RestartState(self._fields(), numbers)
 
-    def _take(self, numbers: Mapping[str, Any]) -> None:
-        """Goes on from what was kept; the fields hold it already."""
-        tell_forgotten(self.settings.scheme, self.options.users)
+    def _fields(self) -> dict[str, fem.Function]:
+        return {
+            "displacement": self.problem.u,
+            "velocity": self.v,
+            "acceleration": self.a,
+            "acceleration_at_end": self.stepper.at_end,
+            **self.extras.fields,
+        }
+
+    def restore(self, saved: SavedState) -> None:
+        """See `Restartable`. Collective."""
+        saved.fill(self._fields())
+        numbers = saved.numbers
+        warn_of_inexact_restart(self.settings.scheme, self.options.users)
         self.extras.give()
         self.ts.setTime(numbers["t"])
         self.ts.setStepNumber(numbers["step"])
@@ -389,7 +393,7 @@ class Implicit:
         if isinstance(self.stepper, GeneralizedAlphaStepper):
             self.stepper.start(numbers["t"])
         self._tell_ts()
-        remind(self.newton, numbers["newton"])
+        self.newton.restore(numbers["newton"])
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import logging
 from bisect import bisect_right
+from collections.abc import Mapping
 from math import ceil
 from typing import TYPE_CHECKING, Any
 
@@ -164,3 +165,25 @@ class StepControl:
             atol.destroy()
         else:
             self._ts.setTolerances(rtol=0.0, atol=atol)
+
+
+def warn_of_inexact_restart(scheme: str, options: Mapping[str, Any]) -> None:
+    """Warns where PETSc has data of former steps that cannot be saved: steps then differ a little.
+
+    Args:
+        scheme: Of the motion.
+        options: PETSc options of the user, without prefix.
+    """
+    adapt = str(options.get("ts_adapt_type", "basic"))
+    if scheme == "alpha2":
+        log.warning(
+            "the motion goes on, but not exactly as without the stop: PETSc's 'alpha2' keeps its "
+            "acceleration for itself and begins anew with two half steps of first order; "
+            "'generalized-alpha', the same scheme, goes on exactly"
+        )
+    elif adapt not in ("basic", "none"):
+        log.warning(
+            "the motion goes on, but not exactly as without the stop: PETSc's '-ts_adapt_type %s' "
+            "keeps the errors of former steps for itself; 'basic' goes on exactly",
+            adapt,
+        )

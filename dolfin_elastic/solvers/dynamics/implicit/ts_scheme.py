@@ -37,7 +37,7 @@ Done = tuple[Forces, Forces, FloatArray]
 
 
 @dataclass(frozen=True)
-class Kept:
+class StepStart:
     """Where a step begins: owned entries.
 
     Attributes:
@@ -93,7 +93,7 @@ class GeneralizedAlphaStepper:
         self.watch: JacobianWatch | None = None if linear else JacobianWatch(self.problem)
         volumes = VolumeConstraint.needed(self.problem, scheme.alpha_f)
         self._volumes = VolumeConstraint(self.assembler, scheme.alpha_f) if volumes else None
-        self._before: Kept | None = None
+        self._before: StepStart | None = None
         self._ends: Forces | None = None
         self._old_ends: Forces | None = None
         nothing: FloatArray = np.empty(0)
@@ -224,10 +224,10 @@ class GeneralizedAlphaStepper:
 
     # --- one step ---
 
-    def _here(self, t: float) -> Kept:
+    def _here(self, t: float) -> StepStart:
         moves, size = self.moving.moves, len(self.moving.moves)
         w = self.problem.w.x.array[: self.assembler.size].copy()
-        return Kept(t, w, w[moves], self.v.x.array[:size].copy(), self.a.x.array[:size].copy())
+        return StepStart(t, w, w[moves], self.v.x.array[:size].copy(), self.a.x.array[:size].copy())
 
     def _crushed(self) -> bool:
         """Cells are inside out already: then nothing is to be kept from it."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.checkpoints import through_json
 from helpers.motion import (
     NU,
     PERIOD,
@@ -476,18 +476,9 @@ def test_a_motion_goes_on_as_if_it_had_never_stopped():
         for state in motion.steps():
             whole.append(record(state))
             if saved is None and state.t >= 0.008:
-                kept = motion.kept()
-                arrays = {name: f.x.array.copy() for name, f in kept.fields.items()}
-                saved = len(whole), arrays, json.dumps(kept.numbers)
-        number, arrays, numbers = saved
-
-        def restore(fields: Any, arrays: Any = arrays, numbers: Any = numbers) -> Any:
-            assert fields.keys() == arrays.keys()
-            for name, field in fields.items():
-                field.x.array[:] = arrays[name]
-            return json.loads(numbers)
-
-        again = [record(state) for state in Dynamics(make(body), **given).steps(restore)]
+                saved = through_json(motion.restart_state())
+                number = len(whole)
+        again = [record(state) for state in Dynamics(make(body), **given).steps(saved)]
         assert len(again) == len(whole) - number > 3
         for one, other in zip(again, whole[number:], strict=True):
             assert one.keys() == other.keys()
@@ -515,18 +506,10 @@ def test_a_motion_goes_on_with_the_linear_solver_it_has_come_to():
     assert isinstance(motion._march, Implicit)
     assert motion._march.newton.fall_back()
     next(states)
-    kept = motion.kept()
-    arrays = {name: f.x.array.copy() for name, f in kept.fields.items()}
-    numbers = json.dumps(kept.numbers)
+    saved = through_json(motion.restart_state())
     known = next(states)
-
-    def restore(fields: Any) -> Any:
-        for name, field in fields.items():
-            field.x.array[:] = arrays[name]
-        return json.loads(numbers)
-
     again = Dynamics(column(body), **given)
-    more = again.steps(restore)
+    more = again.steps(saved)
     found = next(more)
     assert kind(again) == "gmres"
     # To the tolerance of the steps.
@@ -583,10 +566,10 @@ def test_momenta_and_memory_over_ten_thousand_steps(comm):
 def test_there_is_nothing_to_keep_before_a_motion_and_after_it():
     motion = Dynamics(oscillator(), end=0.02, dt=0.01)
     with pytest.raises(RuntimeError, match="nothing to keep"):
-        motion.kept()
+        motion.restart_state()
     _ = [*motion.steps()]
     with pytest.raises(RuntimeError, match="nothing to keep"):
-        motion.kept()
+        motion.restart_state()
 
 
 # --- what the audit says ---
