@@ -15,7 +15,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
-from dolfin_elastic.solvers.linear.nullspace import unresisted
+from dolfin_elastic.solvers.linear.nullspace import null_combinations
 
 FREE = 1e-10
 """Stiffness against a rigid motion, over that of the diagonal, which counts as none."""
@@ -97,7 +97,7 @@ def _motions(assembler: Assembler, inside: BoolArray) -> tuple[list[str], tuple[
     columns = np.zeros((assembler.size, modes.shape[-1]))
     columns[assembler.moves] = modes.reshape(own * dim, modes.shape[-1])
     columns /= np.sqrt(total(comm, (columns**2).sum(axis=0)))
-    null = unresisted(assembler, columns, FREE)
+    null = null_combinations(assembler, columns, FREE)
     if not null.shape[1]:
         return None
     place = tuple(float(c) for c in mine[1 : 1 + dim] / mine[0])

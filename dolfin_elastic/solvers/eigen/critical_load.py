@@ -119,7 +119,7 @@ class CriticalLoad:
             eps.setInitialSpace(spaces[0])
             if known:
                 eps.setDeflationSpace(spaces[1:])
-            with stage("solve"), failing(), self._options.in_force(), self._options.told():
+            with stage("solve"), failing(), self._options.in_force(), self._options.input_errors():
                 eps.setFromOptions()
                 eps.solve()
                 self._options.report_unused()

@@ -16,7 +16,7 @@ from dolfin_elastic.solvers.assembly.matrix import TangentMatrix
 from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
-from dolfin_elastic.solvers.linear.nullspace import times, unresisted
+from dolfin_elastic.solvers.linear.nullspace import null_combinations, times
 
 FREE = 1e-12
 """Force against a rigid motion, over the largest stiffness of a node, that is round-off."""
@@ -169,7 +169,7 @@ def _free(assembler: Assembler, frame: Frame) -> list[RigidMode]:
     comm, problem = assembler.comm, assembler.problem
     lengths = np.sqrt(total(comm, (frame.columns**2).sum(axis=0)))
     columns = frame.columns / lengths
-    null = unresisted(assembler, columns, FREE)
+    null = null_combinations(assembler, columns, FREE)
     gram = total(comm, columns.T @ (frame.images / lengths))
     modes = []
     for mix in _orthogonal(null, gram):

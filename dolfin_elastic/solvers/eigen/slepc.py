@@ -33,7 +33,7 @@ from dolfin_elastic.solvers.linear.choice import (
     QUADRATIC,
     Choice,
     LinearSettings,
-    QuadraticMultigrid,
+    PMultigrid,
     factorising,
     rigid_body_modes,
 )
@@ -172,7 +172,7 @@ class Spectrum:
         self.counted, self._tolerance = choice.direct, tolerance
         self.options = Options(choice.options, users)
         self._pressures = problem.unknowns.count("pressure")
-        self._multigrid: QuadraticMultigrid | None = None
+        self._multigrid: PMultigrid | None = None
 
     def below(self, number: float) -> int | None:
         """How many eigenvalues lie below a number; None: it is one of them. Collective.
@@ -225,7 +225,7 @@ class Spectrum:
             eps.setDeflationSpace(spaces[1:])
         preconditioned = None
         try:
-            with stage("solve"), failing(), self.options.in_force(), self.options.told():
+            with stage("solve"), failing(), self.options.in_force(), self.options.input_errors():
                 eps.setFromOptions()
                 preconditioned = self._prepare(eps.getST(), shift)
                 eps.solve()
@@ -264,7 +264,7 @@ class Spectrum:
         ksp = transform.getKSP()
         ksp.setFromOptions()
         if ksp.getPC().getType() == "python":
-            self._multigrid = QuadraticMultigrid(self.problem)
+            self._multigrid = PMultigrid(self.problem)
             ksp.getPC().setPythonContext(self._multigrid)
         return matrix
 

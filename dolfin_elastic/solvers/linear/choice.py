@@ -139,7 +139,7 @@ QUADRATIC: dict[str, Any] = {
     "two_mg_levels_pc_type": "pbjacobi",
     **{f"two_mg_coarse_{name}": value for name, value in GAMG.items()},
 }
-"""Options of `QuadraticMultigrid`, whose own prefix is `two_`."""
+"""Options of `PMultigrid`, whose own prefix is `two_`."""
 
 
 def rigid_body_modes(
@@ -207,7 +207,7 @@ def _free_directions(like: PETSc.Vec, tilted: SkewConstraints) -> PETSc.Mat:
     return matrix
 
 
-class QuadraticMultigrid:
+class PMultigrid:
     """PETSc python preconditioner: quadratic elements, below them linear ones, below them GAMG.
 
     The coarse tangent is P^T K P with the interpolation P between elements of the same mesh.

@@ -10,7 +10,7 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import (
     GMRES,
     LAST_DIRECT,
-    QuadraticMultigrid,
+    PMultigrid,
     factorising,
     rigid_body_modes,
 )
@@ -37,7 +37,7 @@ class LinearSolver:
         self, assembler: Assembler, options: Options, ksp: PETSc.KSP, snes: PETSc.SNES
     ) -> None:
         self._assembler, self._options, self.ksp, self._snes = assembler, options, ksp, snes
-        self._multigrid: QuadraticMultigrid | SchurSplit | None = None
+        self._multigrid: PMultigrid | SchurSplit | None = None
         self._prepared, self.direct = False, False
 
     def set_up(self) -> None:
@@ -47,9 +47,7 @@ class LinearSolver:
         if pc.getType() == "python" and self._multigrid is None:
             problem = self._assembler.problem
             self._multigrid = (
-                SchurSplit(problem, self._assembler)
-                if problem.mixed
-                else QuadraticMultigrid(problem)
+                SchurSplit(problem, self._assembler) if problem.mixed else PMultigrid(problem)
             )
             pc.setPythonContext(self._multigrid)
             self.ksp.setFromOptions()
@@ -58,10 +56,10 @@ class LinearSolver:
         if not self.direct:
             self._attach_modes()
 
-    def keep_factors_fresh(self) -> None:
+    def factorise_each_tangent(self) -> None:
         """Factorises each tangent: an old factorisation alone makes no Newton's method."""
         if self.direct:
-            self._options.change({"snes_lag_preconditioner": 1})
+            self._options.update({"snes_lag_preconditioner": 1})
             with self._options.in_force():
                 self._snes.setFromOptions()
 
@@ -73,7 +71,7 @@ class LinearSolver:
             self._assembler.matrix.setNearNullSpace(modes)
             modes.destroy()
 
-    def take(self, tangent: PETSc.Mat) -> None:
+    def set_tangent(self, tangent: PETSc.Mat) -> None:
         """Uses a tangent that SNES does not hand on, with the preconditioner that is there."""
         # SNES would lag the preconditioner of its own linear solver only.
         self.ksp.getPC().setReusePreconditioner(self._prepared and not self.direct)
@@ -105,17 +103,17 @@ class LinearSolver:
             return False
         if self.ksp.getType() == "cg":
             log.info("conjugate gradients failed (%s): GMRES from here on", reason)
-            self._options.change(GMRES)
+            self._options.update(GMRES)
             self.refresh()
             return True
         problem = self._assembler.problem
         if problem.num_dofs > LAST_DIRECT[problem.body.dim]:
             return False
         log.info("the iterative solver failed (%s): factorising", reason)
-        self._options.change(factorising(problem.symmetric))
-        with self._options.in_force(), self._options.told():
+        self._options.update(factorising(problem.symmetric))
+        with self._options.in_force(), self._options.input_errors():
             self.set_up()
-        self.keep_factors_fresh()
+        self.factorise_each_tangent()
         return True
 
     def destroy(self) -> None:

@@ -10,7 +10,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 
 
-def unresisted(assembler: Assembler, columns: FloatArray, small: float) -> FloatArray:
+def null_combinations(assembler: Assembler, columns: FloatArray, small: float) -> FloatArray:
     """Orthonormal combinations of motions that the tangent, as it is assembled, maps to nothing.
 
     By the triangles of each rank's rows: products of columns would be right to half the digits.

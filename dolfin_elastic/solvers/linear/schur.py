@@ -19,7 +19,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-from dolfin_elastic.solvers.linear.choice import QuadraticMultigrid, rigid_body_modes
+from dolfin_elastic.solvers.linear.choice import PMultigrid, rigid_body_modes
 
 
 class SchurSplit:
@@ -45,7 +45,7 @@ class SchurSplit:
         self._K: PETSc.Mat | None = None
         self._B: PETSc.Mat | None = None
         self._pc: PETSc.PC | None = None
-        self._multigrid = QuadraticMultigrid(problem) if problem.degree > 1 else None
+        self._multigrid = PMultigrid(problem) if problem.degree > 1 else None
 
     def _schur_diagonal(self) -> FloatArray:
         """Row sums of the scaled pressure mass matrix, negative, owned entries."""

@@ -131,11 +131,11 @@ class Newton:
             python_solver(self.snes, self.bordered, PREFIX + "bordered_")
             self.ksp.setOptionsPrefix(PREFIX)
             self.ksp.setOperators(self.assembler.matrix)
-        with self.options.in_force(), self.options.told():
+        with self.options.in_force(), self.options.input_errors():
             self.snes.setFromOptions()
             self.linear.set_up()
         if not self.choice.direct:
-            self.linear.keep_factors_fresh()
+            self.linear.factorise_each_tangent()
         chosen = {name: str(self.choice.options.get(name)) for name in ("ksp_type", "pc_type")}
         taken = {"ksp_type": self.ksp.getType(), "pc_type": self.ksp.getPC().getType()}
         if taken != chosen:
@@ -296,7 +296,7 @@ class Newton:
         else:
             self.bordered.renew(x)
             self._external = self.assembler.external_norm()  # scalars may load the body
-            self.linear.take(self.assembler.matrix)
+            self.linear.set_tangent(self.assembler.matrix)
         self.note_tangent(self.assembler.matrix)
         self.shift = 0.0 if self._flow is None else self._flow(self.assembler.free, self._target())
         if self.shift > 0.0:

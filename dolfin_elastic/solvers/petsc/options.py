@@ -52,12 +52,12 @@ class Options:
             for name in merged:
                 database.delValue(PREFIX + name)
 
-    def change(self, defaults: Mapping[str, Any]) -> None:
+    def update(self, defaults: Mapping[str, Any]) -> None:
         """Changes defaults for all later uses."""
         self._all = {**self._all, **defaults, **self.users}
 
     @contextmanager
-    def told(self) -> Iterator[None]:
+    def input_errors(self) -> Iterator[None]:
         """Lets PETSc's refusal of an option of the user be one message.
 
         Raises:

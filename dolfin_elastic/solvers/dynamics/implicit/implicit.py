@@ -109,7 +109,7 @@ class Implicit:
         if isinstance(self.stepper, GeneralizedAlphaStepper):
             self._join(self.stepper)
         self.options = self.newton.options
-        self.options.change(self._defaults())
+        self.options.update(self._defaults())
         self._U, self._V, self._f = (self.assembler.create_vector() for _ in range(3))
         for vector in (self._U, self._V, self._f):
             self._owned.callback(vector.destroy)
@@ -163,7 +163,7 @@ class Implicit:
         ts.setMaxSteps(10**9)
         ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
         ts.setSolution2(self._U, self._V)
-        with self.options.in_force(), self.options.told():
+        with self.options.in_force(), self.options.input_errors():
             ts.setFromOptions()
         ts.setErrorIfStepFails(False)
         ts.setPreStep(self._before_step)
