@@ -16,6 +16,10 @@ import numpy as np
 import ufl
 from dolfinx import fem, jit
 from mpi4py import MPI
+from ufl.classes import Label
+from ufl.corealg.map_dag import map_expr_dag
+from ufl.corealg.multifunction import MultiFunction
+from ufl.corealg.traversal import traverse_unique_terminals
 
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.timing import stage
@@ -131,10 +135,37 @@ def compile_expression(
     jit_options: dict[str, Any],
 ) -> fem.Expression:
     """Compiles a UFL expression at reference points of a cell. Collective."""
+    expression = _with_numbered_labels(expression)
     key = f"{expression.ufl_shape}{np.asarray(points).round(9).tolist()}"
     part = _part(jit_options, hashlib.sha256(key.encode()).hexdigest())
     with stage("compile"):
         return _together(comm, part, lambda: fem.Expression(expression, points, jit_options=part))
+
+
+class _Relabelling(MultiFunction):
+    """Exchanges the labels of variables."""
+
+    expr = MultiFunction.reuse_if_untouched
+
+    def __init__(self, labels: dict[Label, Label]) -> None:
+        super().__init__()
+        self._labels = labels
+
+    def label(self, label: Label) -> Label:
+        """The other label."""
+        return self._labels[label]
+
+
+def _with_numbered_labels(expression: Any) -> Any:
+    """The expression with the labels of its variables (`ufl.variable`) counted from zero.
+
+    FFCx names a compiled expression by its content, and a label by the number of variables that the
+    process had made before: without this, the same expression has another name in each problem of a
+    process and is compiled again.  (In forms UFL counts the labels anew by itself.)
+    """
+    found = {node for node in traverse_unique_terminals(expression) if isinstance(node, Label)}
+    labels = {old: Label(i) for i, old in enumerate(sorted(found, key=Label.count))}
+    return map_expr_dag(_Relabelling(labels), expression) if labels else expression
 
 
 def _together(comm: MPI.Comm, part: dict[str, Any], make: Callable[[], T]) -> T:
