@@ -1,8 +1,10 @@
-"""Whether cavities are closed, told from the mesh and the supports alone.
+"""Whether cavities are closed, found from the mesh and the supports alone.
 
-With the origin o the change of the enclosed volume along the rim of its surfaces is 1/d times the
-integral of v . (dx x (x - o)), in a plane the same of its end points.  A cavity is closed where
-this vanishes for all free v: no rim, or one in planes of symmetry through the origin.
+A virtual displacement v of the rim (the edges that bound a cavity's surfaces) changes the volume
+by 1/d times the integral along the rim of v . (dx x (x - o)), o the cavity's origin, d the
+dimension; in a plane the rim is the end points of the surfaces' curve.  A cavity is closed if this
+vanishes for every v that the supports admit: it has no rim, or its rim lies in planes of symmetry
+through the origin.
 
 Source: Stokes' theorem on the volume of `model.loads.cavity`.
 """
@@ -22,33 +24,42 @@ from dolfin_elastic.problem.loads.pressure_symmetry import rim
 from dolfin_elastic.problem.problem import Problem
 
 _ROUND_OFF = 1e-6
+"""Volume per displacement that is none, over that of an edge across the cavity."""
 
 
 def cavity_notes(case: Case, problem: Problem) -> Iterator[str]:
-    """Cavities whose pressure is given although they have no volume. Collective.
+    """Open cavities whose pressure is prescribed: they have no volume to report. Collective.
+
+    Args:
+        case: Its loads.
+        problem: Made of the case.
 
     Raises:
-        InputError: One is open though its volume is prescribed.
+        InputError: An open cavity whose volume is prescribed.
     """
     for index, load in enumerate(case.load):
         if not isinstance(load, Cavity) or not _open(load, problem):
             continue
-        said = (
+        reason = (
             f"the cavity '{load.label}' is open: a part of its rim is not held in a plane through "
             "its origin"
         )
         if load.controlled:
             raise InputError(
-                said,
+                reason,
                 where=f"load[{index}].on",
                 expected="all surfaces around it, supports in planes of symmetry, and an origin "
                 "in all of them",
             )
-        yield f"load[{index}].on: {said}, so its volume is not told"
+        yield f"load[{index}].on: {reason}, so its volume is not reported"
 
 
 def _open(load: Cavity, problem: Problem) -> bool:
-    """Whether its rim can carry volume away; not told of oblique supports. Collective."""
+    """Whether an admissible displacement of the rim changes the volume. Collective.
+
+    Never true of skew supports and periodic cells, whose constraints couple components: their
+    rims are not judged.
+    """
     body, dim = problem.body, problem.body.dim
     if problem.dirichlet.tilted is not None or problem.cell is not None:
         return False
@@ -56,16 +67,17 @@ def _open(load: Cavity, problem: Problem) -> bool:
     origin[: len(load.middle)] = [float(x or 0.0) for x in load.middle]  # type: ignore[arg-type]
     held = np.zeros(len(problem.dirichlet.values.x.array), dtype=bool)
     held[problem.dirichlet.dofs] = True
-    turned, lost = problem.geometry == "axisymmetric", 0
+    axisymmetric, open_edges = problem.geometry == "axisymmetric", 0
     for edge in rim(body, load.parts):
-        points, nodes = _ends(problem, int(edge))
+        points, nodes = _edge_nodes(problem, int(edge))
         free = ~held.reshape(-1, dim)[points].all(axis=0)
-        lost += bool(_flux(body.mesh.geometry.x[nodes, :dim], origin, turned)[free].any())
-    return bool(total(body.comm, lost))
+        flux = _changes_volume(body.mesh.geometry.x[nodes, :dim], origin, axisymmetric)
+        open_edges += bool(flux[free].any())
+    return bool(total(body.comm, open_edges))
 
 
-def _ends(problem: Problem, edge: int) -> tuple[IndexArray, IndexArray]:
-    """Nodes of the displacement on an edge (in a plane: a point), and of the mesh at its ends."""
+def _edge_nodes(problem: Problem, edge: int) -> tuple[IndexArray, IndexArray]:
+    """Dofs of the displacement on an edge (in a plane: a point), and mesh nodes at its ends."""
     mesh, dim = problem.body.mesh, problem.body.dim
     mesh.topology.create_connectivity(dim - 2, dim)
     mesh.topology.create_connectivity(dim, dim - 2)
@@ -77,12 +89,18 @@ def _ends(problem: Problem, edge: int) -> tuple[IndexArray, IndexArray]:
     return points, mesh.geometry.dofmap[cell][corners]
 
 
-def _flux(x: FloatArray, origin: FloatArray, turned: bool) -> BoolArray:
-    """Components in which a virtual displacement of an edge changes the volume."""
+def _changes_volume(x: FloatArray, origin: FloatArray, axisymmetric: bool) -> BoolArray:
+    """Components in which a virtual displacement of an edge changes the volume, shape (dim,).
+
+    Args:
+        x: Undeformed ends of the edge, shape (dim - 1, dim) [m].
+        origin: Of the cavity, shape (dim,) [m].
+        axisymmetric: The body is swept round the axis x = 0.
+    """
     arm, size = x[0] - origin, float(np.abs(x - origin).max())
     if len(origin) == 2:
-        flux = np.array([-arm[1], arm[0]]) * (x[0, 0] if turned else 1.0)
-        size *= abs(x[0, 0]) if turned else 1.0
+        flux = np.array([-arm[1], arm[0]]) * (x[0, 0] if axisymmetric else 1.0)
+        size *= abs(x[0, 0]) if axisymmetric else 1.0
     else:
         flux = np.cross(x[1] - x[0], arm)
         size *= float(np.linalg.norm(x[1] - x[0]))

@@ -1,4 +1,4 @@
-"""Whether a case fits its mesh: the first thing that is wrong, as one error."""
+"""Whether a case is consistent with itself and with its mesh: the first fault, as one error."""
 
 from __future__ import annotations
 
@@ -25,15 +25,17 @@ from dolfin_elastic.results.fields import FIELDS
 
 
 def check(case: Case, body: Body) -> tuple[str, ...]:
-    """Checks a case against its body.
+    """Checks a case against its mesh. Collective.
 
-    Collective.
+    Args:
+        case: The case.
+        body: From `case.read_body`.
 
     Returns:
-        What a user should know although nothing is wrong, but for what a run says itself.
+        Notes on what is allowed but probably not meant, without those of `run_notes`.
 
     Raises:
-        InputError: The first thing that is wrong, with file and key, on every rank.
+        InputError: The first fault, with file and key, the same on every rank.
     """
     with located(case.file):
         _check_names(case, body)
@@ -50,14 +52,18 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
 
 
 def explicit(case: Case) -> bool:
-    """The scheme solves no equations."""
+    """Whether the time integration is explicit, so that no equations are solved."""
     return case.dynamics is not None and not case.dynamics.implicit
 
 
 def _check_explicit(case: Case) -> None:
-    """Nothing that only a solver of equations can do.
+    """What an explicit scheme cannot do: a pressure as unknown, quadratic elements.
 
-    A material comes first: what it needs elsewhere, a pressure, is refused of the mesh.
+    The material is checked first: the advice for it names the mesh's `formulation`, which an
+    explicit scheme would refuse in turn.
+
+    Raises:
+        CaseError: An incompressible material, or quadratic elements.
     """
     assert case.dynamics is not None
     scheme = case.dynamics.scheme
@@ -82,31 +88,34 @@ def _check_explicit(case: Case) -> None:
 
 
 def _check_names(case: Case, body: Body) -> None:
+    """Every `on` names a surface or region of the body that is not empty. Collective."""
     for i, support in enumerate(case.support):
-        for where, name in _keys(f"support[{i}].on", support.on):
+        for where, name in _names(f"support[{i}].on", support.on):
             _check_name(where, name, "surface", "a support holds surfaces", body)
     for i, contact in enumerate(case.contact):
-        for where, name in _keys(f"contact[{i}].on", contact.on):
+        for where, name in _names(f"contact[{i}].on", contact.on):
             _check_name(where, name, "surface", "a contact holds surfaces", body)
     for i, load in enumerate(case.load):
         kind = "surface" if acts_on_surfaces(load) else "region"
-        for where, name in _keys(f"load[{i}].on", getattr(load, "on", None)):
+        for where, name in _names(f"load[{i}].on", getattr(load, "on", None)):
             _check_name(where, name, kind, f"a {load.kind} acts on {kind}s", body)
     for k, pair in enumerate(case.periodic.pairs if case.periodic else ()):
-        for where, name in _keys(f"periodic.pairs[{k}]", pair):
+        for where, name in _names(f"periodic.pairs[{k}]", pair):
             _check_name(where, name, "surface", "surfaces come in pairs", body)
     for name, material in case.materials.items():
-        for where, region in _keys(f"materials.{key_text(name)}.on", material.on):
+        for where, region in _names(f"materials.{key_text(name)}.on", material.on):
             _check_name(where, region, "region", "a material fills regions", body)
 
 
 def acts_on_surfaces(load: Load) -> bool:
-    """A load must name surfaces; regions may be left out and mean the whole body then."""
+    """Whether a load acts on surfaces rather than on regions."""
+    # Loads on regions have an optional `on`: without one they act on the whole body.
     on = type(load).model_fields.get("on")
     return on is not None and on.is_required()
 
 
-def _keys(key: str, on: str | Sequence[str] | None) -> Iterator[tuple[str, str]]:
+def _names(key: str, on: str | Sequence[str] | None) -> Iterator[tuple[str, str]]:
+    """The names in an `on`, each after its key."""
     if isinstance(on, str):
         yield key, on
         return
@@ -124,13 +133,14 @@ def _check_name(where: str, name: str, kind: str, rule: str, body: Body) -> None
         other = "region" if kind == "surface" else "surface"
         raise MeshError(f"'{name}' is a {other}", where=where, expected=rule)
     if name not in here:
-        raise MeshError(f"there is no {kind} '{name}'", where=where, expected=_offer(name, here))
+        suggestion = _suggestion(name, here)
+        raise MeshError(f"there is no {kind} '{name}'", where=where, expected=suggestion)
     owned = body.owned_facets(name) if kind == "surface" else body.owned_cells(name)
     if not total(body.comm, len(owned)):
         raise MeshError(f"the {kind} '{name}' is empty", where=where)
 
 
-def _offer(name: str, names: Mapping[str, IndexArray]) -> str:
+def _suggestion(name: str, names: Mapping[str, IndexArray]) -> str:
     return nearest(name, names) if names else "the mesh has none; name one by where it lies"
 
 
@@ -169,7 +179,7 @@ def _check_fields(case: Case) -> None:
     ]
     if case.analysis in ("modal", "buckling"):
         _check_mode_pictures(case)
-    powerless = [n for n, m in case.materials.items() if not m.law.has_energy]
+    without_energy = [n for n, m in case.materials.items() if not m.law.has_energy]
     for where, name in fields:
         if FIELDS[name].motion and case.dynamics is None:
             raise CaseError(
@@ -183,9 +193,9 @@ def _check_fields(case: Case) -> None:
                 where=where,
                 expected="history.csv has the reaction of each support",
             )
-        if name == "energy_density" and powerless:
+        if name == "energy_density" and without_energy:
             raise CaseError(
-                f"the law of '{powerless[0]}' has no strain energy",
+                f"the law of '{without_energy[0]}' has no strain energy",
                 where=where,
                 expected="leave the field out",
             )
@@ -213,6 +223,7 @@ def _check_mode_pictures(case: Case) -> None:
 
 
 def _check_materials(materials: Mapping[str, Material], body: Body) -> None:
+    """Every cell has exactly one material. Collective."""
     everywhere = [name for name, material in materials.items() if not material.regions]
     if len(everywhere) > 1:
         raise CaseError(
@@ -220,9 +231,9 @@ def _check_materials(materials: Mapping[str, Material], body: Body) -> None:
             where=f"materials.{key_text(everywhere[1])}",
             expected="only one material can fill what the others leave",
         )
-    own = len(body.owned_cells())
+    owned = len(body.owned_cells())
     filled = {
-        name: _marked(body, material.regions, own)
+        name: _marked(body, material.regions, owned)
         for name, material in materials.items()
         if material.regions
     }
@@ -233,8 +244,8 @@ def _check_materials(materials: Mapping[str, Material], body: Body) -> None:
                 where=f"materials.{key_text(two)}.on",
                 expected="every cell needs exactly one material",
             )
-    bare = own - int(np.sum(np.any(list(filled.values()), axis=0))) if filled else own
-    missing = int(total(body.comm, bare))
+    marked = int(np.sum(np.any(list(filled.values()), axis=0))) if filled else 0
+    missing = int(total(body.comm, owned - marked))
     if missing and not everywhere:
         raise CaseError(
             f"{missing} of {body.num_cells} cells have no material",
@@ -243,17 +254,22 @@ def _check_materials(materials: Mapping[str, Material], body: Body) -> None:
         )
 
 
-def _marked(body: Body, regions: Sequence[str], own: int) -> BoolArray:
-    marks = np.zeros(own, dtype=bool)
+def _marked(body: Body, regions: Sequence[str], owned: int) -> BoolArray:
+    """Which of the owned cells lie in regions, shape (owned cells,). Local."""
+    marks = np.zeros(owned, dtype=bool)
     for name in regions:
         marks[body.owned_cells(name)] = True
     return marks
 
 
 def _check_densities(case: Case) -> None:
-    heavy = [(i, load) for i, load in enumerate(case.load) if load.needs_density]
-    everywhere = [f"load[{i}] ({load.kind})" for i, load in heavy if not load.parts]
-    reason = next(iter(everywhere), "")
+    """Every material has a density where inertia or weight of the whole body needs one."""
+    weights = (
+        f"load[{i}] ({load.kind})"
+        for i, load in enumerate(case.load)
+        if load.needs_density and not load.parts
+    )
+    reason = next(weights, "")
     if case.analysis in ("dynamics", "modal"):
         reason = f"[{case.analysis}]"
     for name, material in case.materials.items():
@@ -266,47 +282,52 @@ def _check_densities(case: Case) -> None:
 
 
 def _check_constants(case: Case, body: Body) -> None:
-    """What varies in space is evaluated wherever it is used."""
+    """Evaluates constants that vary in space in all cells where they are used. Collective.
+
+    Raises:
+        InputError: A value is out of range, or a field of the mesh is missing.
+    """
     binder = CoefficientBinder(body, max(case.mesh.degree, int(body.mesh.geometry.cmap.degree)))
-    own = len(body.owned_cells())
-    filled = [_marked(body, material.regions, own) for material in case.materials.values()]
-    rest = ~np.any(filled, axis=0)
+    owned = len(body.owned_cells())
+    filled = [_marked(body, material.regions, owned) for material in case.materials.values()]
+    unnamed = ~np.any(filled, axis=0)
     for (name, material), marks in zip(case.materials.items(), filled, strict=True):
         if material.law.deferred():
-            cells = np.flatnonzero(marks if material.regions else rest).astype(np.int32)
+            cells = np.flatnonzero(marks if material.regions else unnamed).astype(np.int32)
             binder.values(material.law, cells, f"materials.{key_text(name)}")
 
 
 # --- notes ---
 
 
-def later_notes(case: Case) -> Iterator[str]:
-    """What a run says itself, in Python too: where its problem is made, and where it is solved."""
+def run_notes(case: Case) -> Iterator[str]:
+    """Notes that `Problem` and the solvers log themselves, also of problems made in Python."""
     for name, material in case.materials.items():
         if material.law.warning:
             yield f"materials.{key_text(name)}: {material.law.warning}"
     for i, support in enumerate(case.support):
-        if support.kind == "dashpot" and (timeless := _timeless(case)):
-            yield f"support[{i}]: a dashpot does nothing in {timeless}"
+        if support.kind == "dashpot" and (rate_free := _rate_free(case)):
+            yield f"support[{i}]: a dashpot does nothing in {rate_free}"
 
 
-def _timeless(case: Case) -> str:
-    """The analysis, if nothing has a velocity in it."""
+def _rate_free(case: Case) -> str:
+    """The analysis, if there are no velocities in it; empty in motion."""
     if case.dynamics is not None:
         return ""
     return f"[{case.analysis}]" if case.modal or case.buckling else "statics"
 
 
 def _notes(case: Case) -> Iterator[str]:
+    """Keys without effect in the case's analysis."""
     for name, material in case.materials.items():
-        if material.law.viscosity is not None and (timeless := _timeless(case)):
-            yield f"materials.{key_text(name)}: viscosity does nothing in {timeless}"
+        if material.law.viscosity is not None and (rate_free := _rate_free(case)):
+            yield f"materials.{key_text(name)}: viscosity does nothing in {rate_free}"
     moving = any(not support.at_rest for support in case.support)
     moving = moving or any(value != 0.0 for c in case.contact for value in c.values)
     if case.modal is not None and not case.preloaded:
         if case.load or moving:
             yield "modal.preload is not set: the modes are those at rest, without the loads"
         return
-    still = case.dynamics is None and not case.load and not moving
-    if still and case.periodic is None:
+    unloaded = case.dynamics is None and not case.load and not moving
+    if unloaded and case.periodic is None:
         yield "there is no load and every support is at rest: nothing will move"

@@ -21,22 +21,22 @@ from dolfin_elastic.solvers.nonlinear.contact import buried, check_start, first_
 
 TIMES = 41
 """Times of a motion, or of statics, at which supports and loads are evaluated."""
-_SHARE = 0.5
+_NEAR = 0.5
 """Gap over the body's diagonal up to which an obstacle in another unit would fit."""
 _ROUND_OFF = 1e-9
-"""Gap over the size of a cell that is none."""
+"""Gap over the size of a cell that counts as none."""
 
 
 @dataclass(frozen=True)
 class ContactGap:
-    """Where a contact begins.
+    """The initial gap of a contact.
 
     Attributes:
         contact: Its key and name.
         on: The surfaces that may touch.
         obstacle: Its shape: "plane", "sphere" or "cylinder".
-        gap: Smallest gap at the nodes at the start [m], negative inside the obstacle.
-        place: Where that is in the undeformed body [m].
+        gap: Smallest initial gap of the nodes [m], negative inside the obstacle.
+        place: Undeformed place of that node [m].
     """
 
     contact: str
@@ -47,37 +47,47 @@ class ContactGap:
 
 
 def contact_gaps(case: Case, problem: Problem) -> tuple[ContactGap, ...]:
-    """All contacts. Collective."""
+    """Initial gaps of all contacts. Collective.
+
+    Args:
+        case: Its contacts, and whether there is motion.
+        problem: Made of the case.
+    """
     gaps = first_gaps(problem, moving=case.dynamics is not None)
     return tuple(
         ContactGap(
-            f"contact[{i}] '{touch.label}'",
-            ", ".join(touch.contact.surfaces),
-            touch.contact.shape,
-            gap if abs(gap) > _ROUND_OFF * touch.size else 0.0,
+            f"contact[{i}] '{pair.label}'",
+            ", ".join(pair.contact.surfaces),
+            pair.contact.shape,
+            gap if abs(gap) > _ROUND_OFF * pair.size else 0.0,
             place,
         )
-        for i, (touch, (gap, place)) in enumerate(zip(problem.contact_pairs, gaps, strict=True))
+        for i, (pair, (gap, place)) in enumerate(zip(problem.contact_pairs, gaps, strict=True))
     )
 
 
 def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
-    """Obstacles that begin farther away than the body is large and do not come near. Collective."""
+    """Obstacles farther away than the body is large that do not come near it. Collective.
+
+    Args:
+        case: Its contacts and the load parameter at the end.
+        problem: Made of the case.
+    """
     if not problem.contact_pairs:
         return
-    far = span(problem.body)
+    diagonal = span(problem.body)
     gaps = first_gaps(problem, moving=case.dynamics is not None)
-    for touch, (gap, _) in zip(problem.contact_pairs, gaps, strict=True):
-        moved = float(np.linalg.norm([_size(value) for value in touch.contact.values])) * case.full
-        if abs(gap) > far + moved:
+    for pair, (gap, _) in zip(problem.contact_pairs, gaps, strict=True):
+        moved = float(np.linalg.norm([_size(value) for value in pair.contact.values])) * case.full
+        if abs(gap) > diagonal + moved:
             yield (
-                f"contact '{touch.label}': "
+                f"contact '{pair.label}': "
                 + (
                     f"the obstacle is {gap:.3g} m away, farther than the body is large"
                     if gap > 0
                     else f"it begins {-gap:.3g} m deep in the obstacle, more than the body is large"
                 )
-                + _unit_hint(case.mesh, touch, far)
+                + _unit_hint(case.mesh, pair, diagonal)
             )
 
 
@@ -85,27 +95,33 @@ def _size(value: object) -> float:
     return abs(value) if isinstance(value, int | float) else 0.0
 
 
-def _unit_hint(mesh: MeshTable, touch: ContactPair, far: float) -> str:
-    """Whether the obstacle would be near if its numbers were in the mesh's unit. Collective."""
+def _unit_hint(mesh: MeshTable, pair: ContactPair, diagonal: float) -> str:
+    """A hint, if the obstacle would be near with its numbers in the mesh's unit. Collective."""
     if mesh.scale == 1.0:
         return ""
-    x = list(touch.places().T / mesh.scale)
-    gaps = np.asarray(touch.contact.obstacle.gap(x, float, np.sqrt)[0])
-    near = mesh.scale * smallest(touch.comm, float(np.min(gaps, initial=np.inf)))
-    if abs(near) > _SHARE * far:
+    x = list(pair.places().T / mesh.scale)
+    gaps = np.asarray(pair.contact.obstacle.gap(x, float, np.sqrt)[0])
+    near = mesh.scale * smallest(pair.comm, float(np.min(gaps, initial=np.inf)))
+    if abs(near) > _NEAR * diagonal:
         return ""
-    there = f"be {abs(near):.3g} m away" if abs(near) > _ROUND_OFF * touch.size else "touch"
+    there = f"be {abs(near):.3g} m away" if abs(near) > _ROUND_OFF * pair.size else "touch"
     return (
         f"; bare numbers of a contact are in m, not in mesh.unit: were they in {mesh.unit}, it "
         f"would {there}"
     )
 
 
-# --- motion ---
+# --- supports over time, initial motion ---
 
 
 def check_supports(case: Case, problem: Problem) -> None:
-    """Looks whether supports have values all the way; ends as at the start. Collective.
+    """Evaluates prescribed displacements over the whole analysis. Collective.
+
+    Leaves them as they are at the start.
+
+    Args:
+        case: Its end, or that of its load parameter.
+        problem: Made of the case.
 
     Raises:
         InputError: A formula gives no finite number somewhere.
@@ -113,23 +129,33 @@ def check_supports(case: Case, problem: Problem) -> None:
     if all(support.at_rest for support in problem.supports):
         return
     end, default = (case.dynamics.end, CONSTANT) if case.dynamics else (case.full, PROPORTIONAL)
-    held = problem.dirichlet
+    prescribed = problem.dirichlet
     for t in np.linspace(0.0, end, TIMES):
-        held.move_to(float(t), default)
-        held.check_finite()
-    held.move_to(0.0, default)
+        prescribed.move_to(float(t), default)
+        prescribed.check_finite()
+    prescribed.move_to(0.0, default)
 
 
 def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]:
-    """Supports and obstacles that the body does not begin with; leaves it at rest. Collective.
+    """Initial conditions that do not fit supports and obstacles. Collective.
+
+    Leaves the body undeformed and at rest.
+
+    Args:
+        problem: Made of the case.
+        settings: Of its motion.
+
+    Returns:
+        Why the scheme is unstable with any step, if it is; incompatible velocities of supports,
+        and initial penetrations.
 
     Raises:
-        InputError: It cannot begin so: a formula is not finite, or it lies deep in an obstacle.
+        InputError: A formula is not finite, or the body begins deep in an obstacle.
     """
     v, s = fem.Function(problem.V), settings
-    shocks = set_initial(problem, v, s.displacement, s.velocity, s.end)
+    incompatible = set_initial(problem, v, s.displacement, s.velocity, s.end)
     gaps = zip(problem.contact_pairs, check_start(problem, moving=True), strict=True)
-    deep = [buried(touch, gap, at) for touch, (gap, at) in gaps if gap < -touch.tolerance]
+    penetrations = [buried(pair, gap, at) for pair, (gap, at) in gaps if gap < -pair.tolerance]
     problem.u.x.array[:] = 0.0
     problem.unknowns.take()
-    return (*([s.limited] if s.limited else []), *(str(shock) for shock in shocks), *deep)
+    return (*([s.limited] if s.limited else []), *map(str, incompatible), *penetrations)

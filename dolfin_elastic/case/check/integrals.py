@@ -1,4 +1,4 @@
-"""Integrals over the undeformed body in plain numbers, without compiling anything."""
+"""Integrals over the undeformed body by quadrature in numpy, without compiling a form."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from dolfin_elastic.problem.problem import Problem
 
 
 class Integrals:
-    """Where integrals over a problem's body are taken, and its density there. Collective.
+    """Quadrature points of a problem's body, and its density there. Collective.
 
-    The rules are those of the solver's loads: exact for the products of two displacements.
+    The rules are those of the solver's loads: exact for products of two displacements.
 
     Args:
-        problem: Whose body.
+        problem: The problem whose body is integrated over.
         thickness: Of a plane body [m].
     """
 
@@ -30,17 +30,17 @@ class Integrals:
         prepare_facets(self.body.mesh)
 
     def cells(self, names: Sequence[str] = ()) -> Points:
-        """Points of the owned cells of regions, once where they overlap; of all cells. Local."""
+        """Points of the owned cells of regions, each cell once; without names of all. Local."""
         chosen = [self.body.owned_cells(name) for name in names] or [self.body.owned_cells()]
         return points_of_cells(self.body.mesh, np.unique(np.concatenate(chosen)), self._degree)
 
     def facets(self, names: Sequence[str]) -> Points:
-        """Points of the owned facets of surfaces, once where they overlap. Local."""
+        """Points of the owned facets of surfaces, each facet once. Local."""
         chosen = np.concatenate([self.body.owned_facets(name) for name in names])
         return points_of_facets(self.body.mesh, np.unique(chosen), self._degree)
 
-    def whole(self, points: Points) -> FloatArray:
-        """Weights with what the mesh does not show: the thickness, or the circumference."""
+    def full_weights(self, points: Points) -> FloatArray:
+        """Weights times thickness, or times circumference of an axisymmetric body [m^2, m^3]."""
         if self.problem.geometry == "axisymmetric":
             return np.asarray(2 * np.pi * points.X[..., 0] * points.weights)
         return self._thickness * points.weights
@@ -61,7 +61,16 @@ class Integrals:
 def _at(
     density: fem.Constant | fem.Function, cells: IndexArray, local: FloatArray
 ) -> float | FloatArray:
-    """Values of what a law was bound to: a constant, or polynomials of single cells."""
+    """Values of a bound density: of a constant, or of a discontinuous field in cells.
+
+    Args:
+        density: As the law was bound to it [kg/m^3].
+        cells: Local cells.
+        local: Points in the reference cell, shape (points, dim).
+
+    Returns:
+        A number, or shape (cells, points).
+    """
     if isinstance(density, fem.Constant):
         return float(density.value)
     V = density.function_space

@@ -1,4 +1,4 @@
-"""What the loads of a case sum up to, on the undeformed body."""
+"""Resultants of the loads of a case on the undeformed body."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from dolfin_elastic.problem.problem import Problem
 
 @dataclass(frozen=True)
 class LoadSum:
-    """What a load sums up to on the undeformed body.
+    """Resultant of a load on the undeformed body.
 
     Attributes:
         load: Its key and kind.
@@ -35,7 +35,7 @@ class LoadSum:
             axial.  None: this kind of load depends on more than the undeformed body.
         moment: Total moment about the origin [N m], about z in a plane; empty where
             there is none (axisymmetric), None as above.
-        time: Load parameter at the end in statics; in motion the time when the load is largest [s].
+        time: Load parameter at the end in statics; in motion the time of the largest load [s].
     """
 
     load: str
@@ -46,7 +46,11 @@ class LoadSum:
 
 
 def load_sums(case: Case, integrals: Integrals) -> tuple[LoadSum, ...]:
-    """Force and moment of each load, and of all where they act at the same time. Collective.
+    """Force and moment of each load, and of all if they are largest together. Collective.
+
+    Args:
+        case: Its loads, supports and times.
+        integrals: Of the case's problem.
 
     Raises:
         CaseError: A formula gives no finite number somewhere.
@@ -64,13 +68,19 @@ def load_sums(case: Case, integrals: Integrals) -> tuple[LoadSum, ...]:
 
 
 def stress_notes(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) -> Iterator[str]:
-    """Loads that would stress the supports to half of Young's modulus. Collective."""
+    """Whether a load's force over the supports' area exceeds half Young's modulus. Collective.
+
+    Args:
+        case: Its supports.
+        integrals: Of the case's problem.
+        sums: Of the loads, see `load_sums`.
+    """
     names = [name for support in case.support for name in support.surfaces]
     forces = [row.force for row in sums if row.force is not None]
     if not names or not forces:
         return
     points = integrals.facets(names)
-    area = float(total(integrals.body.comm, float(integrals.whole(points).sum())))
+    area = float(total(integrals.body.comm, float(integrals.full_weights(points).sum())))
     strongest = max(float(np.linalg.norm(force)) for force in forces)
     weakest = min(integrals.problem.regions, key=lambda part: young(part.typical))
     if area > 0 and strongest / area > young(weakest.typical) / 2:
@@ -82,6 +92,7 @@ def stress_notes(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) ->
 
 
 def _load_sum(case: Case, index: int, load: Load, integrals: Integrals) -> LoadSum:
+    """The resultant of a load at the time when it is largest. Collective."""
     name, on = f"load[{index}] ({load.kind})", ", ".join(load.parts) or "(whole body)"
     points = _points(load, integrals)
     default = PROPORTIONAL if case.dynamics is None else CONSTANT
@@ -101,24 +112,26 @@ def _load_sum(case: Case, index: int, load: Load, integrals: Integrals) -> LoadS
 
 
 def _rigid_sums(case: Case, problem: Problem) -> Iterator[LoadSum]:
-    """Forces and moments given on rigid surfaces."""
+    """Resultants of the forces and moments prescribed on rigid surfaces."""
     motions, dim = {m.label: m for m in problem.dirichlet.motions}, problem.body.dim
     for index, support in enumerate(case.support):
         if not isinstance(support, Rigid) or not any(x != 0.0 for x in support.action(dim)):
             continue
-        found = {t: _pushed(motions[support.label], t, case, dim) for t in _rigid_times(case)}
+        found = {
+            t: _rigid_resultant(motions[support.label], t, case, dim) for t in _rigid_times(case)
+        }
         time = max(found, key=lambda t: (round(_strength(found[t], dim), 12), -t))
         force, moment = _plain(found[time][:dim]), _plain(found[time][dim:])
         yield LoadSum(f"support[{index}] (rigid)", ", ".join(support.surfaces), force, moment, time)
 
 
-def _pushed(motion: RigidMotion, t: float, case: Case, dim: int) -> FloatArray:
-    """Force and moment about the origin; what was given is about the surface's point."""
+def _rigid_resultant(motion: RigidMotion, t: float, case: Case, dim: int) -> FloatArray:
+    """Force and moment about the origin; given are those about the surface's point."""
     default = PROPORTIONAL if case.dynamics is None else CONSTANT
     values = np.array(motion.support.at_time(motion.support.action(dim), t, default))
-    both = _both(motion.centre[None, None, :dim], values[None, None, :dim])
-    both[dim:] += values[dim:]
-    return both
+    resultant = _force_and_moment(motion.centre[None, None, :dim], values[None, None, :dim])
+    resultant[dim:] += values[dim:]
+    return resultant
 
 
 def _rigid_times(case: Case) -> list[float]:
@@ -128,20 +141,23 @@ def _rigid_times(case: Case) -> list[float]:
 
 
 def _points(load: Load, integrals: Integrals) -> Points | None:
-    """Where a load is summed up; None: at points of its own. Collective."""
+    """Quadrature points of a load; None: it has points of its own. Local."""
     if isinstance(load, ConcentratedLoad):
         return None
     return integrals.facets(load.parts) if acts_on_surfaces(load) else integrals.cells(load.parts)
 
 
 def _strength(sums: FloatArray, dim: int) -> float:
-    """Force, or moment where forces cancel; the larger wins among times. Not finite: the most."""
+    """Norm of the force, or of the moment where forces cancel; infinite if not finite.
+
+    So a time at which a formula has no value is the one that is reported.
+    """
     size = float(np.linalg.norm(sums[:dim])) or float(np.linalg.norm(sums))
     return size if np.isfinite(size) else np.inf
 
 
 def _times(case: Case, load: Load) -> list[float]:
-    """When a load is looked at: at the end in statics, at many times of a motion."""
+    """Times at which a load is evaluated: the end in statics, many in motion."""
     if case.dynamics is None:
         return [case.full]
     if load.amplitude in (None, CONSTANT) and not depends_on_time(load.values):
@@ -160,19 +176,30 @@ def _resultant(
     if points is None:
         assert isinstance(load, ConcentratedLoad)
         X, weights = load.samples()
-        return _both(X[None], weights[None, :, None] * vector_at(load.values, X[None], t))
+        return _force_and_moment(
+            X[None], weights[None, :, None] * vector_at(load.values, X[None], t)
+        )
     density = integrals.density(points) if load.needs_density else None
-    weights, turned = integrals.whole(points), integrals.problem.geometry == "axisymmetric"
+    weights = integrals.full_weights(points)
+    axisymmetric = integrals.problem.geometry == "axisymmetric"
     size = float(total(integrals.body.comm, float(weights.sum())))
-    intensity = load.intensity(LoadSamples(points.X, t, points.N, density, size, turned))
+    intensity = load.intensity(LoadSamples(points.X, t, points.N, density, size, axisymmetric))
     if intensity is None:
         return None
-    sums = _both(points.X, weights[..., None] * intensity)
+    sums = _force_and_moment(points.X, weights[..., None] * intensity)
     return np.asarray(total(integrals.body.comm, sums))
 
 
-def _both(X: FloatArray, forces: FloatArray) -> FloatArray:
-    """Sums of forces and of their moments."""
+def _force_and_moment(X: FloatArray, forces: FloatArray) -> FloatArray:
+    """Sums of forces and of their moments about the origin.
+
+    Args:
+        X: Points, shape (entities, points, dim) [m].
+        forces: At the points, the same shape [N].
+
+    Returns:
+        Shape (dim + 3,), in a plane (3,).
+    """
     if X.shape[-1] == 2:
         x, y = X[..., 0], X[..., 1]
         moments = (x * forces[..., 1] - y * forces[..., 0])[..., None]

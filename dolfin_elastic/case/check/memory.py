@@ -1,4 +1,4 @@
-"""How much memory a solution will need, about.
+"""Estimate of the memory that a solution needs.
 
 Measured on a cube and a square of neo-Hookean material in one load step, on one rank, with PETSc
 3.22: what a process grows by, per unknown, from before the solver is made to its peak.
@@ -46,7 +46,12 @@ class Memory:
 
 
 def memory(problem: Problem, choice: Choice | None) -> Memory:
-    """What a solution will need. Not collective."""
+    """Estimates the memory of a solution. Not collective.
+
+    Args:
+        problem: The problem.
+        choice: The linear solver; None: an explicit scheme.
+    """
     solver = "explicit" if choice is None else "direct" if choice.direct else "iterative"
     each = per_unknown(
         problem.num_dofs,
@@ -59,10 +64,10 @@ def memory(problem: Problem, choice: Choice | None) -> Memory:
 
 
 def per_unknown(n: int, dim: int, degree: int, *, direct: bool, symmetric: bool = True) -> float:
-    """Bytes per unknown of the matrix and of what the linear solver makes of it.
+    """Bytes per unknown of the matrix and of its factors or multigrid hierarchy.
 
     Args:
-        n: Unknowns.
+        n: Number of unknowns on all ranks.
         dim: 2 or 3.
         degree: Of the displacement.
         direct: The matrix is factorised.

@@ -13,12 +13,13 @@ from dolfin_elastic.mesh.geometry.quality import worst_cells
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, prepare_facets, qualities
 
 THIN = 0.05
-"""Quality below which a cell spoils results around it: a needle of one to twenty."""
+"""Quality (1 is regular) below which results near a cell are poor: a needle of one to twenty."""
 _SHOWN = 5
+"""Thin cells that are listed with their places."""
 
 
 def part_notes(body: Body) -> Iterator[str]:
-    """Names that hold nothing, and surfaces that lie inside the body. Collective."""
+    """Empty regions and surfaces, and surfaces with facets inside the body. Collective."""
     for name in sorted(body.regions):
         if not int(total(body.comm, len(body.owned_cells(name)))):
             yield f"the region '{name}' is empty: no cell carries it"
@@ -27,18 +28,18 @@ def part_notes(body: Body) -> Iterator[str]:
     for name in sorted(body.surfaces):
         facets = body.owned_facets(name)
         inside = int(np.count_nonzero(~np.isin(facets, outside)))
-        found = total(body.comm, np.array([len(facets), inside]))
-        if not found[0]:
+        count, inside = total(body.comm, np.array([len(facets), inside]))
+        if not count:
             yield f"the surface '{name}' is empty: no facet carries it"
-        elif found[1]:
+        elif inside:
             yield (
-                f"{found[1]} of {found[0]} facets of the surface '{name}' lie inside the body, "
+                f"{inside} of {count} facets of the surface '{name}' lie inside the body, "
                 "not on its boundary"
             )
 
 
 def cell_notes(body: Body) -> Iterator[str]:
-    """Thin cells, the worst with their places. Collective."""
+    """The number of thin cells, the worst of them with places. Collective."""
     own = body.owned_cells()
     shape = qualities(cell_corners(body.mesh, own))
     count = int(total(body.comm, int(np.count_nonzero(shape < THIN))))

@@ -32,36 +32,38 @@ from dolfin_elastic.model.values import Component
 from dolfin_elastic.problem.formulation import young
 
 _LONG, _SHORT = 1e3, 1e-6
+"""Lengths of a body [m] beyond which mesh.unit looks wrong."""
 _UNITLESS = 20.0
 """Length [m] from which a mesh without a unit looks like one in millimetres."""
 _DENSITIES = 1.0, 30e3
 """Foams are above, osmium is below [kg/m^3]."""
 _FAST = 25e3
-"""Speed of waves along a bar that no solid reaches: diamond's is 17 km/s [m/s].
+"""Speed of longitudinal waves in a bar, sqrt(E/rho), that no solid reaches [m/s]; diamond: 17e3.
 
-That of waves in the bulk would be without bound in a rubber that keeps its volume.
+Not that of bulk waves, sqrt((K + 4/3 mu)/rho), which is unbounded in an incompressible rubber.
 """
-_GRAMS = 1000.0
-"""A gram per cubic centimetre [kg/m^3]."""
-_BESIDE = 0.01
-"""Distance over the body's diagonal that still counts as in the body."""
+_GRAM_PER_CM3 = 1000.0
+"""[kg/m^3]"""
+_NEAR = 0.01
+"""Distance over the body's diagonal up to which a point counts as in the body."""
 _BARE_ANGLE = 1.0
-_STRAIN = 1.0
+"""Number without a unit [rad] from which it was probably meant in degrees."""
+_THERMAL_STRAIN = 1.0
 """Thermal strain that no solid survives."""
 
 
 def plausibility_notes(case: Case, body: Body) -> Iterator[str]:
-    """Values that are possible but unlikely, in the order of the functions below. Collective.
+    """Values that are possible but differsly, in the order of the functions below. Collective.
 
     Args:
         case: Consistent with the body, see `consistency.check`.
         body: Its mesh, with all names.
     """
     yield from size_notes(case, body)
-    yield from _place_notes(case, body)
+    yield from _point_notes(case, body)
     yield from _angle_notes(case)
     yield from _material_notes(case, body)
-    yield from _held_loads(case, body)
+    yield from _loads_on_supports(case, body)
     yield from _contradictions(case, body)
 
 
@@ -69,14 +71,19 @@ def plausibility_notes(case: Case, body: Body) -> Iterator[str]:
 
 
 def size_notes(case: Case, body: Body) -> Iterator[str]:
-    """Bodies that are very large or very small, and moved by more than their size. Collective."""
+    """Bodies that are very large or very small, or displaced by more than their size. Collective.
+
+    Args:
+        case: What moves the body.
+        body: Its mesh.
+    """
     longest = max(extent(body))
     if longest > _LONG or longest < _SHORT:
         what = f"{longest:.3g} m" + (" long" if longest > _LONG else " at most")
         yield f"the body is {what}: is mesh.unit what the mesh is in?"
     elif longest > _UNITLESS and "unit" not in case.mesh.model_fields_set:
         yield f"the body is {longest:.3g} m long, and no mesh.unit is given: is the mesh in mm?"
-    for key, values in _moves(case):
+    for key, values in _prescribed_motions(case):
         moved = max(map(_size, values), default=0.0)
         if moved > longest:
             yield (
@@ -85,8 +92,8 @@ def size_notes(case: Case, body: Body) -> Iterator[str]:
             )
 
 
-def _moves(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
-    """Keys that move something [m], and their values."""
+def _prescribed_motions(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
+    """Keys of displacements of supports and obstacles [m], and their values."""
     for i, support in enumerate(case.support):
         values = support.vectors.get("displacement", ())
         if isinstance(support, Normal):
@@ -100,27 +107,28 @@ def _size(value: Component) -> float:
     return abs(value) if isinstance(value, int | float) else 0.0
 
 
-def _place_notes(case: Case, body: Body) -> Iterator[str]:
-    """Places in metres that would be in the body in the mesh's unit. Collective."""
+def _point_notes(case: Case, body: Body) -> Iterator[str]:
+    """Points far from the body that would lie in it if given in the mesh's unit. Collective."""
     low, high = bounding_box(body.mesh)
     size, scale = float(np.linalg.norm(high - low)), case.mesh.scale
 
-    def off(point: FloatArray) -> float:
+    def distance(point: FloatArray) -> float:
+        """From the bounding box [m]."""
         return float(np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0)))
 
-    for key, values in _places(case):
+    for key, values in _points(case):
         if len(values) != body.dim or scale == 1.0:
             continue
         point = np.array([float(value or 0.0) for value in values])  # type: ignore[arg-type]
-        if off(point) > size and off(scale * point) <= _BESIDE * size:
-            said = ", ".join(f"{x:.4g}" for x in point)
+        if distance(point) > size and distance(scale * point) <= _NEAR * size:
+            shown = ", ".join(f"{x:.4g}" for x in point)
             yield (
-                f"{key}: ({said}) m is far from the body, in {case.mesh.unit} it would be in it: "
+                f"{key}: ({shown}) m is far from the body, in {case.mesh.unit} it would be in it: "
                 "is a unit missing?"
             )
 
 
-def _places(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
+def _points(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
     for i, load in enumerate(case.load):
         if isinstance(load, ConcentratedLoad):
             yield from ((f"load[{i}].{key}", point) for key, point in load.points.items())
@@ -133,6 +141,7 @@ def _places(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
 
 
 def _angle_notes(case: Case) -> Iterator[str]:
+    """Rotations of more than a turn, and of more than a radian beside a law of small strains."""
     small = any(material.law.linear for material in case.materials.values())
     for i, support in enumerate(case.support):
         for key, written, angle in _angles(support):
@@ -147,7 +156,7 @@ def _angle_notes(case: Case) -> Iterator[str]:
 
 
 def _angles(support: Restraint) -> Iterator[tuple[str, object, float]]:
-    """Key, what was written, and the angle [rad] of what a support turns."""
+    """Key, value as written, and angle [rad] of each rotation that a support prescribes."""
     if isinstance(support, Rotation):
         yield "angle", support.angle, _size(support.turn)
     elif isinstance(support, Rigid):
@@ -161,14 +170,15 @@ def _angles(support: Restraint) -> Iterator[tuple[str, object, float]]:
 
 
 def _material_notes(case: Case, body: Body) -> Iterator[str]:
+    """Densities, thermal strains, and materials without cells. Collective."""
     for name, material in case.materials.items():
         where = f"materials.{key_text(name)}"
         yield from _density_notes(where, material.law)
-        if not material.regions and not _left_over(case, body):
+        if not material.regions and not _unnamed_cells(case, body):
             yield f"{where} fills no cell: the others leave none"
         for i, load in enumerate(case.load):
             strain = _thermal_strain(load, material.law.expansion)
-            if strain > _STRAIN:
+            if strain > _THERMAL_STRAIN:
                 yield (
                     f"load[{i}].value: it makes '{name}' {strain:.3g} times as long again: is a "
                     f"unit of it or of {where}.expansion missing?"
@@ -176,7 +186,7 @@ def _material_notes(case: Case, body: Body) -> Iterator[str]:
 
 
 def _density_notes(where: str, law: Law) -> Iterator[str]:
-    """A density that no solid has, or none that is as stiff."""
+    """A density that no solid has, or no solid of this stiffness: by the speed of waves."""
     (low, high), rho = _DENSITIES, law.density
     if not isinstance(rho, int | float):
         return
@@ -187,12 +197,12 @@ def _density_notes(where: str, law: Law) -> Iterator[str]:
             "missing or wrong?"
         )
         return
-    if law.deferred():  # what varies in space has no value yet
+    if law.deferred():  # constants that vary in space have no value before they are bound
         return
     modulus = young(law)
     if modulus > _FAST**2 * rho:
         speed = math.sqrt(modulus / rho)
-        fits = _GRAMS * rho <= high and speed < _FAST * math.sqrt(_GRAMS)
+        fits = _GRAM_PER_CM3 * rho <= high and speed < _FAST * math.sqrt(_GRAM_PER_CM3)
         wanted = f'is it "{rho:.4g} g/cm^3"?' if fits else "is a unit of one of them wrong?"
         yield (
             f"{where}.density: {rho:.4g} kg/m^3 with a Young's modulus of {modulus:.3g} Pa has "
@@ -200,8 +210,8 @@ def _density_notes(where: str, law: Law) -> Iterator[str]:
         )
 
 
-def _left_over(case: Case, body: Body) -> int:
-    """Cells that no material names. Collective."""
+def _unnamed_cells(case: Case, body: Body) -> int:
+    """Number of cells in no region that a material names. Collective."""
     marks = np.ones(len(body.owned_cells()), dtype=bool)
     for material in case.materials.values():
         for name in material.regions:
@@ -219,17 +229,17 @@ def _thermal_strain(load: Load, expansion: object) -> float:
 # --- supports ---
 
 
-def _held_loads(case: Case, body: Body) -> Iterator[str]:
-    """Loads on surfaces whose displacement is prescribed: nothing but the reaction changes."""
-    names = [name for s in case.support if _holds_all(s, body.dim) for name in s.surfaces]
-    none = np.empty(0, dtype=np.int32)
-    held = np.concatenate([none, *(body.owned_facets(name) for name in names)])
+def _loads_on_supports(case: Case, body: Body) -> Iterator[str]:
+    """Loads on surfaces where all displacements are prescribed. Collective."""
+    names = [name for s in case.support if _prescribes_all(s, body.dim) for name in s.surfaces]
+    empty = np.empty(0, dtype=np.int32)
+    prescribed = np.concatenate([empty, *(body.owned_facets(name) for name in names)])
     for i, load in enumerate(case.load):
         on = type(load).model_fields.get("on")
         if on is None or not on.is_required():
             continue
         facets = np.concatenate([body.owned_facets(name) for name in load.parts])
-        free = np.count_nonzero(~np.isin(facets, held))
+        free = np.count_nonzero(~np.isin(facets, prescribed))
         if not total(body.comm, int(free)):
             yield (
                 f"load[{i}] ({load.kind}) acts on '{', '.join(load.parts)}', where supports "
@@ -237,28 +247,28 @@ def _held_loads(case: Case, body: Body) -> Iterator[str]:
             )
 
 
-def _holds_all(support: Restraint, dim: int) -> bool:
+def _prescribes_all(support: Restraint, dim: int) -> bool:
     return isinstance(support, PrescribingSupport) and support.held(dim) == tuple(range(dim))
 
 
 def _contradictions(case: Case, body: Body) -> Iterator[str]:
-    """Supports that prescribe one component of one corner of cells differently. Collective."""
-    rows = [
-        (i, support, _corners(body, support))
+    """Supports that prescribe different values for one component at one vertex. Collective."""
+    supports = [
+        (i, support, _vertices(body, support))
         for i, support in enumerate(case.support)
         if isinstance(support, PrescribingSupport) and NORMAL not in support.held(body.dim)
     ]
-    for (i, one, first), (j, two, second) in combinations(rows, 2):
-        both = np.intersect1d(first, second)
-        x = np.zeros((len(both), 3))
-        x[:] = body.mesh.geometry.x[_geometry_nodes(body, both)]
-        unlike = np.zeros(len(both), dtype=bool)
+    for (i, one, first), (j, two, second) in combinations(supports, 2):
+        shared = np.intersect1d(first, second)
+        x = np.zeros((len(shared), 3))
+        x[:] = body.mesh.geometry.x[_geometry_nodes(body, shared)]
+        differs = np.zeros(len(shared), dtype=bool)
+        tolerance = 1e-9 * max(extent(body))
         for k in {*one.held(body.dim)} & {*two.held(body.dim)}:
-            unlike |= np.abs(_moved(case, one, k, x) - _moved(case, two, k, x)) > 1e-9 * max(
-                extent(body)
-            )
-        owned = both < body.mesh.topology.index_map(0).size_local
-        if count := int(total(body.comm, int(np.count_nonzero(unlike & owned)))):
+            difference = _final_value(case, one, k, x) - _final_value(case, two, k, x)
+            differs |= np.abs(difference) > tolerance
+        owned = shared < body.mesh.topology.index_map(0).size_local
+        if count := int(total(body.comm, int(np.count_nonzero(differs & owned)))):
             yield (
                 f"support[{i}] and support[{j}] prescribe different displacements at "
                 f"{count} corner{'s' if count > 1 else ''} of cells that both hold: the later one "
@@ -266,14 +276,16 @@ def _contradictions(case: Case, body: Body) -> Iterator[str]:
             )
 
 
-def _moved(case: Case, support: PrescribingSupport, which: int, x: FloatArray) -> FloatArray:
-    """What a support prescribes at the end [m]."""
+def _final_value(
+    case: Case, support: PrescribingSupport, component: int, x: FloatArray
+) -> FloatArray:
+    """Displacement that a support prescribes at the end of the analysis, shape (points,) [m]."""
     motion = case.dynamics
     t, default = (case.full, PROPORTIONAL) if motion is None else (motion.end, CONSTANT)
-    return np.asarray(np.broadcast_to(support.at(which, x, t, default), len(x)))
+    return np.asarray(np.broadcast_to(support.at(component, x, t, default), len(x)))
 
 
-def _corners(body: Body, support: Restraint) -> IndexArray:
+def _vertices(body: Body, support: Restraint) -> IndexArray:
     """Local vertices of a support's surfaces."""
     topology = body.mesh.topology
     topology.create_connectivity(body.dim - 1, 0)
@@ -283,7 +295,7 @@ def _corners(body: Body, support: Restraint) -> IndexArray:
 
 
 def _geometry_nodes(body: Body, vertices: IndexArray) -> IndexArray:
-    """Where local vertices stand among the nodes of the mesh."""
+    """Indices of local vertices among the nodes of the mesh's geometry."""
     topology, dim = body.mesh.topology, body.mesh.topology.dim
     topology.create_connectivity(dim, 0)
     cells = topology.connectivity(dim, 0).array.reshape(-1, dim + 1)

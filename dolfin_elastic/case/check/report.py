@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, located
 from dolfin_elastic.case.check.cavities import cavity_notes
-from dolfin_elastic.case.check.consistency import check, explicit, later_notes
+from dolfin_elastic.case.check.consistency import check, explicit, run_notes
 from dolfin_elastic.case.check.initial_state import (
     ContactGap,
     check_supports,
@@ -101,7 +101,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         InputError: Something is wrong.
     """
     body = case.read_body(comm)
-    notes = (*later_notes(case), *check(case, body))
+    notes = (*run_notes(case), *check(case, body))
     try:
         problem = case.make_problem(body)
         notes = (*notes, *contact_notes(case, problem))
