@@ -20,6 +20,7 @@ from pydantic import BaseModel
 from dolfin_elastic import Problem, Statics, box_body
 from dolfin_elastic.case import tables
 from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.run import open_outputs
 from dolfin_elastic.core.formula_functions import FUNCTIONS
 from dolfin_elastic.mesh import Cylinder, Selector, Sphere
 from dolfin_elastic.model.contact import (
@@ -34,7 +35,7 @@ from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Support
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.results.fields import FIELDS
-from dolfin_elastic.results.outputs import Picture
+from dolfin_elastic.results.outputs import History, Picture
 from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
 from dolfin_elastic.solvers.eigen.buckling import BucklingSettings
 from dolfin_elastic.solvers.eigen.modal import ModalSettings
@@ -170,9 +171,21 @@ def test_examples_for_contributors(folder: Path, comm: MPI.Comm) -> None:
         supports=[Support(on="left")],
         loads=[names["Spin"](value=[0, 0, 2])],
     )
-    writer = names["Energies"]().open(problem, folder)
-    for state in Statics(problem, steps=1).steps():
-        writer.write(state)
+    files = [names["Energies"](), History(file="table.csv")]
+    with open_outputs(files, problem, folder) as writers:
+        for state in Statics(problem, steps=1).steps():
+            for writer in writers:
+                writer.write(state)
+        saved = [writer.restart_state() for writer in writers]
     # The pull at the axis is rho A w^2 L^2 / 2.
     assert state.reactions["left"][0] == pytest.approx(-1000 * 0.01 * 4 / 2, rel=1e-6)
-    assert len((folder / "energies.txt").read_text().splitlines()) == 2
+    energies, history = (folder / name for name in ("energies.txt", "table.csv"))
+    assert len(energies.read_text().splitlines()) == 2
+    assert len(history.read_text().splitlines()) == 3
+    comm.barrier()
+    # After a restart one begins anew, and the other one continues.
+    with open_outputs(files, problem, folder, saved) as writers:
+        for writer in writers:
+            writer.write(state)
+    assert len(energies.read_text().splitlines()) == 1
+    assert len(history.read_text().splitlines()) == 4

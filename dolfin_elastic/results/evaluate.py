@@ -1,11 +1,11 @@
-"""From a state to the numbers of its fields."""
+"""`Evaluator`: the values of fields in a state, on the rank that owns the node or cell."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 import ufl
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 
 class Evaluator:
-    """Evaluates fields of a problem's states.
+    """Evaluates fields of a problem's states.  All of it is collective.
 
-    Everything is compiled here, once: one kernel per material that gives all cell fields asked for
-    in one pass, so that what they share is computed once.  Collective.
+    Everything is compiled by the constructor: one kernel per material that gives all fields of
+    cells in one pass, so that common subexpressions are computed once.
 
     Args:
         problem: The problem that is solved.
@@ -73,7 +73,7 @@ class Evaluator:
 
     @cached_property
     def residual(self) -> fem.Form:
-        """Compiled residual at this evaluator's own displacement; the same kernel as a solver's."""
+        """Compiled residual at `w`, the evaluator's unknowns; solvers have the same kernel."""
         form = ufl.replace(self.problem.weak_form.residual, {self.problem.w: self.w})
         return compile_forms(self.problem.body.comm, [form], self.problem.jit)[0]
 
@@ -81,8 +81,8 @@ class Evaluator:
         """Name to this rank's rows of each field. Collective.
 
         Args:
-            state: The state that is looked at.
-            more: Further fields, of the kind that needs no kernel.
+            state: The state.
+            more: Further fields, which have no formula.
 
         Returns:
             Rows of the owned points or cells: floats of shape (rows, 1, 3 or 9), or integers of
@@ -92,7 +92,7 @@ class Evaluator:
             InputError: A field of motion is asked for in statics, or the reverse.
         """
         self.w.x.array[:] = (state.w or state.u).x.array
-        source = Source(self, state, self._cells())
+        source = StateSource(self, state, self._cells())
         return {name: source.get(name) for name in (*self.names, *more)}
 
     def _cells(self) -> dict[str, AnyArray]:
@@ -111,7 +111,7 @@ class Evaluator:
 
 @dataclass(frozen=True)
 class _Kernel:
-    """What gives all cell fields of one material, and the columns of the table they fill."""
+    """Compiled fields of cells of one material, and the columns of the table that they fill."""
 
     expression: fem.Expression
     columns: IntArray
@@ -122,13 +122,13 @@ def _components(tensor: Expr) -> list[Expr]:
 
 
 @dataclass(frozen=True)
-class Source:
-    """What a field's values are taken from.
+class StateSource:
+    """The `FieldSource` of one state.
 
     Attributes:
-        evaluator: Holds problem and grid.
-        state: The state that is looked at.
-        cells: Cell fields that are known already.
+        evaluator: Has the problem, its grid and the compiled residual.
+        state: The state.
+        cells: Fields of cells that are evaluated already.
     """
 
     evaluator: Evaluator
@@ -140,8 +140,8 @@ class Source:
         field = FIELDS[name]
         return field.values(self) if field.values else self.cells[name]
 
-    def nodal(self, name: str) -> AnyArray:
-        """A vector of the state at the owned points, with three components."""
+    def nodal(self, name: Literal["u", "v", "a"]) -> AnyArray:
+        """See `FieldSource`."""
         function = getattr(self.state, name)
         if function is None:
             raise InputError(
@@ -161,18 +161,18 @@ class Source:
         return values
 
     def reaction(self) -> AnyArray:
-        """Residual of an equilibrium."""
+        """See `FieldSource`."""
         return self._padded(self._out_of_balance("reaction"))
 
     def residual(self) -> AnyArray:
-        """The same where no support holds."""
+        """See `FieldSource`."""
         forces = self._out_of_balance("residual")
-        held = self.evaluator.problem.dirichlet
-        forces[held.owned] = 0.0
-        if (tilted := held.tilted) is not None:
+        conditions = self.evaluator.problem.dirichlet
+        forces[conditions.owned] = 0.0
+        if (skew := conditions.tilted) is not None:
             rows = forces.reshape(-1, self.evaluator.problem.body.dim)
-            nodes = tilted.nodes[: tilted.count]
-            rows[nodes] = tilted.free(rows[nodes])
+            nodes = skew.nodes[: skew.count]
+            rows[nodes] = skew.free(rows[nodes])
         return self._padded(forces)
 
     def _out_of_balance(self, name: str) -> AnyArray:
@@ -189,12 +189,12 @@ class Source:
         return np.asarray(force.array[places(np.arange(self._own(), dtype=np.int32))])
 
     def averaged(self, name: str) -> AnyArray:
-        """A cell field, averaged at the owned points."""
+        """See `FieldSource`."""
         grid = self.evaluator.grid
         return to_nodes(grid.V, self.cells[name])[: grid.own_points]
 
     def region(self) -> AnyArray:
-        """Number of the region of each owned cell; the last one where they overlap."""
+        """See `FieldSource`; the last region where several overlap."""
         body = self.evaluator.problem.body
         numbers = np.full((self.evaluator.grid.own_cells, 1), -1, dtype=np.int32)
         for i, name in enumerate(sorted(body.regions)):
@@ -202,13 +202,13 @@ class Source:
         return numbers
 
     def material(self) -> AnyArray:
-        """Number of the material of each owned cell."""
+        """See `FieldSource`."""
         numbers = np.zeros((self.evaluator.grid.own_cells, 1), dtype=np.int32)
         for i, part in enumerate(self.evaluator.problem.regions):
             numbers[part.cells] = i
         return numbers
 
     def rank(self) -> AnyArray:
-        """This rank, for each owned cell."""
+        """See `FieldSource`."""
         grid = self.evaluator.grid
         return np.full((grid.own_cells, 1), grid.mesh.comm.rank, dtype=np.int32)

@@ -1,29 +1,55 @@
-"""What can be written and drawn: the table `FIELDS`.
+"""The table `FIELDS` of the fields that can be written and drawn.
 
-Stress and strain are of the cell: constant on linear elements, taken at the barycentre of
-quadratic ones.  They are evaluated where they belong, so nothing is solved or smoothed; the one
-field that is averaged says so in its name.  In plane strain, tensors are those of the whole body,
-3x3 with the stress across the plane.  A law that is linear in the displacement gradient does not
-tell the configurations apart: its Cauchy stress is its only stress.
+Stress and strain are evaluated once per cell: they are constant in linear elements, and taken at
+the barycentre of quadratic ones.  No projection or smoothing takes place, but for the field that
+says so in its name.  Tensors are 3x3 also in a plane body, with the stress across the plane.  A law
+that is linear in the displacement gradient has one stress, for reference and current configuration
+coincide: its Cauchy stress.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal, Protocol
 
 import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.model import kinematics
 from dolfin_elastic.model.materials.law import Law
 
-if TYPE_CHECKING:
-    from dolfin_elastic.results.evaluate import Source
-
 SHAPES = {"scalar": 1, "vector": 3, "tensor": 9}
+
+
+class FieldSource(Protocol):
+    """One state on this rank, as fields without a formula read it.
+
+    All methods give the rows of the points or cells that this rank owns, and all are collective.
+    """
+
+    def nodal(self, name: Literal["u", "v", "a"]) -> AnyArray:
+        """A vector of the state at the points, shape (points, 3)."""
+
+    def reaction(self) -> AnyArray:
+        """Nodal residual of an equilibrium [N], shape (points, 3)."""
+
+    def residual(self) -> AnyArray:
+        """The same with zeros where supports prescribe the displacement."""
+
+    def averaged(self, name: str) -> AnyArray:
+        """A field of cells, averaged at the points."""
+
+    def region(self) -> AnyArray:
+        """Number of each cell's region, shape (cells, 1)."""
+
+    def material(self) -> AnyArray:
+        """Number of each cell's material, shape (cells, 1)."""
+
+    def rank(self) -> AnyArray:
+        """This rank for each cell, shape (cells, 1)."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +58,13 @@ class Field:
 
     Attributes:
         shape: Scalar, vector (3 components also in 2D) or tensor (9, row by row).
-        centre: Where the values belong.
+        centre: Whether there is a value for each node or for each cell.
         unit: SI unit.
         description: One line for listings.
-        formula: For a cell: law and 3x3 deformation gradient to a UFL expression; None: the law
-            has no such thing, and its cells get NaN.
-        values: For anything else: from a `Source` to this rank's rows.
-        needs: Other fields that `values` looks at.
+        formula: Of a field of cells: law and 3x3 deformation gradient to a UFL expression; None
+            for a law without such a quantity, whose cells get NaN.
+        values: Of any other field: this rank's rows from a `FieldSource`.
+        needs: Fields of cells that `values` reads.
         motion: Exists in motion only.
         statics: Exists in statics only.
         fixed: The same at every step: written once.
@@ -49,7 +75,7 @@ class Field:
     unit: str
     description: str
     formula: Callable[[Law, Expr], Expr | None] | None = None
-    values: Callable[[Source], Any] | None = None
+    values: Callable[[FieldSource], AnyArray] | None = None
     needs: tuple[str, ...] = ()
     motion: bool = False
     statics: bool = False
@@ -72,7 +98,7 @@ def _pressure(law: Law, F: Expr) -> Expr:
 
 
 SAFEST = 1000.0
-"""Safety factors are not followed beyond this: without stress they have no bound."""
+"""Upper bound of the safety factor, which would be infinite without stress."""
 
 
 def _safety_factor(law: Law, F: Expr) -> Expr | None:

@@ -1,6 +1,6 @@
-"""The table of outputs: what a user may ask for, and with which keys.
+"""Kinds of outputs: records with the settings of one file, which open its writer.
 
-A new output is one record with `open`, one writer, and one row here.
+Which of them a run writes, `Output.files` in `case/tables.py` says from the table [output].
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from pydantic import Field, field_validator
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.results.fields import known
-from dolfin_elastic.results.pictures.mode_pictures import ModePictureWriter
 from dolfin_elastic.results.pictures.pictures import (
+    ModePictureWriter,
     PictureWriter,
     View,
     drawable,
@@ -232,12 +232,3 @@ class Modes(Output):
         if len(found) > _MANY:
             found = [f"{found[0]} ... {found[-1]}"]
         return [*super().listing(folder), *found]
-
-
-OUTPUTS: dict[str, type[Output]] = {
-    "xdmf": Xdmf,
-    "history": History,
-    "summary": Summary,
-    "pictures": Picture,
-    "modes": Modes,
-}
