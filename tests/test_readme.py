@@ -104,7 +104,7 @@ def test_material_that_varies() -> None:
     """So is that of a material."""
     (text,) = blocks("toml-material")
     law = tables.Material.read(tomllib.loads(text)["materials"]["bone"]).law
-    assert set(law.deferred()) == {"E", "nu", "density"}
+    assert set(law.spatial_constants()) == {"E", "nu", "density"}
 
 
 def test_periodic_cell() -> None:

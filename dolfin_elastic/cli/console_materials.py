@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from dolfin_elastic.material_point.library import Typical
+    from dolfin_elastic.material_point.library import TypicalMaterial
     from dolfin_elastic.material_point.report import Bench
 
 _MARKS = {"pass": "ok", "fail": "FAILED", "note": "note"}
@@ -84,7 +84,7 @@ def _curves(found: Bench) -> Table:
 
 
 def show_laws(
-    screen: Console, laws: Sequence[Mapping[str, Any]], typical: Sequence[Typical]
+    screen: Console, laws: Sequence[Mapping[str, Any]], typical: Sequence[TypicalMaterial]
 ) -> None:
     """The laws, and typical constants."""
     for law in laws:

@@ -57,12 +57,12 @@ def materials(
     from dolfin_elastic.case.material_report import listed
     from dolfin_elastic.cli.console import console
     from dolfin_elastic.cli.console_materials import as_json, show_laws
-    from dolfin_elastic.material_point.library import TYPICAL
+    from dolfin_elastic.material_point.library import TYPICAL_MATERIALS
 
     if json:
-        print(as_json({"laws": listed(), "typical": [asdict(item) for item in TYPICAL]}))
+        print(as_json({"laws": listed(), "typical": [asdict(item) for item in TYPICAL_MATERIALS]}))
     else:
-        show_laws(console(), listed(), TYPICAL)
+        show_laws(console(), listed(), TYPICAL_MATERIALS)
 
 
 def _bench(

@@ -216,7 +216,7 @@ def _expected(unit: str) -> str:
     return f"expected a number in {unit}" + (f', for example "{example}"' if example else "")
 
 
-class Deferred(ABC):
+class SpatialValue(ABC):
     """Stands in for a number that is known only on a body, where its bounds are checked too."""
 
     @property
@@ -243,9 +243,9 @@ class Quantity:
 
     unit: str
 
-    def read(self, value: Any, bounded: Callable[[float], float]) -> float | Deferred:
+    def read(self, value: Any, bounded: Callable[[float], float]) -> float | SpatialValue:
         """A number in SI units and within bounds; what stands for a number is left as it is."""
-        return value if isinstance(value, Deferred) else bounded(to_si(value, self.unit))
+        return value if isinstance(value, SpatialValue) else bounded(to_si(value, self.unit))
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
         return core_schema.no_info_wrap_validator_function(
@@ -254,7 +254,7 @@ class Quantity:
 
 
 def _as_written(value: Any) -> Any:
-    return value.written if isinstance(value, Deferred) else value
+    return value.written if isinstance(value, SpatialValue) else value
 
 
 as_written = core_schema.plain_serializer_function_ser_schema(_as_written)

@@ -1,6 +1,7 @@
-"""What every material must keep, tried at a few deformations.
+"""Conditions that every material law must satisfy, checked at a few deformation gradients.
 
-`sound` is the short list that energies of users pass before every run; `checks` is the long one.
+`check_energy` is the short list, which a user's energy must pass before every run; `checks` is the
+long one.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def finite_twin(law: Law) -> Law:
     return law.model_copy(update=dict.fromkeys(endless, _NEARLY_RIGID * size))
 
 
-class Trial:
+class LawUnderTest:
     """A law with the deformations at which it is tried.
 
     Args:
@@ -107,7 +108,7 @@ class Trial:
 # --- at rest ---
 
 
-def rest_energy(trial: Trial) -> Iterator[Finding]:
+def rest_energy(trial: LawUnderTest) -> Iterator[Finding]:
     """psi(I) = 0."""
     if not trial.law.has_energy:
         yield _note("no energy at rest", "the law has no energy")
@@ -118,7 +119,7 @@ def rest_energy(trial: Trial) -> Iterator[Finding]:
     yield _found("no energy at rest", good, f"psi(I) = {psi:.3g} J/m^3{hint}", psi=psi)
 
 
-def rest_stress(trial: Trial) -> Iterator[Finding]:
+def rest_stress(trial: LawUnderTest) -> Iterator[Finding]:
     """P(I) = 0."""
     P = trial.point.stress(I[None])[0]
     size = float(np.abs(P).max())
@@ -134,7 +135,7 @@ def _balance(P: AnyArray) -> str:
     return f"; it is the pressure {-mean:.6g} Pa: subtract {mean:.10g}*ln(J) from the energy"
 
 
-def finite(trial: Trial) -> Iterator[Finding]:
+def finite(trial: LawUnderTest) -> Iterator[Finding]:
     """No nan or inf near the rest."""
     parts: dict[str, Callable[[AnyArray], AnyArray]] = {"stress": trial.point.stress}
     parts["stiffness"] = trial.point.tangent
@@ -150,7 +151,7 @@ def finite(trial: Trial) -> Iterator[Finding]:
     yield _found("finite values", True, "energy, stress and stiffness near the rest")
 
 
-def stable(trial: Trial) -> Iterator[Finding]:
+def stable(trial: LawUnderTest) -> Iterator[Finding]:
     """The stiffness at rest is positive."""
     stiffness = voigt(trial.rest)
     values, vectors = np.linalg.eigh(stiffness)
@@ -168,7 +169,7 @@ def stable(trial: Trial) -> Iterator[Finding]:
 # --- symmetries ---
 
 
-def turned_body(trial: Trial) -> Iterator[Finding]:
+def turned_body(trial: LawUnderTest) -> Iterator[Finding]:
     """psi(QF) = psi(F), P(QF) = Q P(F) and P F^T = F P^T."""
     F, name = trial.samples, "frame indifference"
     Q = trial.turns[: len(F)]
@@ -192,7 +193,7 @@ def turned_body(trial: Trial) -> Iterator[Finding]:
     )
 
 
-def symmetric_tangent(trial: Trial) -> Iterator[Finding]:
+def symmetric_tangent(trial: LawUnderTest) -> Iterator[Finding]:
     """A_ijkl = A_klij, if there is an energy."""
     A = trial.point.tangent(trial.samples)
     skew = _relative(A, A.transpose(0, 3, 4, 1, 2), trial.scale)
@@ -203,7 +204,7 @@ def symmetric_tangent(trial: Trial) -> Iterator[Finding]:
     yield _found("symmetric tangent", good, f"asymmetry {skew:.2g}", error=skew)
 
 
-def turned_material(trial: Trial) -> Iterator[Finding]:
+def turned_material(trial: LawUnderTest) -> Iterator[Finding]:
     """P(FQ) = P(F) Q for all rotations Q, or for those about the fibre."""
     error = _material_error(trial, trial.turns)
     if error <= 1e3 * ROUND_OFF:
@@ -225,7 +226,7 @@ def turned_material(trial: Trial) -> Iterator[Finding]:
         yield Finding("isotropy", "pass" if good else "note", text if good else other, {})
 
 
-def _material_error(trial: Trial, turns: AnyArray) -> float:
+def _material_error(trial: LawUnderTest, turns: AnyArray) -> float:
     if not trial.turning:  # such a law knows no large rotations: its stiffness at rest
         A = trial.rest
         turned = np.einsum("nai,nbj,nck,ndl,abcd->nijkl", *[turns] * 4, A, optimize=True)
@@ -251,7 +252,7 @@ def _relative(a: AnyArray, b: AnyArray, least: float) -> float:
 # --- derivatives ---
 
 
-def derivatives(trial: Trial) -> Iterator[Finding]:
+def derivatives(trial: LawUnderTest) -> Iterator[Finding]:
     """P = dpsi/dF and A = dP/dF, against central differences of fourth order."""
     F = trial.samples[::2]
     pairs: list[tuple[str, Any, Any]] = [
@@ -296,7 +297,7 @@ def voigt(A: AnyArray) -> AnyArray:
     return np.asarray((matrix + matrix.T) / 2)
 
 
-def small_strain(trial: Trial) -> Iterator[Finding]:
+def small_strain(trial: LawUnderTest) -> Iterator[Finding]:
     """Young's modulus and Poisson's ratio along x, against those the law states."""
     try:
         soft = np.linalg.inv(voigt(trial.rest))
@@ -322,7 +323,7 @@ def small_strain(trial: Trial) -> Iterator[Finding]:
 
 
 @np.errstate(all="ignore")
-def checks(trial: Trial) -> list[Finding]:
+def checks(trial: LawUnderTest) -> list[Finding]:
     """All checks but those along curves."""
     found: list[Finding] = []
     for check in (finite, rest_energy, rest_stress):
@@ -337,7 +338,7 @@ def checks(trial: Trial) -> list[Finding]:
 _SHORT = (finite, rest_energy, rest_stress, turned_body, symmetric_tangent)
 
 
-def sound(law: Law) -> None:
+def check_energy(law: Law) -> None:
     """The short list, for an energy that a user wrote; nothing for other laws.
 
     Not collective: the same on every rank that calls it.
@@ -345,9 +346,9 @@ def sound(law: Law) -> None:
     Raises:
         InputError: With the first reason why nothing can be computed with it.
     """
-    if not isinstance(law, UserEnergy) or law.sound:
+    if not isinstance(law, UserEnergy) or law.checked:
         return
-    trial = Trial(law)
+    trial = LawUnderTest(law)
     try:
         with np.errstate(all="ignore"):
             found = [f for c in _SHORT for f in c(trial) if f.verdict == "fail"]
@@ -355,10 +356,10 @@ def sound(law: Law) -> None:
         raise within("energy", error) from None
     if found:
         raise InputError(f"{found[0].check}: {found[0].text}", where="energy")
-    law.passed()
+    law.mark_checked()
 
 
-def gate(laws: Mapping[str, Law], comm: MPI.Comm) -> None:
+def check_user_energies(laws: Mapping[str, Law], comm: MPI.Comm) -> None:
     """Tries the energies that users wrote, each once; other laws are tried by our own tests.
 
     Collective.
@@ -372,10 +373,10 @@ def gate(laws: Mapping[str, Law], comm: MPI.Comm) -> None:
     """
     for key, law in laws.items():
         # What varies in space is tried with its means, once it is bound to a body.
-        if not isinstance(law, UserEnergy) or law.sound or law.deferred():
+        if not isinstance(law, UserEnergy) or law.checked or law.spatial_constants():
             continue
         try:
-            on_root(comm, lambda law=law: sound(law))  # type: ignore[misc]
+            on_root(comm, lambda law=law: check_energy(law))  # type: ignore[misc]
         except InputError as error:
             raise within(key, error) from None
-        law.passed()
+        law.mark_checked()

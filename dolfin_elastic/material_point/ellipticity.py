@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from dolfin_elastic.core.types import AnyArray
-from dolfin_elastic.material_point.checks import Finding, Trial
+from dolfin_elastic.material_point.checks import Finding, LawUnderTest
 from dolfin_elastic.material_point.homogeneous_tests import Curve
 from dolfin_elastic.material_point.ufl_to_numpy import Point
 
@@ -18,7 +18,7 @@ _CHUNK = 200
 PATHS = ("uniaxial", "equibiaxial", "simple-shear")
 
 
-def growth(trial: Trial) -> Iterator[Finding]:
+def growth(trial: LawUnderTest) -> Iterator[Finding]:
     """The energy as the volume falls to 0 and as it grows beyond all bounds."""
     if not trial.law.has_energy:
         return
@@ -76,7 +76,7 @@ def acoustic(point: Point, F: AnyArray, *, flat: bool = False) -> AnyArray:
     return np.concatenate(least) if least else np.zeros(0)
 
 
-def elliptic(trial: Trial, curves: dict[str, Curve]) -> Iterator[Finding]:
+def elliptic(trial: LawUnderTest, curves: dict[str, Curve]) -> Iterator[Finding]:
     """Where waves of every kind can pass: the interval about the rest."""
     for name in PATHS:
         curve = curves[name]

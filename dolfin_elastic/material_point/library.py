@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Typical:
+class TypicalMaterial:
     """What handbooks say of a material.
 
     Attributes:
@@ -34,8 +34,8 @@ _NU = "nu: Granta CES EduPack"
 _DUCK = "density: F. Duck, Physical Properties of Tissue, 1990"
 _SOFT = "nearly 0.5"
 
-TYPICAL = (
-    Typical(
+TYPICAL_MATERIALS = (
+    TypicalMaterial(
         name="steel, low alloy",
         E="205-217 GPa",
         nu="0.28-0.30",
@@ -43,7 +43,7 @@ TYPICAL = (
         law="linear-elastic",
         source=f"{_ASHBY}; {_NU}; ASM Handbook 1, 1990",
     ),
-    Typical(
+    TypicalMaterial(
         name="aluminium alloys",
         E="68-82 GPa",
         nu="0.32-0.36",
@@ -51,7 +51,7 @@ TYPICAL = (
         law="linear-elastic",
         source=f"{_ASHBY}; {_NU}; ASM Handbook 2, 1990",
     ),
-    Typical(
+    TypicalMaterial(
         name="PLA, solid",
         E="3.4-3.8 GPa",
         nu="0.36-0.40",
@@ -59,7 +59,7 @@ TYPICAL = (
         law="linear-elastic",
         source=f"{_ASHBY}; {_NU}; what is printed is softer, across its layers most",
     ),
-    Typical(
+    TypicalMaterial(
         name="natural rubber",
         E="1.0-2.5 MPa",
         nu="0.499-0.4999",
@@ -67,7 +67,7 @@ TYPICAL = (
         law="neo-hookean",
         source=f"{_ASHBY}; L. Treloar, Trans. Faraday Soc. 40 (1944) 59: mu = 0.39 MPa",
     ),
-    Typical(
+    TypicalMaterial(
         name="bone, cortical",
         E="17 GPa along, 11.5 GPa across",
         nu="0.46 along, 0.58 across",
@@ -76,7 +76,7 @@ TYPICAL = (
         source="D. Reilly and A. Burstein, J. Biomech. 8 (1975) 393; density: S. Cowin (ed.), "
         "Bone Mechanics Handbook, 2nd ed. 2001",
     ),
-    Typical(
+    TypicalMaterial(
         name="bone, trabecular",
         E="10-3000 MPa, by site",
         nu="0.3 is often taken",
@@ -84,7 +84,7 @@ TYPICAL = (
         law="linear-elastic",
         source="T. Keaveny et al., Annu. Rev. Biomed. Eng. 3 (2001) 307",
     ),
-    Typical(
+    TypicalMaterial(
         name="soft tissue, brain",
         E="0.1-1 kPa",
         nu=_SOFT,
@@ -92,7 +92,7 @@ TYPICAL = (
         law="neo-hookean",
         source=f"A. Engler et al., Cell 126 (2006) 677; {_DUCK}",
     ),
-    Typical(
+    TypicalMaterial(
         name="soft tissue, muscle",
         E="8-17 kPa",
         nu=_SOFT,
@@ -100,7 +100,7 @@ TYPICAL = (
         law="neo-hookean",
         source=f"A. Engler et al., Cell 126 (2006) 677; {_DUCK}",
     ),
-    Typical(
+    TypicalMaterial(
         name="soft tissue, artery",
         E="0.1-1 MPa, rises with stretch",
         nu=_SOFT,

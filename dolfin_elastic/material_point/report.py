@@ -9,7 +9,7 @@ import numpy as np
 from dolfin_elastic.core.errors import FormulaError, InputError
 from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import AnyArray
-from dolfin_elastic.material_point.checks import Finding, Trial, checks
+from dolfin_elastic.material_point.checks import Finding, LawUnderTest, checks
 from dolfin_elastic.material_point.ellipticity import elliptic, growth
 from dolfin_elastic.material_point.homogeneous_tests import (
     MODES,
@@ -61,11 +61,11 @@ def bench(law: Law, *, largest: float = LARGEST) -> Bench:
         raise InputError(
             f"{largest:g} is no largest stretch", where="--stretch", expected="above 1"
         )
-    for name in law.deferred():
+    for name in law.spatial_constants():
         raise InputError(
             "this constant varies in space", where=name, expected="the bench tries numbers"
         )
-    trial = Trial(law)
+    trial = LawUnderTest(law)
     try:
         findings = checks(trial)
     except FormulaError as error:

@@ -98,7 +98,7 @@ class Amplitude:
         return self.rows if self.source else () if isinstance(self.written, str) else self.written
 
     @property
-    def corners(self) -> tuple[float, ...]:
+    def breakpoints(self) -> tuple[float, ...]:
         """Times between which it is smooth, as far as that is known [s]."""
         if self.written == "load-unload":
             return (0.0, 0.5, 1.0)
@@ -106,7 +106,7 @@ class Amplitude:
         return () if isinstance(rows, str) else tuple(t for t, _ in rows)
 
     @property
-    def winding(self) -> bool:
+    def is_formula(self) -> bool:
         """It may have turned around between any two times: a formula."""
         return self.formula is not None and self.formula.names == frozenset({"t"})
 

@@ -37,12 +37,12 @@ class Obstacle(Record):
         return math.inf
 
     @abstractmethod
-    def check(self, dim: int, *, turned: bool) -> None:
+    def check(self, dim: int, *, axisymmetric: bool) -> None:
         """Raises where the obstacle does not fit the body.
 
         Args:
             dim: Dimension of the body.
-            turned: The body is axisymmetric about y.
+            axisymmetric: The body is axisymmetric about y.
 
         Raises:
             InputError: A vector has the wrong length, or the obstacle is none in this plane.
@@ -88,7 +88,7 @@ class Plane(Obstacle):
             raise InputError("a normal cannot be zero", where="normal", expected="[0, 0, 1]")
         return self
 
-    def check(self, dim: int, *, turned: bool) -> None:
+    def check(self, dim: int, *, axisymmetric: bool) -> None:
         """See `Obstacle.check`."""
         if self.axis is not None:
             if self.axis[-1] not in "xyz"[:dim]:
@@ -137,10 +137,10 @@ class SphereObstacle(Obstacle):
         """See `Obstacle.thickness`."""
         return math.inf if self.inside else self.radius
 
-    def check(self, dim: int, *, turned: bool) -> None:
+    def check(self, dim: int, *, axisymmetric: bool) -> None:
         """See `Obstacle.check`."""
         _check_length(self.center, dim, "center")
-        if turned and self.center[0] != 0.0:
+        if axisymmetric and self.center[0] != 0.0:
             raise InputError(
                 "an axisymmetric body meets spheres about its axis only",
                 where="center",
@@ -181,16 +181,16 @@ class CylinderObstacle(Obstacle):
         """See `Obstacle.thickness`."""
         return math.inf if self.inside else self.radius
 
-    def check(self, dim: int, *, turned: bool) -> None:
+    def check(self, dim: int, *, axisymmetric: bool) -> None:
         """See `Obstacle.check`."""
         _check_length(self.point, dim, "point")
-        if dim == 2 and self.axis != ("y" if turned else "z"):
+        if dim == 2 and self.axis != ("y" if axisymmetric else "z"):
             raise InputError(
                 f"this body is no cut through a cylinder along {self.axis}",
                 where="axis",
-                expected='"y"' if turned else '"z"',
+                expected='"y"' if axisymmetric else '"z"',
             )
-        if turned and self.point[0] != 0.0:
+        if axisymmetric and self.point[0] != 0.0:
             raise InputError(
                 "an axisymmetric body meets cylinders about its axis only",
                 where="point",
@@ -292,7 +292,7 @@ class Contact(OnSurfaces):
         found: Obstacle = getattr(self, self.shape)
         return found
 
-    def moved(self, t: float, default: Amplitude, dim: int) -> list[float]:
+    def displacement_at(self, t: float, default: Amplitude, dim: int) -> list[float]:
         """Displacement of the obstacle at time t [m].
 
         Args:
@@ -308,19 +308,19 @@ class Contact(OnSurfaces):
             for v in self.values
         ]
 
-    def check(self, dim: int, *, turned: bool) -> None:
+    def check(self, dim: int, *, axisymmetric: bool) -> None:
         """Raises where the obstacle or its motion does not fit the body, see `Obstacle.check`.
 
         Raises:
             InputError: With the key inside the contact's table.
         """
         try:
-            self.obstacle.check(dim, turned=turned)
+            self.obstacle.check(dim, axisymmetric=axisymmetric)
         except InputError as error:
             raise error.at(self.shape) from None
         if self.values:
             _check_length([0.0] * len(self.values), dim, "motion")
-        if turned and self.values and self.values[0] != 0.0:
+        if axisymmetric and self.values and self.values[0] != 0.0:
             raise InputError(
                 "an obstacle about the axis moves along it only",
                 where="motion[0]",

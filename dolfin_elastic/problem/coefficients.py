@@ -26,16 +26,16 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
-from dolfin_elastic.core.units import Deferred
+from dolfin_elastic.core.units import SpatialValue
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.curved import tabulated
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import (
     PLACE,
-    ByComponents,
-    ByField,
-    ByFormula,
     Range,
+    SpatialDirection,
+    SpatialField,
+    SpatialFormula,
 )
 
 _SHORTEST = 1e-6
@@ -88,7 +88,7 @@ class CoefficientBinder:
             symbols[name] = self._function(table, cells, ranges[name])
         typical = law
         if values:
-            symbols = law.completed(symbols)
+            symbols = law.complete_constants(symbols)
             typical = self._typical(law, numbers, values)
         return BoundLaw(law.with_symbols(symbols), symbols.get("density"), typical)
 
@@ -100,7 +100,7 @@ class CoefficientBinder:
         """
         found: dict[str, FloatArray] = {}
         with _within(where):
-            for name, item in law.deferred().items():
+            for name, item in law.spatial_constants().items():
                 with _within(name):
                     directed = name in law.directions
                     found[name] = self._at(item, cells, directed)
@@ -136,21 +136,21 @@ class CoefficientBinder:
 
     # --- what is there ---
 
-    def _at(self, item: Deferred, cells: IndexArray, directed: bool) -> FloatArray:
+    def _at(self, item: SpatialValue, cells: IndexArray, directed: bool) -> FloatArray:
         match item:
-            case ByFormula():
+            case SpatialFormula():
                 return self._formula(item, cells)
-            case ByField() if directed:
+            case SpatialField() if directed:
                 return self._vector(item, cells)
-            case ByField():
+            case SpatialField():
                 with _within("field"):
                     return self._scalar(item.field, cells) * item.factor
-            case ByComponents(components=parts):
+            case SpatialDirection(components=parts):
                 shape = (len(cells), len(self.points))
                 return np.stack(
                     [
                         self._formula(part, cells)
-                        if isinstance(part, ByFormula)
+                        if isinstance(part, SpatialFormula)
                         else np.full(shape, part)
                         for part in parts
                     ],
@@ -158,7 +158,7 @@ class CoefficientBinder:
                 )
         raise TypeError(f"{item!r} cannot be evaluated")
 
-    def _formula(self, item: ByFormula, cells: IndexArray) -> FloatArray:
+    def _formula(self, item: SpatialFormula, cells: IndexArray) -> FloatArray:
         formula = item.known(self.body.fields)
         values = dict(zip(PLACE, np.moveaxis(self._places(cells), 2, 0), strict=True))
         for name in sorted(formula.names - set(PLACE)):
@@ -173,7 +173,7 @@ class CoefficientBinder:
             )
         return table[:, :, 0]
 
-    def _vector(self, item: ByField, cells: IndexArray) -> FloatArray:
+    def _vector(self, item: SpatialField, cells: IndexArray) -> FloatArray:
         with _within("field"):
             table = self._field(item.field, cells)
             width = table.shape[2]
@@ -209,7 +209,7 @@ class CoefficientBinder:
 
     def _check(self, law: Law, found: dict[str, FloatArray], cells: IndexArray) -> None:
         with np.errstate(all="ignore"):
-            every = law.completed({**_numbers(law), **found})
+            every = law.complete_constants({**_numbers(law), **found})
         ranges = law.ranges()
         for name in [*found, *(n for n in every if n not in found)]:
             values = every[name]
@@ -301,9 +301,9 @@ class CoefficientBinder:
                 sums = comm.allreduce(np.array([table.sum(), table.size]), op=MPI.SUM)
                 means[name] = float(sums[0] / max(sums[1], 1))
         means |= _across(law, values)
-        every = law.completed({**numbers, **values})
+        every = law.complete_constants({**numbers, **values})
         nu = every.get("nu")
-        typical = law.completed({**numbers, **means})
+        typical = law.complete_constants({**numbers, **means})
         if isinstance(nu, np.ndarray) and nu.ndim == 2:
             typical["nu"] = largest(comm, float(nu.max(initial=-1.0)))
         return law.model_copy(update=typical)
@@ -314,7 +314,7 @@ def _across(law: Law, values: Mapping[str, FloatArray]) -> dict[str, tuple[float
     given = [
         np.resize(np.append(np.asarray(known, dtype=float), 0.0), 3)
         for name in law.directions
-        if (known := getattr(law, name)) is not None and not isinstance(known, Deferred)
+        if (known := getattr(law, name)) is not None and not isinstance(known, SpatialValue)
     ]
     found: dict[str, tuple[float, ...]] = {}
     for name in law.directions:
@@ -331,7 +331,7 @@ def _numbers(law: Law) -> dict[str, Any]:
     numbers: dict[str, Any] = dict(law.constants())
     for name in ("density", *law.directions):
         value = getattr(law, name)
-        if value is not None and not isinstance(value, Deferred):
+        if value is not None and not isinstance(value, SpatialValue):
             numbers[name] = value
     return numbers
 

@@ -74,7 +74,7 @@ class FormContext:
         return self.unknown_numbers.setdefault(label, self.constant(0.0))
 
     @property
-    def revolved(self) -> bool:
+    def axisymmetric(self) -> bool:
         """A body of revolution about y."""
         return self.geometry == "axisymmetric"
 

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.material_point.checks import Trial, voigt
+from dolfin_elastic.material_point.checks import LawUnderTest, voigt
 from dolfin_elastic.model.materials.law import Law, SplitLaw
 from dolfin_elastic.problem.spaces import AuxiliaryField
 
@@ -146,7 +146,7 @@ def shear_modulus(law: Law) -> float:
     if (known := law.small_strain()) is not None:
         return known.mu
     with np.errstate(all="ignore"):
-        stiffness = voigt(Trial(law).rest)
+        stiffness = voigt(LawUnderTest(law).rest)
     mu = float(np.mean(np.diag(stiffness)[3:]))
     return mu if np.isfinite(mu) and mu > 0 else 1.0
 

@@ -13,7 +13,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import IndexArray
-from dolfin_elastic.material_point.checks import gate
+from dolfin_elastic.material_point.checks import check_user_energies
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.dimension import GEOMETRIES, Geometry
 from dolfin_elastic.model.materials.law import Law
@@ -89,7 +89,7 @@ def make_material_regions(
         for name, law in laws.items()
     }
     typical = {name: b.typical for name, b in bound.items()}
-    gate({f"materials.{name}": law for name, law in typical.items()}, body.comm)
+    check_user_energies({f"materials.{name}": law for name, law in typical.items()}, body.comm)
     fields = plan(typical, formulation, degree, plane_stress=geometry == "plane-stress")
     if fields.mixed:
         log.info("unknowns: %s", describe(fields, degree))

@@ -191,12 +191,12 @@ class Problem:
         if load.conservative or not self._follows(load):
             return True
         # A stretch out of the plane widens the surface, but no work of the load belongs to it.
-        if not load.conservative_if_held or self.unknowns.has("stretch"):
+        if not load.conservative_if_edge_fixed or self.unknowns.has("stretch"):
             return False
         return rim_held(self.body, self.dirichlet, load.parts)
 
     def _follows(self, load: Load) -> bool:
-        return load.follows and not (load.linearises and self.context.linear)
+        return load.follower and not (load.linearises and self.context.linear)
 
     @property
     def linear(self) -> bool:

@@ -169,7 +169,7 @@ class WeakForm:
         return [
             (load, self._work(index))
             for index, load in enumerate(self._loads)
-            if not (load.nodal or load.swells)
+            if not (load.concentrated or load.is_eigenstrain)
         ]
 
     def _work(self, index: int) -> ufl.Form:

@@ -42,15 +42,15 @@ def refuse_beyond(times: Sequence[float], end: float, key: str, unit: str = "") 
 
 def corners(problem: Problem) -> list[float]:
     """Times at which a curve has a corner, also where it turns around [s]."""
-    return sorted({t for curve in _curves(problem) for t in curve.corners})
+    return sorted({t for curve in _curves(problem) for t in curve.breakpoints})
 
 
 def winds(problem: Problem) -> bool:
     """A formula in t says how something changes: it may turn around at any time."""
     formulas = [load.values for load in problem.loads]
-    formulas += [course for support in problem.supports for course in support.courses]
+    formulas += [course for support in problem.supports for course in support.time_functions]
     formulas += [touch.contact.values for touch in problem.contact_pairs]
-    curves = any(curve.winding for curve in _curves(problem))
+    curves = any(curve.is_formula for curve in _curves(problem))
     return curves or any(depends_on_time(vector) for vector in formulas)
 
 
@@ -78,9 +78,12 @@ def gentle(problem: Problem, t: float, goal: float) -> float:
     for contact in (pair.contact for pair in problem.contact_pairs):
         if not (contact.values and np.isfinite(stride := STRIDE * contact.obstacle.thickness)):
             continue
-        start = np.array(contact.moved(t, PROPORTIONAL, dim))
+        start = np.array(contact.displacement_at(t, PROPORTIONAL, dim))
         for _ in range(HALVINGS):
-            if np.linalg.norm(np.array(contact.moved(goal, PROPORTIONAL, dim)) - start) <= stride:
+            if (
+                np.linalg.norm(np.array(contact.displacement_at(goal, PROPORTIONAL, dim)) - start)
+                <= stride
+            ):
                 break
             goal = t + (goal - t) / 2
     return goal

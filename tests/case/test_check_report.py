@@ -28,7 +28,7 @@ from dolfin_elastic.mesh.geometry.simplices import boundary_facets
 from dolfin_elastic.model.loads import (
     LOADS,
     Load,
-    LoadSamples,
+    LoadPoints,
     Traction,
 )
 from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies
@@ -378,7 +378,7 @@ def test_intensity_of_pressure_like_loads():
     """Normals are there for whoever needs them."""
 
     class Push(Traction):
-        def intensity(self, places: LoadSamples) -> Any:
+        def intensity(self, places: LoadPoints) -> Any:
             assert places.N is not None
             return -1e3 * places.N
 

@@ -33,14 +33,14 @@ from dolfin_elastic.case.material_report import (
 )
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.material_point.checks import (
-    Trial,
+    LawUnderTest,
+    check_energy,
     checks,
     finite_twin,
-    sound,
 )
 from dolfin_elastic.material_point.ellipticity import acoustic, directions
 from dolfin_elastic.material_point.homogeneous_tests import MODES, curve
-from dolfin_elastic.material_point.library import TYPICAL
+from dolfin_elastic.material_point.library import TYPICAL_MATERIALS
 from dolfin_elastic.material_point.report import Bench, bench
 from dolfin_elastic.material_point.ufl_to_numpy import Point
 from dolfin_elastic.model.materials.law import Law
@@ -148,7 +148,7 @@ def test_a_wrong_derivative_is_found():
         def stress(self, F: Any) -> Any:
             return super().stress(F) * (1 + 1e-4 * ufl.tr(F))
 
-    found = {f.check: f.verdict for f in checks(Trial(Wrong(E=E, nu=NU)))}
+    found = {f.check: f.verdict for f in checks(LawUnderTest(Wrong(E=E, nu=NU)))}
     assert found["stress is dpsi/dF"] == "fail"
     assert found["tangent is dP/dF"] == "pass"
     assert found["small strains"] == "fail"
@@ -183,9 +183,9 @@ def test_python_functions_are_tried_once():
         return I1 - 3 - 2 * ufl.ln(J)
 
     law = Energy(energy)
-    sound(law)
+    check_energy(law)
     first = len(calls)
-    sound(law)
+    check_energy(law)
     assert len(calls) == first > 0
 
 
@@ -310,7 +310,7 @@ def test_the_list_tells_every_law():
         assert row["source"], name
         assert all(row["parameters"].values()), name
     assert rows["neo-hookean"]["formula"].startswith("psi = mu/2 (tr F^T F - 3)")
-    assert all(re.search(r"(19|20)\d\d", item.source) for item in TYPICAL)
+    assert all(re.search(r"(19|20)\d\d", item.source) for item in TYPICAL_MATERIALS)
 
 
 def test_words_of_the_command_line():

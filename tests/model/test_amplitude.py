@@ -127,9 +127,9 @@ def test_each_component_has_its_own_amplitude():
     plate = Rigid(on="top", displacement=moves, rotation=[0, "t", 1.0])
     assert plate.at_time(plate.motion(3), 0.5, RAMP) == (0.25, 1.0, 1.0, 0.0, 0.5, 0.5)
     ball = Contact(on="top", sphere={"center": [0, 0, 0], "radius": 1}, motion=moves)
-    assert ball.moved(0.5, RAMP, 3) == [0.25, 1.0, 1.0]
+    assert ball.displacement_at(0.5, RAMP, 3) == [0.25, 1.0, 1.0]
     named = Contact(on="top", plane={"axis": "z", "at": 0}, motion=moves, curve="constant")
-    assert named.moved(0.5, RAMP, 3) == [0.25, 2.0, 2.0]
+    assert named.displacement_at(0.5, RAMP, 3) == [0.25, 2.0, 2.0]
 
 
 def test_time_in_formulas_is_seen():
@@ -172,7 +172,7 @@ def test_curve_in_a_file(tmp_path, text, curve, value):
     case = case_with({"file": "history.csv", **curve}, tmp_path)
     assert case.load[0].amplitude.at(0.5) == value
     assert case.support[0].amplitude.at(0.5) == value
-    assert case.contact[0].moved(0.5, RAMP, 3) == [0, 0, value]
+    assert case.contact[0].displacement_at(0.5, RAMP, 3) == [0, 0, value]
     assert case.periodic.gradient_at(0.5, RAMP)[0, 0] == 1 + value
     again = Case.from_dict(tomllib.loads(case.to_toml()), tmp_path)
     assert again.to_toml() == case.to_toml()

@@ -33,7 +33,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.amplitude import RAMP
-from dolfin_elastic.model.loads import LOADS, LoadSamples
+from dolfin_elastic.model.loads import LOADS, LoadPoints
 from dolfin_elastic.model.materials.registry import Corotated
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 
@@ -335,7 +335,7 @@ def test_spin_about_an_axis_in_space():
 @pytest.mark.parametrize(("name", "row"), [("x", [1, 0, 0]), ("y", [0, 1, 0]), ("z", [0, 0, 1])])
 def test_a_centrifugal_axis_with_a_name(name, row):
     """It is the direction that the components would say."""
-    places = LoadSamples(np.array([[1.0, 2.0, 3.0]]), 0.0, density=np.ones(1))
+    places = LoadPoints(np.array([[1.0, 2.0, 3.0]]), 0.0, density=np.ones(1))
     by_name, by_row = (Centrifugal(value=2, axis=axis).intensity(places) for axis in (name, row))
     np.testing.assert_array_equal(by_name, by_row)
     np.testing.assert_allclose(by_name, 4 * (1 - np.array([row])) * places.X)

@@ -384,9 +384,9 @@ def test_axes_with_names():
         )
         assert by_name.direction == by_row.direction == tuple(row)
     plane = Rotation(on="left", point=[0, 0], axis="z", angle=1)
-    assert plane.held(2) == (0, 1)
+    assert plane.prescribed_components(2) == (0, 1)
     with pytest.raises(InputError, match="a plane body turns about z only"):
-        Rotation(on="left", point=[0, 0], axis="x", angle=1).held(2)
+        Rotation(on="left", point=[0, 0], axis="x", angle=1).prescribed_components(2)
 
 
 # --- springs ---

@@ -298,7 +298,7 @@ def test_typical_law_has_numbers_only() -> None:
     bound = CoefficientBinder(bar(8), 1).bind(law, bar(8).owned_cells())
     assert pytest.approx(1e6, rel=1e-12) == bound.typical.E
     assert bound.typical.mu == pytest.approx(4e5, rel=1e-12)
-    assert bound.typical.deferred() == {}
+    assert bound.typical.spatial_constants() == {}
 
 
 # --- fields of mesh files ---

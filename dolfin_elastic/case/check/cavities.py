@@ -44,7 +44,7 @@ def cavity_notes(case: Case, problem: Problem) -> Iterator[str]:
             f"the cavity '{load.label}' is open: a part of its rim is not held in a plane through "
             "its origin"
         )
-        if load.controlled:
+        if load.volume_controlled:
             raise InputError(
                 reason,
                 where=f"load[{index}].on",
@@ -64,7 +64,7 @@ def _open(load: Cavity, problem: Problem) -> bool:
     if problem.dirichlet.tilted is not None or problem.cell is not None:
         return False
     origin = np.zeros(dim)
-    origin[: len(load.middle)] = [float(x or 0.0) for x in load.middle]  # type: ignore[arg-type]
+    origin[: len(load.origin_components)] = [float(x or 0.0) for x in load.origin_components]  # type: ignore[arg-type]
     held = np.zeros(len(problem.dirichlet.values.x.array), dtype=bool)
     held[problem.dirichlet.dofs] = True
     axisymmetric, open_edges = problem.geometry == "axisymmetric", 0

@@ -15,7 +15,7 @@ from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import CaseError, MeshError, nearest
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, IndexArray
-from dolfin_elastic.material_point.checks import gate
+from dolfin_elastic.material_point.checks import check_user_energies
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import SplitLaw
@@ -41,7 +41,9 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_names(case, body)
         _check_components(case, body)
         _check_materials(case.materials, body)
-        gate({f"materials.{key_text(n)}": m.law for n, m in case.materials.items()}, body.comm)
+        check_user_energies(
+            {f"materials.{key_text(n)}": m.law for n, m in case.materials.items()}, body.comm
+        )
         _check_densities(case)
         _check_constants(case, body)
         _check_fields(case)
@@ -292,7 +294,7 @@ def _check_constants(case: Case, body: Body) -> None:
     filled = [_marked(body, material.regions, owned) for material in case.materials.values()]
     unnamed = ~np.any(filled, axis=0)
     for (name, material), marks in zip(case.materials.items(), filled, strict=True):
-        if material.law.deferred():
+        if material.law.spatial_constants():
             cells = np.flatnonzero(marks if material.regions else unnamed).astype(np.int32)
             binder.values(material.law, cells, f"materials.{key_text(name)}")
 

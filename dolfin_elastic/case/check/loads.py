@@ -16,7 +16,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.geometry.curved import Points
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
-from dolfin_elastic.model.loads import ConcentratedLoad, Load, LoadSamples
+from dolfin_elastic.model.loads import ConcentratedLoad, Load, LoadPoints
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.values import depends_on_time, vector_at
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
@@ -56,7 +56,9 @@ def load_sums(case: Case, integrals: Integrals) -> tuple[LoadSum, ...]:
         CaseError: A formula gives no finite number somewhere.
     """
     rows = [
-        _load_sum(case, i, load, integrals) for i, load in enumerate(case.load) if not load.swells
+        _load_sum(case, i, load, integrals)
+        for i, load in enumerate(case.load)
+        if not load.is_eigenstrain
     ]
     rows += _rigid_sums(case, integrals.problem)
     forces = [row.force for row in rows if row.force is not None]
@@ -183,7 +185,7 @@ def _resultant(
     weights = integrals.full_weights(points)
     axisymmetric = integrals.problem.geometry == "axisymmetric"
     size = float(total(integrals.body.comm, float(weights.sum())))
-    intensity = load.intensity(LoadSamples(points.X, t, points.N, density, size, axisymmetric))
+    intensity = load.intensity(LoadPoints(points.X, t, points.N, density, size, axisymmetric))
     if intensity is None:
         return None
     sums = _force_and_moment(points.X, weights[..., None] * intensity)

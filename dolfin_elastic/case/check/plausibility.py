@@ -158,11 +158,11 @@ def _angle_notes(case: Case) -> Iterator[str]:
 def _angles(support: Restraint) -> Iterator[tuple[str, object, float]]:
     """Key, value as written, and angle [rad] of each rotation that a support prescribes."""
     if isinstance(support, Rotation):
-        yield "angle", support.angle, _size(support.turn)
+        yield "angle", support.angle, _size(support.rotation_angle)
     elif isinstance(support, Rigid):
         written = support.rotation
         rows = written if isinstance(written, list | tuple) else [written]
-        for i, (text, value) in enumerate(zip(rows, support.turns, strict=False)):
+        for i, (text, value) in enumerate(zip(rows, support.rotation_components, strict=False)):
             yield f"rotation[{i}]" if len(rows) > 1 else "rotation", text, _size(value)
 
 
@@ -197,7 +197,7 @@ def _density_notes(where: str, law: Law) -> Iterator[str]:
             "missing or wrong?"
         )
         return
-    if law.deferred():  # constants that vary in space have no value before they are bound
+    if law.spatial_constants():  # constants that vary in space have no value before they are bound
         return
     modulus = young(law)
     if modulus > _FAST**2 * rho:
@@ -248,7 +248,9 @@ def _loads_on_supports(case: Case, body: Body) -> Iterator[str]:
 
 
 def _prescribes_all(support: Restraint, dim: int) -> bool:
-    return isinstance(support, PrescribingSupport) and support.held(dim) == tuple(range(dim))
+    return isinstance(support, PrescribingSupport) and support.prescribed_components(dim) == tuple(
+        range(dim)
+    )
 
 
 def _contradictions(case: Case, body: Body) -> Iterator[str]:
@@ -256,7 +258,8 @@ def _contradictions(case: Case, body: Body) -> Iterator[str]:
     supports = [
         (i, support, _vertices(body, support))
         for i, support in enumerate(case.support)
-        if isinstance(support, PrescribingSupport) and NORMAL not in support.held(body.dim)
+        if isinstance(support, PrescribingSupport)
+        and NORMAL not in support.prescribed_components(body.dim)
     ]
     for (i, one, first), (j, two, second) in combinations(supports, 2):
         shared = np.intersect1d(first, second)
@@ -264,7 +267,7 @@ def _contradictions(case: Case, body: Body) -> Iterator[str]:
         x[:] = body.mesh.geometry.x[_geometry_nodes(body, shared)]
         differs = np.zeros(len(shared), dtype=bool)
         tolerance = 1e-9 * max(extent(body))
-        for k in {*one.held(body.dim)} & {*two.held(body.dim)}:
+        for k in {*one.prescribed_components(body.dim)} & {*two.prescribed_components(body.dim)}:
             difference = _final_value(case, one, k, x) - _final_value(case, two, k, x)
             differs |= np.abs(difference) > tolerance
         owned = shared < body.mesh.topology.index_map(0).size_local

@@ -40,7 +40,7 @@ class LoadContext(Protocol):
     """Outward unit normal of the reference surface."""
 
     @property
-    def revolved(self) -> bool:
+    def axisymmetric(self) -> bool:
         """A body of revolution about y: its first coordinate is the radius."""
 
     @property
@@ -82,7 +82,7 @@ class LoadContext(Protocol):
 
 
 @dataclass(frozen=True)
-class LoadSamples:
+class LoadPoints:
     """Points of the undeformed body at which a load is asked how strong it is.
 
     Attributes:
@@ -91,7 +91,7 @@ class LoadSamples:
         N: Outward unit normals, shape of X, on surfaces only.
         density: Mass density [kg/m^3], shape (...), for loads that need it.
         size: Area or volume of all points' part [m^2, m^3].
-        revolved: They are those of a body of revolution about y.
+        axisymmetric: They are those of a body of revolution about y.
     """
 
     X: FloatArray
@@ -99,7 +99,7 @@ class LoadSamples:
     N: FloatArray | None = None
     density: FloatArray | None = None
     size: float = 1.0
-    revolved: bool = False
+    axisymmetric: bool = False
 
 
 class Load(Record):
@@ -121,15 +121,15 @@ class Load(Record):
     """SI unit of `value`."""
     needs_density: ClassVar[bool] = False
     """The load is proportional to mass."""
-    faces: ClassVar[bool] = False
+    along_normal: ClassVar[bool] = False
     """The load acts along the outward normal of its surfaces."""
-    follows: ClassVar[bool] = False
+    follower: ClassVar[bool] = False
     """The load depends on the displacement."""
     linearises: ClassVar[bool] = False
     """Of a load that follows: where all laws are linear it acts on the undeformed body."""
-    nodal: ClassVar[bool] = False
+    concentrated: ClassVar[bool] = False
     """The load acts at points, not on volumes or surfaces: see `concentrated`."""
-    swells: ClassVar[bool] = False
+    is_eigenstrain: ClassVar[bool] = False
     """The load is no force but changes the rest state: see `growth`."""
     conservative: ClassVar[bool] = True
     """The load has a potential, so its part of the tangent is symmetric."""
@@ -158,7 +158,7 @@ class Load(Record):
         return {"value": self.values}
 
     @property
-    def conservative_if_held(self) -> bool:
+    def conservative_if_edge_fixed(self) -> bool:
         """The load has a potential if the rim of its surfaces cannot move across them."""
         return False
 
@@ -184,7 +184,7 @@ class Load(Record):
         """The load's vector as a UFL expression."""
         return site.vector(self.values, self.curve)
 
-    def intensity(self, places: LoadSamples) -> FloatArray | None:
+    def intensity(self, places: LoadPoints) -> FloatArray | None:
         """Force per reference area or volume on the undeformed body, without its amplitude.
 
         A report integrates it before anything is compiled: the same as `virtual_work`, in numbers.

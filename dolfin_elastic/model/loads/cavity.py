@@ -53,14 +53,14 @@ class Cavity(Load):
     added: Any = None
     origin: list[Any] | None = None
     name: str = ""
-    faces: ClassVar[bool] = True
-    follows: ClassVar[bool] = True
+    along_normal: ClassVar[bool] = True
+    follower: ClassVar[bool] = True
     linearises: ClassVar[bool] = True
     conservative: ClassVar[bool] = False
 
     @model_validator(mode="after")
     def _one_of(self) -> Cavity:
-        _ = self.middle
+        _ = self.origin_components
         return self
 
     @property
@@ -86,7 +86,7 @@ class Cavity(Load):
         return given[0]
 
     @property
-    def controlled(self) -> bool:
+    def volume_controlled(self) -> bool:
         """The volume is prescribed, so the pressure is an unknown."""
         return self.key != "pressure"
 
@@ -107,7 +107,7 @@ class Cavity(Load):
         return (found,)
 
     @cached_property
-    def middle(self) -> tuple[Component, ...]:
+    def origin_components(self) -> tuple[Component, ...]:
         """The origin as numbers; nothing where it is zero."""
         if self.origin is None:
             return ()
@@ -119,14 +119,14 @@ class Cavity(Load):
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:
         """See `Load`."""
-        return {"origin": self.middle} if self.middle else {}
+        return {"origin": self.origin_components} if self.origin_components else {}
 
     @property
-    def conservative_if_held(self) -> bool:
+    def conservative_if_edge_fixed(self) -> bool:
         """The pressure is the same everywhere."""
         return True
 
-    def prescribed(self, t: float, default: Amplitude, initial: float) -> float:
+    def prescribed_value(self, t: float, default: Amplitude, initial: float) -> float:
         """The pressure [Pa] or the volume [m^3] at time t.
 
         Args:
@@ -148,7 +148,7 @@ class Cavity(Load):
 
     def virtual_work(self, site: LoadContext) -> ufl.Form:
         """See the class."""
-        p = site.unknown(self.label) if self.controlled else self._given(site)
+        p = site.unknown(self.label) if self.volume_controlled else self._given(site)
         return self.work(site, p, linear=site.linear)
 
     def work(self, site: LoadContext, p: Expr, *, linear: bool) -> ufl.Form:
@@ -161,18 +161,19 @@ class Cavity(Load):
     def enclosed(self, site: LoadContext, linear: bool) -> ufl.Form:
         """Its present volume [m^3]; to first order in u if `linear`."""
         dim = len(site.v)
-        if self.middle and len(self.middle) != dim:
+        if self.origin_components and len(self.origin_components) != dim:
             raise InputError(
-                f"{len(self.middle)} components given, the body has {dim}", where="origin"
+                f"{len(self.origin_components)} components given, the body has {dim}",
+                where="origin",
             )
-        if site.revolved and self.middle and self.middle[0] != 0.0:
+        if site.axisymmetric and self.origin_components and self.origin_components[0] != 0.0:
             raise InputError(
                 "a body of revolution has its planes of symmetry across the axis",
                 where="origin[0]",
                 expected="0: a point on the axis",
             )
-        o = site.constant([float(x or 0.0) for x in self.middle or (0.0,) * dim])  # type: ignore[arg-type]
-        d = 3 if site.revolved else dim
+        o = site.constant([float(x or 0.0) for x in self.origin_components or (0.0,) * dim])  # type: ignore[arg-type]
+        d = 3 if site.axisymmetric else dim
         areas = site.areas(self.parts)
         if linear:
             return -ufl.inner((site.X - o) / d + site.u, site.N) * areas

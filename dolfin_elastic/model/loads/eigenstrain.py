@@ -21,7 +21,7 @@ class Eigenstrain(Load):
     """
 
     on: str | list[str] | None = None
-    swells: ClassVar[bool] = True
+    is_eigenstrain: ClassVar[bool] = True
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:

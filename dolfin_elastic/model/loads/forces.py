@@ -13,7 +13,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.model.loads.base import PLACE, Load, LoadContext, LoadSamples, keyed
+from dolfin_elastic.model.loads.base import PLACE, Load, LoadContext, LoadPoints, keyed
 from dolfin_elastic.model.materials.fibres import Axis, along
 from dolfin_elastic.model.values import (
     Component,
@@ -64,7 +64,7 @@ class Traction(Load):
         """See `Load.vectors`."""
         return {"value" if self.force is None else "force": self.values}
 
-    def intensity(self, places: LoadSamples) -> FloatArray:
+    def intensity(self, places: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
         share = 1.0 if self.force is None else places.size
         return np.asarray(vector_at(self.values, places.X, places.t) / share)
@@ -87,7 +87,7 @@ class BodyForce(Load):
     on: str | list[str] | None = None
     unit: ClassVar[str] = "N/m^3"
 
-    def intensity(self, places: LoadSamples) -> FloatArray:
+    def intensity(self, places: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
         return vector_at(self.values, places.X, places.t)
 
@@ -121,7 +121,7 @@ class Gravity(Load):
         """The acceleration as a UFL expression."""
         return site.vector(self.acceleration(len(site.v)), self.curve)
 
-    def intensity(self, places: LoadSamples) -> FloatArray:
+    def intensity(self, places: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
         assert places.density is not None
         g = vector_at(self.acceleration(places.X.shape[-1]), places.X, places.t)
@@ -129,7 +129,7 @@ class Gravity(Load):
 
     def virtual_work(self, site: LoadContext) -> ufl.Form:
         """See the class."""
-        if site.revolved and self.values and self.values[0] != 0.0:
+        if site.axisymmetric and self.values and self.values[0] != 0.0:
             raise InputError(
                 "weight across the axis is none of a body of revolution",
                 where="value[0]",
@@ -162,7 +162,7 @@ class Centrifugal(Load):
     on: str | list[str] | None = None
     unit: ClassVar[str] = "rad/s"
     needs_density: ClassVar[bool] = True
-    follows: ClassVar[bool] = True
+    follower: ClassVar[bool] = True
     linearises: ClassVar[bool] = True
 
     @cached_property
@@ -195,7 +195,7 @@ class Centrifugal(Load):
     def virtual_work(self, site: LoadContext) -> ufl.Form:
         """See the class."""
         dim = len(site.v)
-        a, c = self._axis(site.revolved), self._centre(site)
+        a, c = self._axis(site.axisymmetric), self._centre(site)
         place = site.X if site.linear else site.X + site.u
         r = ufl.as_vector([place[i] for i in range(dim)]) - site.constant(c)
         axis = site.constant(a[:dim])
@@ -203,11 +203,11 @@ class Centrifugal(Load):
         force = site.factor(self.amplitude) * site.value(self.values[0]) ** 2 * across
         return sum(rho * ufl.inner(force, site.v) * dx for rho, dx in site.densities(self.parts))
 
-    def intensity(self, places: LoadSamples) -> FloatArray:
+    def intensity(self, places: LoadPoints) -> FloatArray:
         """See `Load.intensity`; of a body of revolution only the radial part is left."""
         assert places.density is not None
         dim = places.X.shape[-1]
-        a = np.array(self._axis(places.revolved)[:dim])
+        a = np.array(self._axis(places.axisymmetric)[:dim])
         r = places.X - np.array(self._numbers("point") or [0.0] * dim)
         (speed,) = self.values
         omega = speed.evaluate(t=places.t) if isinstance(speed, Formula) else float(speed or 0.0)
@@ -218,15 +218,15 @@ class Centrifugal(Load):
         c, dim = self._numbers("point") or [0.0] * len(site.v), len(site.v)
         if len(c) != dim:
             raise InputError(f"{len(c)} components given, the body has {dim}", where="point")
-        if site.revolved and c[0]:
+        if site.axisymmetric and c[0]:
             raise InputError("a body of revolution spins about y only", where="point")
         return c
 
-    def _axis(self, revolved: bool) -> list[float]:
+    def _axis(self, axisymmetric: bool) -> list[float]:
         """Unit vector of three components."""
-        given = self._numbers("axis") or ([0.0, 1.0, 0.0] if revolved else [0.0, 0.0, 1.0])
+        given = self._numbers("axis") or ([0.0, 1.0, 0.0] if axisymmetric else [0.0, 0.0, 1.0])
         a = [*given, 0.0][:3]
-        if revolved and (a[0] or a[2]):
+        if axisymmetric and (a[0] or a[2]):
             raise InputError("a body of revolution spins about y only", where="axis")
         length = sum(item * item for item in a) ** 0.5
         return [item / length for item in a]

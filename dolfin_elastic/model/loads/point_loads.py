@@ -27,7 +27,7 @@ class ConcentratedLoad(Load):
     """
 
     tolerance: Length | None = Field(default=None, ge=0)
-    nodal: ClassVar[bool] = True
+    concentrated: ClassVar[bool] = True
 
     def place(self, key: str) -> Point:
         """A point that the user gave [m], 2 or 3 coordinates."""

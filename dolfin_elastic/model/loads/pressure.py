@@ -12,7 +12,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.kinematics import cofactor
-from dolfin_elastic.model.loads.base import PLACE, Load, LoadContext, LoadSamples, keyed
+from dolfin_elastic.model.loads.base import PLACE, Load, LoadContext, LoadPoints, keyed
 from dolfin_elastic.model.values import Component, component, number_at
 
 
@@ -38,8 +38,8 @@ class Pressure(Load):
     on: str | list[str]
     value: Any
     unit: ClassVar[str] = "Pa"
-    faces: ClassVar[bool] = True
-    follows: ClassVar[bool] = True
+    along_normal: ClassVar[bool] = True
+    follower: ClassVar[bool] = True
     linearises: ClassVar[bool] = True
     conservative: ClassVar[bool] = False
 
@@ -55,12 +55,12 @@ class Pressure(Load):
         return {}
 
     @property
-    def conservative_if_held(self) -> bool:
+    def conservative_if_edge_fixed(self) -> bool:
         """It is even in space; only with the rim held it has a potential."""
         (p,) = self.values
         return not isinstance(p, Formula) or not p.names & PLACE
 
-    def intensity(self, places: LoadSamples) -> FloatArray:
+    def intensity(self, places: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
         assert places.N is not None
         (p,) = self.values

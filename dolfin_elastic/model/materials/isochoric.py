@@ -94,7 +94,7 @@ class Isochoric(Volumetric):
                 "K and nu given together" if given else "neither K nor nu is given",
                 expected="the volume needs one of them beside the law's own constants",
             )
-        if self.deferred():
+        if self.spatial_constants():
             return
         mu = self.shear()
         if not mu > 0:
@@ -105,8 +105,8 @@ class Isochoric(Volumetric):
         full = moduli.complete(mu=mu, **given)
         self.__dict__.update(K=full.K, nu=full.nu)
 
-    def completed(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """See `Law.completed`."""
+    def complete_constants(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """See `Law.complete_constants`."""
         mu = self.model_copy(update=dict(values)).shear()
         if "K" in self.model_fields_set:
             K = values["K"]

@@ -12,10 +12,10 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.units import (
-    Deferred,
     Density,
     Expansion,
     Number,
+    SpatialValue,
     Stress,
     Viscosity,
 )
@@ -102,11 +102,11 @@ class Law(Record):
         found.pop("density", None)
         return found
 
-    def deferred(self) -> dict[str, Deferred]:
+    def spatial_constants(self) -> dict[str, SpatialValue]:
         """Name and value of everything in the law that varies in space, density included."""
-        return {n: value for n, value in self.__dict__.items() if isinstance(value, Deferred)}
+        return {n: value for n, value in self.__dict__.items() if isinstance(value, SpatialValue)}
 
-    def completed(self, values: Mapping[str, Any]) -> dict[str, Any]:
+    def complete_constants(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Constants with those that follow from them; of numbers, arrays or UFL expressions."""
         return dict(values)
 
@@ -199,7 +199,7 @@ class Isotropic(Law):
         given = {
             name: getattr(self, name) for name in moduli.NAMES if name in self.model_fields_set
         }
-        if any(isinstance(value, Deferred) for value in given.values()):
+        if any(isinstance(value, SpatialValue) for value in given.values()):
             moduli.check_given(given)
             self.__dict__.update({**dict.fromkeys(moduli.NAMES), **given})
         else:
@@ -209,8 +209,8 @@ class Isotropic(Law):
         """See `Law.small_strain`."""
         return moduli.Moduli(**{name: getattr(self, name) for name in moduli.NAMES})
 
-    def completed(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """See `Law.completed`."""
+    def complete_constants(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """See `Law.complete_constants`."""
         given = {name: values[name] for name in moduli.NAMES if name in self.model_fields_set}
         return {**values, **moduli.symbolic(given)}
 

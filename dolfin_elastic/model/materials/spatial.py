@@ -26,8 +26,8 @@ from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import (
-    Deferred,
     Quantity,
+    SpatialValue,
     as_written,
     is_quantity,
     to_si,
@@ -45,7 +45,7 @@ def usable(names: Iterable[str]) -> list[str]:
 
 
 @dataclass(frozen=True)
-class ByFormula(Deferred):
+class SpatialFormula(SpatialValue):
     """A formula whose names are not looked up yet.
 
     Attributes:
@@ -74,7 +74,7 @@ class ByFormula(Deferred):
 
 
 @dataclass(frozen=True)
-class ByField(Deferred):
+class SpatialField(SpatialValue):
     """The values of a field of the mesh.
 
     Attributes:
@@ -94,10 +94,10 @@ class ByField(Deferred):
 
 
 @dataclass(frozen=True)
-class ByComponents(Deferred):
+class SpatialDirection(SpatialValue):
     """A direction: three components, of which at least one is a formula."""
 
-    components: tuple[float | ByFormula, ...]
+    components: tuple[float | SpatialFormula, ...]
 
     @property
     def written(self) -> list[Any]:
@@ -129,16 +129,16 @@ def constant(value: Any, unit: str) -> Any:
     # Every name may be a field's; what is wrong in any case is said now.
     names = {*PLACE, *usable(_NAME.findall(value))}
     formula = Formula.parse(value, allowed=names)
-    return ByFormula(value, unit) if formula.names else float(formula.evaluate())
+    return SpatialFormula(value, unit) if formula.names else float(formula.evaluate())
 
 
-def _field(value: Mapping[str, Any], unit: str) -> ByField:
+def _field(value: Mapping[str, Any], unit: str) -> SpatialField:
     table = _FieldTable(**value)
     try:
         factor = to_si(f"1 {table.unit}", unit) if table.unit else 1.0
     except UnitError as error:
         raise error.at("unit") from None
-    return ByField(table.field, table.unit, factor)
+    return SpatialField(table.field, table.unit, factor)
 
 
 def constants(kind: type[BaseModel], table: Mapping[str, Any]) -> dict[str, Any]:
@@ -177,8 +177,8 @@ def _unit(info: FieldInfo) -> str | None:
 class _Direction:
     """Reads ``[1, 0, 0]``, ``["cos(z)", "sin(z)", 0]`` or ``{field = "fibre"}``."""
 
-    def read(self, value: Any) -> tuple[float, ...] | Deferred:
-        if isinstance(value, Deferred):
+    def read(self, value: Any) -> tuple[float, ...] | SpatialValue:
+        if isinstance(value, SpatialValue):
             return value
         if isinstance(value, Mapping):
             return _field(value, "")
@@ -188,8 +188,8 @@ class _Direction:
                 expected='expected [1, 0, 0], or formulas, or {field = "fibre"}',
             )
         items = tuple(self._component(i, item) for i, item in enumerate([*value, 0.0][:3]))
-        if any(isinstance(item, ByFormula) for item in items):
-            return ByComponents(items)
+        if any(isinstance(item, SpatialFormula) for item in items):
+            return SpatialDirection(items)
         length = float(np.linalg.norm(items))
         if length == 0:
             raise InputError("a direction needs a length", expected="for example [1, 0, 0]")
@@ -198,7 +198,7 @@ class _Direction:
     def _component(self, index: int, item: Any) -> Any:
         try:
             read = constant(item, "")
-            return read if isinstance(read, Deferred) else to_si(read, "")
+            return read if isinstance(read, SpatialValue) else to_si(read, "")
         except InputError as error:
             raise error.at(f"[{index}]") from None
 

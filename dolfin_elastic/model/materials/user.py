@@ -36,7 +36,7 @@ class UserEnergy(Law):
 
     directions: ClassVar[tuple[str, ...]] = ("fibre", "fibre2")
 
-    _sound: bool = PrivateAttr(default=False)
+    _checked: bool = PrivateAttr(default=False)
 
     @field_validator("parameters", mode="before")
     @classmethod
@@ -58,13 +58,13 @@ class UserEnergy(Law):
         return self
 
     @property
-    def sound(self) -> bool:
-        """The energy has been tried and found right (`bench.sound`)."""
-        return self._sound
+    def checked(self) -> bool:
+        """The energy has been tried and found right (`material_point.checks.check_energy`)."""
+        return self._checked
 
-    def passed(self) -> None:
+    def mark_checked(self) -> None:
         """Notes that the energy need not be tried again."""
-        self._sound = True
+        self._checked = True
 
     def constants(self) -> dict[str, float | list[float]]:
         """See `Law.constants`; parameters have a dot in their names."""

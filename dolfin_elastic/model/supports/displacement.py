@@ -40,7 +40,7 @@ class Restraint(OnSurfaces):
         return {}
 
     @property
-    def courses(self) -> tuple[tuple[Component, ...], ...]:
+    def time_functions(self) -> tuple[tuple[Component, ...], ...]:
         """All that may be formulas in t."""
         return tuple(self.vectors.values())
 
@@ -61,7 +61,7 @@ class PrescribingSupport(Restraint):
     needs_flat: ClassVar[bool] = False
     """Its surfaces must lie in a plane each."""
 
-    def held(self, dim: int) -> tuple[int, ...]:
+    def prescribed_components(self, dim: int) -> tuple[int, ...]:
         """The components that are prescribed, or `NORMAL`, in a body of 2 or 3 dimensions."""
         raise TypeError(f"{type(self).__name__} prescribes nothing")
 
@@ -69,7 +69,7 @@ class PrescribingSupport(Restraint):
         """Prescribed displacement [m].
 
         Args:
-            which: One of `held`.
+            which: One of `prescribed_components`.
             x: Reference places, of shape (n, 3).
             t: Time [s], or load parameter.
             default: Amplitude if none is named.
@@ -142,7 +142,7 @@ class Support(PrescribingSupport):
         """See `Restraint`."""
         return all(value in (None, 0.0) for value in self.values)
 
-    def held(self, dim: int) -> tuple[int, ...]:
+    def prescribed_components(self, dim: int) -> tuple[int, ...]:
         """See `PrescribingSupport`."""
         return tuple(i for i, value in enumerate(self.values_in(dim)) if value is not None)
 
@@ -196,7 +196,7 @@ class Normal(PrescribingSupport):
         """See `Restraint`."""
         return self.value == 0.0
 
-    def held(self, dim: int) -> tuple[int, ...]:
+    def prescribed_components(self, dim: int) -> tuple[int, ...]:
         """See `PrescribingSupport`."""
         return (NORMAL,)
 
@@ -219,7 +219,7 @@ class Symmetry(PrescribingSupport):
 
     needs_flat: ClassVar[bool] = True
 
-    def held(self, dim: int) -> tuple[int, ...]:
+    def prescribed_components(self, dim: int) -> tuple[int, ...]:
         """See `PrescribingSupport`."""
         return (NORMAL,)
 
@@ -251,7 +251,7 @@ class Rotation(PrescribingSupport):
 
     @model_validator(mode="after")
     def _read(self) -> Rotation:
-        _ = self.centre, self.turn, self.shift, self.direction
+        _ = self.centre, self.rotation_angle, self.translation, self.direction
         return self
 
     @cached_property
@@ -260,7 +260,7 @@ class Rotation(PrescribingSupport):
         return self._vector("point", self.point, ())
 
     @cached_property
-    def shift(self) -> tuple[Component, ...]:
+    def translation(self) -> tuple[Component, ...]:
         """The translation as numbers and formulas; nothing where there is none."""
         return self._vector("displacement", self.displacement, ("t",))
 
@@ -279,7 +279,7 @@ class Rotation(PrescribingSupport):
         return found
 
     @cached_property
-    def turn(self) -> Component:
+    def rotation_angle(self) -> Component:
         """The angle [rad] as a number or formula."""
         text = self.angle
         formula = isinstance(text, str) and not (is_quantity(text) or misspelt_unit(text, ("t",)))
@@ -304,19 +304,19 @@ class Rotation(PrescribingSupport):
     @property
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:
         """See `Restraint`."""
-        return {"point": self.centre, "displacement": self.shift}
+        return {"point": self.centre, "displacement": self.translation}
 
     @property
-    def courses(self) -> tuple[tuple[Component, ...], ...]:
+    def time_functions(self) -> tuple[tuple[Component, ...], ...]:
         """See `Restraint`."""
-        return (*super().courses, (self.turn,))
+        return (*super().time_functions, (self.rotation_angle,))
 
     @property
     def at_rest(self) -> bool:
         """See `Restraint`."""
-        return all(value == 0.0 for value in (self.turn, *self.shift))
+        return all(value == 0.0 for value in (self.rotation_angle, *self.translation))
 
-    def held(self, dim: int) -> tuple[int, ...]:
+    def prescribed_components(self, dim: int) -> tuple[int, ...]:
         """See `PrescribingSupport`.
 
         Raises:
@@ -330,20 +330,20 @@ class Rotation(PrescribingSupport):
                 "a plane body turns about z only", where=where, expected="leave it out"
             )
         _check_length(self, "point", self.centre, dim)
-        if self.shift:
-            _check_length(self, "displacement", self.shift, dim)
+        if self.translation:
+            _check_length(self, "displacement", self.translation, dim)
         return tuple(range(dim))
 
     def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
         """See `PrescribingSupport`."""
-        angle = self._scale(self.turn, t, default) * _at_time(self.turn, t)
+        angle = self._scale(self.rotation_angle, t, default) * _at_time(self.rotation_angle, t)
         r = x - np.array([*map(float, self.centre), 0.0])[:3]  # type: ignore[arg-type]
         once = np.cross(self.direction, r)
         twice = np.cross(self.direction, once)
         moved = np.sin(angle) * once + 2 * np.sin(angle / 2) ** 2 * twice
-        if not self.shift:
+        if not self.translation:
             return np.asarray(moved[:, which])
-        shift = self.shift[which]
+        shift = self.translation[which]
         return np.asarray(moved[:, which] + self._scale(shift, t, default) * _at_time(shift, t))
 
 

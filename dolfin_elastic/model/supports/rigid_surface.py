@@ -125,12 +125,12 @@ class Rigid(Restraint):
         return {key: given[key] for key in ("point", "displacement", "force") if given[key]}
 
     @property
-    def courses(self) -> tuple[tuple[Component, ...], ...]:
+    def time_functions(self) -> tuple[tuple[Component, ...], ...]:
         """See `Restraint`."""
         return tuple(self._parsed.values())
 
     @property
-    def turns(self) -> tuple[Component, ...]:
+    def rotation_components(self) -> tuple[Component, ...]:
         """The rotation vector's components [rad], None where free; nothing where none is given."""
         return self._parsed["rotation"]
 

@@ -117,7 +117,7 @@ class DirichletConditions:
 
     def _of(self, body: Body, support: PrescribingSupport, axis: bool) -> list[SkewSupport]:
         """What a support holds. Collective."""
-        which = support.held(self._bs)
+        which = support.prescribed_components(self._bs)
         if which == (NORMAL,):
             return [self._across(body, support, name) for name in support.surfaces]
         if axis and support.kind == "rotation":

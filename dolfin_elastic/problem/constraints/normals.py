@@ -137,7 +137,7 @@ def check_facing(
         for i, s in enumerate(supports)
         if isinstance(s, ResistingSupport) and s.by_normal
     ]
-    named += [(f"load[{i}].on", load.parts) for i, load in enumerate(loads) if load.faces]
+    named += [(f"load[{i}].on", load.parts) for i, load in enumerate(loads) if load.along_normal]
     named += [(f"contact[{i}].on", contact.surfaces) for i, contact in enumerate(contacts)]
     for where, names in named:
         for name in names:

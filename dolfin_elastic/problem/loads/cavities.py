@@ -42,19 +42,21 @@ class BodyCavity:
     default: Amplitude = CONSTANT
 
     @property
-    def controlled(self) -> bool:
+    def volume_controlled(self) -> bool:
         """The volume is prescribed, so the pressure is an unknown."""
-        return self.cavity.controlled
+        return self.cavity.volume_controlled
 
     @property
     def goal(self) -> float:
         """The prescribed volume [m^3], or pressure [Pa]."""
-        return self.cavity.prescribed(self.t, self.default, self.initial)
+        return self.cavity.prescribed_value(self.t, self.default, self.initial)
 
     @property
     def pressure(self) -> float:
         """The present pressure [Pa]."""
-        return float(self.context.unknown(self.label).value) if self.controlled else self.goal
+        return (
+            float(self.context.unknown(self.label).value) if self.volume_controlled else self.goal
+        )
 
     @pressure.setter
     def pressure(self, value: float) -> None:

@@ -231,7 +231,7 @@ class ContactPair:
 
     def set_time(self, t: float, default: Amplitude) -> None:
         """Moves the obstacle to time t. Not collective."""
-        self.shift.value[:] = self.contact.moved(t, default, self._dim)
+        self.shift.value[:] = self.contact.displacement_at(t, default, self._dim)
 
 
 def make_contacts(contacts: Sequence[Contact], context: FormContext) -> tuple[ContactPair, ...]:
@@ -274,7 +274,7 @@ def check_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> 
     """
     for index, contact in enumerate(contacts):
         try:
-            contact.check(body.dim, turned=turned)
+            contact.check(body.dim, axisymmetric=turned)
             for name in contact.surfaces:
                 body.surface(name)
         except InputError as error:

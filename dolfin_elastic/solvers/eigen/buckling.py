@@ -363,7 +363,7 @@ def _check_proportional(problem: Problem) -> None:
         )
     own = {"load": [load.amplitude is not None for load in problem.loads], "support": []}
     for support in problem.supports:
-        timed = any(depends_on_time(course) for course in support.courses)
+        timed = any(depends_on_time(course) for course in support.time_functions)
         timed = timed or getattr(support, "curve", None) is not None
         own["support"].append(timed and not support.at_rest)
     for key, rows in own.items():

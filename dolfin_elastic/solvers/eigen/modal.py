@@ -156,7 +156,7 @@ def _assembler(problem: Problem, *, loaded: bool) -> Assembler:
     on = [
         load
         for load in problem.loads
-        if load.follows and not load.swells and (load.amplitude or RAMP).at(0.0) != 0.0
+        if load.follower and not load.is_eigenstrain and (load.amplitude or RAMP).at(0.0) != 0.0
     ]
     if loaded or not on or problem.weak_form.external is None:
         return Assembler(problem)

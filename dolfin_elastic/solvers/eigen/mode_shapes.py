@@ -82,7 +82,7 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
                 expected="for example st-venant-kirchhoff",
             )
     if loaded and not problem.symmetric:
-        index = next(i for i, load in enumerate(problem.loads) if load.follows)
+        index = next(i for i, load in enumerate(problem.loads) if load.follower)
         raise InputError(
             "the pressure follows a surface whose rim is free: it has no potential, and the body "
             "may flutter",
@@ -106,7 +106,7 @@ def at_rest(problem: Problem) -> None:
     """
     problem.set_time(0.0, default=RAMP)
     for index, load in enumerate(problem.loads):
-        if load.swells and (load.amplitude or RAMP).at(0.0) != 0.0:
+        if load.is_eigenstrain and (load.amplitude or RAMP).at(0.0) != 0.0:
             raise InputError(
                 f"{load.kind} acts at rest, too: the body is not free of stress",
                 where=f"load[{index}]",

@@ -46,7 +46,7 @@ class Scalars:
         self._assembler, problem = assembler, assembler.problem
         self._prescribed = problem.dirichlet
         self._cavities = [CavityScalars(assembler, cavity) for cavity in problem.cavities]
-        self.parts: list[ScalarUnknowns] = [c for c in self._cavities if c.cavity.controlled]
+        self.parts: list[ScalarUnknowns] = [c for c in self._cavities if c.cavity.volume_controlled]
         self.parts += [
             RigidSurface(assembler, motion)
             for motion in self._prescribed.motions
@@ -117,7 +117,7 @@ class CavityScalars(ScalarUnknowns):
         self.steps, self.signs = np.array([self._problem.stiffness]), np.array([-1.0])
         self.prescribing = np.zeros(1, dtype=bool)
         cavity.initial, self.closed = self._undeformed()
-        if not cavity.initial > 0.0 and (cavity.controlled or self.closed):
+        if not cavity.initial > 0.0 and (cavity.volume_controlled or self.closed):
             raise InputError(
                 f"the surfaces of the cavity '{cavity.label}' enclose {cavity.initial:.3g} m^3",
                 where=cavity.where,
@@ -143,7 +143,7 @@ class CavityScalars(ScalarUnknowns):
             f"the cavity '{self.cavity.label}' is open: a part of its rim is not held in a plane "
             "through its origin"
         )
-        if self.cavity.controlled:
+        if self.cavity.volume_controlled:
             raise InputError(
                 said,
                 where=self.cavity.where,
@@ -258,7 +258,7 @@ def refuse_scalars(problem: Problem) -> None:
     Raises:
         InputError: The problem has some.
     """
-    if any(cavity.controlled for cavity in problem.cavities):
+    if any(cavity.volume_controlled for cavity in problem.cavities):
         raise InputError(
             "a cavity with a given volume exists in statics only",
             where="load",

@@ -28,7 +28,7 @@ class BlatzKo(Isotropic):
     def model_post_init(self, context: Any) -> None:
         """Completes the moduli; a foam gets thinner when it is drawn."""
         super().model_post_init(context)
-        if not self.deferred() and not 0 < self.lmbda < float("inf"):
+        if not self.spatial_constants() and not 0 < self.lmbda < float("inf"):
             raise InputError(
                 f"the foam's Poisson's ratio is {self.nu:g}",
                 where="nu",

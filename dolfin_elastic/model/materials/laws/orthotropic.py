@@ -78,7 +78,7 @@ class Orthotropic(Law):
 
     def model_post_init(self, context: Any) -> None:
         """Checks that the solid is stable and that its axes differ."""
-        if any(name not in self.directions for name in self.deferred()):
+        if any(name not in self.directions for name in self.spatial_constants()):
             return
         for a, b in ("12", "13", "23"):
             nu, Ea, Eb = (getattr(self, name) for name in (f"nu{a}{b}", f"E{a}", f"E{b}"))

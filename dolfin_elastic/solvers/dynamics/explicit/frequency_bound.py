@@ -65,7 +65,7 @@ class FrequencyBound:
         In a body of revolution the tangent changes inside a cell, also in a curved one.
         """
         follows = any(
-            load.follows and not (load.linearises and problem.context.linear)
+            load.follower and not (load.linearises and problem.context.linear)
             for load in problem.loads
         )
         straight = int(problem.body.mesh.geometry.cmap.degree) == 1
