@@ -30,7 +30,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic import read_case, run
-from dolfin_elastic.mesh import measures
+from dolfin_elastic.mesh import mesh_statistics
 
 HERE = Path(__file__).parent
 DENSITY, G, WIND, YIELD = 7850, 9.81, 1500, 235e6
@@ -43,7 +43,7 @@ def main():
     comm = MPI.COMM_WORLD
     case = read_case(HERE / "case.toml")
     *_, state = run(case)
-    size = measures(case.read_body(comm))
+    size = mesh_statistics(case.read_body(comm))
     weight, wind = DENSITY * G * size.volume, WIND * size.surfaces["windward"]
     held = sum(state.reactions.values())
     summary = json.loads((case.results_folder() / "summary.json").read_text())

@@ -33,7 +33,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import read_case, run
 from dolfin_elastic.case.material_report import write
-from dolfin_elastic.material_point.report import bench
+from dolfin_elastic.material_point.report import material_report
 
 HERE = Path(__file__).parent
 AREA = 0.01**2
@@ -54,7 +54,7 @@ def main():
     comm = MPI.COMM_WORLD
     case = read_case(HERE / "case.toml")
     rubber = case.materials["rubber"].law
-    found = bench(rubber)  # at a point, the same on every rank
+    found = material_report(rubber)  # at a point, the same on every rank
     assert not found.failed
     if comm.rank == 0:
         for finding in found.findings:

@@ -12,8 +12,8 @@ import numpy as np
 from dolfin_elastic.case.case import located, read_materials
 from dolfin_elastic.core.errors import CaseError, nearest
 from dolfin_elastic.core.schema import known_keys
-from dolfin_elastic.material_point.homogeneous_tests import Curve
-from dolfin_elastic.material_point.report import Bench
+from dolfin_elastic.material_point.homogeneous_tests import ResponseCurve
+from dolfin_elastic.material_point.report import MaterialReport
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.results.files import make_folder, replace_text, writing
@@ -127,7 +127,7 @@ def _parameters(kind: type[Law]) -> dict[str, str]:
 # --- what is written ---
 
 
-def write(name: str, found: Bench, folder: Path) -> list[Path]:
+def write(name: str, found: MaterialReport, folder: Path) -> list[Path]:
     """A CSV file a curve and one picture. Not collective.
 
     Raises:
@@ -148,7 +148,7 @@ def _plain(name: str) -> str:
     return "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
 
 
-def table(curve: Curve) -> str:
+def table(curve: ResponseCurve) -> str:
     """A curve as CSV: what is prescribed, F, J, P and Cauchy stress [Pa], energy [J/m^3]."""
     heads = [curve.mode.symbol, *(f"F{p}" for p in _PARTS), "J"]
     heads += [*(f"P{p}" for p in _PARTS), *(f"sigma{p}" for p in _PARTS), "energy"]
@@ -170,7 +170,7 @@ def table(curve: Curve) -> str:
 _UNITS = ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"), (1.0, "Pa"))
 
 
-def _draw(name: str, found: Bench, path: Path) -> None:
+def _draw(name: str, found: MaterialReport, path: Path) -> None:
     """One picture of all curves."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -187,7 +187,7 @@ def _draw(name: str, found: Bench, path: Path) -> None:
         figure.savefig(path, dpi=130)
 
 
-def _panel(axis: Any, curve: Curve) -> None:
+def _panel(axis: Any, curve: ResponseCurve) -> None:
     i, j = curve.mode.shown
     nominal, true = curve.P[:, i, j], curve.cauchy[:, i, j]
     top = float(np.abs(nominal).max()) or 1.0

@@ -15,7 +15,7 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from dolfin_elastic.material_point.library import TypicalMaterial
-    from dolfin_elastic.material_point.report import Bench
+    from dolfin_elastic.material_point.report import MaterialReport
 
 _MARKS = {"pass": "ok", "fail": "FAILED", "note": "note"}
 
@@ -35,7 +35,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def bench_table(found: Bench) -> dict[str, Any]:
+def bench_table(found: MaterialReport) -> dict[str, Any]:
     """A bench as plain values, for scripts."""
     return {
         "passed": not found.failed,
@@ -53,7 +53,7 @@ def bench_table(found: Bench) -> dict[str, Any]:
     }
 
 
-def show_bench(screen: Console, name: str, found: Bench, files: Sequence[Path]) -> None:
+def show_bench(screen: Console, name: str, found: MaterialReport, files: Sequence[Path]) -> None:
     """The bench of one material."""
     screen.print(name, style="bold")
     table = Table("check", box=SIMPLE_HEAD, pad_edge=False)
@@ -70,7 +70,7 @@ def show_bench(screen: Console, name: str, found: Bench, files: Sequence[Path]) 
         screen.print(f"written: {files[0].parent}: {', '.join(f.name for f in files)}")
 
 
-def _curves(found: Bench) -> Table:
+def _curves(found: MaterialReport) -> Table:
     """Nominal stress at the ends of each curve."""
     table = Table("curve", box=SIMPLE_HEAD, pad_edge=False)
     for head in ("from", "stress [Pa]", "to", "stress [Pa]", "J there"):

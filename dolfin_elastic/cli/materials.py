@@ -78,12 +78,12 @@ def _bench(
     from dolfin_elastic.case.material_report import laws_of, write
     from dolfin_elastic.cli.console import console
     from dolfin_elastic.cli.console_materials import as_json, bench_table, show_bench
-    from dolfin_elastic.material_point.report import bench
+    from dolfin_elastic.material_point.report import material_report
 
     laws, tables, failed = laws_of(what, constants, only), {}, ""
     for name, law in laws.items():
         with located(what if name == what else f"{what}: materials.{name}"):
-            found = bench(law, largest=stretch)
+            found = material_report(law, largest=stretch)
         files = write(name, found, output) if output else []
         tables[name] = bench_table(found)
         if not json:

@@ -18,7 +18,7 @@ from dolfin_elastic.core.errors import FormulaError, InputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import AnyArray
-from dolfin_elastic.material_point.ufl_to_numpy import Point
+from dolfin_elastic.material_point.ufl_to_numpy import LawAtPoints
 from dolfin_elastic.model.materials.law import Isotropic, Law, SplitLaw
 from dolfin_elastic.model.materials.user import UserEnergy
 
@@ -62,7 +62,7 @@ def finite_twin(law: Law) -> Law:
     if not endless or not isinstance(law, SplitLaw):
         return law
     shape = law.model_copy(update=dict.fromkeys(endless, 0.0))
-    size = float(np.abs(Point(shape).tangent(I[None])).max())
+    size = float(np.abs(LawAtPoints(shape).tangent(I[None])).max())
     return law.model_copy(update=dict.fromkeys(endless, _NEARLY_RIGID * size))
 
 
@@ -75,7 +75,7 @@ class LawUnderTest:
 
     def __init__(self, law: Law) -> None:
         self.given, self.law = law, finite_twin(law)
-        self.point = Point(self.law)
+        self.point = LawAtPoints(self.law)
         draw = np.random.default_rng(7).uniform(-1, 1, (12, 3, 3))
         self.near = I + 0.03 * draw[:6]
         self._far = I + 0.2 * draw[6:]

@@ -11,11 +11,11 @@ from ufl.classes import Division, Exp, Expr, Ln, Power, ScalarValue, Sqrt
 from ufl.corealg.traversal import unique_post_traversal
 
 from dolfin_elastic.core.types import BoolArray, FloatArray
-from dolfin_elastic.material_point.ufl_to_numpy import Program, symbol
+from dolfin_elastic.material_point.ufl_to_numpy import NumpyProgram, gradient_symbol
 from dolfin_elastic.model.materials.law import Law
 
 
-def outside(law: Law, F: FloatArray) -> str:
+def undefined_operation(law: Law, F: FloatArray) -> str:
     """The operation that has no value, in words; empty if none is found.
 
     Args:
@@ -26,10 +26,10 @@ def outside(law: Law, F: FloatArray) -> str:
         For example "ln of a negative number, -0.2"; the innermost such operation, the number
         farthest off.
     """
-    at = symbol()
+    at = gradient_symbol()
     formula = law.energy(at) if law.has_energy else law.stress(at)
     for node in unique_post_traversal(expand_derivatives(ufl.as_ufl(formula))):
-        if (said := _fault(node, lambda e: Program(e, at)(F))) is not None:
+        if (said := _fault(node, lambda e: NumpyProgram(e, at)(F))) is not None:
             return said
     return ""
 

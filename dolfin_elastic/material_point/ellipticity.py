@@ -8,8 +8,8 @@ import numpy as np
 
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.material_point.checks import Finding, LawUnderTest
-from dolfin_elastic.material_point.homogeneous_tests import Curve
-from dolfin_elastic.material_point.ufl_to_numpy import Point
+from dolfin_elastic.material_point.homogeneous_tests import ResponseCurve
+from dolfin_elastic.material_point.ufl_to_numpy import LawAtPoints
 
 _CRUSHED = 10.0 ** -np.array([2.0, 4.0, 8.0, 16.0, 32.0])
 _BLOWN = 10.0 ** np.array([1.0, 2.0, 3.0, 4.0])
@@ -18,7 +18,7 @@ _CHUNK = 200
 PATHS = ("uniaxial", "equibiaxial", "simple-shear")
 
 
-def growth(trial: LawUnderTest) -> Iterator[Finding]:
+def energy_growth(trial: LawUnderTest) -> Iterator[Finding]:
     """The energy as the volume falls to 0 and as it grows beyond all bounds."""
     if not trial.law.has_energy:
         return
@@ -50,7 +50,7 @@ def directions(count: int = _DIRECTIONS) -> AnyArray:
     return np.concatenate([spread, grid / np.linalg.norm(grid, axis=1, keepdims=True)])
 
 
-def acoustic(point: Point, F: AnyArray, *, flat: bool = False) -> AnyArray:
+def acoustic_eigenvalues(point: LawAtPoints, F: AnyArray, *, flat: bool = False) -> AnyArray:
     """Smallest eigenvalue of the acoustic tensor over all directions, of shape (n,) [Pa].
 
     Q_ik = A_ijkl N_j N_l in the reference configuration; strong ellipticity is Q > 0 for all N.
@@ -76,11 +76,11 @@ def acoustic(point: Point, F: AnyArray, *, flat: bool = False) -> AnyArray:
     return np.concatenate(least) if least else np.zeros(0)
 
 
-def elliptic(trial: LawUnderTest, curves: dict[str, Curve]) -> Iterator[Finding]:
+def ellipticity(trial: LawUnderTest, curves: dict[str, ResponseCurve]) -> Iterator[Finding]:
     """Where waves of every kind can pass: the interval about the rest."""
     for name in PATHS:
         curve = curves[name]
-        least = acoustic(trial.point, curve.F)
+        least = acoustic_eigenvalues(trial.point, curve.F)
         good = least > 0
         rest = int(np.argmin(np.abs(curve.values - curve.mode.rest)))
         if not good[rest]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfin_elastic.core.types import AnyArray
-from dolfin_elastic.material_point.ufl_to_numpy import Point
+from dolfin_elastic.material_point.ufl_to_numpy import LawAtPoints
 
 _ITERATIONS = 25
 _HALVINGS = 6
@@ -24,7 +24,7 @@ Pairs = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
-class Mode:
+class DeformationMode:
     """A kind of homogeneous deformation.
 
     F is an upper triangle: that leaves out rotations and nothing else.
@@ -50,18 +50,18 @@ def _shear(g: float) -> AnyArray:
     return np.array([[1.0, g, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-MODES = (
-    Mode("uniaxial", "stretch", lambda s: np.diag([s, 1.0, 1.0]), 1.0, _FREE_SIDES),
-    Mode("equibiaxial", "stretch", lambda s: np.diag([s, s, 1.0]), 1.0, _FREE_THICKNESS),
-    Mode("planar", "stretch", lambda s: np.diag([s, 1.0, 1.0]), 1.0, _FREE_THICKNESS),
-    Mode("simple-shear", "shear", _shear, 0.0, shown=(0, 1)),
-    Mode("volumetric", "J", lambda J: np.cbrt(J) * np.eye(3), 1.0),
+DEFORMATION_MODES = (
+    DeformationMode("uniaxial", "stretch", lambda s: np.diag([s, 1.0, 1.0]), 1.0, _FREE_SIDES),
+    DeformationMode("equibiaxial", "stretch", lambda s: np.diag([s, s, 1.0]), 1.0, _FREE_THICKNESS),
+    DeformationMode("planar", "stretch", lambda s: np.diag([s, 1.0, 1.0]), 1.0, _FREE_THICKNESS),
+    DeformationMode("simple-shear", "shear", _shear, 0.0, shown=(0, 1)),
+    DeformationMode("volumetric", "J", lambda J: np.cbrt(J) * np.eye(3), 1.0),
 )
 """Planar tension, of a wide sheet, is what the rubber trade calls pure shear."""
 
 
 @dataclass(frozen=True)
-class Curve:
+class ResponseCurve:
     """States along one mode, in ascending order of what is prescribed.
 
     Attributes:
@@ -73,7 +73,7 @@ class Curve:
         ends: Where a branch ended before it was asked to, with the reason.
     """
 
-    mode: Mode
+    mode: DeformationMode
     values: AnyArray
     F: AnyArray
     P: AnyArray
@@ -91,7 +91,7 @@ class Curve:
         return np.asarray(np.linalg.det(self.F))
 
 
-def curve(point: Point, mode: Mode, targets: AnyArray) -> Curve:
+def response_curve(point: LawAtPoints, mode: DeformationMode, targets: AnyArray) -> ResponseCurve:
     """Follows a mode from the rest to both ends of `targets`.
 
     Args:
@@ -107,7 +107,7 @@ def curve(point: Point, mode: Mode, targets: AnyArray) -> Curve:
     energy = point.energy(F) if point.law.has_energy else np.full(len(F), np.nan)
     ends = tuple(branch.end for branch in (down, up) if branch.end)
     values = np.array([value for value, _ in found])
-    return Curve(mode, values, F, point.stress(F), energy, ends)
+    return ResponseCurve(mode, values, F, point.stress(F), energy, ends)
 
 
 @dataclass
@@ -116,7 +116,7 @@ class _Branch:
     end: str = ""
 
 
-def _branch(point: Point, mode: Mode, targets: AnyArray) -> _Branch:
+def _branch(point: LawAtPoints, mode: DeformationMode, targets: AnyArray) -> _Branch:
     """One way from the rest outwards; a step that fails is tried again in halves."""
     if not mode.free:
         return _prescribed(point, mode, targets)
@@ -139,7 +139,7 @@ def _branch(point: Point, mode: Mode, targets: AnyArray) -> _Branch:
     return branch
 
 
-def _prescribed(point: Point, mode: Mode, targets: AnyArray) -> _Branch:
+def _prescribed(point: LawAtPoints, mode: DeformationMode, targets: AnyArray) -> _Branch:
     if not len(targets):
         return _Branch([])
     F = np.array([mode.place(float(value)) for value in targets])
@@ -152,7 +152,9 @@ def _prescribed(point: Point, mode: Mode, targets: AnyArray) -> _Branch:
     return branch
 
 
-def _balanced(point: Point, mode: Mode, value: float, F: AnyArray, trial: float) -> AnyArray | None:
+def _balanced(
+    point: LawAtPoints, mode: DeformationMode, value: float, F: AnyArray, trial: float
+) -> AnyArray | None:
     """The state at `trial` near F, by Newton's method with the tangent; None if there is none."""
     rows, columns = np.array(mode.free).T
     A, G = point.tangent(F[None])[0], mode.place(trial)
@@ -174,7 +176,7 @@ def _balanced(point: Point, mode: Mode, value: float, F: AnyArray, trial: float)
     return None
 
 
-def _predicted(A: AnyArray, mode: Mode, step: float) -> AnyArray:
+def _predicted(A: AnyArray, mode: DeformationMode, step: float) -> AnyArray:
     """Change of the free components along the tangent of the path."""
     rows, columns = np.array(mode.free).T
     ahead = (mode.place(mode.rest + _SMALL) - mode.place(mode.rest)) / _SMALL
@@ -183,7 +185,7 @@ def _predicted(A: AnyArray, mode: Mode, step: float) -> AnyArray:
     return np.where(np.isfinite(change), change, 0.0)
 
 
-def _solved(A: AnyArray, mode: Mode, right: AnyArray) -> AnyArray:
+def _solved(A: AnyArray, mode: DeformationMode, right: AnyArray) -> AnyArray:
     """Solves with the part of the tangent that belongs to the free components; else nan."""
     rows, columns = np.array(mode.free).T
     matrix = A[rows[:, None], columns[:, None], rows, columns]

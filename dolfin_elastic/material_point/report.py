@@ -10,12 +10,12 @@ from dolfin_elastic.core.errors import FormulaError, InputError
 from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.material_point.checks import Finding, LawUnderTest, checks
-from dolfin_elastic.material_point.ellipticity import elliptic, growth
+from dolfin_elastic.material_point.ellipticity import ellipticity, energy_growth
 from dolfin_elastic.material_point.homogeneous_tests import (
-    MODES,
-    Curve,
-    Mode,
-    curve,
+    DEFORMATION_MODES,
+    DeformationMode,
+    ResponseCurve,
+    response_curve,
 )
 from dolfin_elastic.model.materials.law import Law
 
@@ -24,7 +24,7 @@ _POINTS = 30
 
 
 @dataclass(frozen=True)
-class Bench:
+class MaterialReport:
     """What the bench finds.
 
     Attributes:
@@ -36,7 +36,7 @@ class Bench:
 
     law: Law
     findings: tuple[Finding, ...]
-    curves: dict[str, Curve]
+    curves: dict[str, ResponseCurve]
     notes: tuple[str, ...]
 
     @property
@@ -45,7 +45,7 @@ class Bench:
         return tuple(f for f in self.findings if f.verdict == "fail")
 
 
-def bench(law: Law, *, largest: float = LARGEST) -> Bench:
+def material_report(law: Law, *, largest: float = LARGEST) -> MaterialReport:
     """Tries a material at a point: checks, curves, and how far it goes.
 
     Not collective; a second or so.
@@ -74,15 +74,17 @@ def bench(law: Law, *, largest: float = LARGEST) -> Bench:
     if trial.law is not law:
         notes.append("an infinite modulus was tried as 10000 times the others")
     if any(f.verdict == "fail" and f.check == "finite values" for f in findings):
-        return Bench(law, tuple(findings), {}, tuple(notes))
+        return MaterialReport(law, tuple(findings), {}, tuple(notes))
     with np.errstate(all="ignore"):
-        curves = {m.name: curve(trial.point, m, _targets(m, largest)) for m in MODES}
-        findings += [*growth(trial), *elliptic(trial, curves)]
+        curves = {
+            m.name: response_curve(trial.point, m, _targets(m, largest)) for m in DEFORMATION_MODES
+        }
+        findings += [*energy_growth(trial), *ellipticity(trial, curves)]
     notes += [end for found in curves.values() for end in found.ends]
-    return Bench(law, tuple(findings), curves, tuple(notes))
+    return MaterialReport(law, tuple(findings), curves, tuple(notes))
 
 
-def _targets(mode: Mode, largest: float) -> AnyArray:
+def _targets(mode: DeformationMode, largest: float) -> AnyArray:
     spread = np.linspace(-1.0, 1.0, 2 * _POINTS + 1)
     if mode.rest == 0:
         return spread * (largest - 1)

@@ -184,7 +184,7 @@ def _step(e: Expr) -> Step:
     raise NotImplementedError(f"a material's energy cannot have a UFL {name} at a point")
 
 
-class Program:
+class NumpyProgram:
     """A UFL expression of one symbol, without derivatives, ready to be worked out.
 
     Args:
@@ -215,13 +215,13 @@ class Program:
         return np.array(np.moveaxis(full, -1, 0))
 
 
-def symbol() -> Expr:
+def gradient_symbol() -> Expr:
     """A 3x3 tensor that stands for F in expressions of programs."""
     cell = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
     return ufl.Constant(cell, (3, 3))
 
 
-class Point:
+class LawAtPoints:
     """A law at points: energy, first Piola-Kirchhoff stress and tangent for given F.
 
     Args:
@@ -229,23 +229,23 @@ class Point:
     """
 
     def __init__(self, law: Law) -> None:
-        self.law, self._F = law, symbol()
+        self.law, self._F = law, gradient_symbol()
 
-    def _program(self, expression: Expr) -> Program:
-        return Program(expand_derivatives(expression), self._F)
+    def _program(self, expression: Expr) -> NumpyProgram:
+        return NumpyProgram(expand_derivatives(expression), self._F)
 
     @cached_property
-    def energy(self) -> Program:
+    def energy(self) -> NumpyProgram:
         """psi [J/m^3], of shape (n,)."""
         return self._program(ufl.as_ufl(self.law.energy(self._F)))
 
     @cached_property
-    def stress(self) -> Program:
+    def stress(self) -> NumpyProgram:
         """P [Pa], of shape (n, 3, 3)."""
         return self._program(self.law.stress(self._F))
 
     @cached_property
-    def tangent(self) -> Program:
+    def tangent(self) -> NumpyProgram:
         """dP/dF [Pa], of shape (n, 3, 3, 3, 3)."""
         F = ufl.variable(self._F)
         return self._program(ufl.diff(self.law.stress(F), F))

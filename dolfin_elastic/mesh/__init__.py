@@ -2,7 +2,7 @@
 
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.generate import box_body, rectangle_body
-from dolfin_elastic.mesh.geometry.quality import Measures, measures
+from dolfin_elastic.mesh.geometry.quality import MeshStatistics, mesh_statistics
 from dolfin_elastic.mesh.read import read_body
 from dolfin_elastic.mesh.selection import name_parts
 from dolfin_elastic.mesh.selectors import Cylinder, Selector, Sphere
@@ -10,11 +10,11 @@ from dolfin_elastic.mesh.selectors import Cylinder, Selector, Sphere
 __all__ = [
     "Body",
     "Cylinder",
-    "Measures",
+    "MeshStatistics",
     "Selector",
     "Sphere",
     "box_body",
-    "measures",
+    "mesh_statistics",
     "name_parts",
     "read_body",
     "rectangle_body",

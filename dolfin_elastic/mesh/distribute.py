@@ -15,8 +15,8 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import agree
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.mesh.fields import distributed
-from dolfin_elastic.mesh.formats.cleaning import cleaned
+from dolfin_elastic.mesh.fields import distribute_fields
+from dolfin_elastic.mesh.formats.cleaning import clean
 from dolfin_elastic.mesh.formats.raw import RawMesh, match_rows
 from dolfin_elastic.mesh.geometry.simplices import facet_nodes, prepare_facets
 
@@ -45,12 +45,12 @@ def build_body(
     Raises:
         MeshError: The mesh is not fit for use.
     """
-    raw = _on_root_only(comm, lambda: cleaned(read()), source)
+    raw = _on_root_only(comm, lambda: clean(read()), source)
     mesh = _distribute(comm, raw, scale, permutation)
     regions = _regions(mesh, raw)
     surfaces, lost = _surfaces(mesh, raw)
     notes = comm.bcast(raw.notes if raw else None)
-    return Body(mesh, regions, surfaces, source, (*notes, *lost), distributed(mesh, raw))
+    return Body(mesh, regions, surfaces, source, (*notes, *lost), distribute_fields(mesh, raw))
 
 
 def _on_root_only(comm: MPI.Comm, action: Callable[[], RawMesh], source: str) -> RawMesh | None:
@@ -89,7 +89,7 @@ def _distribute(
     return make_mesh(comm, cells, x, order)
 
 
-def before_parting(comm: MPI.Comm) -> None:
+def before_partitioning(comm: MPI.Comm) -> None:
     """What must be done before DOLFINx distributes a mesh. Collective."""
     # PT-Scotch's threads race: the same body was parted in two ways, 10 of 1500 times.
     os.environ.setdefault("SCOTCH_PTHREAD_NUMBER", "1")
@@ -109,7 +109,7 @@ def make_mesh(comm: MPI.Comm, cells: IntArray, x: FloatArray, order: int) -> Mes
     dim = x.shape[1]
     kind = "tetrahedron" if dim == 3 else "triangle"
     element = basix.ufl.element("Lagrange", kind, order, shape=(dim,))
-    before_parting(comm)
+    before_partitioning(comm)
     mesh = create_mesh(
         comm, cells=cells, x=x, e=element, partitioner=create_cell_partitioner(GhostMode.none)
     )

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import agree, largest, smallest
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
-from dolfin_elastic.mesh.geometry.curved import tabulated
+from dolfin_elastic.mesh.geometry.curved import shape_functions
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.formats.raw import RawMesh
@@ -37,7 +37,7 @@ class MeshField:
     centre: Literal["cell", "point"]
     values: FloatArray
 
-    def said(self, comm: MPI.Comm) -> str:
+    def describe(self, comm: MPI.Comm) -> str:
         """Where it belongs and what it is, for people. Collective."""
         if self.columns > 1:
             return f"{self.centre}s, {self.columns} components"
@@ -65,10 +65,10 @@ class MeshField:
         if self.centre == "cell":
             return np.repeat(self.values[cells][:, None, :], len(points), axis=1)
         nodes = self.values[mesh.geometry.dofmap[cells]]
-        return np.asarray(np.einsum("kn,cnj->ckj", tabulated(mesh, points), nodes))
+        return np.asarray(np.einsum("kn,cnj->ckj", shape_functions(mesh, points), nodes))
 
 
-def columned(data: Any, rows: int, name: str) -> FloatArray:
+def as_columns(data: Any, rows: int, name: str) -> FloatArray:
     """Data of a file as floating-point numbers, one row for each cell or point.
 
     Raises:
@@ -84,7 +84,7 @@ def columned(data: Any, rows: int, name: str) -> FloatArray:
     return table.reshape(rows, -1) if rows else np.empty((0, 1))
 
 
-def distributed(mesh: Mesh, raw: RawMesh | None) -> dict[str, MeshField]:
+def distribute_fields(mesh: Mesh, raw: RawMesh | None) -> dict[str, MeshField]:
     """Each rank's rows of the fields that rank 0 has read. Collective."""
     found: dict[str, MeshField] = {}
     for centre in ("cell", "point"):
@@ -93,7 +93,7 @@ def distributed(mesh: Mesh, raw: RawMesh | None) -> dict[str, MeshField]:
         for name, shape in shapes.items():
             table = tables.get(name)
             read = None if table is None else _rows_of(table)
-            found[name] = spread(mesh, centre, shape, read)
+            found[name] = distribute_rows(mesh, centre, shape, read)
     return found
 
 
@@ -101,7 +101,7 @@ def _rows_of(table: FloatArray) -> Read:
     return lambda start, stop: table[start:stop]
 
 
-def spread(
+def distribute_rows(
     mesh: Mesh, centre: Literal["cell", "point"], shape: tuple[int, int], read: Read | None
 ) -> MeshField:
     """Gives each rank its rows of a field, without any rank having to hold all of them.

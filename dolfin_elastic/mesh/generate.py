@@ -11,7 +11,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.mesh.distribute import before_parting
+from dolfin_elastic.mesh.distribute import before_partitioning
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, facet_corners
 
 _SIDES = {
@@ -47,7 +47,7 @@ def box_body(
     low = np.array([*origin, 0.0][:dim], dtype=float) * scale
     high = low + np.asarray(size, dtype=float) * scale
     count = [int(n) for n in cells]
-    before_parting(comm)
+    before_partitioning(comm)
     if dim == 3:
         mesh = create_box(comm, [low, high], count, CellType.tetrahedron, ghost_mode=GhostMode.none)
     else:

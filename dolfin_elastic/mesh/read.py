@@ -15,7 +15,7 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import Permutation, build_body
 from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
-from dolfin_elastic.mesh.geometry.checks import inspect
+from dolfin_elastic.mesh.geometry.checks import check_cells
 
 CAD = (".geo", ".geo_unrolled", ".step", ".stp", ".brep", ".iges", ".igs")
 
@@ -58,7 +58,7 @@ def read_body(
     else:
         read, permutation = _reader(path, suffix, lambda: _cad(path, size, curved, dim), dim)
         body = build_body(read, comm=comm, scale=scale, source=path.name, permutation=permutation)
-    return replace(body, notes=(*body.notes, *inspect(body, scale=scale)))
+    return replace(body, notes=(*body.notes, *check_cells(body, scale=scale)))
 
 
 def _check_file(path: Path, size: float | None, curved: bool) -> None:
@@ -110,9 +110,9 @@ def _msh(path: Path, dim: int | None) -> RawMesh:
     try:
         found = read_msh(path)
     except OtherVersionError:
-        from dolfin_elastic.mesh.formats.cad import converted
+        from dolfin_elastic.mesh.formats.cad import convert_msh
 
-        found = converted(path)
+        found = convert_msh(path)
     return assemble(
         found.points,
         found.blocks,
@@ -124,9 +124,9 @@ def _msh(path: Path, dim: int | None) -> RawMesh:
 
 
 def _cad(path: Path, size: float | None, curved: bool, dim: int | None) -> RawMesh:
-    from dolfin_elastic.mesh.formats.cad import meshed
+    from dolfin_elastic.mesh.formats.cad import mesh_cad
 
-    found = meshed(path, size=size, curved=curved, dim=dim)
+    found = mesh_cad(path, size=size, curved=curved, dim=dim)
     return assemble(found.points, found.blocks, source=path.name, dim=dim, notes=found.notes)
 
 
@@ -146,9 +146,9 @@ def _abaqus(path: Path, dim: int | None) -> RawMesh:
 
 
 def _meshio(path: Path, dim: int | None) -> RawMesh:
-    from dolfin_elastic.mesh.formats.meshio import read_other
+    from dolfin_elastic.mesh.formats.meshio import read_meshio
 
-    found = read_other(path)
+    found = read_meshio(path)
     return assemble(
         found.points,
         found.blocks,

@@ -28,7 +28,7 @@ from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.core.units import SpatialValue
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.mesh.geometry.curved import tabulated
+from dolfin_elastic.mesh.geometry.curved import shape_functions
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import (
     PLACE,
@@ -132,7 +132,7 @@ class CoefficientBinder:
         """Where the points are [m], shape (cells, points, 3)."""
         mesh = self.body.mesh
         nodes = mesh.geometry.x[mesh.geometry.dofmap[cells]]
-        return np.asarray(np.einsum("kn,cnj->ckj", tabulated(mesh, self.points), nodes))
+        return np.asarray(np.einsum("kn,cnj->ckj", shape_functions(mesh, self.points), nodes))
 
     # --- what is there ---
 

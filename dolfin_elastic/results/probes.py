@@ -21,7 +21,7 @@ from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
-from dolfin_elastic.mesh.geometry.locate import Place, locate
+from dolfin_elastic.mesh.geometry.locate import LocatedPoint, locate
 from dolfin_elastic.mesh.selectors import MeshLength, metres
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.fields import FIELDS
@@ -188,7 +188,7 @@ class Probe:
             found = np.split(total(self.problem.body.comm, sent), ends)
             return dict(zip(values, found, strict=True))
 
-    def _nodal(self, state: State, field: str, place: Place) -> FloatArray:
+    def _nodal(self, state: State, field: str, place: LocatedPoint) -> FloatArray:
         """A vector at a point, on the rank that has it; zeros elsewhere."""
         function = getattr(state, NODAL[field])
         if function is None:
@@ -257,7 +257,7 @@ def _shape_functions(dim: int, degree: int, local: FloatArray) -> FloatArray:
 class _PartFields:
     """Points in one material, its owned cells around them, and what gives which columns there."""
 
-    places: Mapping[str, Place]
+    places: Mapping[str, LocatedPoint]
     cells: IndexArray
     columns: IntArray
     kernel: Any
@@ -272,7 +272,9 @@ class _CellFields:
         names: Names of fields of cells.
     """
 
-    def __init__(self, problem: Problem, places: Mapping[str, Place], names: Sequence[str]) -> None:
+    def __init__(
+        self, problem: Problem, places: Mapping[str, LocatedPoint], names: Sequence[str]
+    ) -> None:
         self.problem, self.places, self.names = problem, places, names
         self.mesh = problem.body.mesh
         self.w = fem.Function(problem.W)

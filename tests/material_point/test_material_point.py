@@ -38,11 +38,11 @@ from dolfin_elastic.material_point.checks import (
     checks,
     finite_twin,
 )
-from dolfin_elastic.material_point.ellipticity import acoustic, directions
-from dolfin_elastic.material_point.homogeneous_tests import MODES, curve
+from dolfin_elastic.material_point.ellipticity import acoustic_eigenvalues, directions
+from dolfin_elastic.material_point.homogeneous_tests import DEFORMATION_MODES, response_curve
 from dolfin_elastic.material_point.library import TYPICAL_MATERIALS
-from dolfin_elastic.material_point.report import Bench, bench
-from dolfin_elastic.material_point.ufl_to_numpy import Point
+from dolfin_elastic.material_point.report import MaterialReport, material_report
+from dolfin_elastic.material_point.ufl_to_numpy import LawAtPoints
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.user import SplitEnergy, read_energy
@@ -53,11 +53,11 @@ pytestmark = pytest.mark.usefixtures("serial_only")
 E, NU = gate.E, gate.NU
 MU, LMBDA = gate.MU, gate.LMBDA
 I = np.eye(3)
-MODE = {mode.name: mode for mode in MODES}
+MODE = {mode.name: mode for mode in DEFORMATION_MODES}
 ALONE = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts processes of its own")
 
 
-def verdicts(found: Bench) -> dict[str, str]:
+def verdicts(found: MaterialReport) -> dict[str, str]:
     return {finding.check: finding.verdict for finding in found.findings}
 
 
@@ -73,7 +73,7 @@ def own(energy: str, **more: Any) -> Law:
 def test_programs_agree_with_ufl(name):
     """Energy, stress and tangent, against UFL's own evaluation at a point."""
     at = np.array([gate.random_F(seed) for seed in range(3)])
-    ours, theirs = Point(gate.make(name)), gate.point(name)
+    ours, theirs = LawAtPoints(gate.make(name)), gate.point(name)
     for quantity in ("energy", "stress", "tangent"):
         if quantity == "energy" and not gate.make(name).has_energy:
             continue
@@ -101,7 +101,7 @@ def test_programs_know_what_ufl_can_say():
             + ufl.tanh(ufl.inner(ufl.dev(C), ufl.skew(F)))
         )
 
-    point = Point(Energy(odd))
+    point = LawAtPoints(Energy(odd))
     energy = point.energy(at)
     np.testing.assert_allclose(point.energy(at[3:4]), energy[3:4], rtol=1e-15)
     h = 1e-6
@@ -117,11 +117,11 @@ def test_programs_know_what_ufl_can_say():
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_every_law_passes(name):
-    found = bench(gate.make(name))
+    found = material_report(gate.make(name))
     assert found.failed == ()
     # Two seconds on a shared machine is slow; minutes would be a fault.
     begin = time.monotonic()
-    bench(gate.make(name))
+    material_report(gate.make(name))
     assert time.monotonic() - begin < 30
 
 
@@ -140,7 +140,7 @@ def test_every_law_passes(name):
     ],
 )
 def test_what_is_wrong_is_found(law, check, verdict):
-    assert verdicts(bench(law))[check] == verdict
+    assert verdicts(material_report(law))[check] == verdict
 
 
 def test_a_wrong_derivative_is_found():
@@ -161,7 +161,7 @@ def test_small_strains_of_a_neo_hookean_typed_by_hand():
             "parameters": {"mu": MU, "lmbda": LMBDA},
         }
     )
-    values = next(f.values for f in bench(law).findings if f.check == "small strains")
+    values = next(f.values for f in material_report(law).findings if f.check == "small strains")
     assert values["E"] == pytest.approx(E, rel=1e-12)
     assert values["nu"] == pytest.approx(NU, rel=1e-12)
 
@@ -170,7 +170,7 @@ def test_infinite_moduli_are_tried_as_large_ones():
     law = SplitEnergy(lambda I1bar, mu: mu / 2 * (I1bar - 3), mu=1e6, K=1e6, volumetric="log")
     endless = law.model_copy(update={"K": float("inf")})
     assert np.isfinite(finite_twin(endless).constants()["K"])
-    found = bench(endless)
+    found = material_report(endless)
     assert found.failed == ()
     assert any("infinite modulus" in note for note in found.notes)
 
@@ -207,7 +207,7 @@ def test_python_functions_are_tried_once():
 )
 def test_curves_against_closed_forms(kind, mode, stretch, lateral, P11):
     values = np.sort([1.0, stretch])
-    found = curve(Point(kind(E=E, nu=NU)), MODE[mode], values)
+    found = response_curve(LawAtPoints(kind(E=E, nu=NU)), MODE[mode], values)
     at = int(np.argmin(np.abs(found.values - stretch)))
     assert found.F[at, 2, 2] == pytest.approx(lateral, rel=1e-11)
     assert found.P[at, 0, 0] == pytest.approx(P11, rel=1e-10)
@@ -215,17 +215,17 @@ def test_curves_against_closed_forms(kind, mode, stretch, lateral, P11):
 
 
 def test_shear_and_volume():
-    point = Point(NeoHookean(E=E, nu=NU))
-    shear = curve(point, MODE["simple-shear"], np.array([0.0, 1.0]))
+    point = LawAtPoints(NeoHookean(E=E, nu=NU))
+    shear = response_curve(point, MODE["simple-shear"], np.array([0.0, 1.0]))
     assert shear.cauchy[-1, 0, 1] == pytest.approx(MU, rel=1e-12)
-    volume = curve(point, MODE["volumetric"], np.array([1.0, 2.0]))
+    volume = response_curve(point, MODE["volumetric"], np.array([1.0, 2.0]))
     pressure = (MU * (2 ** (2 / 3) - 1) + LMBDA * np.log(2)) / 2
     np.testing.assert_allclose(volume.cauchy[-1], pressure * I, rtol=1e-12, atol=1e-6)
 
 
 def test_a_curve_ends_where_there_is_no_state():
     """St. Venant-Kirchhoff: a sheet stretched both ways gets thin as 1 - 2nu/(1-nu)(s^2-1)/..."""
-    found = bench(StVenantKirchhoff(E=E, nu=NU))
+    found = material_report(StVenantKirchhoff(E=E, nu=NU))
     last = found.curves["equibiaxial"].values[-1]
     limit = np.sqrt(1 + (1 - NU) / (2 * NU))  # where the thickness vanishes
     assert 0.94 * limit < last < limit
@@ -241,7 +241,7 @@ def test_fibres_bend_a_sheet_out_of_its_axes():
         volumetric="log",
         fibre=[1, 1, 0],
     )
-    found = curve(Point(law), MODE["uniaxial"], np.linspace(1, 1.5, 6))
+    found = response_curve(LawAtPoints(law), MODE["uniaxial"], np.linspace(1, 1.5, 6))
     assert not found.ends
     assert abs(found.F[-1, 0, 1]) > 0.05
     others = np.abs(found.P[-1]) - np.diag([np.inf, 0, 0])
@@ -253,7 +253,7 @@ def test_fibres_bend_a_sheet_out_of_its_axes():
 
 def test_acoustic_tensor_of_hooke():
     """Wave moduli of an isotropic solid: mu twice and lmbda + 2 mu, in every direction."""
-    least = acoustic(Point(LinearElastic(E=E, nu=NU)), I[None])
+    least = acoustic_eigenvalues(LawAtPoints(LinearElastic(E=E, nu=NU)), I[None])
     assert least[0] == pytest.approx(MU, rel=1e-12)
     N = directions()
     np.testing.assert_allclose(np.linalg.norm(N, axis=1), 1, rtol=1e-14)
@@ -261,13 +261,13 @@ def test_acoustic_tensor_of_hooke():
 
 def test_st_venant_kirchhoff_loses_ellipticity():
     """In a bar that is pressed at fixed sides the wave modulus along it is 0 at s^2 = 1/3."""
-    point = Point(StVenantKirchhoff(E=E, nu=NU))
+    point = LawAtPoints(StVenantKirchhoff(E=E, nu=NU))
     s = np.array([np.sqrt(1 / 3) * 1.01, np.sqrt(1 / 3) * 0.99])
     A = point.tangent(s[:, None, None] * np.diag([1.0, 0, 0]) + np.diag([0, 1.0, 1.0]))
     assert A[0, 0, 0, 0, 0] > 0 > A[1, 0, 0, 0, 0]
-    found = bench(StVenantKirchhoff(E=E, nu=NU))
+    found = material_report(StVenantKirchhoff(E=E, nu=NU))
     assert verdicts(found)["elliptic, uniaxial"] == "note"
-    assert verdicts(bench(NeoHookean(E=E, nu=NU)))["elliptic, uniaxial"] == "pass"
+    assert verdicts(material_report(NeoHookean(E=E, nu=NU)))["elliptic, uniaxial"] == "pass"
 
 
 @pytest.mark.parametrize(
@@ -280,7 +280,7 @@ def test_st_venant_kirchhoff_loses_ellipticity():
     ],
 )
 def test_growth_as_the_volume_vanishes(law, text):
-    finding = next(f for f in bench(law).findings if f.check == "energy as J -> 0")
+    finding = next(f for f in material_report(law).findings if f.check == "energy as J -> 0")
     assert finding.verdict == "note"
     assert text in finding.text
 
@@ -291,10 +291,10 @@ def test_growth_as_the_volume_vanishes(law, text):
 )
 def test_growth_as_the_volume_grows(volumetric, text):
     law = own("mu*(I1bar - 3)", volumetric=volumetric, K=1e8)
-    finding = next(f for f in bench(law).findings if f.check == "energy as J -> inf")
+    finding = next(f for f in material_report(law).findings if f.check == "energy as J -> inf")
     assert text in finding.text
     weak = own("mu*(I1bar - 3) + k*(1 - 1/J)^2")
-    finding = next(f for f in bench(weak).findings if f.check == "energy as J -> inf")
+    finding = next(f for f in material_report(weak).findings if f.check == "energy as J -> inf")
     assert "does not resist a change of volume" in finding.text
 
 
@@ -325,7 +325,7 @@ def test_words_of_the_command_line():
 
 def test_files(comm, folder):
     if comm.rank == 0:
-        found = bench(NeoHookean(E=E, nu=NU))
+        found = material_report(NeoHookean(E=E, nu=NU))
         paths = write("a gel", found, folder / "bench")
         assert {path.name for path in paths} == {
             *(f"a_gel_{mode}.csv" for mode in MODE),
@@ -411,4 +411,4 @@ def test_commands_in_json(tmp_path):
 
 def test_what_varies_in_space_is_not_for_the_bench():
     with pytest.raises(InputError, match="E: this constant varies in space"):
-        bench(NeoHookean(E="1e6*(1 + x)", nu=0.3))
+        material_report(NeoHookean(E="1e6*(1 + x)", nu=0.3))

@@ -21,7 +21,7 @@ from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh import (
     Body,
     box_body,
-    measures,
+    mesh_statistics,
     read_body,
     rectangle_body,
 )
@@ -95,7 +95,7 @@ def test_gmsh_files_keep_volume_and_names(
     path = folder / "two.msh"
     made(lambda: gmsh_cube(path, version=version, binary=binary, order=order))
     body = read_body(path, scale=1e-3)
-    size = measures(body)
+    size = mesh_statistics(body)
     assert body.dim == 3 and body.mesh.geometry.cmap.degree == order
     assert size.volume == pytest.approx(2e-9, rel=1e-12)
     assert size.boundary == pytest.approx(10e-6, rel=1e-12)
@@ -109,7 +109,7 @@ def test_gmsh_files_keep_volume_and_names(
 def test_entities_in_two_groups(folder: Path, version: float) -> None:
     path = folder / "overlap.msh"
     made(lambda: gmsh_cube(path, version=version, overlap=True))
-    size = measures(body := read_body(path))
+    size = mesh_statistics(body := read_body(path))
     assert size.regions == pytest.approx({"soft part": 1, "hard": 1, "all": 2})
     assert size.volume == pytest.approx(2)
     assert cells_of(body, "all") == body.num_cells
@@ -128,7 +128,7 @@ def test_curved_cells_keep_their_shape(folder: Path, suffix: str) -> None:
             meshio.Mesh(mesh.points, {"tetra10": mesh.cells_dict["tetra10"]}).write(path)
 
         made(convert)
-    size = measures(read_body(path))
+    size = mesh_statistics(read_body(path))
     # Straight cells of this size lose 3 % of the volume.
     assert size.volume == pytest.approx(np.pi / 6, rel=2e-3)
     assert size.boundary == pytest.approx(np.pi / 2 + 3 * np.pi / 4, rel=2e-3)
@@ -155,7 +155,7 @@ def test_numbered_parts_of_other_formats(folder: Path, suffix: str) -> None:
         mesh.cell_tags = {1: ["core", "body"], 2: ["body"], 5: ["foot"]}
     path = folder / f"cube{suffix}"
     made(lambda: mesh.write(path))
-    size = measures(read_body(path))
+    size = mesh_statistics(read_body(path))
     names = {"core": 0.5, "body": 1.0}, {"foot": 1.0}
     if suffix in (".mesh", ".bdf"):
         names = {"1": 0.5, "2": 0.5}, {"5": 1.0}
@@ -213,7 +213,7 @@ def write_inp(path: Path, text: str = INP) -> None:
 def test_abaqus_sets_and_surfaces(folder: Path) -> None:
     made(lambda: write_inp(folder / "cube.inp"))
     body = read_body(folder / "cube.inp")
-    size = measures(body)
+    size = mesh_statistics(body)
     sixth = 1 / 6
     assert size.regions == pytest.approx(
         {"Soft": 4 * sixth, "hard": 2 * sixth, "pair": 2 * sixth, "joined": 1.0}
@@ -249,7 +249,7 @@ def test_plane_mesh(folder: Path, order: int) -> None:
             gmsh.write(str(folder / "disk.msh"))
 
     made(plate)
-    size = measures(body := read_body(folder / "disk.msh"))
+    size = mesh_statistics(body := read_body(folder / "disk.msh"))
     assert body.dim == 2
     near = 1e-4 if order == 2 else 2e-2
     assert size.regions == {"disk": pytest.approx(np.pi, rel=near)}
@@ -273,7 +273,7 @@ def test_cad_is_meshed_with_a_size(folder: Path, suffix: str) -> None:
 
     made(draw)
     coarse, fine = (
-        measures(read_body(folder / f"box{suffix}", size=s, scale=1e-3)) for s in (2.0, 0.6)
+        mesh_statistics(read_body(folder / f"box{suffix}", size=s, scale=1e-3)) for s in (2.0, 0.6)
     )
     assert coarse.volume == pytest.approx(6e-9) and fine.volume == pytest.approx(6e-9)
     assert coarse.cells < fine.cells and fine.longest < 1.2e-3
@@ -298,7 +298,8 @@ def test_cad_with_curved_cells(folder: Path, suffix: str) -> None:
 
     made(draw)
     straight, curved = (
-        measures(read_body(folder / f"ball{suffix}", size=0.5, curved=c)) for c in (False, True)
+        mesh_statistics(read_body(folder / f"ball{suffix}", size=0.5, curved=c))
+        for c in (False, True)
     )
     exact = 4 / 3 * np.pi
     assert straight.cells == curved.cells
@@ -318,7 +319,7 @@ def test_curved_cells_of_a_thin_wall_do_not_fold(folder: Path) -> None:
 
     made(draw)
     body = read_body(folder / "shell.geo", size=0.5, curved=True)
-    assert measures(body).volume == pytest.approx(4 / 3 * np.pi * (1 - 0.9**3), rel=0.05)
+    assert mesh_statistics(body).volume == pytest.approx(4 / 3 * np.pi * (1 - 0.9**3), rel=0.05)
 
 
 def test_xdmf_of_dolfinx_with_tags(folder: Path) -> None:
@@ -338,7 +339,7 @@ def test_xdmf_of_dolfinx_with_tags(folder: Path) -> None:
         file.write_meshtags(half, box.mesh.geometry)
     COMM.barrier()
     body = read_body(folder / "box.xdmf", scale=2.0)
-    size = measures(body)
+    size = mesh_statistics(body)
     assert size.volume == pytest.approx(8)
     assert body.count("facets_4") == 18 and size.surfaces == pytest.approx({"facets_4": 4})
     assert sum(cells_of(body, f"cells_{i}") for i in (0, 1)) == body.num_cells == 162
@@ -350,7 +351,7 @@ def test_xdmf_of_meshio(folder: Path, keep: str) -> None:
 
     mesh = meshio.Mesh(POINTS, [("tetra", CUBE)], cell_data={"part": [np.array([1] * 3 + [2] * 3)]})
     made(lambda: meshio.xdmf.write(folder / "cube.xdmf", mesh, data_format=keep))
-    size = measures(read_body(folder / "cube.xdmf"))
+    size = mesh_statistics(read_body(folder / "cube.xdmf"))
     assert size.regions == pytest.approx({"part_1": 0.5, "part_2": 0.5})
 
 
@@ -363,14 +364,14 @@ def test_mixed_xdmf_of_meshio_gives_both_kinds_of_parts(folder: Path) -> None:
         cell_data={"part": [np.ones(6, dtype=int), np.array([5, 5])]},
     )
     made(lambda: mesh.write(folder / "cube.xdmf"))
-    size = measures(read_body(folder / "cube.xdmf"))
+    size = mesh_statistics(read_body(folder / "cube.xdmf"))
     assert size.regions == pytest.approx({"part_1": 1})
     assert size.surfaces == pytest.approx({"part_5": 1})
 
 
 def test_box_and_rectangle() -> None:
     body = box_body(size=(1, 2, 3), cells=(2, 3, 4), origin=(-1, 0, 0), scale=1e-2)
-    size = measures(body)
+    size = mesh_statistics(body)
     assert size.volume == pytest.approx(6e-6) and size.low == pytest.approx((-0.01, 0, 0))
     assert {name: body.count(name) for name in body.surfaces} == {
         "left": 24,
@@ -388,7 +389,7 @@ def test_box_and_rectangle() -> None:
         "bottom": 4,
         "top": 4,
     }
-    assert measures(plate).volume == pytest.approx(2)
+    assert mesh_statistics(plate).volume == pytest.approx(2)
 
 
 @pytest.mark.parametrize(
@@ -423,7 +424,7 @@ def test_unused_points_duplicates_and_reversed_cells_are_noted(folder: Path) -> 
     made(lambda: write_cube(folder / "cube.vtu", points, cells))
     body = read_body(folder / "cube.vtu", scale=0.5)
     notes = " | ".join(body.notes)
-    assert measures(body).volume == pytest.approx(1 / 8)
+    assert mesh_statistics(body).volume == pytest.approx(1 / 8)
     assert "1 of 9 points belong to no cell" in notes
     assert "1 cells stood twice (kept once) near (0.75, 0.5, 0.25)" in notes
     assert "3 of 6 cells list their points the other way round (harmless" in notes
@@ -493,7 +494,7 @@ def test_faults_of_files_read_in_shares(folder: Path, fault: str) -> None:
 
 def test_one_cell_on_any_number_of_ranks(folder: Path) -> None:
     made(lambda: write_cube(folder / "one.vtu", cells=CUBE[:1]))
-    size = measures(body := read_body(folder / "one.vtu"))
+    size = mesh_statistics(body := read_body(folder / "one.vtu"))
     assert body.num_cells == 1 and size.volume == pytest.approx(1 / 6)
     assert "4 of 8 points belong to no cell" in " ".join(body.notes)
 
@@ -620,7 +621,7 @@ shared = pytest.mark.skipif(not SHARED.is_dir(), reason="the folder ../shared/me
 
 @shared
 def test_real_meshes() -> None:
-    bunny = measures(read_body(SHARED / "bunny.msh"))
+    bunny = mesh_statistics(read_body(SHARED / "bunny.msh"))
     assert bunny.cells == 19379 and bunny.volume == pytest.approx(6.01039822, rel=1e-8)
     body = read_body(SHARED / "two_regions_named_v41.msh")
     assert {n: body.count(n) for n in body.surfaces} == {"side_a": 1, "side_b": 1, "interface": 1}

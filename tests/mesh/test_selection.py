@@ -14,7 +14,7 @@ from dolfin_elastic.mesh import (
     Body,
     Selector,
     box_body,
-    measures,
+    mesh_statistics,
     name_parts,
     rectangle_body,
 )
@@ -53,7 +53,7 @@ def picked(body: Body, scale: float = 1e-3, **keys: Any) -> Body:
 def test_surfaces_have_the_area_asked_for(box: Body, keys: dict[str, Any], area: float) -> None:
     body = picked(box, **keys)
     expected = area if "tolerance" not in keys else None
-    found = measures(body).surfaces["part"] * 1e6
+    found = mesh_statistics(body).surfaces["part"] * 1e6
     if expected is None:  # the bottom and the lowest layer of the four sides
         expected = 2.0 + 6 * 0.25
     assert found == pytest.approx(expected)
@@ -86,7 +86,7 @@ def test_regions(box: Body) -> None:
         },
         scale=1e-3,
     )
-    size = measures(body).regions
+    size = mesh_statistics(body).regions
     for name, volume in {"half": 1e-9, "rest": 1e-9, "all": 2e-9, "ball": 2e-9}.items():
         assert size[name] == pytest.approx(volume)
     assert size["low"] == pytest.approx(0.5e-9)
@@ -119,7 +119,7 @@ def test_plane_bodies() -> None:
     assert picked(plate, 1.0, normal=[0, 1]).count("part") == 4
     assert picked(plate, 1.0, box=[[0, 0], [1, 1]]).count("part") == 2 + 2 * 2
     inside = name_parts(plate, regions={"r": Selector(box=[[0, 0, 0], [1, 1, 0]])})
-    assert measures(inside).regions == {"r": pytest.approx(1.0)}
+    assert mesh_statistics(inside).regions == {"r": pytest.approx(1.0)}
     with pytest.raises(MeshError, match="the body is plane, it has no z"):
         picked(plate, 1.0, plane="z", at="min")
 

@@ -8,7 +8,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.types import FloatArray, IndexArray
-from dolfin_elastic.mesh.geometry.curved import Points, points_of_cells, points_of_facets
+from dolfin_elastic.mesh.geometry.curved import QuadraturePoints, cell_quadrature, facet_quadrature
 from dolfin_elastic.mesh.geometry.simplices import prepare_facets
 from dolfin_elastic.problem.problem import Problem
 
@@ -29,23 +29,23 @@ class Integrals:
         self._degree = 2 * problem.context.order
         prepare_facets(self.body.mesh)
 
-    def cells(self, names: Sequence[str] = ()) -> Points:
+    def cells(self, names: Sequence[str] = ()) -> QuadraturePoints:
         """Points of the owned cells of regions, each cell once; without names of all. Local."""
         chosen = [self.body.owned_cells(name) for name in names] or [self.body.owned_cells()]
-        return points_of_cells(self.body.mesh, np.unique(np.concatenate(chosen)), self._degree)
+        return cell_quadrature(self.body.mesh, np.unique(np.concatenate(chosen)), self._degree)
 
-    def facets(self, names: Sequence[str]) -> Points:
+    def facets(self, names: Sequence[str]) -> QuadraturePoints:
         """Points of the owned facets of surfaces, each facet once. Local."""
         chosen = np.concatenate([self.body.owned_facets(name) for name in names])
-        return points_of_facets(self.body.mesh, np.unique(chosen), self._degree)
+        return facet_quadrature(self.body.mesh, np.unique(chosen), self._degree)
 
-    def full_weights(self, points: Points) -> FloatArray:
+    def full_weights(self, points: QuadraturePoints) -> FloatArray:
         """Weights times thickness, or times circumference of an axisymmetric body [m^2, m^3]."""
         if self.problem.geometry == "axisymmetric":
             return np.asarray(2 * np.pi * points.X[..., 0] * points.weights)
         return self._thickness * points.weights
 
-    def density(self, points: Points) -> FloatArray:
+    def density(self, points: QuadraturePoints) -> FloatArray:
         """Mass density at points of cells [kg/m^3]; nan where a material has none. Local."""
         assert points.local is not None
         found = np.full(points.weights.shape, np.nan)

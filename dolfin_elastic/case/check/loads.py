@@ -14,7 +14,7 @@ from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.mesh.geometry.curved import Points
+from dolfin_elastic.mesh.geometry.curved import QuadraturePoints
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.loads import ConcentratedLoad, Load, LoadPoints
 from dolfin_elastic.model.supports.rigid_surface import Rigid
@@ -142,7 +142,7 @@ def _rigid_times(case: Case) -> list[float]:
     return [float(t) for t in np.linspace(0.0, case.dynamics.end, TIMES)]
 
 
-def _points(load: Load, integrals: Integrals) -> Points | None:
+def _points(load: Load, integrals: Integrals) -> QuadraturePoints | None:
     """Quadrature points of a load; None: it has points of its own. Local."""
     if isinstance(load, ConcentratedLoad):
         return None
@@ -172,7 +172,7 @@ def _times(case: Case, load: Load) -> list[float]:
 
 
 def _resultant(
-    load: Load, t: float, points: Points | None, integrals: Integrals
+    load: Load, t: float, points: QuadraturePoints | None, integrals: Integrals
 ) -> FloatArray | None:
     """Force and moment about the origin, shape (dim + 3,), in a plane (3,). Collective."""
     if points is None:

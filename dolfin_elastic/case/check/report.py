@@ -179,7 +179,7 @@ def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> 
             *cell_notes(body),
         ),
         fields=tuple(
-            f"{name}: {body.fields[name].said(body.comm)}" for name in sorted(body.fields)
+            f"{name}: {body.fields[name].describe(body.comm)}" for name in sorted(body.fields)
         ),
         materials=material_sizes(integrals),
         loads=sums,

@@ -14,7 +14,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IntArray
-from dolfin_elastic.mesh.formats.meshio import OtherFile
+from dolfin_elastic.mesh.formats.meshio import MeshioMesh
 from dolfin_elastic.mesh.formats.raw import Block, boundary, match_rows
 
 # An element type starts with one of these; what follows (H, R, M, T ...) is its formulation.
@@ -94,7 +94,7 @@ class _Deck:
         sets.setdefault(name.upper(), []).append(numbers)
 
 
-def read_abaqus(path: Path) -> OtherFile:
+def read_abaqus(path: Path) -> MeshioMesh:
     """Reads an input file and what it includes. Local: one rank reads.
 
     Raises:
@@ -116,7 +116,7 @@ def read_abaqus(path: Path) -> OtherFile:
     points = np.concatenate(deck.points)[order]
     blocks = [*_blocks(deck, numbers), *_surfaces(deck, numbers)]
     sets = {deck.names[key]: _at(numbers, np.concatenate(rows)) for key, rows in deck.nsets.items()}
-    return OtherFile(points, blocks, sets, _cautions(deck))
+    return MeshioMesh(points, blocks, sets, _cautions(deck))
 
 
 def _cards(path: Path, depth: int) -> Iterator[_Card]:

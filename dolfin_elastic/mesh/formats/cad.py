@@ -15,7 +15,7 @@ _SAVED = {"Mesh.MshFileVersion": 4.1, "Mesh.Binary": 1, "Mesh.SaveAll": 1}
 _OPTIONS = (*_SAVED, "Mesh.MeshSizeMax", "Mesh.MeshSizeMin", "General.Terminal")
 
 
-def meshed(path: Path, *, size: float | None, curved: bool, dim: int | None) -> MshFile:
+def mesh_cad(path: Path, *, size: float | None, curved: bool, dim: int | None) -> MshFile:
     """Meshes a CAD file. Local: one rank meshes.
 
     Args:
@@ -120,7 +120,7 @@ def _has_sizes(gmsh: Any) -> bool:
     )
 
 
-def converted(path: Path) -> MshFile:
+def convert_msh(path: Path) -> MshFile:
     """Reads a .msh file of an old version. Local: one rank reads."""
     with _gmsh(path) as gmsh:
         return _saved(gmsh)

@@ -15,14 +15,14 @@ from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.mesh.formats.raw import RawMesh
 
 
-def places(points: npt.ArrayLike, count: int, what: str = "near") -> str:
+def format_points(points: npt.ArrayLike, count: int, what: str = "near") -> str:
     """Says where things are: the first five coordinates."""
     rows = np.asarray(points, dtype=float)[:5]
     text = ", ".join("(" + ", ".join(f"{x:.4g}" for x in row) + ")" for row in rows)
     return f"{what} {text}{' ...' if count > len(rows) else ''}"
 
 
-def cleaned(raw: RawMesh) -> RawMesh:
+def clean(raw: RawMesh) -> RawMesh:
     """The mesh without what DOLFINx cannot digest; each mending leaves a note.
 
     Local: one rank cleans.
@@ -80,7 +80,7 @@ def _duplicates(raw: RawMesh) -> RawMesh:
     first[order] = np.searchsorted(keep, order[new])[np.cumsum(new) - 1]
     count = len(order) - len(keep)
     again = np.setdiff1d(np.arange(len(order)), keep)
-    note = f"{count} cells stood twice (kept once) {places(_midpoints(raw, again), count)}"
+    note = f"{count} cells stood twice (kept once) {format_points(_midpoints(raw, again), count)}"
     regions = {name: np.unique(first[rows]) for name, rows in raw.regions.items()}
     data = {name: values[keep] for name, values in raw.cell_data.items()}
     return _noted(raw, note, cells=raw.cells[keep], regions=regions, cell_data=data)
@@ -144,7 +144,7 @@ def _collapsed(raw: RawMesh) -> RawMesh:
     if bad.any():
         count = np.count_nonzero(bad)
         raise MeshError(
-            f"{count} cells use the same point twice, {places(_midpoints(raw, bad), count)}",
+            f"{count} cells use the same point twice, {format_points(_midpoints(raw, bad), count)}",
             expected="remesh there",
         )
     return raw
@@ -163,7 +163,7 @@ def _branching(raw: RawMesh) -> RawMesh:
         count = np.count_nonzero(third)
         raise MeshError(
             f"{count} facets lie between three or more cells: the mesh overlaps "
-            f"itself, {places(where, count)}",
+            f"itself, {format_points(where, count)}",
             expected="remesh there",
         )
     return raw
@@ -189,7 +189,7 @@ def _pieces(raw: RawMesh) -> RawMesh:
     )
 
 
-def check_shares(comm: MPI.Comm, cells: IntArray, points: int, dim: int) -> None:
+def check_distributed(comm: MPI.Comm, cells: IntArray, points: int, dim: int) -> None:
     """Refuses what would end DOLFINx's mesh creation in C++.
 
     Collective.

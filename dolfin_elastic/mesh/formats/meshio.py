@@ -13,7 +13,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
-from dolfin_elastic.mesh.fields import columned
+from dolfin_elastic.mesh.fields import as_columns
 from dolfin_elastic.mesh.formats.raw import Block
 
 # Integer cell data that are references of the format itself: their number is the name.
@@ -23,7 +23,7 @@ _MOST = 200  # more distinct integers than this are data, not names
 
 
 @dataclass(frozen=True)
-class OtherFile:
+class MeshioMesh:
     """Points (in the file's unit), elements, sets and data of points, and remarks."""
 
     points: FloatArray
@@ -33,7 +33,7 @@ class OtherFile:
     point_data: dict[str, FloatArray] = field(default_factory=dict)
 
 
-def read_other(path: Path) -> OtherFile:
+def read_meshio(path: Path) -> MeshioMesh:
     """Reads a file with meshio. Local: one rank reads.
 
     Raises:
@@ -53,11 +53,11 @@ def read_other(path: Path) -> OtherFile:
     }
     sets.update(_tagged(mesh.point_data.get("point_tags"), getattr(mesh, "point_tags", {})))
     data = {
-        str(name): columned(values, len(points), str(name))
+        str(name): as_columns(values, len(points), str(name))
         for name, values in mesh.point_data.items()
         if name != "point_tags" and _is_number(np.asarray(values))
     }
-    return OtherFile(points, blocks, sets, point_data=data)
+    return MeshioMesh(points, blocks, sets, point_data=data)
 
 
 def _is_number(data: AnyArray) -> bool:
@@ -71,8 +71,8 @@ def _cell_data(mesh: Any, i: int) -> dict[str, FloatArray]:
         if name in _IGNORED or name in _REFERENCES or i >= len(blocks):
             continue
         data = np.asarray(blocks[i])
-        if _is_number(data) and not by_value(data, name, {}):
-            found[str(name)] = columned(data, len(mesh.cells[i].data), str(name))
+        if _is_number(data) and not sets_by_value(data, name, {}):
+            found[str(name)] = as_columns(data, len(mesh.cells[i].data), str(name))
     return found
 
 
@@ -122,7 +122,7 @@ def _parts(mesh: Any, i: int) -> dict[str, IntArray]:
         if key in _IGNORED or i >= len(data):
             continue
         names = _numbered(key, mesh, dim)
-        for name, rows in by_value(np.asarray(data[i]), key, names).items():
+        for name, rows in sets_by_value(np.asarray(data[i]), key, names).items():
             _add(parts, name, rows)
     return parts
 
@@ -140,7 +140,9 @@ def _numbered(key: str, mesh: Any, dim: int) -> Mapping[int, Sequence[str]]:
     return {}
 
 
-def by_value(data: AnyArray, key: str, names: Mapping[int, Sequence[str]]) -> dict[str, IntArray]:
+def sets_by_value(
+    data: AnyArray, key: str, names: Mapping[int, Sequence[str]]
+) -> dict[str, IntArray]:
     """Splits integer cell data into named rows: "3" for references, else "key_3"."""
     whole = np.issubdtype(data.dtype, np.integer) or (
         key in _REFERENCES and bool(np.all(data == np.round(data)))

@@ -19,8 +19,8 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import build_body, make_mesh
-from dolfin_elastic.mesh.fields import MeshField, spread
-from dolfin_elastic.mesh.formats.cleaning import check_shares
+from dolfin_elastic.mesh.fields import MeshField, distribute_rows
+from dolfin_elastic.mesh.formats.cleaning import check_distributed
 from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
 
 _DIMS = {
@@ -97,7 +97,7 @@ def _mesh(file: XDMFFile, contents: _Contents, scale: float) -> Mesh:
     _, order = file.read_cell_type(contents.grid)
     cells = np.ascontiguousarray(file.read_topology_data(contents.grid), dtype=np.int64)
     x = np.ascontiguousarray(file.read_geometry_data(contents.grid), dtype=np.float64)
-    check_shares(file.comm, cells, len(x), contents.dim)
+    check_distributed(file.comm, cells, len(x), contents.dim)
     return make_mesh(file.comm, cells, x * scale, order)
 
 
@@ -181,7 +181,9 @@ def _field(body: Body, path: Path, data: _Data) -> MeshField:
         return rows.reshape(stop - start, data.shape[1])
 
     try:
-        return spread(body.mesh, data.centre, data.shape, read if body.comm.rank == 0 else None)
+        return distribute_rows(
+            body.mesh, data.centre, data.shape, read if body.comm.rank == 0 else None
+        )
     except MeshError as error:
         raise MeshError(f"the field '{data.name}': {error}") from None
 
@@ -212,9 +214,9 @@ def _data_files(path: Path, root: ElementTree.Element) -> None:
 
 
 def _by_meshio(path: Path, dim: int | None) -> RawMesh:
-    from dolfin_elastic.mesh.formats.meshio import read_other
+    from dolfin_elastic.mesh.formats.meshio import read_meshio
 
-    found = read_other(path)
+    found = read_meshio(path)
     return assemble(
         found.points,
         found.blocks,

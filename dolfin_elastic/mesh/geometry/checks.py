@@ -11,7 +11,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.mesh.formats.cleaning import places
+from dolfin_elastic.mesh.formats.cleaning import format_points
 from dolfin_elastic.mesh.geometry.curved import smallest_jacobians
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, qualities, signed_volumes
 
@@ -20,7 +20,7 @@ SLIVER = 1e-3  # quality below which a cell is worth a remark
 OVERLAP = 1e-3  # share of the body's volume that inside-out cells may have
 
 
-def inspect(body: Body, *, scale: float = 1.0) -> list[str]:
+def check_cells(body: Body, *, scale: float = 1.0) -> list[str]:
     """Looks for cells that make results wrong or solvers slow.
 
     Collective.  Places are given in the file's unit (metres / scale).
@@ -67,7 +67,7 @@ def _places(mesh: Mesh, bad: BoolArray, middle: FloatArray) -> tuple[int, str]:
     order = np.argsort(np.concatenate([numbers for numbers, _ in found]))
     first = np.concatenate([rows for _, rows in found])[order]
     count = int(total(mesh.comm, len(mine)))
-    return count, places(first, count)
+    return count, format_points(first, count)
 
 
 def _curved(body: Body, middle: FloatArray) -> None:

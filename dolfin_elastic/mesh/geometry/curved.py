@@ -9,7 +9,7 @@ import numpy as np
 from dolfinx.mesh import Mesh
 
 from dolfin_elastic.core.types import FloatArray, IndexArray
-from dolfin_elastic.mesh.geometry.simplices import facet_places
+from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets
 
 _SHAPES = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 
@@ -20,7 +20,7 @@ def _element(dim: int, degree: int) -> basix.finite_element.FiniteElement:
     )
 
 
-def rule(dim: int, degree: int) -> tuple[FloatArray, FloatArray]:
+def quadrature_rule(dim: int, degree: int) -> tuple[FloatArray, FloatArray]:
     """Points, shape (points, dim), and weights that are exact up to a degree on a simplex."""
     points, weights = basix.make_quadrature(_SHAPES[dim], degree)
     return (
@@ -36,7 +36,7 @@ def cell_gradients(nodes: FloatArray, degree: int, points: FloatArray) -> FloatA
     return np.asarray(np.einsum("nkg,tpk->npgt", nodes, table[1 : tdim + 1, :, :, 0]))
 
 
-def tabulated(mesh: Mesh, points: FloatArray) -> FloatArray:
+def shape_functions(mesh: Mesh, points: FloatArray) -> FloatArray:
     """Shape functions of the mesh's cells at reference points, shape (points, nodes). Local."""
     element = _element(mesh.topology.dim, mesh.geometry.cmap.degree)
     return np.asarray(element.tabulate(0, points)[0, :, :, 0], dtype=np.float64)
@@ -57,7 +57,7 @@ def cell_jacobians(mesh: Mesh, points: FloatArray, cells: IndexArray | None = No
 def cell_volumes(mesh: Mesh) -> FloatArray:
     """Volume (area in 2D) of each local cell, exact for curved cells too. Local."""
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
-    points, weights = rule(d, d * (degree - 1))
+    points, weights = quadrature_rule(d, d * (degree - 1))
     return np.asarray(np.abs(cell_jacobians(mesh, points)) @ weights)
 
 
@@ -67,7 +67,7 @@ def smallest_jacobians(mesh: Mesh) -> FloatArray:
     Local.  Zero or negative where a curved cell folds over itself.
     """
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
-    inside, _ = rule(d, 4)
+    inside, _ = quadrature_rule(d, 4)
     values = cell_jacobians(mesh, np.concatenate([_element(d, degree).points, inside]))
     mean = values.mean(axis=1, keepdims=True)
     return np.asarray((values / np.where(mean == 0, 1.0, mean)).min(axis=1))
@@ -79,7 +79,7 @@ def facet_areas(mesh: Mesh, facets: IndexArray) -> FloatArray:
     Exact for straight facets; by a rule of degree 8 for curved ones.
     """
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
-    points, weights = rule(d - 1, 8 if degree > 1 else 0)
+    points, weights = quadrature_rule(d - 1, 8 if degree > 1 else 0)
     slopes = cell_gradients(_facet_nodes(mesh, facets), degree, points)
     metric = np.einsum("npgs,npgt->npst", slopes, slopes)
     return np.asarray(np.sqrt(np.linalg.det(metric)) @ weights)
@@ -105,14 +105,14 @@ def facet_points(
 def _facet_nodes(mesh: Mesh, facets: IndexArray) -> FloatArray:
     """Coordinates of all nodes of facets, shape (n, k, d)."""
     d = mesh.topology.dim
-    cells, local = facet_places(mesh, facets)
+    cells, local = cells_beside_facets(mesh, facets)
     closure = np.array(_element(d, mesh.geometry.cmap.degree).entity_closure_dofs[d - 1])
     nodes = np.take_along_axis(mesh.geometry.dofmap[cells], closure[local], axis=1)
     return np.asarray(mesh.geometry.x[nodes, :d])
 
 
 @dataclass(frozen=True)
-class Points:
+class QuadraturePoints:
     """Quadrature points of some local cells or facets, in the reference configuration.
 
     Attributes:
@@ -130,27 +130,27 @@ class Points:
     N: FloatArray | None = None
 
 
-def points_of_cells(mesh: Mesh, cells: IndexArray, degree: int) -> Points:
+def cell_quadrature(mesh: Mesh, cells: IndexArray, degree: int) -> QuadraturePoints:
     """Points that integrate polynomials of a degree over local cells. Local.
 
     On curved cells the degree counts for the integrand times the determinant of the map.
     """
     d, curved = mesh.topology.dim, mesh.geometry.cmap.degree
-    local, weights = rule(d, degree + d * (curved - 1))
+    local, weights = quadrature_rule(d, degree + d * (curved - 1))
     nodes = mesh.geometry.x[mesh.geometry.dofmap[cells], :d]
-    X = np.einsum("pn,cnj->cpj", tabulated(mesh, local), nodes)
+    X = np.einsum("pn,cnj->cpj", shape_functions(mesh, local), nodes)
     size = np.abs(cell_jacobians(mesh, local, cells)) * weights
-    return Points(X, size, cells, local=local)
+    return QuadraturePoints(X, size, cells, local=local)
 
 
-def points_of_facets(mesh: Mesh, facets: IndexArray, degree: int) -> Points:
+def facet_quadrature(mesh: Mesh, facets: IndexArray, degree: int) -> QuadraturePoints:
     """The same over local facets, with normals that point out of the cell beside.
 
     Local, after `prepare_facets`.  On curved facets the rule's degree is 8 higher, where the
     integrand is no polynomial any more.
     """
     d, curved = mesh.topology.dim, mesh.geometry.cmap.degree
-    local, weights = rule(d - 1, degree + (8 if curved > 1 else 0))
+    local, weights = quadrature_rule(d - 1, degree + (8 if curved > 1 else 0))
     X, slopes = facet_points(mesh, facets, local)
     if d == 2:
         along = slopes[..., 0]
@@ -158,8 +158,10 @@ def points_of_facets(mesh: Mesh, facets: IndexArray, degree: int) -> Points:
     else:
         normals = np.asarray(np.cross(slopes[..., 0], slopes[..., 1]), dtype=np.float64)
     size = np.linalg.norm(normals, axis=-1)
-    cells, opposite = facet_places(mesh, facets)
+    cells, opposite = cells_beside_facets(mesh, facets)
     corner = mesh.geometry.x[mesh.geometry.dofmap[cells, opposite], :d]
     inward = np.einsum("fpj,fpj->fp", normals, corner[:, None] - X) > 0
     normals = np.where(inward[..., None], -normals, normals)
-    return Points(X, size * weights, cells, N=normals / np.where(size > 0, size, 1.0)[..., None])
+    return QuadraturePoints(
+        X, size * weights, cells, N=normals / np.where(size > 0, size, 1.0)[..., None]
+    )

@@ -11,7 +11,7 @@ from dolfinx.mesh import Mesh
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, span
-from dolfin_elastic.mesh.geometry.curved import cell_gradients, tabulated
+from dolfin_elastic.mesh.geometry.curved import cell_gradients, shape_functions
 
 SLACK = 0.05
 """Share of a cell by which a point may lie outside: round surfaces are flat between nodes."""
@@ -23,7 +23,7 @@ Key = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Place:
+class LocatedPoint:
     """Where a point lies.
 
     Attributes:
@@ -41,7 +41,7 @@ class Place:
 
 def locate(
     body: Body, points: Mapping[str, Sequence[float]], order: IndexArray | None = None
-) -> dict[str, Place]:
+) -> dict[str, LocatedPoint]:
     """Finds the owned cell of each point. Collective.
 
     Where several share it, one of the lowest number in `order` is taken, and of these the one whose
@@ -69,7 +69,7 @@ def locate(
     best = [min((keys[k], rank) for rank, keys in enumerate(everywhere)) for k in range(len(found))]
     _refuse(body, wanted, [key[0] for key, _ in best])
     return {
-        name: Place(point, rank, found[name][1] if rank == body.comm.rank else -1, local)
+        name: LocatedPoint(point, rank, found[name][1] if rank == body.comm.rank else -1, local)
         for (name, point), (_, rank) in zip(wanted.items(), best, strict=True)
         for local in [found[name][2]]
     }
@@ -133,7 +133,7 @@ def _pulled_back(mesh: Mesh, nodes: FloatArray, point: FloatArray) -> FloatArray
     degree = mesh.geometry.cmap.degree
     for _ in range(_NEWTON if degree > 1 else 1):
         for i, (corner, at) in enumerate(zip(nodes, local, strict=True)):
-            gap = point - tabulated(mesh, at[None])[0] @ corner
+            gap = point - shape_functions(mesh, at[None])[0] @ corner
             slope = cell_gradients(corner[None], degree, at[None])[0, 0]
             local[i] = at + np.linalg.lstsq(slope, gap, rcond=None)[0]
         np.clip(local, -3.0, 4.0, out=local)  # far cells must not send the iteration astray

@@ -21,7 +21,7 @@ from dolfin_elastic.mesh.selection import bounding_box
 
 
 @dataclass(frozen=True)
-class Cell:
+class CellQuality:
     """A cell worth looking at.
 
     Attributes:
@@ -36,7 +36,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Measures:
+class MeshStatistics:
     """Sizes in metres and shapes of cells, the same on all ranks.
 
     Attributes:
@@ -67,11 +67,11 @@ class Measures:
     longest: float
     quality_min: float
     quality_mean: float
-    worst: tuple[Cell, ...]
+    worst: tuple[CellQuality, ...]
 
 
-def measures(body: Body, *, worst: int = 5) -> Measures:
-    """Measures a body. Collective.
+def mesh_statistics(body: Body, *, worst: int = 5) -> MeshStatistics:
+    """Sizes of a body and shapes of its cells. Collective.
 
     Args:
         body: The body.
@@ -87,7 +87,7 @@ def measures(body: Body, *, worst: int = 5) -> Measures:
     surfaces = {
         n: total(comm, float(facet_areas(mesh, body.owned_facets(n)).sum())) for n in body.surfaces
     }
-    return Measures(
+    return MeshStatistics(
         cells=body.num_cells,
         points=int(mesh.geometry.index_map().size_global),
         low=tuple(map(float, low)),
@@ -104,7 +104,7 @@ def measures(body: Body, *, worst: int = 5) -> Measures:
     )
 
 
-def worst_cells(body: Body, count: int) -> tuple[Cell, ...]:
+def worst_cells(body: Body, count: int) -> tuple[CellQuality, ...]:
     """The cells of the lowest quality, the worst first. Collective."""
     owned = body.owned_cells()
     corners = cell_corners(body.mesh, owned)
@@ -118,8 +118,10 @@ def _worst(
     middle: FloatArray,
     volumes: FloatArray,
     count: int,
-) -> tuple[Cell, ...]:
+) -> tuple[CellQuality, ...]:
     rows = np.argsort(shape)[:count]
-    mine = [Cell(float(shape[i]), tuple(map(float, middle[i])), float(volumes[i])) for i in rows]
+    mine = [
+        CellQuality(float(shape[i]), tuple(map(float, middle[i])), float(volumes[i])) for i in rows
+    ]
     everyone = [cell for cells in body.comm.allgather(mine) for cell in cells]
     return tuple(sorted(everyone, key=lambda cell: (cell.quality, cell.middle))[:count])

@@ -62,7 +62,7 @@ def boundary_facets(mesh: Mesh) -> IndexArray:
     return np.sort(np.asarray(exterior_facet_indices(mesh.topology), dtype=np.int32))
 
 
-def facet_places(mesh: Mesh, facets: IndexArray) -> tuple[IndexArray, IndexArray]:
+def cells_beside_facets(mesh: Mesh, facets: IndexArray) -> tuple[IndexArray, IndexArray]:
     """One cell beside each local facet and the facet's number in it (= the opposite vertex).
 
     Local, after `prepare_facets`.
@@ -81,7 +81,7 @@ def facet_nodes(mesh: Mesh, facets: IndexArray) -> IndexArray:
     Local, after `prepare_facets`.
     """
     d = mesh.topology.dim
-    cells, local = facet_places(mesh, facets)
+    cells, local = cells_beside_facets(mesh, facets)
     others = np.array([[k for k in range(d + 1) if k != i] for i in range(d + 1)])
     nodes = mesh.geometry.dofmap[:, : d + 1][cells]
     return np.asarray(np.take_along_axis(nodes, others[local], axis=1))
@@ -102,7 +102,7 @@ def outward_normals(mesh: Mesh, facets: IndexArray) -> FloatArray:
     else:
         arms = corners[:, 1:] - corners[:, :1]
         normals = np.asarray(np.cross(arms[:, 0], arms[:, 1]), dtype=np.float64)
-    cells, local = facet_places(mesh, facets)
+    cells, local = cells_beside_facets(mesh, facets)
     opposite = cell_corners(mesh, cells)[np.arange(len(facets)), local]
     inward = np.einsum("ij,ij->i", normals, opposite - corners[:, 0]) > 0
     normals[inward] *= -1

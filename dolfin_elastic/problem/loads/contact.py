@@ -26,8 +26,8 @@ from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.mesh.geometry.simplices import (
     cell_corners,
+    cells_beside_facets,
     facet_corners,
-    facet_places,
     prepare_facets,
     signed_volumes,
 )
@@ -141,7 +141,7 @@ class ContactPair:
         """
         mesh = self._context.body.mesh
         radii = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))))
-        beside, local = facet_places(mesh, facets)
+        beside, local = cells_beside_facets(mesh, facets)
         cells = radii.function_space.dofmap.list[beside, 0]
         radii.x.array.reshape(-1, 3)[cells, local] = facet_corners(mesh, facets)[:, :, 0].mean(
             axis=1
@@ -306,7 +306,7 @@ def _nodal(context: FormContext, facets: IndexArray) -> tuple[fem.Function, Inde
 def _heights(body: Body, facets: IndexArray) -> tuple[IndexArray, FloatArray]:
     """Local cells beside facets, and their smallest height over one of them [m]."""
     mesh, d = body.mesh, body.dim
-    beside, _ = facet_places(mesh, facets)
+    beside, _ = cells_beside_facets(mesh, facets)
     corners = facet_corners(mesh, facets)
     edges = corners[:, 1:] - corners[:, :1]
     gram = np.linalg.det(np.einsum("nik,njk->nij", edges, edges))
@@ -321,7 +321,7 @@ def _heights(body: Body, facets: IndexArray) -> tuple[IndexArray, FloatArray]:
 def _mean(body: Body, facets: IndexArray, heights: tuple[IndexArray, FloatArray]) -> float:
     """Mean height over the facets that ranks own [m]. Collective."""
     own = facets[facets < body.mesh.topology.index_map(body.dim - 1).size_local]
-    beside, _ = facet_places(body.mesh, own)
+    beside, _ = cells_beside_facets(body.mesh, own)
     found = heights[1][np.searchsorted(heights[0], beside)]
     sums = total(body.comm, np.array([found.sum(), len(found)]))
     return float(sums[0] / max(sums[1], 1.0))
@@ -336,7 +336,7 @@ def _at_nodes(
     """
     d = body.dim
     own = facets[facets < body.mesh.topology.index_map(d - 1).size_local]
-    beside, local = facet_places(body.mesh, own)
+    beside, local = cells_beside_facets(body.mesh, own)
     sums = [la.vector(S.dofmap.index_map, 1) for _ in range(2)]
     eps = penalty.x.array[penalty.function_space.dofmap.list[beside, 0]]
     closure = [S.dofmap.dof_layout.entity_closure_dofs(d - 1, i) for i in range(d + 1)]

@@ -33,7 +33,7 @@ from dolfin_elastic.case.check import check
 from dolfin_elastic.core.errors import FormulaError, InputError
 from dolfin_elastic.core.formula_functions import FUNCTIONS
 from dolfin_elastic.material_point.checks import check_energy
-from dolfin_elastic.material_point.ufl_to_numpy import Point
+from dolfin_elastic.material_point.ufl_to_numpy import LawAtPoints
 from dolfin_elastic.model.materials import user_names
 from dolfin_elastic.model.materials.isochoric import simo_taylor
 from dolfin_elastic.model.materials.law import SplitLaw
@@ -64,7 +64,7 @@ def test_reads_units_and_gives_the_law():
     assert law.density == 1100
     twin = NeoHookean(mu=0.4e6, lmbda=2e6)
     for quantity in ("energy", "stress", "tangent"):
-        ours, theirs = (getattr(Point(one), quantity)(F) for one in (law, twin))
+        ours, theirs = (getattr(LawAtPoints(one), quantity)(F) for one in (law, twin))
         np.testing.assert_allclose(ours, theirs, rtol=1e-13, atol=1e-13 * np.abs(theirs).max())
 
 
@@ -112,7 +112,7 @@ def test_every_name_is_what_it_says(name):
         expected[name] = tensors[name[0]][:, int(name[1]) - 1, int(name[2]) - 1]
     # The stretches are regularised by 1e-13 under a root.
     rtol = 1e-9 if name.startswith("lambda") else 1e-13
-    np.testing.assert_allclose(Point(law).energy(F), expected[name], rtol=rtol, atol=1e-14)
+    np.testing.assert_allclose(LawAtPoints(law).energy(F), expected[name], rtol=rtol, atol=1e-14)
 
 
 @pytest.mark.parametrize("places", [I, np.diag([1.3, 1.3, 0.8]), np.diag([1.5, 0.8, 0.8])])
@@ -124,7 +124,7 @@ def test_stretches_are_smooth_where_they_coincide(places):
     turned = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
     at = np.array([places, turned @ places, places @ turned])
     for quantity, error in (("stress", 1e-11), ("tangent", 1e-8)):
-        a, b = (getattr(Point(law), quantity)(at) for law in laws)
+        a, b = (getattr(LawAtPoints(law), quantity)(at) for law in laws)
         np.testing.assert_allclose(a, b, rtol=0, atol=error)
 
 
@@ -153,10 +153,10 @@ def test_a_function_of_what_its_arguments_say():
         ),
     ]
     assert laws[0].density == 1100
-    reference = Point(NeoHookean(mu=0.4e6, lmbda=2e6)).tangent(F)
+    reference = LawAtPoints(NeoHookean(mu=0.4e6, lmbda=2e6)).tangent(F)
     for law in laws:
         np.testing.assert_allclose(
-            Point(law).tangent(F), reference, rtol=1e-12, atol=1e-12 * np.abs(reference).max()
+            LawAtPoints(law).tangent(F), reference, rtol=1e-12, atol=1e-12 * np.abs(reference).max()
         )
 
 
@@ -193,13 +193,13 @@ def test_volumetric_part(volumetric):
         "log": K / 2 * np.log(J) ** 2,
         "simo-taylor": K / 4 * (J**2 - 1 - 2 * np.log(J)),
     }[volumetric]
-    np.testing.assert_allclose(Point(law).energy(at), energy, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(LawAtPoints(law).energy(at), energy, rtol=1e-9, atol=1e-9)
     split = SplitEnergy(
         lambda I1bar, mu: mu / 2 * (I1bar - 3), mu=0.4e6, volumetric=volumetric, K=K
     )
-    np.testing.assert_allclose(Point(split).energy(F), Point(law).energy(F), rtol=1e-13)
+    np.testing.assert_allclose(LawAtPoints(split).energy(F), LawAtPoints(law).energy(F), rtol=1e-13)
     check_energy(law)
-    A = Point(law).tangent(I[None])[0]
+    A = LawAtPoints(law).tangent(I[None])[0]
     assert np.einsum("iijj", A) / 9 == pytest.approx(K, rel=1e-12)
 
 
@@ -209,7 +209,7 @@ def test_simo_taylor_has_no_seam():
     for J in (0.9, 1.1):
         inside, outside = (
             [
-                getattr(Point(law), q)(np.cbrt(J + d) * I[None]).ravel()
+                getattr(LawAtPoints(law), q)(np.cbrt(J + d) * I[None]).ravel()
                 for q in ("energy", "stress", "tangent")
             ]
             for d in (-1e-13, 1e-13)
@@ -472,7 +472,7 @@ def test_accepted_formulas_mean_what_they_say(pair):
         return  # not a real number: our answer is nan, inf or a message
     try:
         law = read_energy({"energy": text, "parameters": {"mu": 0.7} if "mu" in text else {}})
-        found = float(Point(law).energy(F[:1])[0])
+        found = float(LawAtPoints(law).energy(F[:1])[0])
     except InputError:
         return  # no deformation in it, or an infinite constant
     size = max(abs(expected), 1.0)
