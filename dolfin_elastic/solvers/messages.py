@@ -86,8 +86,8 @@ def linear(reason: str) -> tuple[str, str]:
     return f"{said} ({name})", advice
 
 
-def worthless(t: float) -> InputError:
-    """What is wrong where a load is not finite at a time [s]."""
+def load_not_finite(t: float) -> InputError:
+    """The error where a load has no finite value at a time [s]."""
     return InputError(f"a load has no finite value at t = {t:g}", where="load")
 
 

@@ -141,14 +141,14 @@ def test_what_an_undone_step_has_learnt_is_forgotten():
     problem = between_plates(2, 1)
     assembler = Assembler(problem)
     newton = Newton(assembler, choose(problem, LinearSettings()), Tolerance())
-    ladder, start = RetryStrategy(newton, ContactAugmentation(problem)), newton.present()
+    ladder, start = RetryStrategy(newton, ContactAugmentation(problem)), newton.unknowns()
     problem.set_time(0.25, default=RAMP)
     assert ladder.solve([("", start)]).converged
     lam = problem.contact_pairs[0].lam.x.array
     assert problem.body.comm.allreduce(float(lam.max(initial=0)), op=MPI.MAX) > 0
     ladder.undo(start)
     assert not lam.any()
-    np.testing.assert_array_equal(newton.present(), start)
+    np.testing.assert_array_equal(newton.unknowns(), start)
     newton.destroy()
     assembler.destroy()
 

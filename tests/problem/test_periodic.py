@@ -258,9 +258,9 @@ def test_bordered_tangent():
         periodic=Periodic(pairs=PAIRS, gradient=gradient),
     )
     assembler = Assembler(problem)
-    border = free_strains(assembler.cell)
+    strains = free_strains(assembler.cell)
     newton = Newton(
-        assembler, choose(problem, LinearSettings()), Tolerance(1e-8, 0, 30), border=border
+        assembler, choose(problem, LinearSettings()), Tolerance(1e-8, 0, 30), scalars=strains
     )
     system: Bordered = newton.bordered
     problem.set_time(1.0)

@@ -36,7 +36,7 @@ from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
     BEYOND,
     UNSTABLE,
-    Progress,
+    NewtonResult,
 )
 from dolfin_elastic.solvers.nonlinear.jacobian import PATIENCE
 
@@ -59,17 +59,17 @@ class RejectedSteps:
     place: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, progress: Progress) -> RejectedSteps:
+    def of(cls, result: NewtonResult) -> RejectedSteps:
         """What a solve has refused."""
-        J, place = progress.worst or (np.inf, ())
+        J, place = result.worst or (np.inf, ())
         if J > 0.0:
-            return cls(progress.rejected)
-        return cls(progress.rejected, float(J), tuple(float(x) for x in place))
+            return cls(result.rejected)
+        return cls(result.rejected, float(J), tuple(float(x) for x in place))
 
 
 def diagnose(
     assembler: Assembler,
-    progress: Progress,
+    result: NewtonResult,
     *,
     good: FloatArray,
     failed: FloatArray,
@@ -80,7 +80,7 @@ def diagnose(
 
     Args:
         assembler: Residual and tangent; the load is that of the step that failed.
-        progress: How Newton's method ended.
+        result: How Newton's method ended.
         good: All unknowns at the last equilibrium, local array with ghosts.
         failed: The same at the last iterate; the problem holds it afterwards.
         stable: Whether an equilibrium of this kind has to be stable, and the tangent of the
@@ -88,7 +88,7 @@ def diagnose(
         moving: In motion, where a body may be free or unstable.
     """
     with stage("diagnose"):
-        doctor = _Doctor(assembler, progress, good, failed)
+        doctor = _Doctor(assembler, result, good, failed)
         doctor.stable, doctor.moving = stable and not moving, moving
         try:
             return doctor.said()
@@ -101,11 +101,11 @@ class _Doctor:
     """One diagnosis. Collective."""
 
     def __init__(
-        self, assembler: Assembler, progress: Progress, good: FloatArray, failed: FloatArray
+        self, assembler: Assembler, result: NewtonResult, good: FloatArray, failed: FloatArray
     ) -> None:
-        self.assembler, self.progress, self.problem = assembler, progress, assembler.problem
+        self.assembler, self.result, self.problem = assembler, result, assembler.problem
         self.good, self.failed = good.copy(), failed.copy()
-        self.rejected, self.stable, self.moving = RejectedSteps.of(progress), True, False
+        self.rejected, self.stable, self.moving = RejectedSteps.of(result), True, False
         self.cells, self.unseen = Cells(assembler), ""
         self.next: Fault | None = None
         self.finite = self._residual(self.failed)
@@ -202,11 +202,11 @@ class _Doctor:
 
     def _refused(self) -> Diagnosis | None:
         """An equilibrium was found, but its cells are inside out."""
-        return self._inverted() if "inside out" in self.progress.reason else None
+        return self._inverted() if "inside out" in self.result.reason else None
 
     def _piled_up(self) -> Diagnosis | None:
         """Step after step was shortened; a body that gives way does so too, so that comes first."""
-        many = self.rejected.count > PATIENCE or "DOMAIN" in self.progress.reason
+        many = self.rejected.count > PATIENCE or "DOMAIN" in self.result.reason
         return self._inverted() if self.rejected.count and many else None
 
     def _inside_out(self) -> Diagnosis | None:
@@ -217,7 +217,7 @@ class _Doctor:
 
     def _inverted(self) -> Diagnosis:
         count, bad = self._upside_down(), self.rejected
-        if "inside out" in self.progress.reason:
+        if "inside out" in self.result.reason:
             start = "the solution was refused: "
         else:
             often = messages.count(bad.count, "trial state")
@@ -238,12 +238,12 @@ class _Doctor:
 
     def _round_off(self) -> Diagnosis | None:
         """The residual has stopped falling where round-off of the internal forces begins."""
-        norms = self.progress.residuals[-3:]
+        norms = self.result.residuals[-3:]
         if self.moving or not (self.held and norms and np.isfinite(norms).all()):
             return None  # in motion inertia has a round-off of its own, which is not estimated
-        refused = self.progress.reason in (UNSTABLE, ANOTHER, BEYOND)
+        refused = self.result.reason in (UNSTABLE, ANOTHER, BEYOND)
         best = min(norms)
-        if refused or best <= self.progress.target:
+        if refused or best <= self.result.target:
             return None
         floor = self._floor()
         if best > FLOOR * floor:
@@ -278,12 +278,12 @@ class _Doctor:
     def _unstable(self) -> Diagnosis | None:
         if not self.stable:
             return None
-        settled = self.progress.reason == UNSTABLE
+        settled = self.result.reason == UNSTABLE
         look = instability.unstable(
             self.assembler, self.put, self.good, self.failed, settled=settled
         )
         self.unseen = look.unseen
-        if not look.text and self.progress.reason == ANOTHER:
+        if not look.text and self.result.reason == ANOTHER:
             text = "the equilibrium that was found lies on another path: the body has jumped to it"
             return self._make("unstable", text, messages.LIMIT_POINT, self.worst[0].place)
         if not look.text:
@@ -291,9 +291,9 @@ class _Doctor:
         return self._make("unstable", look.text, look.advice, look.place)
 
     def _linear_solver(self) -> Diagnosis | None:
-        if "LINEAR_SOLVE" not in self.progress.reason:
+        if "LINEAR_SOLVE" not in self.result.reason:
             return None
-        said, advice = messages.linear(self.progress.reason)
+        said, advice = messages.linear(self.result.reason)
         return self._make("linear-solver", f"the linear solver failed: {said}", advice)
 
     def _ahead(self) -> Diagnosis | None:
@@ -320,7 +320,7 @@ class _Doctor:
         self._residual(self.failed)
         _, node = self.assembler.largest_unbalance()
         where = tuple(float(x) for x in node)
-        p = self.progress
+        p = self.result
         if "MAX_IT" in p.reason:
             fall = "still falls" if _falls(p.residuals) else "does not fall any more"
             text = f"{p.newton} Newton iterations were not enough: the residual {fall}"

@@ -65,10 +65,10 @@ class ScalarUnknowns:
 
 
 class JoinedScalars(ScalarUnknowns):
-    """Several borders as one, one after the other.
+    """Several groups of scalar unknowns as one, one after the other.
 
     Args:
-        parts: The borders.  Each `put` may undo what one before has set in the problem, never one
+        parts: The groups.  Each `put` may undo what one before has set in the problem, never one
             behind: what sets the time comes first.
     """
 
@@ -122,7 +122,7 @@ class Bordered:
 
     Args:
         assembler: Of the fields.
-        border: The scalars.
+        scalars: The scalars.
         ksp: Solves with the fields' tangent.
 
     Attributes:
@@ -130,22 +130,22 @@ class Bordered:
         iterations: Of the fields' linear solver so far.
     """
 
-    def __init__(self, assembler: Assembler, border: ScalarUnknowns, ksp: PETSc.KSP) -> None:
-        self.assembler, self.border, self.ksp = assembler, border, ksp
+    def __init__(self, assembler: Assembler, scalars: ScalarUnknowns, ksp: PETSc.KSP) -> None:
+        self.assembler, self.scalars, self.ksp = assembler, scalars, ksp
         self._comm, self._size = assembler.comm, assembler.size
         self._x, self._b = assembler.create_vector(), assembler.create_vector()
-        self._own = self._size + (border.size if self._comm.rank == 0 else 0)
+        self._own = self._size + (scalars.size if self._comm.rank == 0 else 0)
         self.matrix = PETSc.Mat().createPython(
             ((self._own, None), (self._own, None)), context=self, comm=self._comm
         )
         self.matrix.setUp()
         self._columns: list[FloatArray] = []
         self._rows: list[FloatArray] = []
-        self._corner: FloatArray = np.zeros((border.size, border.size))
+        self._corner: FloatArray = np.zeros((scalars.size, scalars.size))
         self._solved: list[FloatArray] | None = None
         self._schur: FloatArray = self._corner
         self.iterations = self._reason = 0
-        self.last: FloatArray = np.zeros(border.size)
+        self.last: FloatArray = np.zeros(scalars.size)
 
     def create_vector(self) -> PETSc.Vec:
         """A vector of fields and scalars; the caller destroys it."""
@@ -153,7 +153,7 @@ class Bordered:
         vec.set(0.0)
         return vec
 
-    def scalars(self, x: PETSc.Vec) -> FloatArray:
+    def scalar_part(self, x: PETSc.Vec) -> FloatArray:
         """The scalars in a vector. Collective."""
         own = x.array_r[self._size :].copy() if self._comm.rank == 0 else None
         return np.asarray(self._comm.bcast(own))
@@ -169,14 +169,14 @@ class Bordered:
     def get(self, x: PETSc.Vec) -> None:
         """Copies all unknowns into a vector, before a solve."""
         self.iterations = 0
-        self.fill(x, self.assembler.problem.w.x.array[: self._size], self.border.get())
+        self.fill(x, self.assembler.problem.w.x.array[: self._size], self.scalars.get())
 
     def put(self, x: PETSc.Vec) -> None:
         """Copies a vector into all unknowns, and evaluates there. Collective."""
-        self.border.put(self.scalars(x))
+        self.scalars.put(self.scalar_part(x))
         self._x.array_w[:] = x.array_r[: self._size]
         self.assembler.residual(self._x, self._b)
-        self.last = self.border.residual()
+        self.last = self.scalars.residual()
 
     def residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
         """Residual of fields and scalars. Collective."""
@@ -185,23 +185,23 @@ class Bordered:
 
     def renew(self, x: PETSc.Vec) -> None:
         """Assembles everything at x. Collective."""
-        values = self.scalars(x)
+        values = self.scalar_part(x)
         self._x.array_w[:] = x.array_r[: self._size]
-        self.border.put(values)
+        self.scalars.put(values)
         self._columns, self._corner = self._differences(values)
-        self._rows = self.border.rows()
+        self._rows = self.scalars.rows()
         self.assembler.tangent(self._x)
         self._solved = None
 
     def _differences(self, values: FloatArray) -> tuple[list[FloatArray], FloatArray]:
         """Derivatives of the fields' and the scalars' residuals with respect to the scalars."""
-        steps, mild = self.border.steps, self.border.prescribing
+        steps, mild = self.scalars.steps, self.scalars.prescribing
         found = {j: self._difference(values, j, steps[j]) for j in np.flatnonzero(~mild)}
-        self.border.put(values)
+        self.scalars.put(values)
         self.assembler.residual(self._x, self._b)  # back to where we are
         for j in np.flatnonzero(mild):
             found[j] = self._difference(values, j, steps[j], moving=True)
-        self.border.put(values)
+        self.scalars.put(values)
         self.assembler.constrain(self._b)
         columns, corner = zip(*(found[j] for j in range(len(steps))), strict=True)
         return list(columns), np.column_stack(corner)
@@ -214,12 +214,12 @@ class Bordered:
         for sign in (1.0, -1.0):
             changed = values.copy()
             changed[j] += sign * h
-            self.border.put(changed)
+            self.scalars.put(changed)
             if moving:
                 self.assembler.constrain(self._b)
             else:
                 self.assembler.residual(self._x, self._b)
-            sides.append((self._b.array_r.copy(), self.border.residual()))
+            sides.append((self._b.array_r.copy(), self.scalars.residual()))
         (f, g), (p, q) = sides
         column, corner = np.asarray(f - p) / (2 * h), np.asarray(g - q) / (2 * h)
         return np.asarray(column, dtype=np.float64), np.asarray(corner, dtype=np.float64)
@@ -228,7 +228,7 @@ class Bordered:
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """The operator. Collective."""
-        scalars = self.scalars(x)
+        scalars = self.scalar_part(x)
         self._x.array_w[:] = x.array_r[: self._size]
         self.assembler.matrix.mult(self._x, self._b)
         fields = self._b.array_r.copy()
@@ -247,12 +247,12 @@ class Bordered:
         plain = self._inverse(b.array_r[: self._size])
         self.eliminate()
         assert self._solved is not None
-        right = self.scalars(b) - self._products(plain)
+        right = self.scalar_part(b) - self._products(plain)
         scalars: FloatArray
         try:
             scalars = np.asarray(np.linalg.solve(self._schur, right), dtype=np.float64)
         except np.linalg.LinAlgError:
-            scalars = np.full(self.border.size, np.nan)
+            scalars = np.full(self.scalars.size, np.nan)
         for s, z in zip(scalars, self._solved, strict=True):
             plain = plain - s * z
         self.fill(x, plain, scalars)
@@ -270,7 +270,7 @@ class Bordered:
 
         By Haynsworth's formula for the Schur complement; a constraint has one of its own.
         """
-        signs = self.border.signs
+        signs = self.scalars.signs
         kept = np.flatnonzero(signs)
         S = (signs[:, None] * self._schur)[np.ix_(kept, kept)]
         below = int(np.sum(np.linalg.eigvalsh((S + S.T) / 2) < 0.0)) if len(kept) else 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 
 import numpy as np
 from dolfinx import fem
@@ -19,7 +20,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.nonlinear.convergence import Progress
+from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
 
 Gap = tuple[float, tuple[float, ...]]
 States = Generator[State | Mode, None, None]
@@ -70,24 +71,23 @@ class ContactAugmentation:
         for touch in self._touching:
             touch.augment()
 
-    def settle(self, progress: Progress, solve: Callable[[], Progress]) -> Progress:
+    def settle(self, result: NewtonResult, solve: Callable[[], NewtonResult]) -> NewtonResult:
         """Solves again with new multipliers until nothing penetrates, if that happens. Collective.
 
         Args:
-            progress: Of the equilibrium at hand.
+            result: Of the equilibrium at hand.
             solve: Finds the next one from there.
 
         Returns:
-            Progress of the last solve, with the iterations of all and the prediction of the first.
+            Result of the last solve, with the iterations of all and the prediction of the first.
         """
-        newton, krylov, count = progress.newton, progress.krylov, 0
-        predicted = progress.predicted
-        while progress.converged and count < AUGMENTATIONS and self.needed():
+        newton, krylov, count = result.newton, result.krylov, 0
+        predicted = result.predicted
+        while result.converged and count < AUGMENTATIONS and self.needed():
             self.update()
-            progress, count = solve(), count + 1
-            newton, krylov = newton + progress.newton, krylov + progress.krylov
-        progress.newton, progress.krylov, progress.predicted = newton, krylov, predicted
-        return progress
+            result, count = solve(), count + 1
+            newton, krylov = newton + result.newton, krylov + result.krylov
+        return replace(result, newton=newton, krylov=krylov, predicted=predicted)
 
 
 def off_obstacle(touch: ContactPair) -> float:

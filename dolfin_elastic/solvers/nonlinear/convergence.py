@@ -1,13 +1,13 @@
-"""When Newton's method has found an equilibrium: tolerances, and the round-off below them.
+"""When Newton's method has found an equilibrium, and when it is given up.
 
-A row of stiff, large entries cannot come closer to zero than a rounding error of them; it is no
-excuse for another row, of a soft material beside it.  Source: N. Higham, Accuracy and Stability of
-Numerical Algorithms (2002), (3.5): |error| <= n eps sum |K_ij| |x_j|.
+The free residual is compared with the larger of the applied forces and the reactions, so that a
+mixed norm of forces and displacements decides nothing; prescribed values must hold exactly.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from typing import Protocol, Self
 
 import numpy as np
 from petsc4py import PETSc
@@ -16,41 +16,35 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.messages import load_not_finite
+from dolfin_elastic.solvers.nonlinear.bordered import Bordered
+from dolfin_elastic.solvers.nonlinear.jacobian import PATIENCE, InversionGuard
 
 UNSTABLE = "an unstable equilibrium"
 BEYOND = "the strain energy has no finite value: a material is beyond its limit"
 ANOTHER = "another equilibrium than that of the path"
 
+PRESCRIBED = 1e-12
+"""Error of prescribed displacements over the size of the body: Newton's first full step meets them,
+what is left is round-off."""
 
-@dataclass
-class Progress:
-    """What one Newton solve went through.
+FORCING = 1e-3
+"""Relative tolerance of a linear solve inside Newton: tighter ones cost more than they save."""
 
-    Attributes:
-        residuals: Norm of the free residual at each iterate [N].
-        reference: Force the residual is measured against [N].
-        newton: Iterations.
-        krylov: Linear iterations.
-        reason: PETSc's name of why it ended.
-        converged: Whether equilibrium was found.
-        rejected: Trial states refused because a cell was inside out.
-        worst: Smallest det F of them, and the reference place of its cell [m].
-        target: Norm of the free residual that would have been small enough [N].
-        predicted: Norm of the first Newton step [m].
-        floor: Norm of the free residual that round-off alone may leave [N].
-    """
+LINEAR = 1e-12
+"""The same where one linear solve is all: as tight as the residual is judged."""
 
-    residuals: list[float] = field(default_factory=list)
-    reference: float = 0.0
-    newton: int = 0
-    krylov: int = 0
-    reason: str = ""
-    converged: bool = False
-    rejected: int = 0
-    worst: tuple[float, tuple[float, ...]] | None = None
-    target: float = 0.0
-    predicted: float = 0.0
-    floor: float = 0.0
+STALL = 6
+"""Backtracking iterations over which the residual has to fall by a third."""
+
+HOPELESS = 1e8
+"""Growth of the residual from which no Newton iteration comes back."""
+
+SAFETY = 4.0
+"""For the cells around a node, each with a rounding error of its own."""
+
+CRUSHED = 1e6
+"""Growth of the largest stiffness beyond which a cell is crushed, and excuses nothing more."""
 
 
 @dataclass(frozen=True)
@@ -68,41 +62,103 @@ class Tolerance:
     max_iterations: int = 30
 
 
-SAFETY = 4.0
-"""For the cells around a node, each with an error of its own."""
+@dataclass(frozen=True)
+class NewtonResult:
+    """How one Newton solve ended.
 
-CRUSHED = 1e6
-"""Growth of the largest stiffness beyond which a cell is crushed, and excuses nothing more."""
+    Attributes:
+        residuals: Norm of the free residual at each iterate [N].
+        newton: Iterations.
+        krylov: Linear iterations.
+        reason: PETSc's name of why it ended.
+        converged: Whether equilibrium was found.
+        rejected: Trial states refused because a cell was inside out.
+        worst: Smallest det F of them, and the reference place of its cell [m].
+        target: Norm of the free residual that would have been small enough [N].
+        predicted: Norm of the first Newton step [m].
+    """
+
+    residuals: tuple[float, ...] = ()
+    newton: int = 0
+    krylov: int = 0
+    reason: str = ""
+    converged: bool = False
+    rejected: int = 0
+    worst: tuple[float, tuple[float, ...]] | None = None
+    target: float = 0.0
+    predicted: float = 0.0
+
+    def refused(self, reason: str) -> Self:
+        """The same, but its equilibrium does not count.
+
+        Args:
+            reason: Why not; stands in place of PETSc's.
+        """
+        return replace(self, converged=False, reason=reason)
+
+    def inverted(self, jacobian: float, place: FloatArray) -> Self:
+        """The same with one more refused state.
+
+        Args:
+            jacobian: Its smallest det F.
+            place: Reference place of that cell [m].
+        """
+        worst = jacobian, tuple(map(float, place))
+        return replace(self, rejected=self.rejected + 1, worst=worst)
+
+
+class Inertia(Protocol):
+    """What of the residual and of the tangent is inertia, kept up to date by the time scheme."""
+
+    @property
+    def mass(self) -> PETSc.Vec:
+        """Diagonal of the mass matrix [kg], in the layout of all unknowns."""
+
+    @property
+    def factor(self) -> float:
+        """Factor of the mass matrix in the tangent [1/s^2]."""
+
+    @property
+    def norm(self) -> float:
+        """Norm of the inertia forces at the last residual [N]."""
 
 
 class RoundOff:
-    """Rounding errors of the internal forces: epsilon K_ii (h + |u|).
+    """Forces out of balance that rounding errors alone leave, row by row: epsilon K_ii (h + |u|).
 
-    The stress is known as well as F = I + grad u is, which loses what u itself loses; a body that
-    is carried off farther than it is long has no excuse of that kind.  Rows of
-    pressures, whose diagonal may be zero, count as a mean row of displacements: pressures are
-    scaled to be like them.
+    A row of stiff, large entries cannot come closer to zero than a rounding error of them; it is
+    no excuse for another row, of a soft material beside it.  The stress is known as well as
+    F = I + grad u is, which loses what u itself loses; a body that is carried off farther than it
+    is long has no excuse of that kind.  Rows of pressures, whose diagonal may be zero, count as a
+    mean row of displacements: pressures are scaled to be like them.
+
+    Source: N. Higham, Accuracy and Stability of Numerical Algorithms (2002), (3.5):
+    |error| <= n eps sum |K_ij| |x_j|.
 
     Args:
         assembler: Whose residual.
+        inertia: Of a motion, whose rounding errors are added to the norm.
 
     Attributes:
         norm: Of all rows [N].
         first: Largest stiffness of the first tangent [N/m].
     """
 
-    def __init__(self, assembler: Assembler) -> None:
-        self._assembler = assembler
+    def __init__(self, assembler: Assembler, inertia: Inertia | None = None) -> None:
+        self._assembler, self._inertia = assembler, inertia
         self._h, self._span = cell_size(assembler.problem.body), span(assembler.problem.body)
         self._rows: FloatArray = np.zeros(assembler.size)
         self.first, self.norm = 0.0, 0.0
+
+    def restore(self, first: float) -> None:
+        """Goes on with the first stiffness of a run that was stopped [N/m]."""
+        self.first = first
 
     def renew(self, tangent: PETSc.Mat) -> None:
         """Takes the rows from a fresh tangent. Collective."""
         a = self._assembler
         diagonal = tangent.getDiagonal()
         stiff = np.abs(diagonal.array_r[a.moves])
-        diagonal.destroy()
         most = largest(a.comm, float(np.max(stiff, initial=0.0)))
         self.first = self.first or most
         stiff = np.minimum(stiff, CRUSHED * self.first)
@@ -111,6 +167,22 @@ class RoundOff:
         self._rows[:] = size * np.sqrt(square / max(count, 1.0))
         self._rows[a.moves] = size * stiff
         self.norm = float(np.sqrt(total(a.comm, float(np.sum(self._rows**2)))))
+        if self._inertia is not None:
+            self.norm = self._norm_in_motion(diagonal, self._inertia)
+        diagonal.destroy()
+
+    def _norm_in_motion(self, diagonal: PETSc.Vec, inertia: Inertia) -> float:
+        """Round-off of the stress is that of F, of inertia that of the place itself [N].
+
+        Args:
+            diagonal: Of stiffness and mass; the mass is taken from it.
+            inertia: Of the motion.
+        """
+        a, factor = self._assembler, inertia.factor
+        diagonal.axpy(-factor, inertia.mass)
+        heavy = factor * float(inertia.mass.norm()) * a.max_unknown()
+        stiff = float(diagonal.norm()) * max(self._h, a.max_displacement())
+        return float(SAFETY * np.finfo(float).eps * (stiff + heavy))
 
     def beyond(self) -> float:
         """Norm of what the free rows of the last residual have beyond it [N]. Collective."""
@@ -118,3 +190,147 @@ class RoundOff:
         out = a.balance.array[: a.size]
         rows = np.maximum(np.abs(out - a.constraint_forces(out)) - self._rows, 0.0)
         return float(np.sqrt(total(a.comm, float(np.sum(rows**2)))))
+
+
+class ConvergenceTest:
+    """The test that SNES asks after each iteration.
+
+    Args:
+        assembler: Of the residual.
+        tolerance: When equilibrium counts as found.
+        inertia: Of a motion.
+        bordered: System with scalar unknowns, whose equations must hold, too.
+        guard: Counts the steps that it has shortened.
+
+    Attributes:
+        residuals: Norm of the free residual at each iterate [N].
+        predicted: Norm of the first Newton step [m].
+        round_off: Of the last tangent.
+    """
+
+    def __init__(
+        self,
+        assembler: Assembler,
+        tolerance: Tolerance,
+        *,
+        inertia: Inertia | None = None,
+        bordered: Bordered | None = None,
+        guard: InversionGuard | None = None,
+    ) -> None:
+        self._assembler, self._tolerance, self._inertia = assembler, tolerance, inertia
+        self._bordered, self._guard = bordered, guard
+        self._span = span(assembler.problem.body)
+        self.round_off = RoundOff(assembler, inertia)
+        self.residuals: list[float] = []
+        self.predicted = self._applied = self._first = self._norm = 0.0
+        self._max_iterations, self._backtracks, self._patient = (
+            tolerance.max_iterations,
+            False,
+            False,
+        )
+
+    def begin(
+        self, *, backtracks: bool = False, patient: bool = False, max_iterations: int | None = None
+    ) -> None:
+        """Forgets the last solve. Collective.
+
+        Args:
+            backtracks: Steps are shortened until the residual falls: then it may stall.
+            patient: Steps that are shortened again and again are no reason to give up.
+            max_iterations: In place of the tolerance's.
+
+        Raises:
+            InputError: A load has no finite value now.
+        """
+        self._backtracks, self._patient = backtracks, patient
+        self._max_iterations = max_iterations or self._tolerance.max_iterations
+        self.residuals.clear()
+        self.predicted = 0.0
+        self.take_loads()
+        if not np.isfinite(self._applied):
+            raise load_not_finite(float(self._assembler.problem.t.value))
+
+    def take_loads(self) -> None:
+        """Measures the applied forces, which scalar unknowns may change. Collective."""
+        self._applied = self._assembler.external_norm()
+
+    def linear_tolerance(self) -> float:
+        """Relative tolerance of the next linear solve. Collective.
+
+        No tighter than the step after it can use: half of what the residual still has to fall by.
+        """
+        forcing = LINEAR if self._assembler.problem.linear else FORCING
+        needed = 0.5 * self.target() / self._norm if self._norm > 0 else forcing
+        return min(0.1, max(forcing, needed))
+
+    def target(self) -> float:
+        """Norm of the free residual that is small enough [N]. Collective."""
+        return max(self._wanted(), self.round_off.norm)
+
+    def _wanted(self) -> float:
+        """The same by the tolerance, whatever round-off does [N]. Collective."""
+        a = self._assembler
+        reference = max(self._applied, a.held, a.pushed)
+        if self._inertia is not None:
+            reference = max(reference, self._inertia.norm)
+        return max(self._tolerance.rtol * reference, self._tolerance.atol)
+
+    def _balanced(self) -> bool:
+        """The free residual is as small as wanted, but for the round-off of each row. Collective.
+
+        Statics does not compare with the norm of all round-off: stiff rows make it large, and it
+        would let a soft part beside them go out of balance by as much.  So each row is forgiven
+        its own rounding error, and what all have beyond it must be as small as wanted.  In motion
+        the round-off of inertia is known as a norm only, so the norm decides.
+        """
+        free, wanted, floor = self._assembler.free, self._wanted(), self.round_off.norm
+        if free <= wanted or self._inertia is not None:
+            return free <= max(wanted, floor)
+        # So far above the floor its rows cannot make the difference: they are not looked at.
+        return free <= HOPELESS * floor and self.round_off.beyond() <= wanted
+
+    def __call__(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
+        """What SNES is to do: PETSc's number of a reason to stop, or 0. Collective.
+
+        Args:
+            snes: The solver.
+            iteration: Number of the iterate, from 0.
+            norms: Of the iterate, of the last step, and of the residual.
+        """
+        reason, a = PETSc.SNES.ConvergedReason, self._assembler
+        if iteration == 0:
+            self.residuals.clear()
+            self._first = norms[2]
+        if iteration == 1:
+            self.predicted = norms[1]
+        self._norm = norms[2]
+        self.residuals.append(a.free)
+        if not norms[2] <= HOPELESS * max(self._first, self.target()):  # NaN, too
+            return int(reason.DIVERGED_FNORM_NAN)
+        prescribed = a.gap <= PRESCRIBED * self._span
+        if prescribed and self._balanced() and self._scalars_hold():
+            return int(reason.CONVERGED_FNORM_RELATIVE)
+        if self._crushed():
+            return int(reason.DIVERGED_FUNCTION_DOMAIN)
+        if self._stalled():
+            return int(reason.DIVERGED_LINE_SEARCH)
+        if iteration >= self._max_iterations:
+            return int(reason.DIVERGED_MAX_IT)
+        return 0
+
+    def _crushed(self) -> bool:
+        """Steps are shortened again and again: a smaller load step gets there sooner."""
+        guard = self._guard
+        if guard is None:
+            return False
+        return guard.stuck or (guard.rejected > PATIENCE and not self._patient)
+
+    def _scalars_hold(self) -> bool:
+        bordered = self._bordered
+        return bordered is None or bordered.scalars.settled(bordered.last, self.target())
+
+    def _stalled(self) -> bool:
+        """Backtracking takes ever smaller steps: a smaller load step gets there sooner."""
+        if not self._backtracks or self._inertia is not None or len(self.residuals) <= STALL:
+            return False
+        return self.residuals[-1] > 0.7 * self.residuals[-1 - STALL]

@@ -135,6 +135,7 @@ class InversionGuard:
 
     Args:
         assembler: Of the problem that is solved.
+        watch: Of its det F.
         bordered: Scalar unknowns beside the fields, on which F may depend.
 
     Attributes:
@@ -143,9 +144,10 @@ class InversionGuard:
         stuck: No part of the last step was without inverted cells.
     """
 
-    def __init__(self, assembler: Assembler, bordered: Bordered | None = None) -> None:
-        self._assembler, self._bordered = assembler, bordered
-        self.watch = JacobianWatch(assembler.problem)
+    def __init__(
+        self, assembler: Assembler, watch: JacobianWatch, bordered: Bordered | None = None
+    ) -> None:
+        self._assembler, self.watch, self._bordered = assembler, watch, bordered
         self.begin()
 
     def begin(self) -> None:
@@ -180,7 +182,8 @@ class InversionGuard:
 
     def _move_scalars(self, x: PETSc.Vec, y: PETSc.Vec, share: float) -> None:
         if (bordered := self._bordered) is not None:
-            bordered.border.put(bordered.scalars(x) - share * bordered.scalars(y))
+            now, step = bordered.scalar_part(x), bordered.scalar_part(y)
+            bordered.scalars.put(now - share * step)
 
 
 log = logging.getLogger("dolfin_elastic")

@@ -38,8 +38,8 @@ class Scalars:
         assembler: Of the fields.
 
     Attributes:
-        parts: The borders: the order is that of `JoinedScalars`.
-        border: All of them as one; None without any.
+        parts: The groups: the order is that of `JoinedScalars`.
+        joined: All of them as one; None without any.
     """
 
     def __init__(self, assembler: Assembler) -> None:
@@ -54,11 +54,11 @@ class Scalars:
         ]
         if (strains := free_strains(assembler.cell)) is not None:
             self.parts.append(strains)
-        self.border = JoinedScalars(self.parts) if self.parts else None
+        self.joined = JoinedScalars(self.parts) if self.parts else None
 
     def get(self) -> list[float]:
         """All scalar unknowns."""
-        return [] if self.border is None else [float(value) for value in self.border.get()]
+        return [] if self.joined is None else [float(value) for value in self.joined.get()]
 
     def numbers(self, inertia: FloatArray | None = None) -> dict[str, float]:
         """What is told of cavities, rigid surfaces and periodic cells [SI]. Collective.

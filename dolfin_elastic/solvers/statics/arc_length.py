@@ -22,7 +22,7 @@ from dolfin_elastic.problem.state import RestartState
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import Choice
 from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars, ScalarUnknowns
-from dolfin_elastic.solvers.nonlinear.convergence import Progress, Tolerance
+from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult, Tolerance
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.inertia_count import negative_eigenvalues
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
@@ -108,14 +108,14 @@ class Found:
 
     Attributes:
         t: Load factor.
-        progress: How it was found, or not.
+        result: How it was found, or not.
         negative: Negative eigenvalues of the tangent, if the solver tells.
-        good: Where it was not found: the last point, as `Newton.present`.
+        good: Where it was not found: the last point, as `Newton.unknowns`.
         failed: ... and the last iterate.
     """
 
     t: float
-    progress: Progress
+    result: NewtonResult
     negative: int | None = None
     good: FloatArray | None = None
     failed: FloatArray | None = None
@@ -150,8 +150,15 @@ class ArcLength:
 
     def prepare(self, choice: Choice, tolerance: Tolerance, users: Mapping[str, Any]) -> None:
         """Makes the solver for displacement and load factor together. Collective."""
-        self._bordered = Newton(self._assembler, choice, tolerance, users=users, border=self._all)
-        self._bordered.watch_inversion()
+        guard = self._newton.guard
+        self._bordered = Newton(
+            self._assembler,
+            choice,
+            tolerance,
+            users=users,
+            scalars=self._all,
+            watch=None if guard is None else guard.watch,
+        )
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""
@@ -169,21 +176,21 @@ class ArcLength:
         if self._way is None:
             longest = np.inf if chosen else GENTLE * self._newton.span
             found = self._first(first, smallest, longest)
-            if not found.progress.converged:
+            if not found.result.converged:
                 yield found
                 return
             self._way, self._size = self._length.moved(), self._length.gone()
             self._longest = LONGEST * self._size
             yield found
         while self._length.t < self._end * (1 - 1e-12):
-            here, t = self._newton.present(), self._length.t
+            here, t = self._newton.unknowns(), self._length.t
             point = self._next(self._way)
-            if not point.progress.converged:
-                failed = self._newton.present()
+            if not point.result.converged:
+                failed = self._newton.unknowns()
                 self._back(here, t)
                 self._size /= 2
                 if self._size < smallest * self._longest / LONGEST:
-                    yield Found(t, point.progress, good=here, failed=failed)
+                    yield Found(t, point.result, good=here, failed=failed)
                     return
                 continue
             if point.t >= self._end:
@@ -195,17 +202,16 @@ class ArcLength:
         """The next point of the path, and how to go on from there; or a shorter step is due."""
         assert self._bordered is not None
         before, size = self._all.get(), self._size
-        progress = self._step(way, size)
-        if not progress.converged or self._turned(way):
-            log.debug("arc length %g m: %s, a shorter one", size / 2, progress.reason)
-            progress.converged = False
-            return Found(self._length.t, progress)
+        result = self._step(way, size)
+        if not result.converged or self._turned(way):
+            log.debug("arc length %g m: %s, a shorter one", size / 2, result.reason)
+            return Found(self._length.t, result.refused(result.reason))
         if self._length.t < self._end:
             self._way, self._lead = self._length.moved(), self._all.get() - before
             self._note(self._length.t, self._points[-1][1] + size)
-            factor = np.sqrt(WANTED / max(progress.newton, 1))
+            factor = np.sqrt(WANTED / max(result.newton, 1))
             self._size = min(self._longest, size * float(np.clip(factor, 0.5, 2.0)))
-        return Found(self._length.t, progress, negative_eigenvalues(self._bordered))
+        return Found(self._length.t, result, negative_eigenvalues(self._bordered))
 
     def restart_state(self) -> RestartState:
         """The last step at all unknowns, "way", and what else the next one depends on."""
@@ -250,21 +256,21 @@ class ArcLength:
         while True:
             self._length.start, before = self._length.displacement().copy(), self._all.get()
             before[0] = 0.0
-            here = self._newton.present()
+            here = self._newton.unknowns()
             self._length.put(np.array([t]))
-            progress = self._ladder.solve([("", here)])
+            result = self._ladder.solve([("", here)])
             self._lead = self._all.get() - before
-            hasty = StepSpeed(self._assembler).hasty(0.0, t, here, progress)
+            hasty = StepSpeed(self._assembler).hasty(0.0, t, here, result)
             hasty = hasty or self._assembler.max_displacement() > longest
-            if progress.converged and not (hasty and t / 2 >= least):
+            if result.converged and not (hasty and t / 2 >= least):
                 self._points.append((t, self._length.gone()))
-                return Found(t, progress, negative_eigenvalues(self._newton))
+                return Found(t, result, negative_eigenvalues(self._newton))
             if t / 2 < least:
-                return Found(0.0, progress, good=here, failed=self._ladder.failed)
+                return Found(0.0, result, good=here, failed=self._ladder.failed)
             self._ladder.undo(here)
             t /= 2
 
-    def _step(self, way: FloatArray, size: float) -> Progress:
+    def _step(self, way: FloatArray, size: float) -> NewtonResult:
         """Goes on in the last step's direction and corrects from there."""
         assert self._bordered is not None
         length, w = self._length, self._problem.w
@@ -278,13 +284,13 @@ class ArcLength:
         self._all.put(self._all.get() + lead)
         self._problem.unknowns.tell()
         self._ladder.begin()
-        start = self._bordered.present()
-        self._bordered.refresh()
-        progress = self._bordered.solve("basic")
-        while "LINEAR_SOLVE" in progress.reason and self._bordered.fall_back():
+        start = self._bordered.unknowns()
+        self._bordered.linear.refresh()
+        result = self._bordered.solve("basic")
+        while "LINEAR_SOLVE" in result.reason and self._bordered.fall_back():
             self._bordered.put_back(start)
-            progress = self._bordered.solve("basic")
-        return self._ladder.settled(progress, "basic", self._bordered.solve)
+            result = self._bordered.solve("basic")
+        return self._ladder.settled(result, "basic", self._bordered.solve)
 
     def _turned(self, way: FloatArray) -> bool:
         """The path has turned so sharply that a part of it may have been left out. Collective."""
@@ -298,13 +304,13 @@ class ArcLength:
 
     def _land(self, here: FloatArray, t: float) -> Found:
         """Ends the path at its load factor, between the last two points."""
-        beyond = self._newton.present()
+        beyond = self._newton.unknowns()
         share = (self._end - t) / (self._length.t - t)
         self._length.put(np.array([self._end]))
-        progress = self._ladder.solve([("", here + share * (beyond - here)), ("", beyond)])
-        if not progress.converged:
-            return Found(t, progress, good=here, failed=self._ladder.failed)
-        return Found(self._end, progress, negative_eigenvalues(self._newton))
+        result = self._ladder.solve([("", here + share * (beyond - here)), ("", beyond)])
+        if not result.converged:
+            return Found(t, result, good=here, failed=self._ladder.failed)
+        return Found(self._end, result, negative_eigenvalues(self._newton))
 
     def _note(self, t: float, arc: float) -> None:
         """Keeps the last points and looks for a limit point between them."""

@@ -26,14 +26,14 @@ def negative_eigenvalues(newton: Newton) -> int | None:
     Returns:
         Their number; None where no symmetric factorisation is at hand.
     """
-    if not (newton.direct and newton.assembler.problem.symmetric):
+    if not (newton.linear.direct and newton.assembler.problem.symmetric):
         return None
     pc = newton.ksp.getPC()
     if pc.getType() != "cholesky":
         return None
     if pc.getFactorSolverType() != "mumps":
         return None
-    if newton.shift > 0.0 or not (newton.progress.newton or newton.factorised):
+    if newton.shift > 0.0 or not (newton.result.newton or newton.factorised):
         newton.factorise()
     below = pc.getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS)
     scalars = 0 if newton.bordered is None else newton.bordered.negative()

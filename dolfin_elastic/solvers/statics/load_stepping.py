@@ -24,7 +24,7 @@ from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
     BEYOND,
     UNSTABLE,
-    Progress,
+    NewtonResult,
 )
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
@@ -77,7 +77,7 @@ class LoadStepping:
             if saved is None:
                 self.problem.set_time(0.0, default=PROPORTIONAL)
                 self._arrive()
-                yield self._state(0.0, Progress(reason="initial state"))
+                yield self._state(0.0, NewtonResult(reason="initial state"))
             else:
                 self.restore(saved)
             yield from self._load() if self._arc is None else self._path(self._arc)
@@ -128,8 +128,8 @@ class LoadStepping:
         saved.fill({"unknowns": self.problem.w, **multipliers, **others})
         self._t, self._count = numbers["t"], numbers["count"]
         self.problem.set_time(self._t, default=PROPORTIONAL)
-        if self._scalars.border is not None:
-            self._scalars.border.put(np.array(numbers["scalars"]))
+        if self._scalars.joined is not None:
+            self._scalars.joined.put(np.array(numbers["scalars"]))
         self.problem.unknowns.tell()
         self._sizes.restore(numbers["sizes"])
         self._jumps, self._limits = numbers["jumps"], tuple(numbers["limits"])
@@ -155,7 +155,7 @@ class LoadStepping:
         return {f"contact_{i}": touch.lam for i, touch in enumerate(self.problem.contact_pairs)}
 
     def _apart(self, unknowns: FloatArray) -> tuple[fem.Function, list[float]]:
-        """Fields and scalars of unknowns as `Newton.present` has them."""
+        """Fields and scalars of unknowns as `Newton.unknowns` has them."""
         w = fem.Function(self.problem.W)
         w.x.array[:] = unknowns[: len(w.x.array)]
         return w, [float(value) for value in unknowns[len(w.x.array) :]]
@@ -170,30 +170,30 @@ class LoadStepping:
         while not sizes.done(self._t) and not self._is_enough():
             t = self._t
             goal = gentle(self.problem, t, sizes.goal(t))
-            start = self.newton.present()
-            progress = self._attempt(t, goal)
-            crushed = progress.rejected > 0 or "NAN" in progress.reason
-            fault = self._fault() if progress.converged else progress.reason
+            start = self.newton.unknowns()
+            result = self._attempt(t, goal)
+            crushed = result.rejected > 0 or "NAN" in result.reason
+            fault = self._fault() if result.converged else result.reason
             if fault:
                 if fault == ANOTHER:
-                    self._fallback = goal, self.newton.present()
-                if sizes.failed(t, goal, crushed=crushed and not progress.converged):
+                    self._fallback = goal, self.newton.unknowns()
+                if sizes.failed(t, goal, crushed=crushed and not result.converged):
                     log.info("load factor %.6g: %s; a smaller step", goal, fault)
                     self.ladder.undo(start)
                     continue
-                goal, progress = self._elsewhere(t, goal, progress, fault, start)
-            if not fault and self._pace.hasty(t, goal, start, progress) and sizes.closer(t, goal):
+                goal, result = self._elsewhere(t, goal, result, fault, start)
+            if not fault and self._pace.hasty(t, goal, start, result) and sizes.closer(t, goal):
                 log.debug("load factor %.6g: so far in one step; a closer look", goal)
                 self.ladder.undo(start)
                 continue
             self._watch.accept()
             self._pace.accept(known=not fault)
             self._before = t, start
-            sizes.succeeded(t, goal, progress.newton)
+            sizes.succeeded(t, goal, result.newton)
             if fault:
                 sizes.begin_anew()
             self._t = goal
-            yield self._state(goal, progress, negative_eigenvalues(self.newton))
+            yield self._state(goal, result, negative_eigenvalues(self.newton))
 
     def _fault(self) -> str:
         """Why the equilibrium that was found is none that a body would come to. Collective."""
@@ -206,24 +206,23 @@ class LoadStepping:
             return UNSTABLE
         if self._jumps >= JUMPS:
             return ""
-        jumped = self._watch.jumped(self.newton.progress.target)
+        jumped = self._watch.jumped(self.newton.result.target)
         return ANOTHER if jumped else ""
 
     def _elsewhere(
-        self, t: float, goal: float, progress: Progress, fault: str, start: FloatArray
-    ) -> tuple[float, Progress]:
+        self, t: float, goal: float, result: NewtonResult, fault: str, start: FloatArray
+    ) -> tuple[float, NewtonResult]:
         """Goes on where no step is small enough, or gives up.
 
         Returns:
             The load factor that was reached after all, and how.
         """
-        kept = self.newton.present() if progress.converged else self.ladder.failed
-        stuck = fault == BEYOND or (t == 0.0 and not progress.converged)
+        kept = self.newton.unknowns() if result.converged else self.ladder.failed
+        stuck = fault == BEYOND or (t == 0.0 and not result.converged)
         if not self.settings.snap or self.problem.linear or stuck:
-            progress.reason = fault
-            raise self._failure(t, goal, progress, start, kept)
-        if not progress.converged or fault == UNSTABLE:
-            found = flow_away(self.ladder, settled=progress.converged)
+            raise self._failure(t, goal, result.refused(fault), start, kept)
+        if not result.converged or fault == UNSTABLE:
+            found = flow_away(self.ladder, settled=result.converged)
             if not found.converged and self._fallback is not None and self._fallback[0] > t:
                 goal, there = self._fallback
                 self.problem.set_time(goal, default=PROPORTIONAL)
@@ -232,9 +231,8 @@ class LoadStepping:
                     found = flow_away(self.ladder, settled=True)
             self._watch.look()
             if not found.converged or not self._watch.finite():
-                progress.reason = fault
-                raise self._failure(t, goal, progress, start, kept)
-            progress = found
+                raise self._failure(t, goal, result.refused(fault), start, kept)
+            result = found
         self._jumps += fault == ANOTHER
         what = "the body buckles" if fault == UNSTABLE else "the body has snapped"
         log.warning(
@@ -243,7 +241,7 @@ class LoadStepping:
             t,
             what,
         )
-        return goal, progress
+        return goal, result
 
     def _is_enough(self) -> bool:
         limit = self.settings.max_displacement
@@ -255,11 +253,11 @@ class LoadStepping:
             return True
         return False
 
-    def _attempt(self, t: float, goal: float) -> Progress:
+    def _attempt(self, t: float, goal: float) -> NewtonResult:
         """Tries to go to a load factor; the displacement is put back if that fails."""
         self.problem.set_time(goal, default=PROPORTIONAL)
         self.problem.dirichlet.check_finite()
-        now = self.newton.present()
+        now = self.newton.unknowns()
         starts = [("", now)]
         if self._before is not None and t > self._before[0]:
             before, was = self._before
@@ -267,25 +265,29 @@ class LoadStepping:
         return self.ladder.solve(starts)
 
     def _failure(
-        self, t: float, goal: float, progress: Progress, good: FloatArray, failed: FloatArray | None
+        self,
+        t: float,
+        goal: float,
+        result: NewtonResult,
+        good: FloatArray,
+        failed: FloatArray | None,
     ) -> ConvergenceError:
         """The error, with why; the problem is left with the last iterate."""
-        progress.converged = False
         last = good if failed is None else failed
         self.newton.put_back(last)
         fields = len(self.problem.w.x.array)
         # Beyond a limit point the path is unstable, and so may be the fields beside scalars.
-        judged = self.settings.method == "load" and self._scalars.border is None
+        judged = self.settings.method == "load" and self._scalars.joined is None
         found = diagnose(
-            self.assembler, progress, good=good[:fields], failed=last[:fields], stable=judged
+            self.assembler, result, good=good[:fields], failed=last[:fields], stable=judged
         )
         force, place = self.assembler.largest_unbalance()
         return ConvergenceError(
             f"no equilibrium beyond load factor {t:.6g}: {found.text}\n  at the end: "
-            f"{progress.reason}, Newton iterations: {progress.newton}; the largest force out of "
+            f"{result.reason}, Newton iterations: {result.newton}; the largest force out of "
             f"balance, {force:.3g} N, is at {coordinates(place)} m",
             advice=found.advice,
-            state=self._state(goal, progress),
+            state=self._state(goal, result),
             diagnosis=found,
         )
 
@@ -303,24 +305,24 @@ class LoadStepping:
         chosen = s.first_step is not None or s.steps is not None
         for found in arc.path(self._sizes.goal(0.0), s.min_step, chosen=chosen):
             self._watch.look()
-            if found.progress.converged and not self._watch.finite():
-                found.progress.reason = BEYOND
-                found.progress.converged = False
-            if not found.progress.converged:
-                good = self.newton.present() if found.good is None else found.good
-                raise self._failure(found.t, found.t, found.progress, good, found.failed)
+            result = found.result
+            if result.converged and not self._watch.finite():
+                result = result.refused(BEYOND)
+            if not result.converged:
+                good = self.newton.unknowns() if found.good is None else found.good
+                raise self._failure(found.t, found.t, result, good, found.failed)
             self._t, self._limits = found.t, tuple(arc.limits)
-            yield self._state(found.t, found.progress, found.negative)
+            yield self._state(found.t, result, found.negative)
             if self._is_enough():
                 return
 
     # --- what is yielded ---
 
-    def _state(self, t: float, progress: Progress, negative: int | None = None) -> State:
+    def _state(self, t: float, result: NewtonResult, negative: int | None = None) -> State:
         problem, assembler = self.problem, self.assembler
         strain = self._watch.strain
         energies = {"strain": strain.energy(), **strain.springs()}
-        judged = progress.converged or t == 0.0
+        judged = result.converged or t == 0.0
         self._count += 1
         return State(
             step=self._count - 1,
@@ -328,10 +330,10 @@ class LoadStepping:
             load_factor=t,
             u=problem.u,
             w=problem.w,
-            newton=progress.newton,
-            krylov=progress.krylov,
-            reason=progress.reason,
-            residuals=tuple(progress.residuals),
+            newton=result.newton,
+            krylov=result.krylov,
+            reason=result.reason,
+            residuals=result.residuals,
             energies=energies,
             reactions=assembler.reactions(),
             max_displacement=assembler.max_displacement(),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 
-from dolfin_elastic.solvers.nonlinear.convergence import UNSTABLE, Progress
+from dolfin_elastic.solvers.nonlinear.convergence import UNSTABLE, NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.inertia_count import disturb, negative_eigenvalues
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
@@ -27,7 +27,7 @@ PUSHES = (1e-2, 1e-1)
 back from pushes that are small against what it bends."""
 
 
-def flow_away(ladder: RetryStrategy, *, settled: bool) -> Progress:
+def flow_away(ladder: RetryStrategy, *, settled: bool) -> NewtonResult:
     """Lets a body flow to a stable equilibrium. Collective.
 
     Args:
@@ -39,37 +39,30 @@ def flow_away(ladder: RetryStrategy, *, settled: bool) -> Progress:
     """
     newton = ladder.newton
     pushes = [1e-2 * newton.cell_size, *(share * newton.span for share in PUSHES)]
-    progress = Progress(converged=True) if settled else _flowed(ladder)
-    while progress.converged and (settled or (negative_eigenvalues(newton) or 0) > 0):
+    result = NewtonResult(converged=True) if settled else _flowed(ladder)
+    while result.converged and (settled or (negative_eigenvalues(newton) or 0) > 0):
         if not pushes:
-            progress.converged, progress.reason = False, UNSTABLE
-            break
+            return result.refused(UNSTABLE)
         settled = False
         disturb(newton, pushes.pop(0))
-        progress = _flowed(ladder)
-    return progress
+        result = _flowed(ladder)
+    return result
 
 
-def _flowed(ladder: RetryStrategy) -> Progress:
-    ladder.newton.refresh()
-    progress = ladder.settled(relax(ladder.newton), "basic")
-    log.debug("flow to another equilibrium: %s", progress.reason)
-    return progress
+def _flowed(ladder: RetryStrategy) -> NewtonResult:
+    ladder.newton.linear.refresh()
+    result = ladder.settled(relax(ladder.newton), "basic")
+    log.debug("flow to another equilibrium: %s", result.reason)
+    return result
 
 
-def relax(newton: Newton) -> Progress:
+def relax(newton: Newton) -> NewtonResult:
     """Finds an equilibrium that the body flows to from where it is. Collective.
 
     Args:
         newton: The solver; its problem is at the load and in the state to start from.
     """
-    flow = _Flow(newton)
-    kept = newton.tolerance
-    newton.allow(ITERATIONS, flow)
-    try:
-        return newton.solve("basic")
-    finally:
-        newton.allow(kept.max_iterations, None)
+    return newton.solve("basic", shift=_Flow(newton), max_iterations=ITERATIONS)
 
 
 class _Flow:

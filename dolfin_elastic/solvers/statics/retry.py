@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -19,7 +20,7 @@ import numpy as np
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
-from dolfin_elastic.solvers.nonlinear.convergence import Progress
+from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 
 log = logging.getLogger("dolfin_elastic")
@@ -33,7 +34,7 @@ class RetryStrategy:
         augmentation: Of its contacts.
 
     Attributes:
-        failed: The last iterate of the last failure, as `Newton.present`.
+        failed: The last iterate of the last failure, as `Newton.unknowns`.
     """
 
     def __init__(self, newton: Newton, augmentation: ContactAugmentation) -> None:
@@ -45,11 +46,11 @@ class RetryStrategy:
         """The displacement is not the one the solver was made at: the first solve refreshes it."""
         self._first = False
 
-    def solve(self, starts: Sequence[tuple[str, FloatArray]]) -> Progress:
+    def solve(self, starts: Sequence[tuple[str, FloatArray]]) -> NewtonResult:
         """Finds equilibrium from the first start that leads there. Collective.
 
         Args:
-            starts: In words, and as `Newton.present`: the last equilibrium, which is put back
+            starts: In words, and as `Newton.unknowns`: the last equilibrium, which is put back
                 where none leads to another, and perhaps a further one.
         """
         newton, first = self.newton, starts[0][1]
@@ -59,21 +60,20 @@ class RetryStrategy:
             starts = [("", starts[1][1]), ("from where the last step ended", first)]
         for said, start, line_search in self._rungs(starts):
             if not self._first:
-                newton.refresh()
+                newton.linear.refresh()
             self._first = False
-            progress = self._try(start, line_search)
-            rejected += progress.rejected
-            if progress.worst is not None and (worst is None or progress.worst[0] < worst[0]):
-                worst = progress.worst
-            if progress.converged:
+            result = self._try(start, line_search)
+            rejected += result.rejected
+            if result.worst is not None and (worst is None or result.worst[0] < worst[0]):
+                worst = result.worst
+            if result.converged:
                 if said:
                     log.info("found %s", said)
-                return progress
-            log.debug("%s, line search '%s': %s", said or "start", line_search, progress.reason)
-        self.failed = newton.present()
-        progress.rejected, progress.worst = rejected, worst
+                return result
+            log.debug("%s, line search '%s': %s", said or "start", line_search, result.reason)
+        self.failed = newton.unknowns()
         self.undo(first)
-        return progress
+        return replace(result, rejected=rejected, worst=worst)
 
     def undo(self, start: FloatArray) -> None:
         """Goes back to where the last solve began, its contacts too. Not collective."""
@@ -83,7 +83,7 @@ class RetryStrategy:
     def _rungs(
         self, starts: Sequence[tuple[str, FloatArray]]
     ) -> Iterator[tuple[str, FloatArray, str]]:
-        searches = self.newton.ladder()
+        searches = self.newton.line_searches()
         for line_search in searches:
             said = "" if line_search == searches[0] else f"by line search '{line_search}'"
             yield said, starts[0][1], line_search
@@ -98,44 +98,44 @@ class RetryStrategy:
             return np.inf
         return assembler.norm()
 
-    def _try(self, start: FloatArray, line_search: str) -> Progress:
+    def _try(self, start: FloatArray, line_search: str) -> NewtonResult:
         self.newton.put_back(start)
         self._augmentation.restore()
-        progress = self.newton.solve(line_search)
-        while "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
+        result = self.newton.solve(line_search)
+        while "LINEAR_SOLVE" in result.reason and self.newton.fall_back():
             self.newton.put_back(start)
-            progress = self.newton.solve(line_search)
-        return self.settled(progress, line_search)
+            result = self.newton.solve(line_search)
+        return self.settled(result, line_search)
 
     def settled(
-        self, progress: Progress, line_search: str, solve: Callable[[str], Progress] | None = None
-    ) -> Progress:
+        self,
+        result: NewtonResult,
+        line_search: str,
+        solve: Callable[[str], NewtonResult] | None = None,
+    ) -> NewtonResult:
         """What a solve has found, its contacts closed, if it may be accepted. Collective.
 
         Args:
-            progress: Of the solve.
+            result: Of the solve.
             line_search: PETSc's name of the line search for more of them.
             solve: Finds equilibrium from where the problem is, if it is not the ladder's solver.
         """
         again = partial(solve or self.newton.solve, line_search)
-        progress = self._augmentation.settle(progress, again)
-        self._refuse_inverted(progress)
-        return progress
+        result = self._augmentation.settle(result, again)
+        return self._refuse_inverted(result)
 
     def begin(self) -> None:
         """Keeps what contacts know, for `undo`. Not collective."""
         self._augmentation.save()
 
-    def _refuse_inverted(self, progress: Progress) -> None:
+    def _refuse_inverted(self, result: NewtonResult) -> NewtonResult:
         """No accepted state holds a cell that is inside out, also where none was on the way."""
         guard = self.newton.guard
-        if not progress.converged or guard is None:
-            return
+        if not result.converged or guard is None:
+            return result
         value, place = guard.watch.smallest()
-        if value <= 0.0:
-            progress.converged = False
-            progress.rejected += 1
-            progress.worst = value, tuple(map(float, place))
-            progress.reason = (
-                f"a cell turned inside out (det F = {value:.3g}, at {coordinates(place)} m)"
-            )
+        if value > 0.0:
+            return result
+        return result.inverted(value, place).refused(
+            f"a cell turned inside out (det F = {value:.3g}, at {coordinates(place)} m)"
+        )

@@ -16,6 +16,7 @@ from dolfin_elastic.solvers.breakpoints import corners, winds
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_held
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
+from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.statics.load_stepping import LoadStepping
@@ -75,10 +76,14 @@ class Statics:
             owned.callback(assembler.destroy)
             scalars = Scalars(assembler)
             newton = Newton(
-                assembler, self.choice, self.tolerance, users=self.petsc, border=scalars.border
+                assembler,
+                self.choice,
+                self.tolerance,
+                users=self.petsc,
+                scalars=scalars.joined,
+                watch=JacobianWatch(self.problem),
             )
             owned.callback(newton.destroy)
-            newton.watch_inversion()
             self._stepping = LoadStepping(self, scalars, newton)
             owned.callback(self._forget)
             yield from self._stepping.run(saved)

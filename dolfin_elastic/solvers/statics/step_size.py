@@ -16,7 +16,7 @@ import numpy as np
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.nonlinear.convergence import Progress
+from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
 
 QUICK, SLOW = 5, 10
 """Newton iterations up to which the next step is doubled, and from which it is shortened."""
@@ -137,14 +137,14 @@ class StepSpeed:
         self._assembler, self._corners = assembler, corners
         self.speed = self._now = 0.0
 
-    def hasty(self, t: float, goal: float, start: FloatArray, progress: Progress) -> bool:
+    def hasty(self, t: float, goal: float, start: FloatArray, result: NewtonResult) -> bool:
         """Whether the step that the problem is at the end of was faster than expected. Collective.
 
         Args:
             t: Load factor where it began.
             goal: Where it has ended.
             start: Local unknowns where it began.
-            progress: How it was found: in the first step, the first Newton step is where the
+            result: How it was found: in the first step, the first Newton step is where the
                 tangent at rest leads to.
         """
         a = self._assembler
@@ -153,7 +153,7 @@ class StepSpeed:
         self._now = size / (goal - t)
         if a.problem.linear or any(abs(corner - t) < 1e-9 for corner in self._corners if t > 0):
             return False
-        known = self.speed if t > 0.0 else progress.predicted / goal
+        known = self.speed if t > 0.0 else result.predicted / goal
         return 0.0 < FASTER * known < self._now
 
     def accept(self, *, known: bool = True) -> None:

@@ -441,17 +441,17 @@ def test_tangent_of_the_whole_system(folder):
     others, length = Scalars(assembler), ArcLengthConstraint(assembler)
     length.start = length.displacement() - 0.01
     problem.set_time(0.5, default=PROPORTIONAL)
-    border = JoinedScalars([length, *others.parts])
+    joined = JoinedScalars([length, *others.parts])
     ksp = PETSc.KSP().create(assembler.comm)
-    system = Bordered(assembler, border, ksp)
+    system = Bordered(assembler, joined, ksp)
     x, f, y = (system.create_vector() for _ in range(3))
-    border.put(np.array([0.5, 0.2, -0.05]))
+    joined.put(np.array([0.5, 0.2, -0.05]))
     X = problem.W.tabulate_dof_coordinates()
     u = 0.03 * np.column_stack([np.sin(3 * X[:, 1] + X[:, 0]) * X[:, 0], np.cos(2 * X[:, 0])])
     problem.u.x.array[:] = u.reshape(-1)
     held = problem.dirichlet.dofs
     problem.u.x.array[held] = problem.dirichlet.values.x.array[held]
-    system.fill(x, problem.u.x.array[: assembler.size], border.get())
+    system.fill(x, problem.u.x.array[: assembler.size], joined.get())
     system.renew(x)
     v = system.create_vector()
     first = x.getOwnershipRange()[0] + np.arange(assembler.size)
@@ -470,8 +470,8 @@ def test_tangent_of_the_whole_system(folder):
     sides[0].axpy(-1.0, y)
     # Of central differences: h^2 and round-off over h.
     assert sides[0].norm() < 1e-8 * y.norm()
-    scalars = system.scalars(sides[0])
-    assert np.abs(scalars).max() < 1e-8 * np.abs(system.scalars(y)).max()
+    scalars = system.scalar_part(sides[0])
+    assert np.abs(scalars).max() < 1e-8 * np.abs(system.scalar_part(y)).max()
 
 
 def test_pressure_is_the_derivative_of_energy_by_volume():

@@ -12,7 +12,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.messages import coordinates, worthless
+from dolfin_elastic.solvers.messages import coordinates, load_not_finite
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains
 
 log = logging.getLogger("dolfin_elastic")
@@ -125,7 +125,7 @@ class StabilityMonitor:
         forces = self._assembler.external_forces()
         u[:] = kept
         if total(problem.body.comm, int(np.sum(~np.isfinite(forces)))):
-            raise worthless(t)
+            raise load_not_finite(t)
 
     # --- from one run to the next ---
 

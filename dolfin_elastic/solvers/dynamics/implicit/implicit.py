@@ -168,7 +168,7 @@ class Implicit:
         ts.setErrorIfStepFails(False)
         ts.setPreStep(self._before_step)
         ts.setPostStep(self._after_step)
-        self.newton.judge()
+        self.newton.install_test()
 
     def _before_step(self, ts: PETSc.TS) -> None:
         self.control.before()
@@ -258,7 +258,7 @@ class Implicit:
         if self.stepper.error is not None:
             raise self.stepper.error
         now = self._counts()
-        newton, krylov = now[0] - newton, 0 if self.newton.direct else now[1] - krylov
+        newton, krylov = now[0] - newton, 0 if self.newton.linear.direct else now[1] - krylov
         self._newton += newton
         self._krylov += krylov
         if ts.getConvergedReason() < 0:
@@ -275,7 +275,7 @@ class Implicit:
         if isinstance(self.stepper, GeneralizedAlphaStepper):
             return False
         self.newton.finish()
-        return "LINEAR_SOLVE" in self.newton.progress.reason and self.newton.fall_back()
+        return "LINEAR_SOLVE" in self.newton.result.reason and self.newton.fall_back()
 
     def _renew(self, each: float) -> None:
         """Lets multigrid begin anew when the body has turned away from the modes it knows.
@@ -284,7 +284,7 @@ class Implicit:
             each: Linear iterations of each Newton iteration.
         """
         if self._usual and each > 1.5 * self._usual + 5:
-            self.newton.refresh()
+            self.newton.linear.refresh()
             each = 0.0
         self._usual = self._usual or each
 
@@ -295,7 +295,7 @@ class Implicit:
         last = self.problem.w.x.array.copy()
         if isinstance(self.stepper, Alpha2):
             self.newton.finish()
-        found = diagnose(self.assembler, self.newton.progress, good=last, failed=last, moving=True)
+        found = diagnose(self.assembler, self.newton.result, good=last, failed=last, moving=True)
         if sudden := jump(self.problem, t, self.control.nominal):
             found = replace(found, text=f"{sudden}; {found.text}", advice=JUMP)
         return ConvergenceError(
@@ -341,7 +341,7 @@ class Implicit:
             newton=0 if first else self._newton,
             krylov=0 if first else self._krylov,
             reason="initial state" if first else "converged",
-            residuals=tuple(self.newton.progress.residuals),
+            residuals=self.newton.result.residuals,
             energies=energies,
             reactions=reactions,
             momenta={"linear": linear, "angular": angular},

@@ -147,7 +147,7 @@ class Alpha2:
     ) -> None:
         self.moving.shift.value, self.moving.drag.value = shift_a, shift_v
         self.assembler.tangent(U, shift_a)
-        self.newton.note_tangent(P)
+        self.newton.take_tangent(P)
 
     def _step(self, ts: PETSc.TS) -> float:
         h = float(ts.getTimeStep())

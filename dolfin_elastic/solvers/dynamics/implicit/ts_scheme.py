@@ -132,8 +132,8 @@ class GeneralizedAlphaStepper:
 
     def tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         """Derivative of the residual by the stage's displacement."""
-        self.assembler.tangent(x, self.newton.mass_factor)
-        self.newton.note_tangent(P)
+        self.assembler.tangent(x, self.moving.factor)
+        self.newton.take_tangent(P)
 
     def _rates(self, off: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Velocity and acceleration of the stage from how far it is off what was predicted."""
@@ -261,13 +261,13 @@ class GeneralizedAlphaStepper:
 
     def _solved_from(self, start: FloatArray) -> bool:
         self._put_unknowns(start)
-        progress = self.newton.solve(self.newton.ladder()[0])
+        progress = self.newton.solve(self.newton.line_searches()[0])
         while "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
             self._put_unknowns(start)
-            progress = self.newton.solve(self.newton.ladder()[0])
+            progress = self.newton.solve(self.newton.line_searches()[0])
         self.newton_iterations += progress.newton
         self.krylov_iterations += progress.krylov
-        off = self.newton.found()[self.moving.moves]
+        off = self.newton.solution()[self.moving.moves]
         self._off = np.asarray(off / (1 - self.scheme.alpha_f))
         return progress.converged
 
@@ -351,9 +351,7 @@ class GeneralizedAlphaStepper:
         value, place = self.watch.smallest()
         if value > 0.0:
             return True
-        progress = self.newton.progress
-        progress.rejected += 1
-        progress.worst = value, tuple(map(float, place))
+        self.newton.reject(value, place)
         return False
 
     def _accept(self, ts: PETSc.TS, h: float) -> None:
