@@ -28,15 +28,8 @@ from dolfin_elastic.core.petsc_options import PREFIX
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.linear.choice import (
-    GAMG,
-    QUADRATIC,
-    Choice,
-    LinearSettings,
-    PMultigrid,
-    factorising,
-    rigid_body_modes,
-)
+from dolfin_elastic.solvers.linear.choice import Choice, LinearSettings, factorising, multigrid
+from dolfin_elastic.solvers.linear.multigrid import PMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.petsc.options import Options
 
 DIRECT_LIMIT = {2: 600_000, 3: 100_000}
@@ -71,15 +64,13 @@ def choose_eigen(problem: Problem, settings: LinearSettings) -> Choice:
             size += ", with scalar fields beside the displacement"
         why = f"Krylov-Schur with shift and invert (SLEPc; MUMPS, LDL^T): {size}"
         return Choice(True, prefixed(factorising(True)), why)
-    grid, degree = dict(GAMG if problem.degree == 1 else QUADRATIC), problem.degree
     options = {
         "ksp_type": "cg",
         "ksp_rtol": 1e-11,  # errors of solutions are errors of eigenvectors
         "ksp_max_it": 2000,
-        "pc_type": "gamg" if degree == 1 else "python",
-        **grid,
+        **multigrid(problem.degree),
     }
-    name = "GAMG" if degree == 1 else "multigrid from quadratic to linear elements, GAMG"
+    name = "GAMG" if problem.degree == 1 else "multigrid from quadratic to linear elements, GAMG"
     why = f"Krylov-Schur with shift and invert (SLEPc; CG, {name} with rigid-body modes): {size}"
     return Choice(False, prefixed(options), why)
 
@@ -263,9 +254,8 @@ class Spectrum:
         transform.setPreconditionerMat(matrix)
         ksp = transform.getKSP()
         ksp.setFromOptions()
-        if ksp.getPC().getType() == "python":
-            self._multigrid = PMultigrid(self.problem)
-            ksp.getPC().setPythonContext(self._multigrid)
+        if ksp.getPC().getType() == "mg" and self.problem.degree > 1:
+            self._multigrid = PMultigrid(self.problem, ksp.getPC())
         return matrix
 
     def _pairs(self, eps: Any, shift: float, count: int) -> list[Pair]:

@@ -1,4 +1,4 @@
-"""The linear solver inside Newton's method: what it is given, thrown away, and given up for."""
+"""The linear solver inside Newton's method: its preconditioner, and what follows its failure."""
 
 from __future__ import annotations
 
@@ -7,14 +7,9 @@ import logging
 from petsc4py import PETSc
 
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.linear.choice import (
-    GMRES,
-    LAST_DIRECT,
-    PMultigrid,
-    factorising,
-    rigid_body_modes,
-)
-from dolfin_elastic.solvers.linear.schur import SchurSplit
+from dolfin_elastic.solvers.linear.choice import GMRES, LAST_DIRECT, factorising
+from dolfin_elastic.solvers.linear.multigrid import PMultigrid, rigid_body_modes
+from dolfin_elastic.solvers.linear.schur import PressureSplit
 from dolfin_elastic.solvers.petsc.options import Options
 
 log = logging.getLogger("dolfin_elastic")
@@ -37,58 +32,62 @@ class LinearSolver:
         self, assembler: Assembler, options: Options, ksp: PETSc.KSP, snes: PETSc.SNES
     ) -> None:
         self._assembler, self._options, self.ksp, self._snes = assembler, options, ksp, snes
-        self._multigrid: PMultigrid | SchurSplit | None = None
+        self._parts: PMultigrid | PressureSplit | None = None
         self._prepared, self.direct = False, False
 
     def set_up(self) -> None:
-        """Takes its options, and multigrid if it wants that; with the options in force."""
+        """Takes its options and gives multigrid what it needs. Collective; options in force."""
         self.ksp.setFromOptions()
-        pc = self.ksp.getPC()
-        if pc.getType() == "python" and self._multigrid is None:
-            problem = self._assembler.problem
-            self._multigrid = (
-                SchurSplit(problem, self._assembler) if problem.mixed else PMultigrid(problem)
-            )
-            pc.setPythonContext(self._multigrid)
-            self.ksp.setFromOptions()
-            pc.setFromOptions()
         self.direct = self.ksp.getType() == "preonly"  # the user may have chosen otherwise
-        if not self.direct:
-            self._attach_modes()
+        self._free_parts()
+        problem, pc = self._assembler.problem, self.ksp.getPC()
+        if pc.getType() == "fieldsplit" and problem.mixed:
+            self._parts = PressureSplit(self._assembler, pc)
+        elif pc.getType() == "mg" and problem.degree > 1 and not problem.unknowns.extras:
+            self._parts = PMultigrid(problem, pc)
+        elif not self.direct:
+            self._set_modes()
 
     def factorise_each_tangent(self) -> None:
-        """Factorises each tangent: an old factorisation alone makes no Newton's method."""
+        """Lets a direct solver never lag: old factors alone make no Newton's method."""
         if self.direct:
             self._options.update({"snes_lag_preconditioner": 1})
             with self._options.in_force():
                 self._snes.setFromOptions()
 
-    def _attach_modes(self) -> None:
-        """Rigid-body modes of the current places, which multigrid must keep."""
+    def _set_modes(self) -> None:
+        """Rigid-body modes of the current places, for algebraic multigrid of the whole tangent."""
         problem = self._assembler.problem
-        if problem.degree == 1 and not problem.mixed:
+        if not problem.unknowns.extras:
             modes = rigid_body_modes(problem.unknowns.U, problem.unknowns.moved)
             self._assembler.matrix.setNearNullSpace(modes)
             modes.destroy()
 
     def set_tangent(self, tangent: PETSc.Mat) -> None:
-        """Uses a tangent that SNES does not hand on, with the preconditioner that is there."""
-        # SNES would lag the preconditioner of its own linear solver only.
+        """Takes a tangent that SNES does not hand on, and lags the preconditioner as SNES would.
+
+        Args:
+            tangent: The assembler's matrix.
+        """
         self.ksp.getPC().setReusePreconditioner(self._prepared and not self.direct)
         self.ksp.setOperators(tangent)
         self._prepared = True
 
     def refresh(self) -> None:
         """Throws the preconditioner away and takes the rigid-body modes anew. Collective."""
-        if not self.direct:
-            self._attach_modes()
-            self._prepared = False
+        if self.direct:
+            return
+        self._prepared = False
+        if self._parts is not None:
+            # A reset of the whole PC would lose interpolation and splits; SNES sets the PC up anew
+            # at the first iteration of each solve anyhow.
+            self._parts.refresh()
+        else:
+            self._set_modes()
             self.ksp.getPC().reset()
-            if self._multigrid is not None:
-                self._multigrid.refresh()
 
     def fall_back(self, reason: str) -> bool:
-        """Goes to a linear solver that stands more. Collective.
+        """Goes to a more robust linear solver. Collective.
 
         From conjugate gradients, which an indefinite tangent breaks, to GMRES, and from there to
         a factorisation where the problem is not too large for one.
@@ -116,7 +115,11 @@ class LinearSolver:
         self.factorise_each_tangent()
         return True
 
+    def _free_parts(self) -> None:
+        if self._parts is not None:
+            self._parts.destroy()
+        self._parts = None
+
     def destroy(self) -> None:
         """Frees what it owns, not the KSP. Collective."""
-        if self._multigrid is not None:
-            self._multigrid.destroy()
+        self._free_parts()

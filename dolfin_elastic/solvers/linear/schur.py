@@ -3,9 +3,10 @@
     P = | K  B^T |      S = - integral of (1/mu + 1/k) p q
         | 0   S  |
 
-K is approximated by one multigrid cycle, S by its row sums.  S is spectrally equivalent to the
-Schur complement whatever the compressibility: Silvester & Wathen, SIAM J. Numer. Anal. 31 (1994);
-Elman, Silvester & Wathen, Finite Elements and Fast Iterative Solvers (2014), section 4.2.
+K is approximated by one multigrid cycle, S by its row sums; PETSc's PCFIELDSPLIT puts them
+together.  S is spectrally equivalent to the Schur complement whatever the compressibility:
+Silvester & Wathen, SIAM J. Numer. Anal. 31 (1994); Elman, Silvester & Wathen, Finite Elements and
+Fast Iterative Solvers (2014), section 4.2.
 """
 
 from __future__ import annotations
@@ -15,124 +16,96 @@ import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
 
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-from dolfin_elastic.solvers.linear.choice import PMultigrid, rigid_body_modes
+from dolfin_elastic.solvers.linear.multigrid import PMultigrid, renew, rigid_body_modes
 
 
-class SchurSplit:
-    """PETSc python preconditioner for the unknowns of a mixed problem. Collective.
+class PressureSplit:
+    """Tells PCFIELDSPLIT the two fields "u" and "p", S, and multigrid of "u" what it needs.
 
     Args:
-        problem: With a pressure as the one scalar field.
-        assembler: Knows which entries are displacements.
+        assembler: Of a problem with a pressure as the one scalar field.  Collective.
+        pc: Of type "fieldsplit", with its prefix set and the options in force.
     """
 
-    def __init__(self, problem: Problem, assembler: Assembler) -> None:
-        self._problem = problem
+    def __init__(self, assembler: Assembler, pc: PETSc.PC) -> None:
+        self._problem = assembler.problem
         start = assembler.matrix.getOwnershipRange()[0]
-        self._moves = assembler.moves
-        others = np.ones(assembler.size, dtype=bool)
-        others[assembler.moves] = False
-        self._pressures = np.flatnonzero(others).astype(PETSc.IntType)
-        comm = problem.body.comm
-        self._is_u = PETSc.IS().createGeneral((assembler.moves + start).astype(PETSc.IntType), comm)
-        self._is_u.setBlockSize(problem.body.dim)
-        self._is_p = PETSc.IS().createGeneral(self._pressures + start, comm)
-        self._inverse = 1.0 / self._schur_diagonal()
-        self._K: PETSc.Mat | None = None
-        self._B: PETSc.Mat | None = None
-        self._pc: PETSc.PC | None = None
-        self._multigrid = PMultigrid(problem) if problem.degree > 1 else None
-
-    def _schur_diagonal(self) -> FloatArray:
-        """Row sums of the scaled pressure mass matrix, negative, owned entries."""
-        problem = self._problem
-        scale = problem.unknowns.scale["pressure"]
-        q = problem.unknowns.extra("pressure", ufl.TestFunction(problem.W))
-        form = sum(
-            -((1 / part.shear + part.compliance) if part.compliance else UNUSED / part.shear)
-            * scale
-            * q
-            * problem.weak_form.volume(part, 2)
-            for part in problem.regions
+        # Rows of a split have to be sorted, but the displacement has an order of its own.
+        self._order = np.argsort(assembler.moves, kind="stable")
+        pressures = np.setdiff1d(np.arange(assembler.size), assembler.moves)
+        comm = assembler.comm
+        self._u = PETSc.IS().createGeneral(
+            (assembler.moves[self._order] + start).astype(PETSc.IntType), comm
         )
-        index_map, bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
-        sums = la.vector(index_map, bs)
-        fem.assemble_vector(sums.array, compiled(problem, [form])[0])
-        sums.scatter_reverse(la.InsertMode.add)
-        return np.asarray(sums.array[self._pressures])
-
-    def setUp(self, pc: PETSc.PC) -> None:
-        """Takes the blocks out of the tangent and sets multigrid up. Collective."""
-        _, matrix = pc.getOperators()
-        self._K = matrix.createSubMatrix(self._is_u, self._is_u, self._K)
-        self._B = matrix.createSubMatrix(self._is_u, self._is_p, self._B)
-        if self._pc is None:
-            self._make(pc)
-        assert self._pc is not None
-        self._pc.setOperators(self._K, self._K)
-        self._pc.setUp()
-
-    def _make(self, pc: PETSc.PC) -> None:
-        assert self._K is not None
-        assert self._B is not None
+        self._u.setBlockSize(self._block_size())
+        self._p = PETSc.IS().createGeneral((pressures + start).astype(PETSc.IntType), comm)
+        entries = PETSc.Vec().createMPI((len(pressures), None), comm=comm)
+        entries.array_w[:] = _schur_diagonal(self._problem)[pressures]
+        self._S = PETSc.Mat().createDiagonal(entries)
+        entries.destroy()
+        pc.setFieldSplitIS(("u", self._u), ("p", self._p))
+        pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, self._S)
+        pc.setFromOptions()  # the user may want another approximation of the Schur complement
+        pc.setOperators(assembler.matrix, assembler.matrix)
+        pc.setUp()  # makes the solvers of the splits; they are set up at their first use
+        self._ksp = pc.getFieldSplitSubKSP()[0]
         if self._problem.symmetric:
-            self._K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-            self._K.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
-        self._attach_modes()
-        self._pc = PETSc.PC().create(comm=self._K.comm)
-        self._pc.setOptionsPrefix(pc.getOptionsPrefix() + "u_")
-        if self._multigrid is None:
-            self._pc.setType("gamg")
+            K = self._ksp.getOperators()[1]
+            K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            K.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+        self._multigrid: PMultigrid | None = None
+        inner = self._ksp.getPC()
+        if inner.getType() == "mg" and self._problem.degree > 1:
+            self._multigrid = PMultigrid(self._problem, inner, self._order)
         else:
-            self._pc.setType("python")
-            self._pc.setPythonContext(self._multigrid)
-        self._pc.setOperators(self._K, self._K)
-        self._pc.setFromOptions()
-        self._x, self._r = self._K.createVecs()
-        self._p = self._B.createVecRight()
+            self._set_modes()
 
-    def _attach_modes(self) -> None:
-        assert self._K is not None
-        if self._multigrid is None:
-            modes = rigid_body_modes(self._problem.unknowns.U, self._problem.unknowns.moved)
-            self._K.setNearNullSpace(modes)
-            modes.destroy()
+    def _block_size(self) -> int:
+        """Components of a node, where all nodes' rows are numbered in a row; else 1."""
+        dim = self._problem.body.dim
+        nodes = np.argsort(self._order).reshape(-1, dim)
+        apart = (nodes[:, :1] % dim != 0) | (nodes != nodes[:, :1] + np.arange(dim))
+        return 1 if total(self._problem.body.comm, int(apart.any())) else dim
+
+    def _set_modes(self) -> None:
+        unknowns = self._problem.unknowns
+        modes = rigid_body_modes(unknowns.U, unknowns.moved, self._order)
+        self._ksp.getOperators()[1].setNearNullSpace(modes)
+        modes.destroy()
 
     def refresh(self) -> None:
         """Makes multigrid begin anew, with the rigid-body modes of the current places."""
-        if self._pc is not None:
-            self._attach_modes()
-            self._pc.reset()
-            if self._multigrid is not None:
-                self._multigrid.refresh()
+        if self._multigrid is not None:
+            self._multigrid.refresh()
+        else:
+            self._set_modes()
+            renew(self._ksp)
 
-    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Pressure by the diagonal, then displacement by one cycle. Collective."""
-        assert self._pc is not None
-        assert self._B is not None
-        rows = x.array_r
-        p = rows[self._pressures] * self._inverse
-        self._p.array_w[:] = p
-        self._B.mult(self._p, self._r)
-        self._r.array_w[:] = rows[self._moves] - self._r.array_r
-        self._pc.apply(self._r, self._x)
-        out = y.array_w
-        out[self._pressures] = p
-        out[self._moves] = self._x.array_r
-
-    def destroy(self, pc: PETSc.PC | None = None) -> None:
-        """Frees everything. Collective."""
-        things = [self._pc, self._K, self._B, self._is_u, self._is_p]
-        if self._pc is not None:
-            things += [self._x, self._r, self._p]
-        for thing in things:
-            if thing is not None:
-                thing.destroy()
-        self._pc = self._K = self._B = None
+    def destroy(self) -> None:
+        """Frees what it owns, not the PC. Collective."""
         if self._multigrid is not None:
             self._multigrid.destroy()
-            self._multigrid = None
+        for thing in (self._ksp, self._u, self._p, self._S):
+            thing.destroy()
+
+
+def _schur_diagonal(problem: Problem) -> FloatArray:
+    """Row sums of S, the scaled mass matrix of pressures, at all local unknowns. Collective."""
+    scale = problem.unknowns.scale["pressure"]
+    q = problem.unknowns.extra("pressure", ufl.TestFunction(problem.W))
+    form = sum(
+        -((1 / region.shear + region.compliance) if region.compliance else UNUSED / region.shear)
+        * scale
+        * q
+        * problem.weak_form.volume(region, 2)
+        for region in problem.regions
+    )
+    sums = la.vector(problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs)
+    fem.assemble_vector(sums.array, compiled(problem, [form])[0])
+    sums.scatter_reverse(la.InsertMode.add)
+    return np.asarray(sums.array)

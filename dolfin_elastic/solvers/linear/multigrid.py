@@ -1,0 +1,231 @@
+"""Multigrid for displacements: from quadratic to linear elements, then algebraic.
+
+PETSc's PCMG does the work; what it cannot know is the interpolation between the elements and the
+rigid-body modes, which smoothed aggregation has to represent on all coarser levels: P. Vanek, J.
+Mandel and M. Brezina, Computing 56 (1996) 179; M. Adams, M. Brezina, J. Hu and R. Tuminaro, J.
+Comput. Phys. 188 (2003) 593.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem, la
+from petsc4py import PETSc
+
+from dolfin_elastic.core.compat import interpolation_matrix
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.problem.problem import Problem
+
+VERTEX = 0.9
+"""Weight above which a row of the interpolation belongs to a vertex: there it is 1, and 1/2 at
+most elsewhere."""
+
+ZERO = 1e-10
+"""Weight below which an entry of the interpolation is round-off."""
+
+
+class PMultigrid:
+    """Two levels of PCMG: quadratic elements, below them linear ones, solved for by GAMG.
+
+    The coarse tangent is P^T K P.  Constraints are kept by P itself: with D the projection on the
+    prescribed directions of the quadratic elements' nodes and C the same at the vertices,
+
+        P = (1 - D) I (1 - C) + D V
+
+    where I interpolates and V copies vertices.  No coarse function moves a prescribed direction
+    of the fine level, and the coarse tangent has, along prescribed directions of vertices, what K
+    has there (ones, or the stiffness that stands for skew supports), so that it is regular.
+
+    Args:
+        problem: With quadratic elements.  Collective.
+        pc: Of type "mg" with two levels, for the displacement's block of the tangent.
+        order: The entry of the displacement (owned, of `unknowns.U`) behind each row of the
+            block; None: they are the same.
+    """
+
+    def __init__(self, problem: Problem, pc: PETSc.PC, order: IndexArray | None = None) -> None:
+        self._problem, self._pc = problem, pc
+        self._space = problem.unknowns.linear()[0]
+        self._P = constrained_interpolation(problem, self._space, order)
+        # GAMG takes the near null space from its matrix, which PCMG makes in the middle of its
+        # set-up where nobody can reach it, or from the first field of its DM.
+        self._field = PETSc.IS().createGeneral(np.empty(0, PETSc.IntType), comm=problem.body.comm)
+        self._dm = PETSc.DMShell().create(comm=problem.body.comm)
+        self._dm.setField(0, self._field)
+        self._set_modes()
+        pc.setMGInterpolation(1, self._P)
+        pc.getMGCoarseSolve().getPC().setDM(self._dm)
+
+    def _set_modes(self) -> None:
+        """Rigid-body modes of the current places. Collective."""
+        moved = None
+        if self._problem.cell is None:  # merged nodes of a periodic cell have several places
+            u = fem.Function(self._space)
+            u.interpolate(self._problem.u)
+            moved = u.x.array
+        modes = rigid_body_modes(self._space, moved)
+        self._field.compose("nearnullspace", modes)
+        modes.destroy()
+
+    def refresh(self) -> None:
+        """Makes GAMG coarsen anew, with the rigid-body modes of the current places. Collective."""
+        self._set_modes()
+        coarse, smoother = self._pc.getMGCoarseSolve(), self._pc.getMGSmoother(1)
+        renew(coarse)
+        for pc in (self._pc, smoother.getPC(), coarse.getPC()):
+            pc.setFailedReason(PETSc.PC.FailedReason.NOERROR)  # PCMG never forgets a failure
+
+    def destroy(self) -> None:
+        """Frees what it owns, not the PC. Collective."""
+        for thing in (self._P, self._dm, self._field):
+            thing.destroy()
+
+
+def renew(ksp: PETSc.KSP) -> None:
+    """Makes a solver set its preconditioner up from nothing, for the same operators. Collective.
+
+    Without `PC.reset`, GAMG keeps the near null space that it was made with.
+    """
+    operators = ksp.getOperators()
+    ksp.getPC().reset()
+    ksp.setOperators(*operators)
+
+
+def constrained_interpolation(
+    problem: Problem, coarse: fem.FunctionSpace, order: IndexArray | None = None
+) -> PETSc.Mat:
+    """From linear to quadratic elements, with the constraints of both; see `PMultigrid`.
+
+    Collective.  The caller destroys it.
+
+    Args:
+        problem: With quadratic elements.
+        coarse: Space of linear elements on the same mesh.
+        order: See `PMultigrid`.
+    """
+    plain = interpolation_matrix(coarse, problem.unknowns.U)
+    P, V = _rows(plain, ZERO, order), _rows(plain, VERTEX, order)
+    D = _prescribed(problem, P, order)
+    vertices = D.matMult(V)
+    C = V.transposeMatMult(vertices)
+    prescribed = D.matMult(P)
+    _add(P, -1.0, prescribed)
+    columns = P.matMult(C)
+    _add(P, -1.0, columns)
+    _add(P, 1.0, vertices)
+    result = _rows(P, ZERO)
+    for matrix in (plain, P, V, D, vertices, C, prescribed, columns):
+        matrix.destroy()
+    return result
+
+
+def _add(matrix: PETSc.Mat, factor: float, other: PETSc.Mat) -> None:
+    matrix.axpy(factor, other, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+
+
+def _rows(matrix: PETSc.Mat, least: float, order: IndexArray | None = None) -> PETSc.Mat:
+    """A matrix's entries above a size, its owned rows in another order. Collective."""
+    start, columns, values = matrix.getValuesCSR()
+    rows = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    if order is not None:
+        rows = np.argsort(order)[rows]
+    large = np.abs(values) > least
+    return _from_entries(matrix, rows[large], columns[large], values[large])
+
+
+def _prescribed(problem: Problem, like: PETSc.Mat, order: IndexArray | None) -> PETSc.Mat:
+    """The projection D on prescribed directions, square, with the rows of a matrix. Collective."""
+    size, first = like.getLocalSize()[0], like.getOwnershipRange()[0]
+    row = np.arange(size) if order is None else np.argsort(order)
+    entries = row[problem.unknowns.local(problem.dirichlet.owned)]
+    rows, columns, values = [entries], [entries], [np.ones(len(entries))]
+    skew = problem.dirichlet.tilted
+    if skew is not None:
+        blocks, dim = skew.P[: skew.count], problem.body.dim
+        places = row[skew.nodes[: skew.count, None] * dim + np.arange(dim)]
+        rows.append(np.repeat(places, dim, axis=1).reshape(-1))
+        columns.append(np.tile(places, dim).reshape(-1))
+        values.append(blocks.reshape(-1))
+    return _from_entries(
+        like,
+        np.concatenate(rows),
+        first + np.concatenate(columns),
+        np.concatenate(values),
+        square=True,
+    )
+
+
+def _from_entries(
+    like: PETSc.Mat,
+    rows: IndexArray,
+    columns: IndexArray,
+    values: FloatArray,
+    *,
+    square: bool = False,
+) -> PETSc.Mat:
+    """A matrix of given entries. Collective.
+
+    Args:
+        like: Has its communicator, its rows, its block sizes, and, unless `square`, its columns.
+        rows: Owned rows, counted from this rank's first.
+        columns: Global columns.
+        values: The entries.
+        square: It has as many columns as rows.
+    """
+    (size, _), (width, _) = like.getSizes()
+    by_row = np.argsort(rows, kind="stable")
+    start = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=size))])
+    bs = like.getBlockSizes()
+    matrix = PETSc.Mat().createAIJ(
+        ((size, None), (size if square else width, None)),
+        bsize=(bs[0], bs[0] if square else bs[1]),
+        comm=like.comm,
+        csr=(
+            start.astype(PETSc.IntType),
+            columns[by_row].astype(PETSc.IntType),
+            values[by_row],
+        ),
+    )
+    matrix.assemble()
+    return matrix
+
+
+def rigid_body_modes(
+    V: fem.FunctionSpace, u: FloatArray | None = None, order: IndexArray | None = None
+) -> PETSc.NullSpace:
+    """Orthonormal translations and rotations of a vector space, as a near null space.
+
+    Collective.  The caller destroys it.
+
+    Args:
+        V: Blocked vector space of 2 or 3 components.
+        u: Local displacement array [m]: rotations are taken about the current places X + u,
+            without which GAMG loses half its speed after a rotation by 60 degrees.
+        order: Owned entry of V behind each entry of the modes; None: they are the same.
+    """
+    dim, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
+    size = index_map.size_local
+    x = V.tabulate_dof_coordinates()[:size, :dim].copy()
+    if u is not None:
+        x += u[: dim * size].reshape(-1, dim)
+    planes = [(0, 1)] if dim == 2 else [(0, 1), (1, 2), (2, 0)]
+    modes = [la.vector(index_map, bs=dim) for _ in range(dim + len(planes))]
+    for k, mode in enumerate(modes):
+        rows = mode.array[: dim * size].reshape(-1, dim)
+        if k < dim:
+            rows[:, k] = 1.0
+        else:
+            i, j = planes[k - dim]
+            rows[:, i], rows[:, j] = -x[:, j], x[:, i]
+    la.orthonormalize(modes)
+    comm = V.mesh.comm
+    vectors = []
+    for mode in modes:
+        own = mode.array[: dim * size]
+        vector = PETSc.Vec().createMPI((dim * size, None), bsize=dim, comm=comm)
+        vector.array_w[:] = own if order is None else own[order]
+        vectors.append(vector)
+    space = PETSc.NullSpace().create(vectors=vectors, comm=comm)
+    for vector in vectors:
+        vector.destroy()
+    return space
