@@ -66,7 +66,7 @@ class WeakForm:
         if self._quadrature_degree is not None:
             return self._quadrature_degree
         degree = region.law.quadrature_degree(self._context.order)
-        if region.compliance is not None or self._context.revolved:
+        if region.compliance is not None or self._context.axisymmetric:
             return max(degree, 2)  # the pressure and the radius vary inside a linear element, too
         return degree
 
