@@ -1,7 +1,7 @@
 """What all tests share.
 
-`pytest` alone runs everything on as many cores as there are: the tests here on one rank, and the
-same tests again under `mpirun -n 2` and `-n 3`, started by test_ranks.py.
+`pytest` alone runs the quick set, `pytest --all` everything (suite/selection.py): on one rank,
+spread over the cores, and again under `mpirun -n 2` and `-n 3` (suite/ranks.py).
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import gc
 import logging
 import os
 import tempfile
-from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -25,48 +24,13 @@ from mpi4py import MPI
 
 from dolfin_elastic import Problem
 
+pytest_plugins = ["suite.selection", "suite.ranks", "suite.cost"]
 pytest.register_assert_rewrite("helpers")
 
 _ENDED = pytest.StashKey[int]()
 """Tests that have ended in this session."""
 
 ROOT = Path(__file__).resolve().parent.parent
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(
-        "--variants",
-        type=int,
-        metavar="N",
-        help="run only N of the parameters of each test, evenly chosen",
-    )
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_cmdline_main(config: pytest.Config) -> None:
-    """Spreads the whole suite over the cores, unless the command line says how, or MPI does."""
-    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
-    alone = MPI.COMM_WORLD.size == 1 and "PYTEST_XDIST_WORKER" not in os.environ
-    if whole and alone and config.getoption("numprocesses", 0) is None:
-        config.option.numprocesses = os.cpu_count()
-        config.option.dist = "worksteal"
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Runs what takes longest, other ranks, first; and a part of many parameters if asked."""
-    items.sort(key=lambda item: "test_ranks" not in item.nodeid)
-    if not (most := config.getoption("variants")):
-        return
-    alike = defaultdict(list)
-    for item in items:
-        alike[item.nodeid.partition("[")[0]].append(item)
-    kept = {
-        id(group[i * (len(group) - 1) // max(most - 1, 1)])
-        for group in alike.values()
-        for i in range(min(most, len(group)))
-    }
-    config.hook.pytest_deselected(items=[item for item in items if id(item) not in kept])
-    items[:] = [item for item in items if id(item) in kept]
 
 
 @pytest.fixture

@@ -11,18 +11,19 @@ from pathlib import Path
 PROGRAM = [sys.executable, "-m", "dolfin_elastic"]
 
 
+def clean_environment() -> dict[str, str]:
+    """The environment without what a launcher has told this process of its own run."""
+    pattern = re.compile(r"PMIX|PMI_|PRTE_(?!MCA)|OMPI_(?!MCA|ALLOW)")
+    return {key: value for key, value in os.environ.items() if not pattern.match(key)}
+
+
 def started(command: list[str], folder: Path, ranks: int) -> subprocess.Popen[str]:
     """Starts a program in a folder, with mpirun for more than one rank."""
     launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
-    clean = {
-        key: value
-        for key, value in os.environ.items()
-        if not re.match(r"PMIX|PRTE_(?!MCA)|OMPI_(?!MCA|ALLOW)", key)
-    }
     return subprocess.Popen(
         [*launcher, *command],
         cwd=folder,
-        env=clean,
+        env=clean_environment(),
         text=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

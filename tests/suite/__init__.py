@@ -1,0 +1,1 @@
+"""How the suite runs: which tests, on how many ranks, and what they cost."""

@@ -1,0 +1,183 @@
+"""The suite again on 2 and 3 ranks, one mpirun each, after the tests on one rank.
+
+First one rank, spread over the cores, which compiles the forms; then the sessions on several ranks,
+one after the other as long as there are no cores for both: the cores are always busy and never
+shared, which ranks that wait for each other bear badly.  What a session finds goes into files and
+is told here as if it had been found here, so that there is one verdict and one table of times.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers.processes import clean_environment
+from mpi4py import MPI
+
+from suite.selection import TESTS, alone, whole
+
+RANKS = (2, 3)
+LIMIT = 3600.0
+"""Seconds that a session may take."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options of the sessions on several ranks."""
+    group = parser.getgroup("suite")
+    group.addoption("--ranks", default="1,2,3", help="numbers of ranks to test on: 1,2,3")
+    group.addoption("--reports-to", metavar="FOLDER", help="where a rank writes what it finds")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Makes this process the rank of a session, or the one that starts sessions."""
+    if folder := config.getoption("reports_to"):
+        config.pluginmanager.register(_Reporter(config, Path(folder)))
+    elif whole(config) and alone(config) and not config.option.collectonly:
+        config.pluginmanager.register(_Sessions(config))
+
+
+class _Reporter:
+    """Writes the reports of one rank, one a line."""
+
+    def __init__(self, config: pytest.Config, folder: Path) -> None:
+        self.config = config
+        self.file = (folder / f"{MPI.COMM_WORLD.rank}.jsonl").open("w")
+
+    def _write(self, kind: str, data: Any) -> None:
+        self.file.write(json.dumps({kind: data}) + "\n")
+        self.file.flush()
+
+    def pytest_collection_finish(self, session: pytest.Session) -> None:
+        self._write("tests", len(session.items))
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        serial = self.config.hook.pytest_report_to_serializable
+        self._write("report", serial(config=self.config, report=report))
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        if report.failed:
+            self._write("broken", f"{report.nodeid}: {report.longreprtext}")
+
+    def pytest_sessionfinish(self, exitstatus: int) -> None:
+        self._write("end", int(exitstatus))
+
+
+class _Sessions:
+    """Starts the sessions and tells what they find."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.config = config
+        asked = [int(word) for word in config.getoption("ranks").split(",")]
+        self.waiting = [ranks for ranks in RANKS if ranks in asked]
+        self.alone_too = 1 in asked
+        self.cores = len(os.sched_getaffinity(0))
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> Iterator[None]:
+        found = yield
+        running: list[_Session] = []
+        while self.waiting or running:
+            free = self.cores - sum(one.ranks for one in running)
+            while self.waiting and (self.waiting[0] <= free or not running):
+                free -= self.waiting[0]
+                running.append(_Session(session, self.waiting.pop(0)))
+            time.sleep(0.2)
+            running = [one for one in running if one.goes_on()]
+        return found
+
+
+class _Session:
+    """One mpirun."""
+
+    def __init__(self, session: pytest.Session, ranks: int) -> None:
+        self.session, self.config, self.ranks = session, session.config, ranks
+        self.folder = Path(tempfile.mkdtemp(prefix=f"ranks{ranks}_"))
+        self.begin, self.failures, self.read, self.ends = time.monotonic(), 0, [0] * ranks, 0
+        with (self.folder / "out").open("w") as out:
+            self.process = subprocess.Popen(
+                self._command(),
+                cwd=TESTS.parent,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                env={
+                    **clean_environment(),
+                    "PYTHONPATH": str(TESTS.parent),
+                    "TMPDIR": str(self.folder),
+                    "OMPI_MCA_mpi_yield_when_idle": "1",  # more ranks than cores must not spin
+                },
+            )
+
+    def _command(self) -> list[str]:
+        option = self.config.option
+        words = ["mpirun", "-n", str(self.ranks), "--oversubscribe", sys.executable, "-m", "pytest"]
+        words += ["-q", "-x", "-n0", "-p", "no:cacheprovider", f"--reports-to={self.folder}"]
+        words += [f"--{name}" for name in ("all", "rest") if self.config.getoption(name)]
+        words += ["-k", option.keyword] if option.keyword else []
+        words += ["-m", option.markexpr] if option.markexpr else []
+        return words
+
+    def goes_on(self) -> bool:
+        """Tells what is new; False at the end."""
+        ended = self.process.poll() is not None
+        for rank in range(self.ranks):
+            self._tell(rank)
+        late = time.monotonic() - self.begin > LIMIT
+        if late and not ended:
+            self.process.kill()
+        elif not ended:
+            return True
+        bad = late or self.process.returncode not in (0, pytest.ExitCode.NO_TESTS_COLLECTED)
+        if (bad and not self.failures) or self.ends < self.ranks:
+            why = f"did not end in {LIMIT:g} s" if late else f"ended with {self.process.returncode}"
+            self._fail(why, (self.folder / "out").read_text(errors="replace")[-8000:])
+        return False
+
+    def _tell(self, rank: int) -> None:
+        file = self.folder / f"{rank}.jsonl"
+        text = file.read_text()[self.read[rank] :] if file.exists() else ""
+        lines = text[: text.rfind("\n") + 1]
+        self.read[rank] += len(lines)
+        for line in lines.splitlines():
+            self._hear(rank, **json.loads(line))
+
+    def _hear(
+        self,
+        rank: int,
+        *,
+        tests: int = 0,
+        report: dict[str, Any] | None = None,
+        broken: str = "",
+        end: int | None = None,
+    ) -> None:
+        self.ends += end is not None
+        if rank == 0:
+            self.session.testscollected += tests
+        if broken:
+            self._fail(f"rank {rank}", broken)
+        if report is None:
+            return
+        hook = self.config.hook
+        made = hook.pytest_report_from_serializable(config=self.config, data=report)
+        self.failures += made.failed
+        # All ranks run the same tests: the others matter where they fail.
+        if rank == 0 or made.failed:
+            made.nodeid += f" [{self.ranks} ranks]" if not rank else f" [rank {rank}/{self.ranks}]"
+            hook.pytest_runtest_logreport(report=made)
+            hook.pytest_runtest_logfinish(nodeid=made.nodeid, location=made.location)
+
+    def _fail(self, why: str, text: str) -> None:
+        self.failures += 1
+        name = f"session on {self.ranks} ranks"
+        report = pytest.TestReport(
+            name, ("tests", None, name), {}, "failed", f"{why}\n{text}", "call", duration=0.0
+        )
+        self.config.hook.pytest_runtest_logreport(report=report)

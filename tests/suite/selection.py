@@ -1,0 +1,187 @@
+"""Which tests run: the quick set, the rest, or all of them; on one rank, two and three.
+
+Where the command line names files, all of their tests run, whatever set they belong to.  Else:
+
+                   one rank                        n ranks
+    quick set      what is not `long`, and of      of each test of RANKS[n] that is not `long`
+                   a `sample(k)` k parameters      one parameter
+    all (--all)    every test                      every test and parameter of RANKS[n]
+
+and the rest (--rest) is all but the quick set.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+from mpi4py import MPI
+
+TESTS = Path(__file__).resolve().parent.parent
+
+POINTS = {
+    "core/test_formula.py",
+    "core/test_units.py",
+    "material_point/test_material_point.py",
+    "model/materials/test_moduli.py",
+    "model/materials/test_reference_energies.py",
+    "model/test_amplitude.py",
+    "model/test_kinematics.py",
+    "solvers/dynamics/implicit/test_schemes.py",
+    "verification/test_manufactured.py",
+}
+"""Tests of numbers and texts, and of rates, in which ranks take no part: on one rank only."""
+LAWS = {
+    "mesh/test_selection.py",
+    "model/materials/test_law_input.py",
+    "model/materials/test_laws.py",
+    "model/materials/test_user_energy.py",
+    "problem/test_dimension.py",
+}
+"""Tests of every law, or of names, on bodies of a few cells: on several ranks in the rest only."""
+REFERENCES = {
+    "verification/test_bending.py",
+    "verification/test_heart.py",
+    "verification/test_modes.py",
+    "verification/test_motion.py",
+    "verification/test_rubber.py",
+}
+"""Published numbers, which ask how right the model is.  The parts that ranks share in them, curved
+meshes, supports, loads, pressures and probes, have tests of their own; on one rank only, but for
+the linear ones, which run on two so that reference cases as such do."""
+SHARED = {
+    "case/test_restart.py",
+    "mesh/test_read.py",
+    "model/test_loads.py",
+    "model/test_pressure.py",
+    "model/test_supports.py",
+    "problem/test_contact.py",
+    "problem/test_mixed.py",
+    "problem/test_periodic.py",
+    "problem/test_problem.py",
+    "results/test_checkpoints.py",
+    "results/test_probes.py",
+    "results/test_results.py",
+    "solvers/audit/test_audit.py",
+    "solvers/dynamics/explicit/test_explicit.py",
+    "solvers/dynamics/explicit/test_explicit_loop.py",
+    "solvers/dynamics/explicit/test_impact.py",
+    "solvers/dynamics/explicit/test_monitor.py",
+    "solvers/dynamics/explicit/test_stable_step.py",
+    "solvers/dynamics/implicit/test_incompressible_motion.py",
+    "solvers/dynamics/test_dynamics.py",
+    "solvers/dynamics/test_initial_conditions.py",
+    "solvers/eigen/test_modal.py",
+    "solvers/nonlinear/test_scalars.py",
+    "solvers/statics/test_statics.py",
+    "verification/test_patch.py",
+    "verification/test_rank_agreement.py",
+    "verification/test_tetrahedron.py",
+}
+"""Tests of what ranks share and agree upon: what three ranks can show beyond two, ranks without a
+cell or a facet of a part, it shows here."""
+
+
+def runs_on(file: str, ranks: int) -> bool:
+    """Whether a file has anything to show on so many ranks."""
+    if ranks == 1:
+        return True
+    return file in SHARED if ranks > 2 else file not in POINTS | REFERENCES
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options that choose a set."""
+    group = parser.getgroup("suite")
+    group.addoption("--all", action="store_true", help="every test, not only the quick set")
+    group.addoption("--rest", action="store_true", help="what the quick set leaves out")
+    group.addoption(
+        "--variants",
+        type=int,
+        metavar="N",
+        help="at most N of the parameters of each test, evenly chosen",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Markers of the quick set."""
+    for line in (
+        "long: takes long; it does not belong to the quick set",
+        "sample(k): of its parameters k belong to the quick set, evenly chosen",
+    ):
+        config.addinivalue_line("markers", line)
+
+
+def whole(config: pytest.Config) -> bool:
+    """Whether the command line names no files."""
+    return config.args_source is pytest.Config.ArgsSource.TESTPATHS
+
+
+def alone(config: pytest.Config) -> bool:
+    """Whether this process is neither a worker of pytest-xdist nor one rank of several."""
+    return MPI.COMM_WORLD.size == 1 and "PYTEST_XDIST_WORKER" not in os.environ
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """Spreads the tests on one rank over the cores, unless the command line says how."""
+    if whole(config) and alone(config) and config.getoption("numprocesses", 0) is None:
+        config.option.numprocesses = len(os.sched_getaffinity(0))
+        config.option.dist = "worksteal"
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leaves the tests of the chosen set, and lets those that take longest begin first."""
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
+    mine, ranks = items, MPI.COMM_WORLD.size
+    if whole(config):
+        mine = [item for item in mine if runs_on(_file(item), ranks)]
+        if not config.getoption("all"):
+            quick = set(map(id, _quick(mine, ranks)))
+            rest = config.getoption("rest")
+            mine = [item for item in mine if (id(item) in quick) != rest]
+    if most := config.getoption("variants"):
+        mine = [item for group in _alike(mine) for item in _evenly(group, most)]
+    taken = set(map(id, mine))
+    config.hook.pytest_deselected(items=[item for item in items if id(item) not in taken])
+    items[:] = mine
+
+
+def _quick(items: Iterable[pytest.Item], ranks: int) -> list[pytest.Item]:
+    short = [item for item in items if item.get_closest_marker("long") is None]
+    if ranks > 1:
+        short = [item for item in short if _file(item) not in LAWS]
+    found = []
+    for group in _alike(short):
+        sample = group[0].get_closest_marker("sample")
+        most = 1 if ranks > 1 else sample.args[0] if sample else len(group)
+        found += _evenly(group, most)
+    return found
+
+
+def _alike(items: Iterable[pytest.Item]) -> Iterable[list[pytest.Item]]:
+    """The parameters of each test."""
+    groups = defaultdict(list)
+    for item in items:
+        groups[item.nodeid.partition("[")[0]].append(item)
+    return groups.values()
+
+
+def _evenly(group: list[pytest.Item], most: int) -> list[pytest.Item]:
+    """At most so many of one test's parameters, the first always among them."""
+    count = min(most, len(group))
+    return [group[i * (len(group) - 1) // max(count - 1, 1)] for i in range(count)]
+
+
+def _file(item: pytest.Item) -> str:
+    return item.path.relative_to(TESTS).as_posix()
+
+
+def pytest_sessionstart() -> None:
+    """A file that has moved is to be noticed here."""
+    if missing := [f for f in POINTS | LAWS | REFERENCES | SHARED if not (TESTS / f).exists()]:
+        raise pytest.UsageError(
+            f"tests/suite/selection.py names files that are not there: {missing}"
+        )
