@@ -22,11 +22,11 @@ from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.results.checkpoint.checkpoints import (
     CASE,
     FOLDER,
-    About,
-    Found,
+    Checkpoint,
+    RunDescription,
     digest,
     last_step,
-    newest,
+    newest_checkpoint,
     read_case_text,
 )
 from dolfin_elastic.results.checkpoint.lock import check_free
@@ -47,7 +47,7 @@ class Unfinished:
 
     case: Case
     folder: Path
-    found: Found
+    found: Checkpoint
     newest: int | None
 
     @property
@@ -83,7 +83,7 @@ class Unfinished:
                 expected="restart it again",
             )
 
-    def check(self, about: About) -> None:
+    def check(self, about: RunDescription) -> None:
         """The mesh is that of the checkpoint. Not collective.
 
         Raises:
@@ -118,7 +118,7 @@ def unfinished(
     path = Path(folder)
     on_root(comm, lambda: _check_folder(path))
     latest = on_root(comm, lambda: last_step(path))
-    found = newest(comm, path)
+    found = newest_checkpoint(comm, path)
     if found is None:
         raise RestartError(
             "all its checkpoints are damaged", where=str(path), expected="compute the case anew"
@@ -198,7 +198,7 @@ def _status(folder: Path) -> str:
 
 def about(
     case: Case, mesh: Mapping[str, Any], petsc: Mapping[str, Any], before: Unfinished | None = None
-) -> About:
+) -> RunDescription:
     """What checkpoints of a run say of it. Not collective.
 
     Args:
@@ -215,7 +215,7 @@ def about(
     file = str(Path(case.file).resolve()) if case.file else ""
     if before is not None:
         file = before.found.content["file"] or file
-    return About(text, file, mesh, petsc)
+    return RunDescription(text, file, mesh, petsc)
 
 
 def portable(case: Case) -> dict[str, Any]:

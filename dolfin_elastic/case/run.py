@@ -113,15 +113,15 @@ class _Run:
     asked: Callable[[], bool] | None
 
     def __post_init__(self) -> None:
-        self.claim = FolderLock(self.comm, self.folder)
+        self.lock = FolderLock(self.comm, self.folder)
 
     def states(self, before: Unfinished | None = None) -> States:
         """All states and modes, in a folder that no other run writes into meanwhile."""
-        with closing(self.claim):
-            self.claim.take()  # before anything is computed; where there is no folder yet, later
+        with closing(self.lock):
+            self.lock.acquire()  # before anything is computed; where there is no folder yet, later
             if before is not None:
                 before.check_newest()
-            if self.comm.rank == 0:  # only now: until it is claimed it may be another run's
+            if self.comm.rank == 0:  # only now: until it is locked it may be another run's
                 forget(self.folder)
             yield from self._states(before)
 
@@ -154,9 +154,9 @@ class _Run:
         output = self.case.output
         # A fault at the start leaves no folder behind; where one goes on, it is there already.
         probe = output.probe(problem, self.case.mesh.scale)
-        probed = (probe.onto(step) if isinstance(step, State) else step for step in steps)
+        probed = (probe.add_to(step) if isinstance(step, State) else step for step in steps)
         first = [] if before else list(islice(probed, 1))
-        self.claim.take(make=True)
+        self.lock.acquire(create=True)
         keeper.begin(new=before is None)
         saved = None if before is None else before.found.content["outputs"]
         with open_outputs(self.case.files(), problem, self.folder, saved) as writers:

@@ -41,7 +41,7 @@ from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.user import UserEnergy, read_energy
 from dolfin_elastic.problem.formulation import Formulation
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.results.checkpoint.checkpoints import Checkpoint
+from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import (
     History,
@@ -250,7 +250,7 @@ class Output(Record):
     every: Steps | None = None
     pictures: list[Picture] = Field(default=[])
     probes: dict[str, ProbePoint] = Field(default={})
-    checkpoint: Checkpoint = Checkpoint()
+    checkpoint: CheckpointSettings = CheckpointSettings()
     frames: Count = 20
     amplitude: Annotated[float, Field(gt=0)] = 0.1
 

@@ -16,7 +16,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit import compile_expression, compile_forms
 from dolfin_elastic.core.types import AnyArray, IntArray
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.results.fields import FIELDS, known
+from dolfin_elastic.results.fields import FIELDS, check_field_names
 from dolfin_elastic.results.grid import Grid, to_nodes
 
 if TYPE_CHECKING:
@@ -40,11 +40,11 @@ class Evaluator:
     """
 
     def __init__(self, problem: Problem, names: Iterable[str]) -> None:
-        self.problem, self.names = problem, known(names)
+        self.problem, self.names = problem, check_field_names(names)
         self.grid = Grid(problem.V)
         self.w = fem.Function(problem.W)
         needed = (other for name in self.names for other in (name, *FIELDS[name].needs))
-        self.cell_names = tuple(name for name in known(needed) if FIELDS[name].formula)
+        self.cell_names = tuple(name for name in check_field_names(needed) if FIELDS[name].formula)
         self._kernels = [self._kernel(part) for part in problem.regions] if self.cell_names else []
         if {"reaction", "residual"} & set(self.names):
             _ = self.residual

@@ -235,7 +235,7 @@ DEFAULT = ("displacement", "von_mises", "cauchy_stress")
 IN_MOTION = ("velocity",)
 
 
-def known(names: Iterable[str]) -> tuple[str, ...]:
+def check_field_names(names: Iterable[str]) -> tuple[str, ...]:
     """The names, each once, in their order.
 
     Raises:

@@ -44,7 +44,7 @@ def _cause(error: OSError) -> str:
     return reason + advice.get(error.errno or 0, "")
 
 
-def replace_text(path: Path, text: str, *, lasting: bool = False) -> None:
+def replace_text(path: Path, text: str, *, durable: bool = False) -> None:
     """Writes a whole file under another name and renames it. Not collective.
 
     Whoever opens `path`, at any moment and also after the program was killed, finds either the
@@ -53,12 +53,12 @@ def replace_text(path: Path, text: str, *, lasting: bool = False) -> None:
     Args:
         path: The file.
         text: What it shall hold.
-        lasting: Also after a loss of power.
+        durable: Also after a loss of power.
     """
     draft = path.with_name(f".{path.name}.part")
     with writing(path):
         draft.write_text(text, encoding="utf-8")
-        if lasting:
+        if durable:
             sync(draft)
         draft.replace(path)
 
@@ -73,7 +73,7 @@ def sync(path: Path) -> None:
             os.close(descriptor)
 
 
-def shortened(path: Path, what: str) -> RestartError:
+def missing_results(path: Path, what: str) -> RestartError:
     """The error of results that are not there any more. Not collective."""
     return RestartError(
         f"{what} that the checkpoint knows of are not there",

@@ -56,14 +56,14 @@ class Rows:
         return self.shape[0] * self.shape[1] * self.values.itemsize
 
 
-def write(comm: MPI.Comm, path: Path, arrays: Mapping[str, Rows], *, lasting: bool = False) -> None:
+def write(comm: MPI.Comm, path: Path, arrays: Mapping[str, Rows], *, durable: bool = False) -> None:
     """Writes a new HDF5 file that is complete and closed on return. Collective.
 
     Args:
         comm: The ranks that hold the rows.
         path: The file, on a file system all ranks see; it is overwritten.
         arrays: Name in the file to this rank's rows; same names and types on all ranks.
-        lasting: On return it is on the disk itself, and outlasts a loss of power.
+        durable: On return it is on the disk itself, and outlasts a loss of power.
 
     Raises:
         OutputError: On all ranks, when the file cannot be written on any.
@@ -71,7 +71,7 @@ def write(comm: MPI.Comm, path: Path, arrays: Mapping[str, Rows], *, lasting: bo
     places = on_root(comm, lambda: _lay_out(path, arrays))
     file = _open(comm, path)
     errors = [_put(file, path, places[name], rows) for name, rows in arrays.items()]
-    if lasting:
+    if durable:
         errors.append(_sync(file, path))
     file.Close()
     agree(comm, next((error for error in errors if error), None))

@@ -14,13 +14,13 @@ from pydantic import Field, field_validator
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record
-from dolfin_elastic.results.fields import known
+from dolfin_elastic.results.fields import check_field_names
 from dolfin_elastic.results.pictures.pictures import (
     ModePictureWriter,
     PictureWriter,
     View,
-    drawable,
-    own_files,
+    check_drawable,
+    picture_files,
 )
 from dolfin_elastic.results.writer import Numbers, Steps, Writer
 from dolfin_elastic.results.writers.history import HistoryWriter
@@ -93,7 +93,7 @@ class Xdmf(Output):
     @field_validator("fields")
     @classmethod
     def _check_fields(cls, fields: Iterable[str] | None) -> tuple[str, ...] | None:
-        return fields if fields is None else known(fields)
+        return fields if fields is None else check_field_names(fields)
 
     def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> XdmfWriter:
         """See `Output.open`."""
@@ -155,7 +155,7 @@ class Picture(Output):
     title: str | None = None
 
     _check_file = field_validator("file")(lambda file: _suffix(file, ".png"))
-    _check_field = field_validator("field")(staticmethod(drawable))
+    _check_field = field_validator("field")(staticmethod(check_drawable))
 
     @field_validator("every")
     @classmethod
@@ -180,7 +180,7 @@ class Picture(Output):
     def listing(self, folder: Path) -> list[str]:
         """See `Output.listing`; many pictures are the first and the last."""
         path = folder / self.file
-        found = [str(p.relative_to(folder)) for p in own_files(path)] if folder.is_dir() else []
+        found = [str(p.relative_to(folder)) for p in picture_files(path)] if folder.is_dir() else []
         if len(found) <= _MANY:
             return found
         return [f"{found[0]} ... {found[-1]} ({len(found)} pictures)"]

@@ -59,7 +59,7 @@ class ProbePoint(Record):
     @field_validator("fields")
     @classmethod
     def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        return readable(names)
+        return check_readable(names)
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -94,7 +94,7 @@ def check_places(probes: Mapping[str, ProbePoint], body: Body, scale: float) -> 
             check_surface(body, probe.surface, f"{name}.surface")
 
 
-def readable(names: Iterable[str]) -> tuple[str, ...]:
+def check_readable(names: Iterable[str]) -> tuple[str, ...]:
     """The names, if all of them are fields that a probe can read.
 
     Raises:
@@ -136,12 +136,12 @@ class Probe:
     ) -> None:
         self.problem, self.dim = problem, problem.body.dim
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
-        self.fields = {name: readable(of[name]) for name in points}
+        self.fields = {name: check_readable(of[name]) for name in points}
         self.places = locate(problem.body, points, _materials(problem))
         names = dict.fromkeys(n for row in self.fields.values() for n in row if n not in NODAL)
         self._cells = _CellFields(problem, self.places, tuple(names)) if names else None
         self._means = {
-            name: SurfaceMean(problem, surface, readable(asked))
+            name: SurfaceMean(problem, surface, check_readable(asked))
             for name, (surface, asked) in (surfaces or {}).items()
         }
 
@@ -207,7 +207,7 @@ class Probe:
             for column, value in zip(_columns(name, len(components)), components, strict=True)
         }
 
-    def onto(self, state: State) -> State:
+    def add_to(self, state: State) -> State:
         """The state with these numbers among its own.
 
         Raises:
@@ -215,11 +215,11 @@ class Probe:
         """
         found = self.numbers(state)
         if twice := found.keys() & row(state).keys():
-            raise named_twice(min(twice))
+            raise duplicate_column(min(twice))
         return replace(state, numbers={**state.numbers, **found})
 
 
-def named_twice(column: str) -> InputError:
+def duplicate_column(column: str) -> InputError:
     """What is wrong where a probe's column has the name of another number."""
     return InputError(
         f"there are two results called '{column}'",

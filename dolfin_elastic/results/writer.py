@@ -57,7 +57,7 @@ Steps = Annotated[int, AfterValidator(_some)]
 """How many steps there are from one to the next."""
 
 
-class Every:
+class StepInterval:
     """Which states are taken: the first one at or after each n-th step.
 
     A solver may not show every step; then the steps it shows need not be multiples of n.

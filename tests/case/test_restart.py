@@ -55,7 +55,7 @@ from dolfin_elastic.case.restart import portable
 from dolfin_elastic.core.errors import RestartError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.problem.state import State, StateCopy
-from dolfin_elastic.results.checkpoint.checkpoints import FOLDER, newest
+from dolfin_elastic.results.checkpoint.checkpoints import FOLDER, newest_checkpoint
 from dolfin_elastic.results.writers.history import row
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 
@@ -197,7 +197,7 @@ def test_a_solver_goes_on(name: str, folder: Path) -> None:
     # Along a path where the first limit point is still to be noticed.
     later = next((i - 1 for i, found in enumerate(limits) if found), len(known) // 2)
     for step in (first, later):
-        found = newest(WORLD, folder / str(step))
+        found = newest_checkpoint(WORLD, folder / str(step))
         assert found is not None
         again = list(Statics(make(), **keys).steps(found))
         check_same([row(state) for state in again], known[step + 1 :])
@@ -216,7 +216,7 @@ def test_a_solver_goes_on_after_failures(folder: Path, caplog: pytest.LogCapture
             saved(WORLD, folder / str(state.step), solver.restart_state(), max(state.step, 1))
     assert on_root(WORLD, lambda: "a smaller step" in caplog.text and "snapped" in caplog.text)
     for step in (1, len(known) // 2):
-        found = newest(WORLD, folder / str(step))
+        found = newest_checkpoint(WORLD, folder / str(step))
         assert found is not None
         again = Statics(snapping(), max_step=0.5).steps(found)
         check_same([row(state) for state in again], known[step + 1 :])
@@ -229,7 +229,7 @@ def test_from_two_ranks_to_three_to_one(folder: Path) -> None:
 
     def part(comm: MPI.Comm) -> list[dict[str, Any]]:
         solver, rows = Statics(bent(comm), **keys), []
-        found = newest(comm, folder)
+        found = newest_checkpoint(comm, folder)
         states = solver.steps() if found is None else solver.steps(found)
         for state in states:
             rows.append(row(state))

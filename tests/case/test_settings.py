@@ -24,7 +24,7 @@ from dolfin_elastic.case.check import report
 from dolfin_elastic.case.tables import Output
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.schema import known_keys
-from dolfin_elastic.results.checkpoint.checkpoints import Checkpoint
+from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
 from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
 from dolfin_elastic.solvers.eigen.buckling import BucklingSettings
 from dolfin_elastic.solvers.eigen.modal import ModalSettings
@@ -351,7 +351,7 @@ def test_in_python_too():
     with pytest.raises(InputError, match="^count and below given together"):
         ModalSettings(count=3, below=10.0)
     with pytest.raises(InputError, match="^keep: there are no checkpoints with off = true"):
-        Checkpoint(off=True, keep=3)
+        CheckpointSettings(off=True, keep=3)
 
 
 @pytest.mark.parametrize("solver", [Statics, Dynamics, Modal, Buckling])

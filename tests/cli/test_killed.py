@@ -124,8 +124,8 @@ def test_a_run_that_is_refused_leaves_the_stop_file_of_another(tmp_path: Path) -
     write_case(tmp_path, 3)
     folder = tmp_path / "case_results"
     folder.mkdir()
-    with closing(FolderLock(MPI.COMM_SELF, folder)) as claim:
-        claim.take()
+    with closing(FolderLock(MPI.COMM_SELF, folder)) as lock:
+        lock.acquire()
         (folder / "stop").touch()
         code, _, err = cli("run", "case.toml", folder=tmp_path)
     assert code == 2

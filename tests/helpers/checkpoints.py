@@ -10,9 +10,9 @@ from mpi4py import MPI
 
 from dolfin_elastic.problem.state import RestartState, State, StateCopy
 from dolfin_elastic.results.checkpoint.checkpoints import (
-    About,
-    Checkpoint,
     Checkpoints,
+    CheckpointSettings,
+    RunDescription,
 )
 
 
@@ -20,7 +20,7 @@ def saved(
     comm: MPI.Comm, folder: Path, restart: RestartState, step: int = 3, **keys: Any
 ) -> Checkpoints:
     """Writes a checkpoint."""
-    to = Checkpoints(comm, folder, Checkpoint(**keys), About("", "", {}, {}))
+    to = Checkpoints(comm, folder, CheckpointSettings(**keys), RunDescription("", "", {}, {}))
     to.save(State(step, 0.5, next(iter(restart.fields.values())), done=0.5), restart, [{}])
     return to
 

@@ -34,10 +34,10 @@ from dolfin_elastic.mesh import Body
 from dolfin_elastic.problem.state import RestartState, State
 from dolfin_elastic.results.checkpoint.checkpoints import (
     FOLDER,
-    About,
-    Checkpoint,
     Checkpoints,
-    newest,
+    CheckpointSettings,
+    RunDescription,
+    newest_checkpoint,
 )
 from dolfin_elastic.results.checkpoint.checksums import fingerprint
 from dolfin_elastic.results.checkpoint.mesh_order import DofOrdering
@@ -133,7 +133,7 @@ def test_fields_on_other_ranks(kind: str, folder: Path) -> None:
     def read(comm: MPI.Comm) -> float:
         body = make_body(kind, folder, comm)
         empty, full = functions(body, filled=False), functions(body, filled=True)
-        found = newest(comm, folder)
+        found = newest_checkpoint(comm, folder)
         assert found is not None
         found.fill(empty)
         assert found.numbers == {"a": [1.1, None], "b": {"c": "d"}}
@@ -171,7 +171,7 @@ def test_merged_nodes(folder: Path) -> None:
         fill(whole := problem(comm))
         known = whole.u.x.array.copy()
         whole.w.x.array[:] = 0
-        found = newest(comm, folder)
+        found = newest_checkpoint(comm, folder)
         assert found is not None
         found.fill({"w": whole.w})
         whole.unknowns.tell()
@@ -216,7 +216,9 @@ def names(folder: Path) -> list[str]:
 def several(folder: Path, *steps: int, **keys: Any) -> tuple[Checkpoints, fem.Function]:
     """Checkpoints whose field has the step as its value."""
     u = a_field()
-    to = Checkpoints(WORLD, folder, Checkpoint(**keys), About("x = 1", "", {"cells": 18}, {}))
+    to = Checkpoints(
+        WORLD, folder, CheckpointSettings(**keys), RunDescription("x = 1", "", {"cells": 18}, {})
+    )
     for step in steps:
         u.x.array[:] = step
         to.save(
@@ -227,7 +229,7 @@ def several(folder: Path, *steps: int, **keys: Any) -> tuple[Checkpoints, fem.Fu
 
 def step_found(folder: Path, u: fem.Function) -> int | None:
     """Step of the newest whole checkpoint, whose field and numbers belong together."""
-    found = newest(WORLD, folder)
+    found = newest_checkpoint(WORLD, folder)
     if found is None:
         return None
     u.x.array[:] = np.nan
@@ -348,7 +350,7 @@ def test_a_full_disk_leaves_the_one_before(folder: Path, monkeypatch: pytest.Mon
 
 def test_another_solver_is_refused(folder: Path) -> None:
     _, u = several(folder, 1)
-    found = newest(WORLD, folder)
+    found = newest_checkpoint(WORLD, folder)
     assert found is not None
     with pytest.raises(RestartError, match=r"it has no field 'velocity' of 16 values"):
         found.fill({"velocity": u})
@@ -366,7 +368,9 @@ def test_when(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         return to.due(State(step, 0.0, u, done=step / 10), asked=asked)
 
     def make(step: int = 0, **keys: Any) -> Checkpoints:
-        return Checkpoints(WORLD, folder, Checkpoint(**keys), About("", "", {}, {}), step=step)
+        return Checkpoints(
+            WORLD, folder, CheckpointSettings(**keys), RunDescription("", "", {}, {}), step=step
+        )
 
     by_step = make(every=3)
     assert [due(by_step, step) for step in range(11)] == [

@@ -25,7 +25,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.extremes import extremes
-from dolfin_elastic.results.fields import FIELDS, known
+from dolfin_elastic.results.fields import FIELDS, check_field_names
 from dolfin_elastic.results.grid import signed_volumes, to_nodes
 
 COMM = MPI.COMM_WORLD
@@ -214,7 +214,7 @@ def test_extremes_and_their_places(degree: int) -> None:
 
 def test_unknown_fields_are_refused() -> None:
     with pytest.raises(InputError, match="did you mean 'von_mises'"):
-        known(["von_misses"])
+        check_field_names(["von_misses"])
     problem = Problem(make_body(2), Textbook(E=1.0, nu=NU))
     with pytest.raises(InputError, match="no strain energy"):
         Evaluator(problem, ["energy_density"])

@@ -41,22 +41,22 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_one_at_a_time(folder: Path) -> None:
     """On all ranks alike; whoever gives it back leaves nothing behind."""
     first, second = FolderLock(WORLD, folder), FolderLock(WORLD, folder)
-    first.take()
-    first.take(make=True)  # once is enough
+    first.acquire()
+    first.acquire(create=True)  # once is enough
     with pytest.raises(RestartError, match=GOING):
-        second.take(make=True)
+        second.acquire(create=True)
     first.close()
     assert on_root(WORLD, lambda: os.listdir(folder)) == []
-    second.take(make=True)
+    second.acquire(create=True)
     second.close()
 
 
 def test_no_folder_yet(folder: Path) -> None:
     """It is made only when it is asked for."""
     one = FolderLock(WORLD, folder / "new")
-    one.take()
+    one.acquire()
     assert not on_root(WORLD, (folder / "new").exists)
-    one.take(make=True)
+    one.acquire(create=True)
     assert on_root(WORLD, (folder / "new" / LOCK).exists)
     one.close()
 
@@ -66,7 +66,7 @@ def test_a_file_left_behind_keeps_nobody_out(folder: Path) -> None:
     on_root(WORLD, lambda: (folder / LOCK).write_text('{"pid": 1'))
     on_root(WORLD, lambda: check_free(folder))
     one = FolderLock(WORLD, folder)
-    one.take()
+    one.acquire()
     with pytest.raises(RestartError, match=GOING):
         on_root(WORLD, lambda: check_free(folder))
     one.close()
@@ -84,12 +84,12 @@ def test_a_file_that_was_removed_is_no_lock(folder: Path, monkeypatch: Any) -> N
 
     monkeypatch.setattr(fcntl, "flock", flock)
     one = FolderLock(WORLD, folder)
-    one.take()
+    one.acquire()
     assert on_root(WORLD, lambda: len(calls)) == 2
     monkeypatch.undo()
     monkeypatch.setattr(lock, "PATIENCE", 0.0)
     with pytest.raises(RestartError, match=GOING):
-        FolderLock(WORLD, folder).take()
+        FolderLock(WORLD, folder).acquire()
     one.close()
 
 
@@ -111,7 +111,7 @@ def test_where_locks_are_not_known(folder: Path, monkeypatch: Any, caplog: Any) 
     assert not on_root(WORLD, (folder / LOCK).exists)
     on_root(WORLD, lambda: [(folder / LOCK).write_text('{"pid": 1'), None][1])
     one = FolderLock(WORLD, folder)
-    one.take()
+    one.acquire()
     one.close()
     assert on_root(WORLD, (folder / LOCK).exists)  # somebody else's
 

@@ -243,7 +243,7 @@ def test_two_numbers_of_one_name(folder):
     probe = Probe(problem, {"a": [0.0, 0.0, 0.0]})
     state = next(Statics(problem).steps())
     with pytest.raises(InputError, match="two results called 'a_x'"):
-        probe.onto(probe.onto(state))
+        probe.add_to(probe.add_to(state))
 
 
 @pytest.mark.parametrize("degree", [1, 2])

@@ -43,9 +43,9 @@ from dolfin_elastic.results.outputs import (
     Xdmf,
 )
 from dolfin_elastic.results.pictures import colour_bar, pictures, renderer
-from dolfin_elastic.results.pictures.colour_bar import bar
+from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
 from dolfin_elastic.results.pictures.pictures import picture
-from dolfin_elastic.results.pictures.surface import Surface
+from dolfin_elastic.results.pictures.surface import Surface, gather_surface
 
 
 @pytest.fixture
@@ -540,9 +540,9 @@ def test_a_drawer_that_dies(folder: Path) -> None:
     user, bad = object(), folder / "bad.npz"
     bad.write_text("no picture")
     with pytest.raises(OutputError, match="cannot draw a picture: .*pickle"):
-        renderer.SHARED.draw(user, bad, folder / "a.png")
-    assert renderer.SHARED._drawer is None
-    renderer.SHARED.release(user)
+        renderer.RENDERER.draw(user, bad, folder / "a.png")
+    assert renderer.RENDERER._renderer is None
+    renderer.RENDERER.release(user)
 
 
 def image(path: Path) -> AnyArray:
@@ -652,7 +652,7 @@ def test_labels_say_what_is_shown() -> None:
 def test_colour_bars(
     values: list[float], noise: float, ticks: tuple[float, ...], unit: str
 ) -> None:
-    found = bar(np.array(values), "Pa", noise)
+    found = make_colour_bar(np.array(values), "Pa", noise)
     assert (found.ticks, found.unit) == (ticks, unit)
 
 
@@ -668,11 +668,10 @@ def test_digits_of_ticks(ticks: tuple[float, ...], first: str, form: str) -> Non
 @pytest.mark.parametrize("degree", [1, 2])
 def test_the_surface_is_closed_and_looks_outwards(degree: int) -> None:
     from dolfin_elastic.results.grid import Grid
-    from dolfin_elastic.results.pictures.surface import gather
 
     problem = make_problem(3, degree)
     x = problem.V.tabulate_dof_coordinates()
-    surface = gather(Grid(problem.V), {"x": x})
+    surface = gather_surface(Grid(problem.V), {"x": x})
     assert (surface is None) == (COMM.rank > 0)
     if surface:
         a, b, c = (surface.points[surface.triangles[:, i]] for i in range(3))

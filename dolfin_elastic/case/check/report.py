@@ -32,7 +32,7 @@ from dolfin_elastic.mesh.body import Body, extent
 from dolfin_elastic.problem.damping import check_damped
 from dolfin_elastic.problem.material_regions import locking_notes
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.results.probes import named_twice
+from dolfin_elastic.results.probes import duplicate_column
 from dolfin_elastic.solvers.diagnostics.rigid_body import FreeBody, check_held, free_bodies
 from dolfin_elastic.solvers.dynamics.explicit.limits import check_explicit
 from dolfin_elastic.solvers.dynamics.implicit.petsc_alpha2 import check_alpha2
@@ -125,7 +125,7 @@ def check_probes(case: Case, problem: Problem) -> None:
     if case.dynamics is not None:
         taken |= {"momentum", "angular_momentum"}
     if twice := taken & case.output.probes.keys():
-        raise named_twice(f"{min(twice)}_x")
+        raise duplicate_column(f"{min(twice)}_x")
 
 
 def _start(case: Case, problem: Problem) -> tuple[str, ...]:

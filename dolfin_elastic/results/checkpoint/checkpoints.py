@@ -38,8 +38,8 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.core.units import Time
 from dolfin_elastic.problem.state import RestartState, State
-from dolfin_elastic.results import hdf5 as heavy
-from dolfin_elastic.results.checkpoint.checksums import sum_of
+from dolfin_elastic.results import hdf5
+from dolfin_elastic.results.checkpoint.checksums import array_checksum
 from dolfin_elastic.results.checkpoint.mesh_order import DofOrdering
 from dolfin_elastic.results.files import (
     make_folder,
@@ -47,7 +47,7 @@ from dolfin_elastic.results.files import (
     sync,
     writing,
 )
-from dolfin_elastic.results.writer import Every, Steps
+from dolfin_elastic.results.writer import StepInterval, Steps
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -57,7 +57,7 @@ _NAME = re.compile(r"step_(\d{6,})\.json")
 _UNREADABLE = (OSError, KeyError, RuntimeError, TypeError, ValueError)
 
 
-class Checkpoint(Record):
+class CheckpointSettings(Record):
     """When checkpoints are written.  In a case file false, or a text with the time, stand for it.
 
     Attributes:
@@ -93,7 +93,7 @@ class Checkpoint(Record):
 
 
 @dataclass
-class About:
+class RunDescription:
     """What a run is, for its checkpoints.
 
     Attributes:
@@ -131,7 +131,7 @@ class Checkpoints:
         comm: The ranks that compute.
         folder: Of the results.
         settings: When.
-        about: What is computed.
+        run: What is computed.
         step: Of the checkpoint that the run goes on from, if it does.
 
     Attributes:
@@ -140,12 +140,18 @@ class Checkpoints:
     """
 
     def __init__(
-        self, comm: MPI.Comm, folder: Path, settings: Checkpoint, about: About, *, step: int = 0
+        self,
+        comm: MPI.Comm,
+        folder: Path,
+        settings: CheckpointSettings,
+        run: RunDescription,
+        *,
+        step: int = 0,
     ) -> None:
-        self._comm, self._folder, self._settings, self._about = comm, folder, settings, about
+        self._comm, self._folder, self._settings, self._run = comm, folder, settings, run
         self._path = folder / FOLDER
         self._spaces, self._written = Spaces(), time.monotonic()
-        self._every = Every(settings.every or 1)
+        self._every = StepInterval(settings.every or 1)
         self._every.takes(step)
         self.saved, self.off = step, settings.off
 
@@ -186,9 +192,9 @@ class Checkpoints:
             }
             rows = {name: orders[name].rows(f) for name, f in restart.fields.items()}
             draft = self._path / ".part.h5"
-            heavy.write(self._comm, draft, rows, lasting=True)
+            hdf5.write(self._comm, draft, rows, durable=True)
             arrays = {
-                name: {"shape": list(r.shape), "sum": sum_of(self._comm, r)}
+                name: {"shape": list(r.shape), "sum": array_checksum(self._comm, r)}
                 for name, r in rows.items()
             }
             content = {
@@ -198,10 +204,10 @@ class Checkpoints:
                 "written": datetime.now(UTC).isoformat(timespec="seconds"),
                 "ranks": self._comm.size,
                 "version": __version__,
-                "mesh": self._about.mesh,
-                "case": digest(self._about.case),
-                "file": self._about.file,
-                "petsc": self._about.petsc,
+                "mesh": self._run.mesh,
+                "case": digest(self._run.case),
+                "file": self._run.file,
+                "petsc": self._run.petsc,
                 "arrays": arrays,
                 "numbers": restart.numbers,
                 "outputs": list(outputs),
@@ -213,8 +219,8 @@ class Checkpoints:
     def _begin(self) -> None:
         make_folder(self._path)
         case = self._path / CASE
-        if not case.is_file() or case.read_text(encoding="utf-8") != self._about.case:
-            _replace(case, self._about.case)
+        if not case.is_file() or case.read_text(encoding="utf-8") != self._run.case:
+            _replace(case, self._run.case)
 
     def _commit(self, step: int, draft: Path, content: Mapping[str, Any]) -> None:
         """Makes what has been written a checkpoint. On rank 0."""
@@ -256,7 +262,7 @@ def clear(folder: Path) -> int:
 
 
 @dataclass(frozen=True)
-class Found:
+class Checkpoint:
     """A checkpoint that is whole.
 
     Attributes:
@@ -296,14 +302,14 @@ class Found:
             rows: AnyArray = np.empty((0, shape[1]))
             error = None
             try:
-                rows = heavy.read(self.path, name, order.first, order.mine)
+                rows = hdf5.read(self.path, name, order.first, order.mine)
             except _UNREADABLE as caught:
                 error = RestartError(f"cannot be read: {caught}", where=str(self.path))
             agree(self.comm, error)
             order.fill(function, rows)
 
 
-def newest(comm: MPI.Comm, folder: Path) -> Found | None:
+def newest_checkpoint(comm: MPI.Comm, folder: Path) -> Checkpoint | None:
     """The newest whole checkpoint in a folder of results; damaged ones are warned of. Collective.
 
     Every number is read and compared with the sums, by all ranks together.
@@ -314,7 +320,7 @@ def newest(comm: MPI.Comm, folder: Path) -> Found | None:
         content, fault = on_root(comm, partial(_content, manifest))
         fault = fault or _damage(comm, fields, content["arrays"])
         if not fault:
-            return Found(comm, fields, content)
+            return Checkpoint(comm, fields, content)
         log.warning("the checkpoint of step %d is damaged (%s): going back further", step, fault)
     return None
 
@@ -338,11 +344,11 @@ def _damage(comm: MPI.Comm, fields: Path, arrays: Mapping[str, Any]) -> str:
         count = known["shape"][0]
         first, last = (count * rank // comm.size for rank in (comm.rank, comm.rank + 1))
         try:
-            rows = heavy.Rows(heavy.read(fields, name, first, last - first), first, count)
+            rows = hdf5.Rows(hdf5.read(fields, name, first, last - first), first, count)
             failed = list(rows.shape) != known["shape"]
         except _UNREADABLE:
             failed = True
-        if largest(comm, float(failed)) or sum_of(comm, rows) != known["sum"]:
+        if largest(comm, float(failed)) or array_checksum(comm, rows) != known["sum"]:
             return f"{fields.name} is not as it was written"
     return ""
 
@@ -389,7 +395,7 @@ def _remove(path: Path, steps: Sequence[int]) -> None:
 
 def _replace(path: Path, text: str) -> None:
     """As `replace_text`, and it is on the disk itself."""
-    replace_text(path, text, lasting=True)
+    replace_text(path, text, durable=True)
     sync(path.parent)
 
 

@@ -40,7 +40,7 @@ def _mixed(values: AnyArray, places: AnyArray) -> int:
     return int(np.sum(z ^ (z >> np.uint64(31)), dtype=np.uint64))
 
 
-def sum_of(comm: Any, rows: Rows) -> str:
+def array_checksum(comm: Any, rows: Rows) -> str:
     """Checksum of a whole array. Collective."""
     places = np.arange(rows.first, rows.first + len(rows.values))
     return _text(total(comm, checksum(rows.values, places)))

@@ -35,7 +35,7 @@ _ATTEMPTS = 100
 
 
 class FolderLock:
-    """The right to write into a folder, from `take` to `close` or the end of the process.
+    """The right to write into a folder, from `acquire` to `close` or the end of the process.
 
     Args:
         comm: The ranks that compute.
@@ -47,28 +47,28 @@ class FolderLock:
         self._descriptor: int | None = None
         self._taken = False
 
-    def take(self, *, make: bool = False) -> None:
+    def acquire(self, *, create: bool = False) -> None:
         """Takes it, unless it is taken already, or there is no such folder. Collective.
 
         Args:
-            make: Make the folder first.
+            create: Make the folder first.
 
         Raises:
             RestartError: Another run is going there.
             OutputError: The folder cannot be made.
         """
         if not self._taken:
-            self._taken = on_root(self._comm, lambda: self._take(make))
+            self._taken = on_root(self._comm, lambda: self._acquire(create))
 
-    def _take(self, make: bool) -> bool:
-        if make:
+    def _acquire(self, create: bool) -> bool:
+        if create:
             make_folder(self._folder)
         if not self._folder.is_dir():
             return False
         try:
             self._descriptor = _locked(self._folder / LOCK)
         except OSError as error:
-            if error.errno in (errno.EPERM, errno.EACCES, errno.EROFS) and not make:
+            if error.errno in (errno.EPERM, errno.EACCES, errno.EROFS) and not create:
                 return False  # whoever writes there says it better
             log.warning(
                 "%s cannot be locked (%s): nothing keeps a second run out of it",

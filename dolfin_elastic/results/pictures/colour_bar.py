@@ -18,7 +18,7 @@ _PREFIXED = ("Pa", "J/m^3", "m", "N", "m/s", "m/s^2")
 
 
 @dataclass(frozen=True)
-class Bar:
+class ColourBar:
     """A colour bar.
 
     Attributes:
@@ -34,7 +34,7 @@ class Bar:
     form: str
 
 
-def bar(values: AnyArray, unit: str, noise: float = 0.0) -> Bar:
+def make_colour_bar(values: AnyArray, unit: str, noise: float = 0.0) -> ColourBar:
     """The colour bar of some values.
 
     Rounding errors get no colours of their own: values that are zero but for them are shown
@@ -48,7 +48,7 @@ def bar(values: AnyArray, unit: str, noise: float = 0.0) -> Bar:
     low, high = _range(values[np.isfinite(values)], noise)
     factor, unit = _prefix(max(abs(low), abs(high)), unit)
     ticks = round_ticks(low / factor, high / factor)
-    return Bar(ticks, factor, unit, _form(ticks))
+    return ColourBar(ticks, factor, unit, _form(ticks))
 
 
 def _range(values: AnyArray, noise: float) -> tuple[float, float]:

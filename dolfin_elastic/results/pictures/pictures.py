@@ -29,10 +29,10 @@ from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import make_folder, writing
 from dolfin_elastic.results.grid import to_nodes
-from dolfin_elastic.results.pictures.colour_bar import bar
-from dolfin_elastic.results.pictures.renderer import SHARED
-from dolfin_elastic.results.pictures.surface import Surface, gather
-from dolfin_elastic.results.writer import Every, LastState, Numbers
+from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
+from dolfin_elastic.results.pictures.renderer import RENDERER
+from dolfin_elastic.results.pictures.surface import Surface, gather_surface
+from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -52,7 +52,7 @@ _LABELS = {
 }
 
 
-def drawable(name: str) -> str:
+def check_drawable(name: str) -> str:
     """The name of a field, if a picture can show it.
 
     Raises:
@@ -109,7 +109,7 @@ class PictureWriter:
     Args:
         problem: The problem that is solved.
         path: The PNG file.
-        every: Each n-th step (see `Every`) and the last one, with the step's number in the
+        every: Each n-th step (see `StepInterval`) and the last one, with the step's number in the
             file's name; None: the last only, without it.
         field: See `picture`.
         saved: Its restart state: pictures of later steps are removed.
@@ -128,7 +128,7 @@ class PictureWriter:
     ) -> None:
         self.path, self.options = path, options
         self._every = (
-            None if every is None else Every(every, -1 if saved is None else saved["taken"])
+            None if every is None else StepInterval(every, -1 if saved is None else saved["taken"])
         )
         self._drawn = -1 if saved is None else int(saved["drawn"])
         self._last_state = LastState()
@@ -139,7 +139,7 @@ class PictureWriter:
     def _clear(self) -> None:
         make_folder(self.path.parent)
         with writing(self.path):
-            for file in own_files(self.path):
+            for file in picture_files(self.path):
                 if file == self.path or _number(self.path, file) > self._drawn:
                     file.unlink()
 
@@ -196,7 +196,7 @@ class ModePictureWriter:
     def _clear(self) -> None:
         make_folder(self.path.parent)
         with writing(self.path):
-            for file in own_files(self.path):
+            for file in picture_files(self.path):
                 file.unlink()
 
     def write(self, state: State) -> None:
@@ -226,7 +226,7 @@ def _told(mode: Mode) -> str:
     return f"mode {mode.number}: {mode.name or f'{mode.frequency:.5g} Hz'}"
 
 
-def own_files(path: Path) -> list[Path]:
+def picture_files(path: Path) -> list[Path]:
     """Pictures that a run has drawn as `path`, in their order. Not collective."""
     found = [(number, p) for p in path.parent.iterdir() if (number := _number(path, p)) >= 0]
     return [*([path] if path.is_file() else []), *(p for _, p in sorted(found))]
@@ -243,14 +243,14 @@ class Painter:
     """A field of a problem, ready to be drawn again and again."""
 
     def __init__(self, problem: Problem, field: str) -> None:
-        self.problem, self.comm, self.field = problem, problem.body.comm, drawable(field)
+        self.problem, self.comm, self.field = problem, problem.body.comm, check_drawable(field)
         self.dim = problem.body.dim
         self._noise = _noise(problem, FIELDS[field].unit)
         self._evaluate = Evaluator(problem, [field])
 
     def close(self) -> None:
         """There is nothing more to draw."""
-        SHARED.release(self)
+        RENDERER.release(self)
 
     def paint(
         self,
@@ -271,7 +271,7 @@ class Painter:
             of_cells = _with_ghosts(cells, values)[:, 0].astype(np.int64)
         else:
             fields["value"] = self._at_local_nodes(values)
-        surface = gather(grid, fields, of_cells)
+        surface = gather_surface(grid, fields, of_cells)
         settings = {
             "scale": scale,
             "view": "z" if self.dim == 2 else view,
@@ -300,7 +300,7 @@ class Painter:
                 **self._coloured(surface),
                 **settings,
             )
-            SHARED.draw(self, data, drawn)
+            RENDERER.draw(self, data, drawn)
             draft = file.with_name(f".{file.name}.part")
             draft.write_bytes(drawn.read_bytes())
             draft.replace(file)
@@ -312,7 +312,7 @@ class Painter:
             first, names = self._names()
             return {"value": surface.of_cells - first, "names": names, "label": label}
         values = surface.values["value"][:, 0]
-        found = bar(values, field.unit, self._noise)
+        found = make_colour_bar(values, field.unit, self._noise)
         unit = f"[{found.unit}]" if found.unit else ""
         if field.shape == "tensor":
             unit = f"norm of the tensor\n{unit}"

@@ -79,20 +79,20 @@ class Renderer:
                 _close_quietly(stream)
 
 
-class Shared:
+class SharedRenderer:
     """The one drawer of this program: started when it is needed, ended when nobody wants it."""
 
     def __init__(self) -> None:
-        self._drawer: Renderer | None = None
+        self._renderer: Renderer | None = None
         self._users: set[int] = set()
 
     def draw(self, user: object, data: Path, drawn: Path) -> None:
         """Draws, and keeps the drawer until this user has called `release`. See `Renderer.draw`."""
         self._users.add(id(user))
-        if self._drawer is None:
-            self._drawer = Renderer()
+        if self._renderer is None:
+            self._renderer = Renderer()
         try:
-            self._drawer.draw(data, drawn)
+            self._renderer.draw(data, drawn)
         except OutputError:
             self._end()
             raise
@@ -104,9 +104,9 @@ class Shared:
             self._end()
 
     def _end(self) -> None:
-        if self._drawer is not None:
-            self._drawer.close()
-            self._drawer = None
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
 
 
 def _close_quietly(stream: IO[str]) -> None:
@@ -144,5 +144,5 @@ def _start_xvfb() -> tuple[subprocess.Popen[bytes], int]:
     return server, int(number)
 
 
-SHARED = Shared()
-atexit.register(SHARED._end)
+RENDERER = SharedRenderer()
+atexit.register(RENDERER._end)

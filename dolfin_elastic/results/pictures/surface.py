@@ -35,7 +35,7 @@ class Surface:
     of_cells: AnyArray | None = None
 
 
-def gather(
+def gather_surface(
     grid: Grid, values: dict[str, AnyArray], of_cells: AnyArray | None = None
 ) -> Surface | None:
     """The body's surface on rank 0, None on the others; of a plane body all cells. Collective.

@@ -15,7 +15,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.state import Audit, State, plain
 from dolfin_elastic.results.files import (
     make_folder,
-    shortened,
+    missing_results,
     sync,
     writing,
 )
@@ -71,7 +71,7 @@ class HistoryWriter:
 
     def _cut(self, size: int) -> None:
         if not self.path.is_file() or self.path.stat().st_size < size:
-            raise shortened(self.path, "rows")
+            raise missing_results(self.path, "rows")
         with writing(self.path):
             self._file = self.path.open("r+b", buffering=0)
             head = self._file.readline() if size else b""

@@ -26,7 +26,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import extent
 from dolfin_elastic.problem.state import Mode, State
-from dolfin_elastic.results import hdf5 as heavy
+from dolfin_elastic.results import hdf5
 from dolfin_elastic.results.files import make_folder, replace_text, writing
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.writer import Numbers
@@ -75,7 +75,7 @@ class ModesWriter:
         """Writes one mode; on return it can be opened."""
         with stage("output"):
             if not self._rows:
-                heavy.write(self.comm, self._data / "mesh.h5", mesh_rows(self._grid))
+                hdf5.write(self.comm, self._data / "mesh.h5", mesh_rows(self._grid))
             self._rows.append(row(mode))
             self._animate(mode)
             on_root(self.comm, lambda: replace_text(self.path, _table(self._rows)))
@@ -89,7 +89,7 @@ class ModesWriter:
         }
         rows = {name: self._grid.rows("node", values) for name, values in arrays.items()}
         file = f"{mode.number:04d}.h5"
-        heavy.write(self.comm, self._data / file, rows)
+        hdf5.write(self.comm, self._data / file, rows)
         period = 1.0 / mode.frequency if mode.frequency > 0.0 else 1.0
         light, mesh = [], mesh_xml(self._grid, f"{_DATA}/mesh.h5")
         for k in range(self.frames):

@@ -35,19 +35,19 @@ from mpi4py import MPI
 from dolfin_elastic.core.parallel import largest, on_root
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.state import State, plain
-from dolfin_elastic.results import hdf5 as heavy
+from dolfin_elastic.results import hdf5
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import DEFAULT, FIELDS, IN_MOTION
 from dolfin_elastic.results.files import (
     make_folder,
+    missing_results,
     replace_text,
-    shortened,
     sync,
     writing,
 )
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.hdf5 import Rows
-from dolfin_elastic.results.writer import Every, LastState, Numbers
+from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -65,7 +65,7 @@ class XdmfWriter:
         problem: The problem that is solved.
         path: The `.xdmf` file; the heavy data go to a folder beside it.
         fields: Names from `FIELDS`; None: displacement and stresses, in motion also velocity.
-        every: Writes each n-th step (see `Every`), and always the last one.
+        every: Writes each n-th step (see `StepInterval`), and always the last one.
         frames: Instead of that, as many states as this, evenly over the run, and the last one.
         saved: Its restart state: later steps are cut off.
 
@@ -86,7 +86,10 @@ class XdmfWriter:
         saved: Numbers | None = None,
     ) -> None:
         self.problem, self.path, self.fields = problem, path, fields
-        self.every, self.frames = Every(every, -1 if saved is None else saved["taken"]), frames
+        self.every, self.frames = (
+            StepInterval(every, -1 if saved is None else saved["taken"]),
+            frames,
+        )
         self.comm = problem.body.comm
         self.data = _data(path)
         self._frames: list[str] = []
@@ -115,9 +118,9 @@ class XdmfWriter:
         meshes = {mesh for frame in frames for mesh in _MESH.findall(frame)}
         needed = meshes | {f"{number:06d}.h5" for number in range(count)}
         if len(frames) < count or any(not (self.data / name).is_file() for name in needed):
-            raise shortened(self.path, "steps")
+            raise missing_results(self.path, "steps")
         if count:
-            replace_text(self.path, _light(frames), lasting=True)
+            replace_text(self.path, _light(frames), durable=True)
         else:
             clear(self.path)
         with writing(self.data):
@@ -163,9 +166,9 @@ class XdmfWriter:
             fixed = {name: r for name, r in rows.items() if FIELDS[name].fixed}
             self._write_mesh(grid, {**mesh_rows(grid), **fixed})
         file = f"{len(self._frames):06d}.h5"
-        heavy.write(self.comm, self.data / file, moving)
+        hdf5.write(self.comm, self.data / file, moving)
         self._frames.append(self._frame(state, file, rows))
-        on_root(self.comm, lambda: replace_text(self.path, _light(self._frames), lasting=True))
+        on_root(self.comm, lambda: replace_text(self.path, _light(self._frames), durable=True))
 
     def _write_mesh(self, grid: Grid, arrays: Mapping[str, Rows]) -> None:
         """Writes what never changes, unless a run before this one has written the same."""
@@ -174,7 +177,7 @@ class XdmfWriter:
         if not before or not _same(self.comm, self.data / before, arrays):
             if before:
                 self._mesh_file = f"mesh_{len(self._frames):06d}.h5"
-            heavy.write(self.comm, self.data / self._mesh_file, arrays)
+            hdf5.write(self.comm, self.data / self._mesh_file, arrays)
         self._mesh_xml = mesh_xml(grid, f"{self.data.name}/{self._mesh_file}")
 
     def _frame(self, state: State, file: str, rows: Mapping[str, Rows]) -> str:
@@ -210,10 +213,10 @@ def _same(comm: MPI.Comm, path: Path, arrays: Mapping[str, Rows]) -> bool:
 
 def _differs(path: Path, arrays: Mapping[str, Rows]) -> bool:
     try:
-        if heavy.names(path) != {name: rows.shape for name, rows in arrays.items()}:
+        if hdf5.names(path) != {name: rows.shape for name, rows in arrays.items()}:
             return True
         return any(
-            not np.array_equal(heavy.read(path, name, rows.first, len(rows.values)), rows.values)
+            not np.array_equal(hdf5.read(path, name, rows.first, len(rows.values)), rows.values)
             for name, rows in arrays.items()
         )
     except OSError:
