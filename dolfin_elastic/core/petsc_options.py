@@ -21,8 +21,15 @@ CASE_KEYS = {
     "ts_time_step": "dynamics.dt",
     "ts_max_time": "dynamics.end",
     "ts_max_steps": "dynamics.end",
+    "snes_rtol": "statics.rtol, in motion dynamics.rtol,",
+    "snes_atol": "statics.atol, in motion dynamics.atol,",
+    "snes_stol": "statics.rtol, in motion dynamics.rtol,",
 }
-"""Options that a key of the case file sets, and this key."""
+"""Options that a key of the case file stands for, and this key.
+
+SNES would take its tolerances without a word and not use them: Newton's method ends by forces out
+of balance over applied forces, and by no norm of the step.
+"""
 
 AT_START = (
     "log_view",

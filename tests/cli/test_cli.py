@@ -304,6 +304,24 @@ def test_petsc_options(folder: Path) -> None:
     assert {"mesh", "assemble", "solve", "output"} <= set(stages)  # see core/timing.py
 
 
+@pytest.mark.parametrize("command", ["run", "check"])
+@pytest.mark.parametrize("option", ["snes_rtol", "snes_atol", "snes_stol"])
+def test_tolerances_of_snes_are_refused(folder: Path, option: str, command: str) -> None:
+    """PETSc would take them, and nothing would ask for them."""
+    solver = f"\n[solver]\npetsc = {{{option} = 1e-3}}\n"
+    (folder / "own.toml").write_text(CASE + solver)
+    given = {"own.toml": ("solver.petsc", [])}
+    if command == "run":
+        given["case.toml"] = ("command line", ["--", f"-{option}", "1e-3"])
+    for case, (where, more) in given.items():
+        code, out, err = cli(command, case, *more, folder=folder)
+        assert code == 2, out + err
+        assert err.count(f"the PETSc option -{option} has no effect here") == 1
+        assert where in err
+        assert f"statics.{option[5:] if option == 'snes_atol' else 'rtol'}" in err
+        assert "Traceback" not in err
+
+
 def test_reading_petsc_options() -> None:
     """Words after two dashes; negative numbers are values."""
     assert parse_arguments(["-a", "-b", "3", "-c", "-1e-3", "--d", "x"]) == (

@@ -21,7 +21,7 @@ from dolfin_elastic import (
     Traction,
     rectangle_body,
 )
-from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.core.errors import CaseError, ConvergenceError, InputError
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.problem.state import State
@@ -243,6 +243,16 @@ def test_options_of_the_user_win_and_leave_no_trace(caplog):
     assert dict(PETSc.Options().getAll()) == before
     assert said(caplog, "'-snes_mistyped' was not used")
     assert not said(caplog, "'-ksp_type'")
+
+
+@pytest.mark.parametrize("option", ["snes_rtol", "-snes_atol", "elastic_snes_stol"])
+def test_tolerances_of_snes_are_refused(option: str) -> None:
+    """They were without effect: the residual is judged on forces, by the keys of the case."""
+    name = option.lstrip("-").removeprefix("elastic_")
+    key = "atol" if name == "snes_atol" else "rtol"
+    text = rf"solver\.petsc: the PETSc option -{name} has no effect here.*statics\.{key}, in motion"
+    with pytest.raises(CaseError, match=text):
+        list(Statics(block(NH), petsc={option: 1e-3}).steps())
 
 
 def test_a_factorisation_in_place_of_a_failed_solver_is_renewed(caplog):
