@@ -53,6 +53,7 @@ def until(met: Callable[[], bool], process: Any) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_stopped_then_restarted(tmp_path: Path, ranks: int) -> None:
     """After the current step, with code 130, and told how to go on; then gone on with.
@@ -145,6 +146,7 @@ def test_a_changed_case_file_is_told_of(tmp_path: Path) -> None:
     assert "done: 4 steps" in out
 
 
+@pytest.mark.long
 def test_killed_again_and_again(tmp_path: Path) -> None:
     """SIGKILL to all ranks at any moment, also amid a checkpoint: each restart goes on.
 
@@ -186,6 +188,7 @@ BUSY = re.compile(
 )
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_a_folder_belongs_to_one_run_at_a_time(tmp_path: Path, ranks: int) -> None:
     """Neither `run` nor `restart` touches it, on any number of ranks; a killed run frees it."""
@@ -214,6 +217,7 @@ def test_a_folder_belongs_to_one_run_at_a_time(tmp_path: Path, ranks: int) -> No
     assert not (folder / LOCK).exists()
 
 
+@pytest.mark.long
 def test_two_that_begin_at_once(tmp_path: Path) -> None:
     """Where there is no folder yet: one of them gets it, and its results are whole."""
     write_case(tmp_path, 300, every=1)

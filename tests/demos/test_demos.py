@@ -60,6 +60,7 @@ def test_all_there() -> None:
     assert {path.stem for path in SCRIPTS} == set(CHECKED)
 
 
+@pytest.mark.sample(11)
 @pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_script(script: Path, ranks: int, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import os
 import re
 from collections import defaultdict
 from collections.abc import Iterator
+from pathlib import Path
 
 import ffcx.codegeneration.jit as compiler
 import pytest
@@ -60,7 +61,15 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo) -> Itera
     return report
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """An option for the whole table."""
+    group = parser.getgroup("suite")
+    group.addoption("--costs", metavar="FILE", help="write what each test costs to a CSV file")
+
+
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
     """The slowest tests, and the sums for each number of ranks."""
     reports = [one for group in terminalreporter.stats.values() for one in group]
     reports = [one for one in reports if isinstance(one, pytest.TestReport)]
@@ -79,6 +88,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     for nodeid, row in rows.items():
         size = ranks.get(nodeid, 0)
         total[size] = [a + b for a, b in zip(total[size], row, strict=True)]
+    if file := config.getoption("costs"):
+        lines = [f"{nodeid};{row[1]:.2f};{row[2]:.2f};{row[3]:.2f}" for nodeid, row in rows.items()]
+        Path(file).write_text("test;seconds;processor;compiling\n" + "\n".join(lines) + "\n")
     write = terminalreporter.write_line
     terminalreporter.write_sep("=", f"slowest {SLOWEST} tests (seconds, of processor, compiling)")
     for nodeid, row in sorted(rows.items(), key=lambda item: -item[1][1])[:SLOWEST]:

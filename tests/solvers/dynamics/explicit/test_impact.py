@@ -101,6 +101,7 @@ def test_stiff_walls_ask_for_shorter_steps(caplog):
     assert np.abs(thrown).max() > 0.5
 
 
+@pytest.mark.sample(2)
 @BOTH
 @pytest.mark.parametrize(
     "shape",
@@ -142,6 +143,7 @@ def test_a_block_bounces_off_any_obstacle(shape, scheme):
     assert np.ptp(off) < (0.06 if scheme == "symplectic-euler" else 0.04) * off[0]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "newmark", "alpha2"])
 def test_obstacles_do_work_only_where_they_move(scheme):
     """Dropped on a floor, gravity alone does work; beaten from below, the floor does, too."""

@@ -531,6 +531,7 @@ def mixed(body: Body) -> Problem:
     )
 
 
+@pytest.mark.long
 def test_momenta_and_memory_over_ten_thousand_steps(comm):
     """D-3: a free brick that turns ten times and flies 23 m keeps its momenta to round-off.
 
