@@ -33,7 +33,7 @@ def measure(name: str, degree: int, formulation: str) -> None:
         formulation=formulation,
     )
     problem.u.interpolate(lambda x: 0.02 * x[[1, 2, 0]] * x[[0, 1, 2]])
-    problem.unknowns.take()
+    problem.unknowns.u_to_w()
     spent = []
     with tempfile.TemporaryDirectory() as cache:
         options = {"cffi_extra_compile_args": list(FLAGS), "timeout": 900, "cache_dir": cache}

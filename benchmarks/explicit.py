@@ -51,7 +51,7 @@ def measure(n: int) -> None:
     v = fem.Function(problem.V)
     v.interpolate(lambda x: np.array([-x[1], x[0], 0.3 * x[2]]))
     march = CentralDifferences(problem, v, end=1e6, dt=None, safety=0.9, every=STEPS)
-    form, u = march.assembler.form, problem.u
+    form, u = march.assembler.residual.form, problem.u
     force = la.vector(problem.V.dofmap.index_map, problem.V.dofmap.index_map_bs)
 
     def bare() -> None:

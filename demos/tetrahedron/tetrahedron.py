@@ -119,8 +119,8 @@ def corners(problem, place):
 def nodal_forces(problem):
     """Forces of the element on its corners, minus the internal force vector, shape (4, 3)."""
     assembler = Assembler(problem)
-    assembler.assemble_balance()
-    balance = assembler.balance.array[: assembler.size].reshape(-1, 3)
+    assembler.residual.assemble()
+    balance = assembler.residual.owned.reshape(-1, 3)
     forces = np.zeros((4, 3))
     for a in range(4):
         nodes = corners(problem, X[a])

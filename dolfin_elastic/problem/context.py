@@ -57,7 +57,7 @@ class FormContext:
         self.body, self.unknowns, self.regions = body, unknowns, regions
         self.measures, self.geometry = measures, geometry
         self.v = unknowns.v
-        self.u = unknowns.motion(unknowns.w)
+        self.u = unknowns.total_displacement(unknowns.w)
         self.X = ufl.SpatialCoordinate(body.mesh)
         self.N = ufl.FacetNormal(body.mesh)
         self.velocity = fem.Function(unknowns.V, name="velocity of dashpots")
@@ -90,8 +90,8 @@ class FormContext:
 
     def deformation(self, w: Expr) -> Expr:
         """The 3x3 deformation gradient of a function of all unknowns."""
-        stretch = self.unknowns.extra("stretch", w) if self.unknowns.has("stretch") else None
-        return full_gradient(self.geometry, self.unknowns.motion(w), self.X, stretch)
+        stretch = self.unknowns.auxiliary("stretch", w) if self.unknowns.has("stretch") else None
+        return full_gradient(self.geometry, self.unknowns.total_displacement(w), self.X, stretch)
 
     @cached_property
     def F(self) -> Expr:

@@ -102,7 +102,7 @@ class Damping:
 
     def tell(self, v: FloatArray) -> None:
         """Takes a velocity over, owned entries of the displacement. Collective."""
-        self.rate.x.array[self._problem.unknowns.moves] = v
+        self.rate.x.array[self._problem.unknowns.displacement_dofs] = v
         self.rate.x.scatter_forward()
 
     # --- virtual work ---

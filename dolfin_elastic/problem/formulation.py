@@ -28,11 +28,11 @@ class Plan:
 
     Attributes:
         mixed: Names of the materials whose volumetric part a pressure carries.
-        extras: The scalar fields.
+        auxiliary_fields: The scalar fields.
     """
 
     mixed: frozenset[str]
-    extras: tuple[AuxiliaryField, ...]
+    auxiliary_fields: tuple[AuxiliaryField, ...]
 
 
 def plan(
@@ -64,16 +64,16 @@ def plan(
         exactly or (degree > 1 and nearly & split and not plane_stress)
     ):
         mixed = exactly | (nearly & split)
-    extras = []
+    auxiliary_fields = []
     if plane_stress:
-        extras.append(AuxiliaryField("stretch", degree - 1, continuous=False))
+        auxiliary_fields.append(AuxiliaryField("stretch", degree - 1, continuous=False))
     if mixed:
-        extras.append(
+        auxiliary_fields.append(
             AuxiliaryField("pressure", degree - 1, continuous=False)
             if plane_stress
             else AuxiliaryField("pressure", 1, continuous=True)
         )
-    return Plan(frozenset(mixed), tuple(extras))
+    return Plan(frozenset(mixed), tuple(auxiliary_fields))
 
 
 def _check(
@@ -115,7 +115,7 @@ def locking(nu: float, cells_across: float) -> tuple[float, float]:
 
 def describe(plan: Plan, degree: int) -> str:
     """The unknowns of a mixed problem in words, for the log."""
-    pressure = next(extra for extra in plan.extras if extra.name == "pressure")
+    pressure = next(extra for extra in plan.auxiliary_fields if extra.name == "pressure")
     kind = "P" if pressure.continuous else "DG"
     stabilised = ", stabilised" if pressure.continuous and degree == 1 else ""
     return (

@@ -131,7 +131,7 @@ def _region(
         bound.density,
         bound.typical,
         compliance,
-        _constant(body, shear_modulus(bound.typical) if fields.extras else 1.0),
+        _constant(body, shear_modulus(bound.typical) if fields.auxiliary_fields else 1.0),
     )
 
 

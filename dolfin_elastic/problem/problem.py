@@ -113,7 +113,7 @@ class Problem:
         self.regions, fields = make_material_regions(
             body, laws, formulation, degree=degree, order=order, geometry=self.geometry
         )
-        self.unknowns = make_unknowns(body.mesh, degree, fields.extras, self.cell)
+        self.unknowns = make_unknowns(body.mesh, degree, fields.auxiliary_fields, self.cell)
         self.V, self.u = self.unknowns.V, self.unknowns.u
         self.W, self.w, self.v = self.unknowns.W, self.unknowns.w, self.unknowns.v
         self._scale_unknowns()
@@ -238,10 +238,10 @@ class Problem:
         """
         self.context.set_time(t, default)
         self.nodal_loads.set_time(t, default)
-        self.dirichlet.move_to(t, default)
+        self.dirichlet.set_time(t, default)
         if self.cell is not None:
-            self.cell.move_to(t, default)
-            self.unknowns.tell()
+            self.cell.set_time(t, default)
+            self.unknowns.w_to_u()
         for pair in self.contact_pairs:
             pair.set_time(t, default)
         for cavity in self.cavities:

@@ -44,7 +44,7 @@ class Unknowns:
     Args:
         mesh: The mesh.
         degree: Degree of the displacement.
-        extras: Scalar fields beside it.
+        auxiliary_fields: Scalar fields beside it.
 
     Attributes:
         V: Space of the displacement.
@@ -54,16 +54,18 @@ class Unknowns:
         w: All unknowns; `u` itself when there are no others.
         v: Test function of the displacement.
         degree: Degree of the displacement.
-        scale: Extra's name to what its unknown is multiplied by (UFL constant, 1 at first).
+        scale: Name of an auxiliary field to the factor of its unknown (UFL constant, 1 at first).
     """
 
-    def __init__(self, mesh: Mesh, degree: int, extras: Sequence[AuxiliaryField] = ()) -> None:
-        self.extras, self.degree = tuple(extras), degree
+    def __init__(
+        self, mesh: Mesh, degree: int, auxiliary_fields: Sequence[AuxiliaryField] = ()
+    ) -> None:
+        self.auxiliary_fields, self.degree = tuple(auxiliary_fields), degree
         cell = mesh.basix_cell()
         elements = [basix.ufl.element("Lagrange", cell, degree, shape=(mesh.geometry.dim,))]
         elements += [
             basix.ufl.element("Lagrange" if e.continuous else "DG", cell, e.degree)
-            for e in self.extras
+            for e in self.auxiliary_fields
         ]
         self.V, self.U, self.W, self._dofs = self._spaces(mesh, elements)
         if self.W is self.V:
@@ -73,13 +75,13 @@ class Unknowns:
             self.u = fem.Function(self.V, name="displacement")
         self.tests = self._split(ufl.TestFunction(self.W))
         self.v = self.tests[0]
-        self.scale = {e.name: Constant(mesh, 1.0) for e in self.extras}
+        self.scale = {e.name: Constant(mesh, 1.0) for e in self.auxiliary_fields}
 
     def _spaces(
         self, mesh: Mesh, elements: Sequence[Element]
     ) -> tuple[fem.FunctionSpace, fem.FunctionSpace, fem.FunctionSpace, IndexArray | None]:
         """V, U, W, and the entry of W of each entry of V where these differ."""
-        if not self.extras:
+        if not self.auxiliary_fields:
             V = fem.functionspace(mesh, elements[0])
             return V, V, V, None
         W = fem.functionspace(mesh, basix.ufl.mixed_element(elements))
@@ -87,26 +89,26 @@ class Unknowns:
         return V, V, W, np.asarray(dofs, dtype=np.int32)
 
     def _split(self, w: Expr) -> tuple[Expr, ...]:
-        return tuple(ufl.split(w)) if self.extras else (w,)
+        return tuple(ufl.split(w)) if self.auxiliary_fields else (w,)
 
     def displacement(self, w: Expr) -> Expr:
         """The displacement in a function, test or trial function of W."""
         return self._split(w)[0]
 
-    def motion(self, w: Expr) -> Expr:
+    def total_displacement(self, w: Expr) -> Expr:
         """The whole displacement of the body [m], of a function of W."""
         return self.displacement(w)
 
-    def extra(self, name: str, w: Expr) -> Expr:
+    def auxiliary(self, name: str, w: Expr) -> Expr:
         """A scalar field in physical units, in a function, test or trial function of W."""
-        index = [e.name for e in self.extras].index(name)
+        index = [e.name for e in self.auxiliary_fields].index(name)
         return self.scale[name] * self._split(w)[1 + index]
 
     def count(self, name: str) -> int:
         """How many unknowns a scalar field has on all ranks."""
         if not self.has(name):
             return 0
-        index = [e.name for e in self.extras].index(name)
+        index = [e.name for e in self.auxiliary_fields].index(name)
         dofmap = self.W.sub(1 + index).collapse()[0].dofmap
         return int(dofmap.index_map.size_global)
 
@@ -114,44 +116,45 @@ class Unknowns:
     def stabilised(self) -> bool:
         """The pressure is as rich as the displacement and needs to be held."""
         return any(
-            e.name == "pressure" and e.continuous and e.degree == self.degree for e in self.extras
+            e.name == "pressure" and e.continuous and e.degree == self.degree
+            for e in self.auxiliary_fields
         )
 
     def has(self, name: str) -> bool:
         """Whether there is such a scalar field."""
         return name in self.scale
 
-    def places(self, dofs: IndexArray) -> IndexArray:
+    def mixed_dofs(self, dofs: IndexArray) -> IndexArray:
         """Entries of the displacement's local array as entries of all unknowns' local array."""
         return dofs if self._dofs is None else self._dofs[dofs]
 
     @property
-    def moved(self) -> FloatArray | None:
+    def single_valued(self) -> FloatArray | None:
         """Displacement at the nodes of U, where they have one place only."""
         return self.u.x.array if self.U is self.V else None
 
-    def local(self, dofs: IndexArray) -> IndexArray:
+    def merged_dofs(self, dofs: IndexArray) -> IndexArray:
         """Entries of the displacement's local array as entries of U."""
         return dofs
 
     @property
-    def moves(self) -> IndexArray:
+    def displacement_dofs(self) -> IndexArray:
         """Owned entries of all unknowns that belong to the displacement, in the order of U."""
         size = self.U.dofmap.index_map.size_local * self.U.dofmap.index_map_bs
-        return self.places(np.arange(size, dtype=np.int32))
+        return self.mixed_dofs(np.arange(size, dtype=np.int32))
 
-    def linear(self) -> tuple[fem.FunctionSpace, IndexArray]:
+    def linear_space(self) -> tuple[fem.FunctionSpace, IndexArray]:
         """U with linear elements, and its owned entries that are held. Collective."""
         mesh = self.V.mesh
         space = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
         return space, np.empty(0, dtype=np.int32)
 
-    def tell(self) -> None:
+    def w_to_u(self) -> None:
         """Copies the displacement out of all unknowns, after they were changed."""
         if self._dofs is not None:
             self.u.x.array[:] = self.w.x.array[self._dofs]
 
-    def take(self) -> None:
+    def u_to_w(self) -> None:
         """Copies the displacement into all unknowns, after it was changed."""
         if self._dofs is not None:
             self.w.x.array[self._dofs] = self.u.x.array

@@ -94,7 +94,7 @@ class WeakForm:
         law: Law | Mixed = region.law
         if region.compliance is not None:
             assert isinstance(region.law, SplitLaw)
-            law = Mixed(region.law, self._unknowns.extra("pressure", w), region.compliance)
+            law = Mixed(region.law, self._unknowns.auxiliary("pressure", w), region.compliance)
         growth = self._eigenstrains.get(region.name)
         return law if growth is None else GrownLaw(law, growth)
 
@@ -103,7 +103,7 @@ class WeakForm:
         """Internal virtual work: the integral of P(F) : grad v, and the pressure's equation."""
         context, unknowns = self._context, self._unknowns
         test = ufl.TestFunction(unknowns.W)
-        stretch = unknowns.extra("stretch", test) if unknowns.has("stretch") else None
+        stretch = unknowns.auxiliary("stretch", test) if unknowns.has("stretch") else None
         F = self.F(unknowns.w)
         dF = gradient_variation(context.geometry, unknowns.v, context.X, stretch)
         work = sum(
@@ -113,7 +113,7 @@ class WeakForm:
         )
         if not unknowns.has("pressure"):
             return work
-        q = unknowns.extra("pressure", test)
+        q = unknowns.auxiliary("pressure", test)
         return work + sum(self._pressure_terms(region, F, q) for region in context.regions)
 
     def _pressure_terms(self, region: MaterialRegion, F: Expr, q: Expr) -> ufl.Form:
@@ -124,7 +124,7 @@ class WeakForm:
         law carries its own volumetric part needs no pressure: the field is one for the whole
         mesh, so there a small compliance keeps it at zero and the tangent regular.
         """
-        p = self._unknowns.extra("pressure", self._unknowns.w)
+        p = self._unknowns.auxiliary("pressure", self._unknowns.w)
         if region.compliance is None:
             return -UNUSED / region.shear * p * q * self.volume(region, 2)
         terms = self.volume_gap(region, F, q)

@@ -169,10 +169,10 @@ class StateSource:
         forces = self._out_of_balance("residual")
         conditions = self.evaluator.problem.dirichlet
         forces[conditions.owned] = 0.0
-        if (skew := conditions.tilted) is not None:
+        if (skew := conditions.skew) is not None:
             rows = forces.reshape(-1, self.evaluator.problem.body.dim)
             nodes = skew.nodes[: skew.count]
-            rows[nodes] = skew.free(rows[nodes])
+            rows[nodes] = skew.free_part(rows[nodes])
         return self._padded(forces)
 
     def _out_of_balance(self, name: str) -> AnyArray:
@@ -185,7 +185,7 @@ class StateSource:
         force = fem.assemble_vector(self.evaluator.residual)
         force.scatter_reverse(la.InsertMode.add)
         force.scatter_forward()  # nodes of periodic faces may be unknowns of another rank
-        places = self.evaluator.problem.unknowns.places
+        places = self.evaluator.problem.unknowns.mixed_dofs
         return np.asarray(force.array[places(np.arange(self._own(), dtype=np.int32))])
 
     def averaged(self, name: str) -> AnyArray:

@@ -16,7 +16,7 @@ def moved(problem: Problem, size: float, seed: int = 1) -> None:
     x = problem.V.tabulate_dof_coordinates()[:, : problem.body.dim]
     k = np.random.default_rng(seed).uniform(1, 3, (problem.body.dim, problem.body.dim))
     problem.u.x.array[:] = size * np.sin(x @ k + seed).ravel()
-    problem.unknowns.take()
+    problem.unknowns.u_to_w()
     if problem.w is not problem.u:
         problem.w.sub(1).interpolate(lambda x: size * np.sin(seed * x[0] + x[1]))
 
@@ -24,7 +24,7 @@ def moved(problem: Problem, size: float, seed: int = 1) -> None:
 def forces(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """Places and applied forces of the nodes that this rank owns."""
     assembler = Assembler(problem)
-    nodal = assembler.external_forces()[assembler.moves].reshape(-1, problem.body.dim)
+    nodal = assembler.reactions.loads()[assembler.displacement_dofs].reshape(-1, problem.body.dim)
     assembler.destroy()
     return problem.V.tabulate_dof_coordinates()[: len(nodal), : problem.body.dim], nodal
 

@@ -93,14 +93,14 @@ def test_tangent_of_every_load(monkeypatch, kind, dim):
 
     def residual(at: np.ndarray) -> np.ndarray:
         x.array_w[:] = at
-        assembler.residual(x, out)
+        assembler.residual.evaluate(x, out)
         return out.array_r.copy()
 
     near, far = (residual(u + s * w) - residual(u - s * w) for s in (h, 2 * h))
     residual(u)
-    assembler.tangent(x)
+    assembler.tangent.assemble(x)
     x.array_w[:], y.array_w[:] = w, other
-    assembler.matrix.mult(x, out)
+    assembler.tangent.matrix.mult(x, out)
     off = out.array_r - (8 * near - far) / (12 * h)
     comm = problem.body.comm
     worst, size = (
@@ -109,7 +109,7 @@ def test_tangent_of_every_load(monkeypatch, kind, dim):
     # Differences of a polynomial of third degree are exact: round-off over h is left.
     assert worst < 1e-9 * size
     forth = out.dot(y)
-    assembler.matrix.mult(y, out)
+    assembler.tangent.matrix.mult(y, out)
     skew = abs(forth - out.dot(x)) / abs(forth)
     assert skew < 1e-12 if symmetric else skew > 1e-5
     for vector in (x, y, out):
@@ -137,7 +137,7 @@ def test_numbers_beside_formulas_grow(terms):
         _, nodal = forces(problem)
     else:
         assembler = Assembler(problem)
-        nodal = assembler.holding_forces().reshape(-1, 2)
+        nodal = assembler.reactions.restraints().reshape(-1, 2)
         assembler.destroy()
     np.testing.assert_allclose(total(problem, nodal), [2, 1.5], rtol=1e-13)
 

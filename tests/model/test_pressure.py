@@ -121,13 +121,13 @@ def asymmetry(problem: Problem) -> float:
     assembler = Assembler(problem)
     x, y, out = (assembler.create_vector() for _ in range(3))
     assembler.get(x)
-    assembler.tangent(x)
+    assembler.tangent.assemble(x)
     for vector, seed in ((x, 2), (y, 3)):
         moved(problem, 0.2, seed)
         assembler.get(vector)
-    assembler.matrix.mult(x, out)
+    assembler.tangent.matrix.mult(x, out)
     forth = out.dot(y)
-    assembler.matrix.mult(y, out)
+    assembler.tangent.matrix.mult(y, out)
     found = abs(forth - out.dot(x)) / abs(forth)
     for vector in (x, y, out):
         vector.destroy()

@@ -417,17 +417,17 @@ def test_tangent(shape):
     start = x.array_r.copy()
     for sign in (1, -1):
         x.array_w[:] = start + sign * step * d.array_r
-        assembler.residual(x, f)
+        assembler.residual.evaluate(x, f)
         found.append(f.array_r.copy())
     x.array_w[:] = start
-    assembler.tangent(x)
-    assembler.matrix.mult(d, f)
+    assembler.tangent.assemble(x)
+    assembler.tangent.matrix.mult(d, f)
     difference = (found[0] - found[1]) / (2 * step) - f.array_r
     comm = problem.body.comm
     norms = np.sqrt([comm.allreduce(float(v @ v)) for v in (difference, f.array_r)])
     # Cancellation: 1e-16 of the forces over 1e-7 of the place.
     assert norms[0] < 1e-7 * norms[1]
-    assert assembler.matrix.isSymmetric(1e-9 * norms[1])
+    assert assembler.tangent.matrix.isSymmetric(1e-9 * norms[1])
     for vector in (x, f, d):
         vector.destroy()
     assembler.destroy()

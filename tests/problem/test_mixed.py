@@ -105,7 +105,7 @@ def errors(degree: int, n: int) -> np.ndarray:
     [*_] = Statics(problem, rtol=1e-11).steps()
     u, p = stream(ufl.SpatialCoordinate(body.mesh))
     e = problem.u - u
-    q = problem.unknowns.extra("pressure", problem.w) - p
+    q = problem.unknowns.auxiliary("pressure", problem.w) - p
     dx = ufl.dx(domain=body.mesh, metadata={"quadrature_degree": 6})
     forms = [ufl.inner(e, e) * dx, ufl.inner(ufl.grad(e), ufl.grad(e)) * dx, q * q * dx]
     return np.sqrt([integral(problem, f) for f in compile_forms(body.comm, forms, problem.jit)])

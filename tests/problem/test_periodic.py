@@ -272,7 +272,7 @@ def test_bordered_tangent():
     x.array_w[:] = 0.02 * everything[0, start : start + rows]
     y.array_w[:] = everything[1, start : start + rows]
     # Where the vertex is held rows and columns are replaced: stay there.
-    y.array_w[assembler.fixed] = x.array_w[assembler.fixed] = 0.0
+    y.array_w[assembler.prescribed_dofs] = x.array_w[assembler.prescribed_dofs] = 0.0
     system.renew(x)
     system.matrix.mult(y, z)
     h = 1e-5

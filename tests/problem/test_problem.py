@@ -124,7 +124,9 @@ OTHER = {
 def waves(problem: Problem, seed: int) -> np.ndarray:
     """The same for all unknowns."""
     found = fem.Function(problem.W)
-    found.x.array[problem.unknowns.places(np.arange(len(problem.u.x.array)))] = wave(problem, seed)
+    found.x.array[problem.unknowns.mixed_dofs(np.arange(len(problem.u.x.array)))] = wave(
+        problem, seed
+    )
     if problem.mixed:
         found.sub(1).interpolate(lambda x: 0.01 * np.cos(seed * x[0] - x[1]))
     return found.x.array.copy()
@@ -154,7 +156,7 @@ def test_tangent_is_the_derivative_of_the_residual(name, formulation):
 
     def residual(at: np.ndarray) -> np.ndarray:
         x.array_w[:] = at[: assembler.size]
-        assembler.residual(x, out)
+        assembler.residual.evaluate(x, out)
         return out.array_r.copy()
 
     h = 1e-3
@@ -163,11 +165,11 @@ def test_tangent_is_the_derivative_of_the_residual(name, formulation):
         - (residual(u + 2 * h * w) - residual(u - 2 * h * w))
     ) / (12 * h)
     residual(u)
-    assembler.tangent(x)
+    assembler.tangent.assemble(x)
 
     def product(direction: np.ndarray) -> np.ndarray:
         x.array_w[:] = direction[: assembler.size]
-        assembler.matrix.mult(x, out)
+        assembler.tangent.matrix.mult(x, out)
         return out.array_r.copy()
 
     exact, other = product(w), product(waves(problem, 3))

@@ -161,7 +161,7 @@ def test_merged_nodes(folder: Path) -> None:
     def fill(problem: Problem) -> None:
         wave = np.array([[2 * np.pi], [4 * np.pi], [0]])
         problem.u.interpolate(lambda x: np.stack([np.sin(wave[0] * x[0]), np.cos(wave[1] * x[1])]))
-        problem.unknowns.take()
+        problem.unknowns.u_to_w()
 
     def write(comm: MPI.Comm) -> None:
         fill(whole := problem(comm))
@@ -174,7 +174,7 @@ def test_merged_nodes(folder: Path) -> None:
         found = newest_checkpoint(comm, folder)
         assert found is not None
         found.fill({"w": whole.w})
-        whole.unknowns.tell()
+        whole.unknowns.w_to_u()
         return float(comm.allreduce(np.abs(whole.u.x.array - known).max(), op=MPI.MAX))
 
     for n in SIZES:

@@ -129,9 +129,9 @@ def test_affine_displacement_of_the_boundary(comm, name, dim, degree):
     assert largest(comm, gradients(problem) - H[:dim, :dim]) < 1e-12
     # Virtual work in the fields X_j e_i: sum_a R_i X_j = P_ij V, all of them at once.
     assembler = Assembler(problem)
-    assembler.assemble_balance()
+    assembler.residual.assemble()
     owned = assembler.size // dim
-    forces = assembler.balance.array[: assembler.size].reshape(-1, dim)
+    forces = assembler.residual.owned.reshape(-1, dim)
     moments = forces.T @ problem.V.tabulate_dof_coordinates()[:owned, :dim]
     moments = comm.allreduce(moments, op=MPI.SUM)
     assembler.destroy()

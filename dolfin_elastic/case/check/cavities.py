@@ -61,7 +61,7 @@ def _open(load: Cavity, problem: Problem) -> bool:
     rims are not judged.
     """
     body, dim = problem.body, problem.body.dim
-    if problem.dirichlet.tilted is not None or problem.cell is not None:
+    if problem.dirichlet.skew is not None or problem.cell is not None:
         return False
     origin = np.zeros(dim)
     origin[: len(load.origin_components)] = [float(x or 0.0) for x in load.origin_components]  # type: ignore[arg-type]

@@ -131,9 +131,9 @@ def check_supports(case: Case, problem: Problem) -> None:
     end, default = (case.dynamics.end, CONSTANT) if case.dynamics else (case.full, PROPORTIONAL)
     prescribed = problem.dirichlet
     for t in np.linspace(0.0, end, TIMES):
-        prescribed.move_to(float(t), default)
+        prescribed.set_time(float(t), default)
         prescribed.check_finite()
-    prescribed.move_to(0.0, default)
+    prescribed.set_time(0.0, default)
 
 
 def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]:
@@ -157,5 +157,5 @@ def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]
     gaps = zip(problem.contact_pairs, check_start(problem, moving=True), strict=True)
     penetrations = [buried(pair, gap, at) for pair, (gap, at) in gaps if gap < -pair.tolerance]
     problem.u.x.array[:] = 0.0
-    problem.unknowns.take()
+    problem.unknowns.u_to_w()
     return (*([s.limited] if s.limited else []), *map(str, incompatible), *penetrations)

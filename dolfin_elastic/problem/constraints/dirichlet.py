@@ -32,7 +32,7 @@ class DirichletConditions:
     """All prescribed displacements of a body.
 
     Where supports meet, the later one holds.  Nodes that are held along axes only are constrained
-    entry by entry; all others are `tilted`.
+    entry by entry; all others are `skew`.
 
     Args:
         body: The mesh and its names.
@@ -47,10 +47,10 @@ class DirichletConditions:
         bcs: One DOLFINx condition a component, ready for assembly.
         dofs: Constrained entries of the local vector, owned and ghost, sorted, unrolled.
         owned: Those of them that this rank owns.
-        moving: Support's label to the owned entries it holds: its reaction is their sum, together
-            with what `tilted` has of it.
-        tilted: Nodes held along other directions; None if no rank has any.
-        motions: Of rigid surfaces.
+        reaction_dofs: Support's label to its owned entries: its reaction is the sum of the forces
+            there, and of those that `skew` has of it.
+        skew: Nodes held along other directions; None if no rank has any.
+        rigid_motions: Of rigid surfaces.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class DirichletConditions:
         self._V = V
         self._x = V.tabulate_dof_coordinates()
         self._bs = V.dofmap.index_map_bs
-        self.motions: list[RigidMotion] = []
+        self.rigid_motions: list[RigidMotion] = []
         chosen = [s for s in supports if isinstance(s, PrescribingSupport | Rigid)]
         holds = [
             hold
@@ -79,7 +79,7 @@ class DirichletConditions:
         ]
         if axis:
             holds.append(self._on_axis(body))
-        self.tilted, holds = self._split(body, self._mirrored(holds))
+        self.skew, holds = self._split(body, self._mirrored(holds))
         self._entries = self._given_to_the_later(holds)
         self._labels = list(dict.fromkeys(support.label for support in chosen))
         dofs = [dofs for _, dofs, _ in self._entries]
@@ -87,7 +87,7 @@ class DirichletConditions:
         owned_size = V.dofmap.index_map.size_local * self._bs
         self.owned = self.dofs[self.dofs < owned_size]
         self.bcs = [self._condition(i) for i in range(self._bs)] if dofs else []
-        self.moving = self._reactions_of(owned_size)
+        self.reaction_dofs = self._reactions_of(owned_size)
         if pinned is not None:
             self.dofs, self.owned = np.sort(pinned[0]), pinned[1]
         self._t, self._default = 0.0, CONSTANT
@@ -101,12 +101,12 @@ class DirichletConditions:
                 where=f"{where}.kind",
                 expected='"displacement"',
             )
-        if any(motion.label == support.label for motion in self.motions):
+        if any(motion.label == support.label for motion in self.rigid_motions):
             raise InputError(
                 "another rigid surface has this name", where=f"{where}.name", expected="its own"
             )
         motion = RigidMotion(support, body)
-        self.motions.append(motion)
+        self.rigid_motions.append(motion)
         return [self._along(motion, i, self._nodes(body, support)) for i in range(self._bs)]
 
     def _nodes(self, body: Body, support: Restraint) -> IndexArray:
@@ -180,26 +180,26 @@ class DirichletConditions:
         self, body: Body, holds: list[SkewSupport]
     ) -> tuple[SkewConstraints | None, list[SkewSupport]]:
         """Takes out all that happens at nodes with a direction that is no axis. Collective."""
-        is_tilted = np.zeros(len(self._x), dtype=bool)
+        is_skew = np.zeros(len(self._x), dtype=bool)
         for hold in holds:
-            is_tilted[hold.nodes[np.max(np.abs(hold.directions), axis=1, initial=0.0) < 1.0]] = True
-        if not total(body.comm, int(is_tilted.sum())):
+            is_skew[hold.nodes[np.max(np.abs(hold.directions), axis=1, initial=0.0) < 1.0]] = True
+        if not total(body.comm, int(is_skew.sum())):
             return None, holds
-        self._check_apart(holds, is_tilted)
-        tilted = SkewConstraints(
-            [hold.of(is_tilted[hold.nodes]) for hold in holds],
+        self._check_apart(holds, is_skew)
+        skew = SkewConstraints(
+            [hold.of(is_skew[hold.nodes]) for hold in holds],
             size=self._V.dofmap.index_map.size_local,
             x=self._x,
             dim=self._bs,
         )
-        return tilted, [hold.of(~is_tilted[hold.nodes]) for hold in holds]
+        return skew, [hold.of(~is_skew[hold.nodes]) for hold in holds]
 
-    def _check_apart(self, holds: list[SkewSupport], is_tilted: BoolArray) -> None:
+    def _check_apart(self, holds: list[SkewSupport], is_skew: BoolArray) -> None:
         """A rigid surface with unknowns meets no node that is held across the axes. Collective."""
         for hold in holds:
             support = hold.support
             free = isinstance(support, RigidMotion) and len(support.free) > 0
-            met = int(is_tilted[hold.nodes].sum()) if free else 0
+            met = int(is_skew[hold.nodes].sum()) if free else 0
             if total(self._V.mesh.comm, met):
                 assert support is not None
                 raise InputError(
@@ -240,7 +240,7 @@ class DirichletConditions:
             for dofs in [np.concatenate([empty, *parts])]
         }
 
-    def move_to(self, t: float, default: Amplitude = CONSTANT) -> None:
+    def set_time(self, t: float, default: Amplitude = CONSTANT) -> None:
         """Sets the values of time t. Not collective.
 
         Args:
@@ -257,24 +257,24 @@ class DirichletConditions:
                 continue
             if hold.support is not None:
                 self.values.x.array[dofs] = signs * hold.goals(self._x, t, default)
-        if self.tilted is not None and only is None:
-            self.tilted.move_to(t, default)
+        if self.skew is not None and only is None:
+            self.skew.set_time(t, default)
 
     # --- rigid surfaces ---
 
-    def follow(self, motion: RigidMotion) -> None:
+    def update_motion(self, motion: RigidMotion) -> None:
         """Takes over changed degrees of freedom of a rigid surface. Not collective."""
         self._evaluate(self._t, self._default, motion)
 
-    def applied(self, motion: RigidMotion) -> FloatArray:
+    def motion_forces(self, motion: RigidMotion) -> FloatArray:
         """Forces and moments on its free degrees of freedom at the present time [N, N m]."""
         return motion.applied(self._t, self._default)
 
-    def freedoms(self, motion: RigidMotion) -> FloatArray:
+    def motion_values(self, motion: RigidMotion) -> FloatArray:
         """All its degrees of freedom at the present time [m, rad]."""
         return motion.all_at(self._t, self._default)
 
-    def directions(self, motion: RigidMotion) -> tuple[IndexArray, FloatArray]:
+    def motion_directions(self, motion: RigidMotion) -> tuple[IndexArray, FloatArray]:
         """Entries that it prescribes, owned and ghost, and their derivatives.
 
         Returns:
@@ -302,9 +302,9 @@ class DirichletConditions:
             if hold.support is motion:
                 own = dofs < len(forces)
                 f[hold.nodes[own], hold.which] = forces[dofs[own]]
-        if self.tilted is not None:
-            out = forces.reshape(-1, self._bs)[self.tilted.nodes[: self.tilted.count]]
-            for support, nodes, leaning in self.tilted.each(out):
+        if self.skew is not None:
+            out = forces.reshape(-1, self._bs)[self.skew.nodes[: self.skew.count]]
+            for support, nodes, leaning in self.skew.reactions(out):
                 if support is motion:
                     f[nodes, : self._bs] += leaning
         held = np.flatnonzero(np.any(f != 0.0, axis=1))
@@ -312,7 +312,7 @@ class DirichletConditions:
         arms[:, : self._bs] += u.reshape(-1, self._bs)[held]
         return total(self._V.mesh.comm, np.cross(arms, f[held]).sum(axis=0))
 
-    def probed(self, moments: Sequence[float], default: Amplitude) -> list[FloatArray]:
+    def values_at(self, moments: Sequence[float], default: Amplitude) -> list[FloatArray]:
         """Values at some moments, owned and ghost; all is left as it was. Not collective.
 
         Args:
@@ -321,39 +321,39 @@ class DirichletConditions:
         """
         now, values = (self._t, self._default), self.values.x.array
         kept = values.copy()
-        target = None if self.tilted is None else self.tilted.target.copy()
+        target = None if self.skew is None else self.skew.target.copy()
         found = []
         for t in moments:
-            self.move_to(t, default)
+            self.set_time(t, default)
             found.append(values.copy())
         (self._t, self._default), values[:] = now, kept
-        if self.tilted is not None:
-            self.tilted.target[:] = target
+        if self.skew is not None:
+            self.skew.target[:] = target
         return found
 
     @property
     def targets(self) -> FloatArray:
         """All prescribed values of the present time at owned nodes, as one new vector."""
         values = self.values.x.array[self.owned]
-        if self.tilted is None:
+        if self.skew is None:
             return values
-        return np.concatenate([values, self.tilted.target[: self.tilted.count].reshape(-1)])
+        return np.concatenate([values, self.skew.target[: self.skew.count].reshape(-1)])
 
     def targets_at(self, times: Iterable[float]) -> list[FloatArray]:
         """The targets of some times [s], the last of which is the present one then. Local."""
         found = []
         for t in times:
-            self.move_to(t)
+            self.set_time(t)
             found.append(self.targets)
         return found
 
-    def present(self, array: FloatArray) -> FloatArray:
+    def extract(self, array: FloatArray) -> FloatArray:
         """What a local vector of the displacement's space has where `targets` are prescribed."""
         values = array[self.owned]
-        if self.tilted is None:
+        if self.skew is None:
             return values
-        nodes = self.tilted.nodes[: self.tilted.count]
-        rows = self.tilted.held(array.reshape(-1, self._bs)[nodes])
+        nodes = self.skew.nodes[: self.skew.count]
+        rows = self.skew.constrained_part(array.reshape(-1, self._bs)[nodes])
         return np.concatenate([values, rows.reshape(-1)])
 
     def impose(self, array: FloatArray, values: npt.NDArray[np.floating[Any]]) -> None:
@@ -364,11 +364,11 @@ class DirichletConditions:
             values: Like `targets`, whose time derivative serves for velocities.
         """
         array[self.owned] = values[: len(self.owned)]
-        if self.tilted is not None:
-            nodes = self.tilted.nodes[: self.tilted.count]
+        if self.skew is not None:
+            nodes = self.skew.nodes[: self.skew.count]
             rows = array.reshape(-1, self._bs)
             wanted = values[len(self.owned) :].reshape(-1, self._bs)
-            rows[nodes] = self.tilted.free(rows[nodes]) + wanted
+            rows[nodes] = self.skew.free_part(rows[nodes]) + wanted
 
     def check_finite(self) -> None:
         """Raises on all ranks when a formula gave no finite number. Collective."""
@@ -386,7 +386,7 @@ class DirichletConditions:
     def _bad(self) -> list[tuple[str, tuple[float, ...]]]:
         """Labels of supports whose entries have no value, each with the lowest place of them."""
         found = []
-        for label, entries in self.moving.items():
+        for label, entries in self.reaction_dofs.items():
             nodes = entries[~np.isfinite(self.values.x.array[entries])] // self._bs
             places = self._x[nodes, : self._bs].round(12) + 0.0
             if len(places):

@@ -131,33 +131,33 @@ class SkewConstraints:
         self._filled[where] += 1
         return SkewDofs(hold, kept, where, row)
 
-    def move_to(self, t: float, default: Amplitude) -> None:
+    def set_time(self, t: float, default: Amplitude) -> None:
         """Sets the target of time t. Not collective."""
         goals = np.zeros(self.target.shape)
         for s in self._slots:
             goals[s.where, s.row] = s.hold.goals(self._x, t, default)[s.kept]
         self.target[:] = np.einsum("nik,nk->ni", self._lift, goals)
 
-    def held(self, values: FloatArray) -> FloatArray:
+    def constrained_part(self, values: FloatArray) -> FloatArray:
         """The held part of vectors at the owned nodes, of shape (count, dim)."""
         return np.asarray(np.einsum("nij,nj->ni", self.P[: len(values)], values))
 
-    def free(self, values: FloatArray) -> FloatArray:
+    def free_part(self, values: FloatArray) -> FloatArray:
         """Their other part."""
-        return np.asarray(values - self.held(values))
+        return np.asarray(values - self.constrained_part(values))
 
-    def forces(self, out: FloatArray) -> dict[str, FloatArray]:
+    def resultants(self, out: FloatArray) -> dict[str, FloatArray]:
         """Support's label to this rank's sum of its forces [N].
 
         Args:
             out: Forces out of balance at the owned nodes [N], of shape (count, dim).
         """
         found: dict[str, FloatArray] = {}
-        for support, _, forces in self.each(out):
+        for support, _, forces in self.reactions(out):
             found[support.label] = found.get(support.label, 0.0) + forces.sum(axis=0)
         return found
 
-    def each(
+    def reactions(
         self, out: FloatArray
     ) -> Iterator[tuple[PrescribingSupport | RigidMotion, IndexArray, FloatArray]]:
         """Each support's forces, hold by hold: owned nodes, and forces there, shape (nodes, dim).

@@ -80,7 +80,7 @@ class _Supports:
         entries = np.zeros(len(self.dirichlet.values.x.array), dtype=bool)
         entries[self.dirichlet.dofs] = True
         self._held = entries.reshape(-1, dim)
-        values = self.dirichlet.probed(_MOMENTS, RAMP)
+        values = self.dirichlet.values_at(_MOMENTS, RAMP)
         self._values = [value.reshape(-1, dim) for value in values]
 
     def hold(self, edge: int) -> bool:

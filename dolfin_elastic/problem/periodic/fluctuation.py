@@ -17,31 +17,31 @@ from dolfin_elastic.problem.spaces import AuxiliaryField, Element, Unknowns
 
 
 def make_unknowns(
-    mesh: Mesh, degree: int, extras: Sequence[AuxiliaryField], cell: Cell | None
+    mesh: Mesh, degree: int, auxiliary_fields: Sequence[AuxiliaryField], cell: Cell | None
 ) -> Unknowns:
     """What is solved for; see `Unknowns`. Collective.
 
     Args:
         mesh: The mesh.
         degree: Degree of the displacement.
-        extras: Scalar fields beside it.
+        auxiliary_fields: Scalar fields beside it.
         cell: Of a periodic body.
     """
     if cell is None:
-        return Unknowns(mesh, degree, extras)
-    return Fluctuation(mesh, degree, extras, cell)
+        return Unknowns(mesh, degree, auxiliary_fields)
+    return Fluctuation(mesh, degree, auxiliary_fields, cell)
 
 
 class Fluctuation(Unknowns):
     """Unknowns whose nodes on paired faces are merged; see `unknowns.Unknowns`. Collective.
 
     The displacement u in V is the fluctuation w in U plus the macroscopic displacement, which
-    `tell` adds.
+    `w_to_u` adds.
 
     Args:
         mesh: The mesh.
         degree: Degree of the displacement.
-        extras: Scalar fields beside it; they are periodic, too.
+        auxiliary_fields: Scalar fields beside it; they are periodic, too.
         cell: The macroscopic displacement, and which faces are one.
 
     Attributes:
@@ -50,10 +50,10 @@ class Fluctuation(Unknowns):
     """
 
     def __init__(
-        self, mesh: Mesh, degree: int, extras: Sequence[AuxiliaryField], cell: Cell
+        self, mesh: Mesh, degree: int, auxiliary_fields: Sequence[AuxiliaryField], cell: Cell
     ) -> None:
         self.cell, self._dim = cell, int(mesh.geometry.dim)
-        super().__init__(mesh, degree, extras)
+        super().__init__(mesh, degree, auxiliary_fields)
         self._x = self.V.tabulate_dof_coordinates()
         self.pinned = self._pinned()
 
@@ -70,7 +70,7 @@ class Fluctuation(Unknowns):
         self, mesh: Mesh, elements: Sequence[Element]
     ) -> tuple[fem.FunctionSpace, fem.FunctionSpace, fem.FunctionSpace, IndexArray]:
         pairing = self.cell.pairing
-        if not self.extras:
+        if not self.auxiliary_fields:
             V = fem.functionspace(mesh, elements[0])
             self._merged = pairing.merged(V)
             return V, self._merged.space, self._merged.space, self._unrolled(self._merged.new)
@@ -78,24 +78,24 @@ class Fluctuation(Unknowns):
         V, dofs = plain.sub(0).collapse()
         dofs = np.asarray(dofs, dtype=np.int32)
         fields = [Field(V, dofs.reshape(-1, self._dim))]
-        for k, extra in enumerate(self.extras, start=1):
-            if extra.continuous:
+        for k, field in enumerate(self.auxiliary_fields, start=1):
+            if field.continuous:
                 Q, entries = plain.sub(k).collapse()
                 fields.append(Field(Q, np.asarray(entries, dtype=np.int32)[:, None]))
         whole: MergedDofmap = pairing.merged(plain, fields)
         self._merged = pairing.merged(V)
         return V, self._merged.space, whole.space, whole.new[dofs]
 
-    def motion(self, w: Expr) -> Expr:
+    def total_displacement(self, w: Expr) -> Expr:
         """The whole displacement of the body [m], of a function of W."""
         return self.displacement(w) + self.cell.affine(self.cell.H)
 
-    def local(self, dofs: IndexArray) -> IndexArray:
+    def merged_dofs(self, dofs: IndexArray) -> IndexArray:
         """Entries of the displacement's local array as entries of U."""
         return (self._merged.new[dofs // self._dim] * self._dim + dofs % self._dim).astype(np.int32)
 
     @property
-    def moves(self) -> IndexArray:
+    def displacement_dofs(self) -> IndexArray:
         """Owned entries of all unknowns that belong to the fluctuation, in the order of U."""
         imap = self.U.dofmap.index_map
         entries = np.empty((imap.size_local + imap.num_ghosts) * self._dim, dtype=np.int32)
@@ -103,7 +103,7 @@ class Fluctuation(Unknowns):
         entries[self._unrolled(self._merged.new)] = self._dofs
         return entries[: imap.size_local * self._dim]
 
-    def linear(self) -> tuple[fem.FunctionSpace, IndexArray]:
+    def linear_space(self) -> tuple[fem.FunctionSpace, IndexArray]:
         """U with linear elements, and its owned entries that are held. Collective."""
         pairing = self.cell.pairing
         plain = fem.functionspace(self.V.mesh, ("Lagrange", 1, (self._dim,)))
@@ -112,12 +112,12 @@ class Fluctuation(Unknowns):
         owned = nodes[nodes < merged.space.dofmap.index_map.size_local]
         return merged.space, self._unrolled(owned.astype(np.int32))
 
-    def tell(self) -> None:
+    def w_to_u(self) -> None:
         """Makes the displacement of fluctuation and macroscopic displacement."""
-        super().tell()
+        super().w_to_u()
         self.u.x.array[:] += self.cell.affine_at(self._x).reshape(-1)
 
-    def take(self) -> None:
+    def u_to_w(self) -> None:
         """Makes the fluctuation of the displacement."""
         assert self._dofs is not None
         self.w.x.array[self._dofs] = self.u.x.array - self.cell.affine_at(self._x).reshape(-1)

@@ -79,7 +79,7 @@ class Cell:
         for place, value in zip(self.free, values, strict=True):
             self.H.value[place] = value
 
-    def move_to(self, t: float, default: Amplitude) -> None:
+    def set_time(self, t: float, default: Amplitude) -> None:
         """Sets what is prescribed at time t; free components stay. Not collective."""
         F = self._periodic.gradient_at(t, default)
         self.H.value[:] = np.where(np.isnan(F), self.H.value, F - np.eye(self._dim))

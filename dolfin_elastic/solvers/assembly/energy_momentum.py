@@ -122,7 +122,7 @@ def lumped(problem: Problem, assembler: Assembler) -> FloatArray:
     mass = la.vector(index_map, bs)
     fem.assemble_vector(mass.array, form)
     mass.scatter_reverse(la.InsertMode.add)
-    return np.asarray(mass.array[assembler.moves])
+    return np.asarray(mass.array[assembler.displacement_dofs])
 
 
 def work(problem: Problem, forces: FloatArray, du: FloatArray) -> float:

@@ -11,7 +11,7 @@ from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-from dolfin_elastic.solvers.assembly.matrix import TangentMatrix
+from dolfin_elastic.solvers.assembly.tangent import TangentMatrix
 from dolfin_elastic.solvers.petsc.options import ksp_reason
 
 TOLERANCE = 1e-14
@@ -19,7 +19,7 @@ TOLERANCE = 1e-14
 
 
 def initial_acceleration(assembler: Assembler, held: FloatArray, a: fem.Function) -> None:
-    """Finds the acceleration that goes with the forces in `assembler.balance`. Collective.
+    """Finds the acceleration that goes with the forces in `assembler.residual.vector`. Collective.
 
     M a = -R where nothing is prescribed, R the forces out of balance without inertia; prescribed
     components keep what is given.  The mass matrix is made, used once by conjugate gradients with
@@ -34,11 +34,13 @@ def initial_acceleration(assembler: Assembler, held: FloatArray, a: fem.Function
     Raises:
         ConvergenceError: A part of the body has no mass.
     """
-    problem, size = assembler.problem, len(assembler.moves)
+    problem, size = assembler.problem, len(assembler.displacement_dofs)
     a.x.array[:] = 0.0
     problem.dirichlet.impose(a.x.array, held)
     a.x.scatter_forward()
-    rows = assembler.balance.array[assembler.moves] + _inertia(problem, a)[:size]
+    rows = (
+        assembler.residual.vector.array[assembler.displacement_dofs] + _inertia(problem, a)[:size]
+    )
     matrix = _matrix(problem)
     x, b = matrix.petsc.createVecs()
     b.array_w[:] = -free(problem, rows)
@@ -68,7 +70,7 @@ def mass_diagonal(assembler: Assembler) -> PETSc.Vec:
     """
     matrix, out = _matrix(assembler.problem), assembler.create_vector()
     diagonal = matrix.petsc.getDiagonal()
-    out.array_w[assembler.moves] = free(assembler.problem, diagonal.array_r)
+    out.array_w[assembler.displacement_dofs] = free(assembler.problem, diagonal.array_r)
     diagonal.destroy()
     matrix.destroy()
     return out
@@ -135,11 +137,11 @@ def _matrix(problem: Problem) -> TangentMatrix:
     V, held, dim = problem.V, problem.dirichlet, problem.body.dim
     trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
     form = compiled(problem, [problem.weak_form.inertia(trial, test)])[0]
-    if (tilted := held.tilted) is None:
+    if (skew := held.skew) is None:
         matrix = TangentMatrix(form)
     else:
-        nodes = tilted.nodes[: tilted.count]
+        nodes = skew.nodes[: skew.count]
         entries = (nodes[:, None] * dim + np.arange(dim)).astype(np.int32)
-        matrix = TangentMatrix(form, entries, tilted.P[: tilted.count])
+        matrix = TangentMatrix(form, entries, skew.P[: skew.count])
     matrix.assemble(held.bcs)
     return matrix

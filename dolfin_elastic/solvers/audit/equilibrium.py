@@ -75,7 +75,9 @@ class EquilibriumAuditor:
     def __init__(self, problem: Problem, assembler: Assembler, watch: JacobianWatch) -> None:
         self._problem, self._assembler, self._watch = problem, assembler, watch
         self._comm, self._dim = problem.body.comm, problem.body.dim
-        self._X = problem.V.tabulate_dof_coordinates()[: len(assembler.moves) // self._dim]
+        self._X = problem.V.tabulate_dof_coordinates()[
+            : len(assembler.displacement_dofs) // self._dim
+        ]
         self._places = _places(problem)
         self._last: _Last | None = None
         self._work = self._stored = self._blur = 0.0
@@ -203,17 +205,17 @@ class EquilibriumAuditor:
     def _outside(self) -> list[FloatArray]:
         """Nodal forces of loads, springs and supports, shape (nodes, dim) each [N]."""
         a = self._assembler
-        reactions = a.constraint_forces(a.balance.array[: a.size])
-        forces = [a.external_forces()[a.moves], reactions[a.moves]]
+        reactions = a.constrained_part(a.residual.owned)
+        forces = [a.reactions.loads()[a.displacement_dofs], reactions[a.displacement_dofs]]
         if self._problem.weak_form.restraint_works:
-            forces.append(a.holding_forces()[a.moves])
+            forces.append(a.reactions.restraints()[a.displacement_dofs])
         return [force.reshape(-1, self._dim) for force in forces]
 
     def _inside(self, shape: tuple[int, ...]) -> FloatArray:
         """Internal nodal forces, which are those from outside only in equilibrium [N]."""
         a = self._assembler
-        forces = a.balance.array[: a.size] + a.external_forces() + a.holding_forces()
-        return np.asarray(forces[a.moves].reshape(shape))
+        forces = a.residual.owned + a.reactions.loads() + a.reactions.restraints()
+        return np.asarray(forces[a.displacement_dofs].reshape(shape))
 
     def _touch(self, reasons: dict[str, str]) -> None:
         """Nothing is deeper in an obstacle, or presses farther off it, than was promised."""
@@ -308,7 +310,7 @@ class EquilibriumAuditor:
         self._stored += stored
         bound = max(abs(change), last.change) / 2
         allowed = bound + STORED * max(abs(work), abs(stored))
-        allowed += self._assembler.free * float(np.sqrt(moved)) + noise
+        allowed += self._assembler.residual.free_norm * float(np.sqrt(moved)) + noise
         if self._problem.contact_pairs:
             allowed += SMALL * max(abs(energy), abs(last.energy))
         judged = not (self._problem.unknowns.stabilised or self._problem.eigenstrains)

@@ -42,8 +42,8 @@ class PathEnergyCheck:
     def look(self) -> None:
         """Takes in the present equilibrium, whose forces are in the assembler. Collective."""
         a = self._assembler
-        forces = a.balance.array[: a.size] + a.external_forces() + a.holding_forces()
-        forces, moved = forces[a.moves], a.problem.w.x.array[a.moves].copy()
+        forces = a.residual.owned + a.reactions.loads() + a.reactions.restraints()
+        forces, moved = forces[a.displacement_dofs], a.problem.w.x.array[a.displacement_dofs].copy()
         if a.cell is not None:
             whole = a.cell.work()
             if a.comm.rank == 0:
@@ -85,7 +85,7 @@ def round_off(assembler: Assembler) -> tuple[float, float]:
 
     The stress is known to machine precision of the stiffness, because F = I + grad u is.
     """
-    diagonal = assembler.matrix.getDiagonal()
+    diagonal = assembler.tangent.matrix.getDiagonal()
     stiff, sum_of_all = float(diagonal.norm()), float(diagonal.norm(0))
     diagonal.destroy()
     small, h = 40 * np.finfo(float).eps, cell_size(assembler.problem.body)

@@ -94,7 +94,7 @@ def diagnose(
             return doctor.said()
         finally:
             doctor.put(failed)
-            assembler.assemble_balance()
+            assembler.residual.assemble()
 
 
 class _Doctor:
@@ -109,7 +109,7 @@ class _Doctor:
         self.cells, self.unseen = Cells(assembler), ""
         self.next: Fault | None = None
         self.finite = self._residual(self.failed)
-        self.held = self.finite and assembler.gap <= 1e-9 * span(self.problem.body)
+        self.held = self.finite and assembler.residual.gap <= 1e-9 * span(self.problem.body)
         self.worst: tuple[BadCell, ...] = self.cells.worst()
 
     def said(self) -> Diagnosis:
@@ -133,7 +133,7 @@ class _Doctor:
     def put(self, values: FloatArray) -> None:
         """Makes these the problem's unknowns."""
         self.problem.w.x.array[:] = values
-        self.problem.unknowns.tell()
+        self.problem.unknowns.w_to_u()
 
     def _make(self, cause: str, text: str, advice: str, place: tuple[float, ...] = ()) -> Diagnosis:
         if self.moving and cause in ("inverted", "stalled", "iterations"):
@@ -148,7 +148,7 @@ class _Doctor:
         self.put(values)
         x, f = self.assembler.create_vector(), self.assembler.create_vector()
         self.assembler.get(x)
-        self.assembler.residual(x, f)
+        self.assembler.residual.evaluate(x, f)
         finite = bool(np.isfinite(f.array_r).all() and np.isfinite(x.array_r).all())
         x.destroy()
         f.destroy()
@@ -249,7 +249,11 @@ class _Doctor:
         if best > FLOOR * floor:
             return None
         assembler = self.assembler
-        reference = max(assembler.external_norm(), assembler.held, assembler.pushed)
+        reference = max(
+            assembler.reactions.load_norm(),
+            assembler.residual.reaction_norm,
+            assembler.residual.restraint_norm,
+        )
         relative = best / reference if reference > 0.0 else np.inf
         text = (
             f"round-off: the forces out of balance stay at {best:.3g} N, {relative:.1e} of the "
@@ -267,10 +271,10 @@ class _Doctor:
         """
         if not self._tangent(self.failed):
             return 0.0
-        diagonal = self.assembler.matrix.getDiagonal()
+        diagonal = self.assembler.tangent.matrix.getDiagonal()
         rows = np.abs(diagonal.array_r.copy())
         diagonal.destroy()
-        rows[self.assembler.fixed] = 0.0
+        rows[self.assembler.prescribed_dofs] = 0.0
         norm = float(np.sqrt(sum(self.assembler.comm.allgather(float(np.sum(rows**2))))))
         size = cell_size(self.problem.body) + self.assembler.max_displacement()
         return float(np.finfo(float).eps) * norm * size
@@ -318,7 +322,7 @@ class _Doctor:
 
     def _gave_up(self) -> Diagnosis:
         self._residual(self.failed)
-        _, node = self.assembler.largest_unbalance()
+        _, node = self.assembler.residual.largest()
         where = tuple(float(x) for x in node)
         p = self.result
         if "MAX_IT" in p.reason:
@@ -332,5 +336,5 @@ class _Doctor:
         return self._make("stalled", text, messages.STALLED, where)
 
 
-def _falls(norms: list[float]) -> bool:
+def _falls(norms: Sequence[float]) -> bool:
     return len(norms) > 1 and norms[-1] < 0.5 * norms[-2]

@@ -84,13 +84,13 @@ class Cells:
     def residuals(self) -> FloatArray:
         """Largest free force out of balance at the nodes of each owned cell [N]. Collective."""
         problem, a = self.problem, self.assembler
-        out = a.balance.array[: a.size]
+        out = a.residual.owned
         free = la.vector(problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs)
         with np.errstate(invalid="ignore"):
-            free.array[: a.size] = out - a.constraint_forces(out)
+            free.array[: a.size] = out - a.constrained_part(out)
         free.scatter_forward()
         entries = np.arange(len(problem.u.x.array), dtype=np.int32)
-        forces = free.array[problem.unknowns.places(entries)]
+        forces = free.array[problem.unknowns.mixed_dofs(entries)]
         with np.errstate(all="ignore"):
             norms = np.linalg.norm(forces.reshape(-1, problem.body.dim), axis=1)
         norms = np.where(np.isfinite(norms), norms, np.inf)
@@ -186,7 +186,7 @@ def _of_term(problem: Problem, name: str, work: ufl.Form) -> Fault | None:
     fem.assemble_vector(force.array, form)
     force.scatter_reverse(la.InsertMode.add)
     size = problem.V.dofmap.index_map.size_local * problem.body.dim
-    entries = problem.unknowns.places(np.arange(size, dtype=np.int32))
+    entries = problem.unknowns.mixed_dofs(np.arange(size, dtype=np.int32))
     bad = ~np.isfinite(force.array[entries].reshape(-1, problem.body.dim)).all(axis=1)
     bad_ones = int(total(problem.body.comm, int(bad.sum())))
     if not bad_ones:

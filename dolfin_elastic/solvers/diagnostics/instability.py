@@ -127,7 +127,7 @@ def _by_curvature(assembler: Assembler, put: Put, good: FloatArray, failed: Floa
     """For large bodies: whether the way Newton's method went has a negative stiffness."""
     unseen = "; the tangent's eigenvalues were not looked at, the body is too large for that"
     way = (failed - good)[: assembler.size]
-    motion = way[assembler.moves]
+    motion = way[assembler.displacement_dofs]
     size = float(np.sqrt(total(assembler.comm, float(np.sum(motion**2)))))
     if not (np.isfinite(size) and size > 0.0):
         return Finding(unseen=unseen)
@@ -143,9 +143,9 @@ def tangent(assembler: Assembler, put: Put, values: FloatArray) -> bool:
     put(values)
     x = assembler.create_vector()
     assembler.get(x)
-    assembler.tangent(x)
+    assembler.tangent.assemble(x)
     x.destroy()
-    diagonal = assembler.matrix.getDiagonal()
+    diagonal = assembler.tangent.matrix.getDiagonal()
     bad = not np.isfinite(diagonal.array_r).all()
     diagonal.destroy()
     return largest(assembler.comm, float(bad)) == 0.0
@@ -161,7 +161,7 @@ def take_newton_step(assembler: Assembler) -> bool:
     x, f, step = (assembler.create_vector() for _ in range(3))
     if stability.sound:
         assembler.get(x)
-        assembler.residual(x, f)
+        assembler.residual.evaluate(x, f)
         stability.solve(f, step)
         x.axpy(-1.0, step)
         assembler.put(x)
@@ -241,8 +241,8 @@ def _kind(assembler: Assembler, motion: FloatArray) -> tuple[str, str]:
     Source: E. Riks, Int. J. Solids Structures 15 (1979) 529: at a bifurcation the mode is
     orthogonal to the load, at a limit point it is not.
     """
-    forces = assembler.external_forces().copy()
-    load = (forces - assembler.constraint_forces(forces))[assembler.moves]
+    forces = assembler.reactions.loads().copy()
+    load = (forces - assembler.constrained_part(forces))[assembler.displacement_dofs]
     sums = total(assembler.comm, np.array([np.sum(load * motion), np.sum(load**2)]))
     if sums[1] == 0.0:
         return "it buckles or snaps through", messages.BUCKLING

@@ -95,7 +95,7 @@ def _motions(assembler: Assembler, inside: BoolArray) -> tuple[list[str], tuple[
     if problem.geometry == "axisymmetric":
         modes = modes[:, :, 1:2]
     columns = np.zeros((assembler.size, modes.shape[-1]))
-    columns[assembler.moves] = modes.reshape(own * dim, modes.shape[-1])
+    columns[assembler.displacement_dofs] = modes.reshape(own * dim, modes.shape[-1])
     columns /= np.sqrt(total(comm, (columns**2).sum(axis=0)))
     null = null_combinations(assembler, columns, FREE)
     if not null.shape[1]:

@@ -135,7 +135,7 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
     sums = _products(bodies, held_directions(problem, reached=reached), centres, sizes)
     nulls = [_null(problem, matrix) for matrix in sums]
     stray = False
-    if any(len(motion.free) for motion in problem.dirichlet.motions):
+    if any(len(motion.free) for motion in problem.dirichlet.rigid_motions):
 
         def motions_at(nodes: IndexArray) -> FloatArray:
             of = bodies.of_node[nodes]
@@ -158,7 +158,7 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
 
 def _parts_of_cell(problem: Problem, bodies: ConnectedBodies) -> list[FreeBody]:
     """Of a periodic cell all that hangs together with its held vertex is held. Collective."""
-    nodes = problem.unknowns.local(problem.dirichlet.dofs) // problem.body.dim
+    nodes = problem.unknowns.merged_dofs(problem.dirichlet.dofs) // problem.body.dim
     marks = np.bincount(bodies.of_node[nodes], minlength=bodies.count)
     held = total(bodies.comm, marks) > 0
     return [
@@ -177,7 +177,7 @@ def held_directions(problem: Problem, *, reached: bool = False) -> Held:
     held = prescribed.owned
     rows = [Held((held // dim).astype(np.int32), np.eye(dim)[held % dim])]
     more = list(problem.spring_projections)
-    if (tilted := prescribed.tilted) is not None:
+    if (tilted := prescribed.skew) is not None:
         more.append((tilted.nodes[: tilted.count], tilted.P[: tilted.count]))
     rows += [Held(np.repeat(nodes, dim), P.reshape(-1, dim)) for nodes, P in more]
     for touch in problem.contact_pairs:
@@ -261,7 +261,7 @@ def couple(
         Numbers of these bodies, and the matrix of their motions and then those of the surfaces.
     """
     dim, n, comm = problem.body.dim, products.shape[1], problem.body.comm
-    plates = [motion for motion in problem.dirichlet.motions if len(motion.free)]
+    plates = [motion for motion in problem.dirichlet.rigid_motions if len(motion.free)]
     count = sum(len(motion.free) for motion in plates)
     mixed, own = np.zeros((bodies.count, n, count)), np.zeros((count, count))
     touched, first = np.zeros(bodies.count, dtype=np.int64), 0
@@ -269,7 +269,7 @@ def couple(
     owned = np.zeros(last, dtype=bool)
     owned[problem.dirichlet.owned] = True
     for motion in plates:
-        dofs, D = problem.dirichlet.directions(motion)
+        dofs, D = problem.dirichlet.motion_directions(motion)
         dofs, D = dofs[owned[dofs]], D[owned[dofs]]
         scale = np.where(np.arange(D.shape[1]) < dim, 1.0, 1 / float(sizes.max()))
         G = (D * scale)[:, list(motion.free)]

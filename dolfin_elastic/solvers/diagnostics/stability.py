@@ -62,7 +62,7 @@ class Stability:
         self._symmetric = bool(assembler.problem.symmetric)
         self._ksp = PETSc.KSP().create(self.comm)
         self._ksp.setOptionsPrefix("elastic_doctor_")
-        self._ksp.setOperators(assembler.matrix)
+        self._ksp.setOperators(assembler.tangent.matrix)
         self._ksp.setType("preonly")
         self.sound, self.negative = self._factorise(), None
         if self.sound and self._symmetric:
@@ -118,8 +118,8 @@ class Stability:
         eps.setWhichEigenpairs(which)
         eps.setDimensions(nev=1)
         start = self.assembler.create_vector()
-        start.array_w[self.assembler.moves] = uneven(self.assembler)
-        self.assembler.hold(start)
+        start.array_w[self.assembler.displacement_dofs] = uneven(self.assembler)
+        self.assembler.remove_constrained(start)
         eps.setInitialSpace(start)
         eps.solve()
         start.destroy()
@@ -127,7 +127,7 @@ class Stability:
             return None
         vector = self.assembler.create_vector()
         compliance = complex(eps.getEigenpair(0, vector)).real
-        motion = vector.array_r[self.assembler.moves].copy()
+        motion = vector.array_r[self.assembler.displacement_dofs].copy()
         vector.destroy()
         size = float(np.sqrt(total(self.comm, float(np.sum(motion**2)))))
         if not (np.isfinite(compliance) and compliance != 0.0 and size > 0.0):
@@ -145,16 +145,16 @@ class _Compliance:
     def __init__(self, stability: Stability) -> None:
         self._of = stability
         self._keep = np.zeros(stability.assembler.size)
-        self._keep[stability.assembler.moves] = 1.0
+        self._keep[stability.assembler.displacement_dofs] = 1.0
         self._f = stability.assembler.create_vector()
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """See PETSc's MatMult. Collective."""
         self._f.array_w[:] = x.array_r * self._keep
-        self._of.assembler.hold(self._f)
+        self._of.assembler.remove_constrained(self._f)
         self._of.solve(self._f, y)
         y.array_w[:] *= self._keep
-        self._of.assembler.hold(y)
+        self._of.assembler.remove_constrained(y)
 
     def destroy(self, matrix: PETSc.Mat) -> None:
         """Frees what it owns. Collective."""
@@ -165,7 +165,9 @@ def uneven(assembler: Assembler) -> FloatArray:
     """Owned displacements that have a part in every mode, the same on any number of ranks."""
     problem = assembler.problem
     dim = problem.body.dim
-    x = problem.unknowns.U.tabulate_dof_coordinates()[: len(assembler.moves) // dim, :dim]
+    x = problem.unknowns.U.tabulate_dof_coordinates()[
+        : len(assembler.displacement_dofs) // dim, :dim
+    ]
     waves = np.sin(1.7 * x.sum(axis=1)[:, None] / span(problem.body) + 2.3 * np.arange(dim))
     return np.asarray((1.0 + waves).ravel())
 
@@ -177,8 +179,8 @@ def curvature(assembler: Assembler, direction: FloatArray) -> float:
     """
     d, image = assembler.create_vector(), assembler.create_vector()
     d.array_w[:] = direction
-    assembler.hold(d)
-    assembler.matrix.mult(d, image)
+    assembler.remove_constrained(d)
+    assembler.tangent.matrix.mult(d, image)
     square, work = d.dot(d), d.dot(image)
     d.destroy()
     image.destroy()

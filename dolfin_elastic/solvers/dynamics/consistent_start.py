@@ -56,7 +56,8 @@ def begin(moving: DynamicResidual, v: fem.Function, a: fem.Function, h: float) -
     """Finds the acceleration, and the pressure where it is exact, of the initial state. Collective.
 
     Args:
-        moving: The body; its rates are those of the initial state, and so is `assembler.balance`.
+        moving: The body; its rates are those of the initial state, and so is the vector of
+            `assembler.residual`.
         v: Velocity [m/s]; changed where what is incompressible cannot have it.
         a: Receives the acceleration [m/s^2].
         h: Step of the differences of what is prescribed [s].
@@ -96,7 +97,7 @@ def settle(problem: Problem, assembler: Assembler) -> None:
         assembler: Whose `balance` is assembled anew.
     """
     if (
-        not problem.unknowns.extras
+        not problem.unknowns.auxiliary_fields
         or partly_incompressible(problem)
         or assembler.max_displacement() == 0.0
     ):
@@ -111,7 +112,7 @@ def settle(problem: Problem, assembler: Assembler) -> None:
         problem.dirichlet.values.x.array[:] = start
         newton.destroy()
         still.destroy()
-    assembler.assemble_balance()
+    assembler.residual.assemble()
 
 
 class _Saddle:
@@ -131,7 +132,7 @@ class _Saddle:
         self._tangent(self._s)
         self._ksp = PETSc.KSP().create(moving.comm)
         self._ksp.setOptionsPrefix(PREFIX)
-        self._ksp.setOperators(self._a.matrix)
+        self._ksp.setOperators(self._a.tangent.matrix)
         options = Options(factorising(self._problem.symmetric), {})
         with options.in_force():
             self._ksp.setFromOptions()
@@ -140,12 +141,12 @@ class _Saddle:
     def _tangent(self, shift: float) -> None:
         self._moving.shift.value = shift
         self._a.get(self._x)
-        self._a.forget_tangent()
-        self._a.tangent(self._x, shift, unit=1.0)
+        self._a.tangent.invalidate()
+        self._a.tangent.assemble(self._x, shift, unit=1.0)
 
     def _diagonal(self) -> FloatArray:
         self._tangent(0.0)
-        diagonal = self._a.matrix.getDiagonal()
+        diagonal = self._a.tangent.matrix.getDiagonal()
         found = np.array(diagonal.array_r)
         diagonal.destroy()
         return found
@@ -207,13 +208,13 @@ class _Saddle:
 
     def _told(self) -> None:
         self._problem.w.x.scatter_forward()
-        self._problem.unknowns.tell()
+        self._problem.unknowns.w_to_u()
 
     def _rows(self) -> FloatArray:
         """The residual, without any boundary condition, of the problem's unknowns."""
         self._told()
-        self._a.assemble_balance()
-        return self._a.balance.array[: self._a.size].copy()
+        self._a.residual.assemble()
+        return self._a.residual.owned.copy()
 
     def _constraint(self, rows: FloatArray, *, first: bool) -> FloatArray:
         """What is off in the pressure's rows.
@@ -248,9 +249,9 @@ class _Saddle:
         self._told()
 
     def _solve(self, what: str) -> None:
-        self._a.hold(self._b)
+        self._a.remove_constrained(self._b)
         self._ksp.solve(self._b, self._x)
-        self._a.hold(self._x)
+        self._a.remove_constrained(self._x)
         reason = self._ksp.getConvergedReason()
         if reason < 0 or not np.isfinite(self._x.norm()):
             raise ConvergenceError(
@@ -260,7 +261,7 @@ class _Saddle:
 
     def destroy(self) -> None:
         """Frees what it owns, and the tangent of what it has put there. Collective."""
-        self._a.forget_tangent()
+        self._a.tangent.invalidate()
         for thing in (self._ksp, self._x, self._b):
             thing.destroy()
 
@@ -279,7 +280,7 @@ class AuxiliaryFields:
         self._problem = problem
         found = {
             extra.name: problem.W.sub(1 + k).collapse()
-            for k, extra in enumerate(problem.unknowns.extras)
+            for k, extra in enumerate(problem.unknowns.auxiliary_fields)
         }
         self._dofs = {name: dofs for name, (_, dofs) in found.items()}
         self.fields = {name: fem.Function(S, name=name) for name, (S, _) in found.items()}
@@ -291,6 +292,6 @@ class AuxiliaryFields:
 
     def give(self) -> None:
         """From the fields and the displacement to all unknowns. Not collective."""
-        self._problem.unknowns.take()
+        self._problem.unknowns.u_to_w()
         for name, field in self.fields.items():
             self._problem.w.x.array[self._dofs[name]] = field.x.array

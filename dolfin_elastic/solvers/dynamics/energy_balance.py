@@ -83,8 +83,8 @@ class EnergyBalance:
         """What inertia costs supports, in place of its forces over the way, on this rank [J]."""
         a, moves = self._moving.assembler, self._moving.moves
         before, self._v = self._v, self._now()
-        change = a.constraint_forces(self._moving.momentum(self._v - before))[moves]
-        pushed = a.constraint_forces(forces.inertia)[moves]
+        change = a.constrained_part(self._moving.momentum(self._v - before))[moves]
+        pushed = a.constrained_part(forces.inertia)[moves]
         return float(np.dot(change, (before + self._v) / 2) - np.dot(pushed, du))
 
     def _now(self) -> FloatArray:
@@ -135,7 +135,7 @@ class EnergyBalance:
         """Of loads that do not change: minus their forces times the displacement [J]."""
         moves = self._moving.moves
         if self._dead is None:
-            self._dead = self._moving.assembler.external_forces()[moves].copy()
+            self._dead = self._moving.assembler.reactions.loads()[moves].copy()
         u = self._moving.problem.w.x.array[moves]
         return -float(total(self._moving.comm, float(np.dot(self._dead, u))))
 

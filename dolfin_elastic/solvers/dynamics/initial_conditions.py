@@ -89,7 +89,7 @@ def set_initial(
     ]
     u.x.scatter_forward()
     v.x.scatter_forward()
-    problem.unknowns.take()
+    problem.unknowns.u_to_w()
     _check_finite(problem, v, "dynamics.initial_velocity")
     if displacement and not problem.linear:
         _check_upright(problem)
@@ -185,7 +185,7 @@ def reach(problem: Problem, span: float) -> float:
     for there in later:
         gone = np.abs(there - start)
         most = max(most, float(np.max(gone, initial=0.0, where=np.isfinite(gone))))
-    held.move_to(0.0)
+    held.set_time(0.0)
     return largest(problem.body.comm, most)
 
 
@@ -238,13 +238,13 @@ def misfits(problem: Problem, what: str, change: FloatArray, least: float) -> It
 def _shares(problem: Problem, change: FloatArray) -> Iterator[tuple[str, FloatArray]]:
     """Each support's label, and what it has changed at the owned nodes, of shape (nodes, dim)."""
     held, dim = problem.dirichlet, problem.body.dim
-    for label, entries in held.moving.items():
+    for label, entries in held.reaction_dofs.items():
         share = np.zeros_like(change)
         share[entries] = change[entries]
         rows = share.reshape(-1, dim)
-        if (tilted := held.tilted) is not None:
+        if (tilted := held.skew) is not None:
             at_tilted = change.reshape(-1, dim)[tilted.nodes[: tilted.count]]
-            for support, nodes, part in tilted.each(at_tilted):
+            for support, nodes, part in tilted.reactions(at_tilted):
                 if support.label == label:
                     rows[nodes] += part
         yield label, rows

@@ -82,7 +82,7 @@ class DynamicResidual:
             extra=inertia if work is None else inertia + work,
             extra_tangent=self._tangent(),
         )
-        self.moves = self.assembler.moves
+        self.moves = self.assembler.displacement_dofs
         self.extras = np.setdiff1d(np.arange(self.assembler.size), self.moves)
         dashpots = [d.virtual_work(problem.context) for d in problem.dashpots]
         forms = {
@@ -133,7 +133,7 @@ class DynamicResidual:
         kept = a.copy()
         a[: len(v)] = v
         self._a.x.scatter_forward()
-        found = self.assembler.nodal(self._forms["inertia"]).copy()
+        found = self.assembler.reactions.nodal(self._forms["inertia"]).copy()
         a[:] = kept
         return found
 
@@ -157,10 +157,10 @@ class DynamicResidual:
 
     def pushes(self) -> list[FloatArray]:
         """Nodal forces of each contact at the present state, owned entries [N]. Collective."""
-        return [self.assembler.nodal(form)[self.moves] for form in self._touching]
+        return [self.assembler.reactions.nodal(form)[self.moves] for form in self._touching]
 
     def forces_at(self, t: float, v: FloatArray, a: FloatArray) -> Forces:
-        """The forces at the present place; `assembler.balance` holds them then. Collective.
+        """The forces at the present place; `assembler.residual.vector` holds them then. Collective.
 
         Args:
             t: Time [s]; it is the problem's afterwards.
@@ -170,24 +170,24 @@ class DynamicResidual:
         with stage("assemble"):
             self.problem.set_time(t)
             self.set_rates(v, a)
-            self.assembler.assemble_balance()
+            self.assembler.residual.assemble()
             return self.forces()
 
     def forces(self) -> Forces:
-        """The forces at the state that `assembler.balance` was assembled at. Collective."""
+        """The forces at the state that `assembler.residual.vector` was assembled at. Collective."""
         a = self.assembler
         nothing = np.zeros(a.size)
-        found = {name: a.nodal(form).copy() for name, form in self._forms.items()}
+        found = {name: a.reactions.nodal(form).copy() for name, form in self._forms.items()}
         pushes = self.pushes()
         dim = self.problem.body.dim
-        obstacles, holding = nothing.copy(), a.holding_forces(self._bare)
+        obstacles, holding = nothing.copy(), a.reactions.restraints(self._bare)
         for push, alone in zip(pushes, self._alone, strict=True):
             obstacles[self.moves] += push
             holding[self.moves] += push if alone else 0.0
         return Forces(
             u=self.problem.w.x.array[self.moves],
-            loads=a.external_forces(),
-            reactions=a.constraint_forces(a.balance.array[: a.size]),
+            loads=a.reactions.loads(),
+            reactions=a.constrained_part(a.residual.owned),
             holding=holding,
             dashpots=found.get("dashpots", nothing),
             obstacles=obstacles,

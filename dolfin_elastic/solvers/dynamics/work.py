@@ -82,14 +82,14 @@ class _Leading:
 
     def begin(self) -> None:
         a = self._assembler
-        self._reactions = a.constraint_forces(a.balance.array[: a.size])
+        self._reactions = a.constrained_part(a.residual.owned)
 
     def renew(self) -> None: ...
 
     def step(self, du: FloatArray) -> float:
         before = self._reactions
         self.begin()
-        return float(np.dot(before + self._reactions, self._assembler.constraint_forces(du))) / 2
+        return float(np.dot(before + self._reactions, self._assembler.constrained_part(du))) / 2
 
 
 class ExternalWork:
@@ -161,7 +161,7 @@ class ExternalWork:
         """
         self.sum, self._local = work, 0.0
         if self._steady:
-            self._constant[:] = self._assembler.external_forces()
+            self._constant[:] = self._assembler.reactions.loads()
             self._from[:] = self._u
         self._stored, self._carried = self._in_springs(), self._on_supports()
         for share in self.shares:
@@ -201,7 +201,7 @@ class ExternalWork:
         """This rank's kinetic energy of what supports move [J]."""
         if not self.leading:
             return 0.0
-        v = self._assembler.constraint_forces(self._v)
+        v = self._assembler.constrained_part(self._v)
         return 0.5 * float(np.dot(self._mass * v, v))
 
 

@@ -269,23 +269,23 @@ class _Path:
             self.rate.axpy(-1.0, before, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
             self.rate.scale(0.5 / step)
         self._put(kept, self._share)
-        assembler.assemble_balance()
+        assembler.residual.assemble()
 
     def _put(self, values: FloatArray, share: float) -> None:
         """Puts all unknowns, ghosts included, and the loads."""
         problem = self._problem
         problem.set_time(1.0, default=Amplitude(((0.0, share), (1.0, share))))
         problem.w.x.array[:] = values
-        problem.unknowns.tell()
+        problem.unknowns.w_to_u()
 
     def _tangent(self, values: FloatArray, share: float) -> PETSc.Mat:
         self._put(values, share)
-        self._assembler.forget_tangent()
+        self._assembler.tangent.invalidate()
         x = self._assembler.create_vector()
         self._assembler.get(x)
-        self._assembler.tangent(x)
+        self._assembler.tangent.assemble(x)
         x.destroy()
-        return self._assembler.matrix
+        return self._assembler.tangent.matrix
 
     def _velocity(self, kept: FloatArray) -> FloatArray:
         """dw/ds = -K^-1 dR/ds, ghosts included."""
@@ -329,7 +329,7 @@ class _Path:
         assembler = self._assembler
         x, f = assembler.create_vector(), assembler.create_vector()
         assembler.get(x)
-        assembler.residual(x, f)
+        assembler.residual.evaluate(x, f)
         found = f.array_r.copy()
         x.destroy()
         f.destroy()

@@ -12,7 +12,7 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-from dolfin_elastic.solvers.assembly.matrix import TangentMatrix
+from dolfin_elastic.solvers.assembly.tangent import TangentMatrix
 from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
@@ -46,16 +46,16 @@ class Mass:
 
     def constrain(self) -> None:
         """Leaves the inertia of what is free to move only. Collective."""
-        assembler, tilted = self._assembler, self._assembler.problem.dirichlet.tilted
+        assembler, tilted = self._assembler, self._assembler.problem.dirichlet.skew
         if tilted is not None:
             self._filled.destroy()
             P = tilted.P[: tilted.count]
-            self._filled = TangentMatrix(self._form, assembler.tilted, P)
+            self._filled = TangentMatrix(self._form, assembler.skew_dofs, P)
             self._filled.unit = 0.0
             self._filled.assemble([])
             self.matrix = self._filled.petsc
         start = self.matrix.getOwnershipRange()[0]
-        rows = (assembler.fixed + start).astype(PETSc.IntType)
+        rows = (assembler.prescribed_dofs + start).astype(PETSc.IntType)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.matrix.zeroRowsColumns(rows, diag=0.0)
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
@@ -90,7 +90,9 @@ class Frame:
         comm, dim = problem.body.comm, problem.body.dim
         places = _places(problem)
         unit = _spread(problem, np.eye(dim)[:1] * inside[:, None])
-        nodal = mass.times(unit[:, None])[problem.unknowns.moves, 0].reshape(-1, dim)[:, 0]
+        nodal = mass.times(unit[:, None])[problem.unknowns.displacement_dofs, 0].reshape(-1, dim)[
+            :, 0
+        ]
         sums = total(comm, np.array([nodal.sum(), *(nodal @ places)]))
         self.centre: FloatArray = sums[1:] / sums[0]
         motions = rigid_motions(places - self.centre) * inside[:, None, None]
@@ -115,7 +117,7 @@ class Frame:
 def _places(problem: Problem) -> FloatArray:
     """Present places of the owned nodes [m]; with small-strain laws the undeformed ones."""
     dim = problem.body.dim
-    own = len(problem.unknowns.moves) // dim
+    own = len(problem.unknowns.displacement_dofs) // dim
     x = problem.V.tabulate_dof_coordinates()[:own, :dim]
     if problem.context.linear:
         return np.asarray(x)
@@ -124,7 +126,7 @@ def _places(problem: Problem) -> FloatArray:
 
 def _spread(problem: Problem, motion: FloatArray) -> FloatArray:
     """Displacement of the owned nodes, shape (nodes, dim), as entries of all unknowns."""
-    moves, W = problem.unknowns.moves, problem.W.dofmap
+    moves, W = problem.unknowns.displacement_dofs, problem.W.dofmap
     entries = np.zeros(W.index_map.size_local * W.index_map_bs)
     entries[moves] = motion.reshape(-1)
     return entries
@@ -155,7 +157,7 @@ def rigid_modes(assembler: Assembler, mass: Mass) -> list[RigidMode]:
     """
     problem = assembler.problem
     bodies = ConnectedBodies(problem)
-    own, names = len(assembler.moves) // problem.body.dim, bodies.names()
+    own, names = len(assembler.displacement_dofs) // problem.body.dim, bodies.names()
     found = []
     for number in range(bodies.count):
         frame = Frame(problem, mass, bodies.of_node[:own] == number)

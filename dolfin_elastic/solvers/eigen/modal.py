@@ -179,11 +179,13 @@ class Vibration:
         self.mass = Mass(self.assembler)
         x = self.assembler.create_vector()
         self.assembler.get(x)
-        self.assembler.tangent(x)
+        self.assembler.tangent.assemble(x)
         x.destroy()
-        self.assembler.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self.assembler.tangent.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         with stage("assemble"):
-            everywhere = np.ones(len(self.assembler.moves) // problem.body.dim, dtype=bool)
+            everywhere = np.ones(
+                len(self.assembler.displacement_dofs) // problem.body.dim, dtype=bool
+            )
             self.whole = Frame(problem, self.mass, everywhere)
             self.rigid = rigid_modes(self.assembler, self.mass)
             self.mass.constrain()
@@ -197,7 +199,7 @@ class Vibration:
             )
         self.spectrum = Spectrum(
             problem,
-            self.assembler.matrix,
+            self.assembler.tangent.matrix,
             self.mass.matrix,
             choice=modal.choice,
             users=modal.of_modes(loaded=self.settings.preload),
@@ -207,8 +209,8 @@ class Vibration:
 
     def _room(self) -> int:
         """How many modes there are: displacements that nothing prescribes."""
-        assembler, tilted = self.assembler, self.problem.dirichlet.tilted
-        free = len(assembler.moves) - len(assembler.fixed)
+        assembler, tilted = self.assembler, self.problem.dirichlet.skew
+        free = len(assembler.displacement_dofs) - len(assembler.prescribed_dofs)
         if tilted is not None:
             traces = np.trace(tilted.P[: tilted.count], axis1=1, axis2=2)
             free -= int(np.rint(traces.sum()))
@@ -269,13 +271,13 @@ class Vibration:
     def _smooth(self) -> float:
         """Rayleigh quotient of a smooth motion without its rigid part [1/s^2]. Collective."""
         motion = uneven(self.problem, 0)
-        motion[self.assembler.fixed] = 0.0
-        motion[self.assembler.tilted] = 0.0
+        motion[self.assembler.prescribed_dofs] = 0.0
+        motion[self.assembler.skew_dofs] = 0.0
         image = self.mass.times(motion[:, None])[:, 0]
         for mode in self.rigid:
             motion = motion - self._product(mode.vector, image) * mode.vector
         columns = motion[:, None]
-        stiff = times(self.assembler.matrix, columns)[:, 0]
+        stiff = times(self.assembler.tangent.matrix, columns)[:, 0]
         work = self._product(motion, stiff)
         return abs(work / self._product(motion, self.mass.times(columns)[:, 0]))
 

@@ -113,7 +113,7 @@ def at_rest(problem: Problem) -> None:
                 expected="modal.preload = true, or no curve",
             )
     problem.w.x.array[:] = 0.0
-    problem.unknowns.tell()
+    problem.unknowns.w_to_u()
 
 
 def shape(problem: Problem, vector: FloatArray) -> tuple[fem.Function, float]:
@@ -122,7 +122,11 @@ def shape(problem: Problem, vector: FloatArray) -> tuple[fem.Function, float]:
     The sign is the same on any number of ranks. Collective.
     """
     u = fem.Function(problem.V, name="mode")
-    motion, dim, comm = vector[problem.unknowns.moves], problem.body.dim, problem.body.comm
+    motion, dim, comm = (
+        vector[problem.unknowns.displacement_dofs],
+        problem.body.dim,
+        problem.body.comm,
+    )
     lengths = np.linalg.norm(motion.reshape(-1, dim), axis=1)
     size = largest(comm, float(np.max(lengths, initial=0.0)))
     if total(comm, float(vector @ uneven(problem, 0))) < 0.0:

@@ -59,7 +59,7 @@ def choose_eigen(problem: Problem, settings: LinearSettings) -> Choice:
     size = f"{dofs} unknowns"
     if settings.method != "auto":
         size += f", '{settings.method}' asked for"
-    if direct or problem.unknowns.extras:
+    if direct or problem.unknowns.auxiliary_fields:
         if not direct:
             size += ", with scalar fields beside the displacement"
         why = f"Krylov-Schur with shift and invert (SLEPc; MUMPS, LDL^T): {size}"
@@ -248,7 +248,7 @@ class Spectrum:
         if self.counted:
             return None
         matrix = self._shifted(shift)
-        modes = rigid_body_modes(self.problem.V, self.problem.unknowns.moved)
+        modes = rigid_body_modes(self.problem.V, self.problem.unknowns.single_valued)
         matrix.setNearNullSpace(modes)
         modes.destroy()
         transform.setPreconditionerMat(matrix)
@@ -291,7 +291,7 @@ def _reason(eps: Any) -> str:
 def uneven(problem: Problem, seed: int) -> FloatArray:
     """A start that is the same on any number of ranks and has a part in every mode."""
     dim, U = problem.body.dim, problem.unknowns.U
-    moves = problem.unknowns.moves
+    moves = problem.unknowns.displacement_dofs
     x = U.tabulate_dof_coordinates()[: len(moves) // dim, :dim]
     span = largest(problem.body.comm, float(np.max(np.abs(x), initial=0.0))) or 1.0
     waves = np.sin((7.3 + 1.9 * seed) * x @ np.arange(1.0, dim + 1) / span)

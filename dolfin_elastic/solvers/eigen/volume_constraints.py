@@ -28,8 +28,8 @@ def constrain(assembler: Assembler) -> int:
     problem = assembler.problem
     if not partly_incompressible(problem):
         return 0
-    comm, matrix = problem.body.comm, assembler.matrix
-    pressures = np.setdiff1d(np.arange(assembler.size), assembler.moves)
+    comm, matrix = problem.body.comm, assembler.tangent.matrix
+    pressures = np.setdiff1d(np.arange(assembler.size), assembler.displacement_dofs)
     enclosed = _is_null(assembler, pressures)
     if problem.unknowns.stabilised:  # its own rows know all but the mean
         count = int(all(is_incompressible(part.compliance) for part in problem.regions))
@@ -48,7 +48,7 @@ def _is_null(assembler: Assembler, pressures: IntArray) -> bool:
     columns = np.zeros((assembler.size, 2))
     columns[pressures, 0] = 1.0
     columns[pressures, 1] = np.arange(len(pressures)) % 2
-    images = times(assembler.matrix, columns)
+    images = times(assembler.tangent.matrix, columns)
     even, uneven = (
         largest(assembler.comm, float(np.max(np.abs(image), initial=0.0))) for image in images.T
     )

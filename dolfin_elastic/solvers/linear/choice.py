@@ -62,7 +62,7 @@ class Choice:
 def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) -> Choice:
     """Chooses a linear solver for a problem and says why."""
     dofs, limit = problem.num_dofs, DIRECT_LIMIT[problem.body.dim]
-    several = bool(problem.unknowns.extras)
+    several = bool(problem.unknowns.auxiliary_fields)
     if several:
         limit = (MIXED_MOVING if moving else MIXED_LIMIT)[problem.body.dim]
     direct = settings.method == "direct" or (settings.method == "auto" and dofs <= limit)
@@ -110,7 +110,7 @@ def _iterative(problem: Problem, symmetric: bool) -> dict[str, Any]:
     if not symmetric:
         krylov |= GMRES
     inner = multigrid(problem.degree)
-    if problem.unknowns.extras:
+    if problem.unknowns.auxiliary_fields:
         return krylov | SCHUR | {f"fieldsplit_u_{name}": value for name, value in inner.items()}
     return krylov | inner
 

@@ -43,7 +43,7 @@ class LinearSolver:
         problem, pc = self._assembler.problem, self.ksp.getPC()
         if pc.getType() == "fieldsplit" and problem.mixed:
             self._parts = PressureSplit(self._assembler, pc)
-        elif pc.getType() == "mg" and problem.degree > 1 and not problem.unknowns.extras:
+        elif pc.getType() == "mg" and problem.degree > 1 and not problem.unknowns.auxiliary_fields:
             self._parts = PMultigrid(problem, pc)
         elif not self.direct:
             self._set_modes()
@@ -58,9 +58,9 @@ class LinearSolver:
     def _set_modes(self) -> None:
         """Rigid-body modes of the current places, for algebraic multigrid of the whole tangent."""
         problem = self._assembler.problem
-        if not problem.unknowns.extras:
-            modes = rigid_body_modes(problem.unknowns.U, problem.unknowns.moved)
-            self._assembler.matrix.setNearNullSpace(modes)
+        if not problem.unknowns.auxiliary_fields:
+            modes = rigid_body_modes(problem.unknowns.U, problem.unknowns.single_valued)
+            self._assembler.tangent.matrix.setNearNullSpace(modes)
             modes.destroy()
 
     def set_tangent(self, tangent: PETSc.Mat) -> None:

@@ -45,7 +45,7 @@ class PMultigrid:
 
     def __init__(self, problem: Problem, pc: PETSc.PC, order: IndexArray | None = None) -> None:
         self._problem, self._pc = problem, pc
-        self._space = problem.unknowns.linear()[0]
+        self._space = problem.unknowns.linear_space()[0]
         self._P = constrained_interpolation(problem, self._space, order)
         # GAMG takes the near null space from its matrix, which PCMG makes in the middle of its
         # set-up where nobody can reach it, or from the first field of its DM.
@@ -137,9 +137,9 @@ def _prescribed(problem: Problem, like: PETSc.Mat, order: IndexArray | None) -> 
     """The projection D on prescribed directions, square, with the rows of a matrix. Collective."""
     size, first = like.getLocalSize()[0], like.getOwnershipRange()[0]
     row = np.arange(size) if order is None else np.argsort(order)
-    entries = row[problem.unknowns.local(problem.dirichlet.owned)]
+    entries = row[problem.unknowns.merged_dofs(problem.dirichlet.owned)]
     rows, columns, values = [entries], [entries], [np.ones(len(entries))]
-    skew = problem.dirichlet.tilted
+    skew = problem.dirichlet.skew
     if skew is not None:
         blocks, dim = skew.P[: skew.count], problem.body.dim
         places = row[skew.nodes[: skew.count, None] * dim + np.arange(dim)]

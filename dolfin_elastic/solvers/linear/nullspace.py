@@ -24,14 +24,16 @@ def null_combinations(assembler: Assembler, columns: FloatArray, small: float) -
     Returns:
         Shape (n, found).
     """
-    matrix, comm = assembler.matrix, assembler.comm
+    matrix, comm = assembler.tangent.matrix, assembler.comm
     diagonal = matrix.getDiagonal()
     free = np.ones(assembler.size, dtype=bool)
-    free[assembler.fixed] = False
+    free[assembler.prescribed_dofs] = False
     scale = largest(comm, float(np.max(np.abs(diagonal.array_r[free]), initial=0.0))) or 1.0
     diagonal.destroy()
     images = times(matrix, columns) / scale
-    images[assembler.fixed] = columns[assembler.fixed]  # rows that were replaced by ones
+    images[assembler.prescribed_dofs] = columns[
+        assembler.prescribed_dofs
+    ]  # rows that were replaced by ones
     rows = np.vstack([images, np.zeros((images.shape[1],) * 2)])
     triangles = np.vstack(comm.allgather(np.linalg.qr(rows, mode="r")))
     _, sizes, mixes = np.linalg.svd(triangles, full_matrices=False)

@@ -34,13 +34,13 @@ class PressureSplit:
 
     def __init__(self, assembler: Assembler, pc: PETSc.PC) -> None:
         self._problem = assembler.problem
-        start = assembler.matrix.getOwnershipRange()[0]
+        start = assembler.tangent.matrix.getOwnershipRange()[0]
         # Rows of a split have to be sorted, but the displacement has an order of its own.
-        self._order = np.argsort(assembler.moves, kind="stable")
-        pressures = np.setdiff1d(np.arange(assembler.size), assembler.moves)
+        self._order = np.argsort(assembler.displacement_dofs, kind="stable")
+        pressures = np.setdiff1d(np.arange(assembler.size), assembler.displacement_dofs)
         comm = assembler.comm
         self._u = PETSc.IS().createGeneral(
-            (assembler.moves[self._order] + start).astype(PETSc.IntType), comm
+            (assembler.displacement_dofs[self._order] + start).astype(PETSc.IntType), comm
         )
         self._u.setBlockSize(self._block_size())
         self._p = PETSc.IS().createGeneral((pressures + start).astype(PETSc.IntType), comm)
@@ -51,7 +51,7 @@ class PressureSplit:
         pc.setFieldSplitIS(("u", self._u), ("p", self._p))
         pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, self._S)
         pc.setFromOptions()  # the user may want another approximation of the Schur complement
-        pc.setOperators(assembler.matrix, assembler.matrix)
+        pc.setOperators(assembler.tangent.matrix, assembler.tangent.matrix)
         pc.setUp()  # makes the solvers of the splits; they are set up at their first use
         self._ksp = pc.getFieldSplitSubKSP()[0]
         if self._problem.symmetric:
@@ -74,7 +74,7 @@ class PressureSplit:
 
     def _set_modes(self) -> None:
         unknowns = self._problem.unknowns
-        modes = rigid_body_modes(unknowns.U, unknowns.moved, self._order)
+        modes = rigid_body_modes(unknowns.U, unknowns.single_valued, self._order)
         self._ksp.getOperators()[1].setNearNullSpace(modes)
         modes.destroy()
 
@@ -97,7 +97,7 @@ class PressureSplit:
 def _schur_diagonal(problem: Problem) -> FloatArray:
     """Row sums of S, the scaled mass matrix of pressures, at all local unknowns. Collective."""
     scale = problem.unknowns.scale["pressure"]
-    q = problem.unknowns.extra("pressure", ufl.TestFunction(problem.W))
+    q = problem.unknowns.auxiliary("pressure", ufl.TestFunction(problem.W))
     form = sum(
         -((1 / region.shear + region.compliance) if region.compliance else UNUSED / region.shear)
         * scale

@@ -175,7 +175,7 @@ class Bordered:
         """Copies a vector into all unknowns, and evaluates there. Collective."""
         self.scalars.put(self.scalar_part(x))
         self._x.array_w[:] = x.array_r[: self._size]
-        self.assembler.residual(self._x, self._b)
+        self.assembler.residual.evaluate(self._x, self._b)
         self.last = self.scalars.residual()
 
     def residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
@@ -190,7 +190,7 @@ class Bordered:
         self.scalars.put(values)
         self._columns, self._corner = self._differences(values)
         self._rows = self.scalars.rows()
-        self.assembler.tangent(self._x)
+        self.assembler.tangent.assemble(self._x)
         self._solved = None
 
     def _differences(self, values: FloatArray) -> tuple[list[FloatArray], FloatArray]:
@@ -198,11 +198,11 @@ class Bordered:
         steps, mild = self.scalars.steps, self.scalars.prescribing
         found = {j: self._difference(values, j, steps[j]) for j in np.flatnonzero(~mild)}
         self.scalars.put(values)
-        self.assembler.residual(self._x, self._b)  # back to where we are
+        self.assembler.residual.evaluate(self._x, self._b)  # back to where we are
         for j in np.flatnonzero(mild):
             found[j] = self._difference(values, j, steps[j], moving=True)
         self.scalars.put(values)
-        self.assembler.constrain(self._b)
+        self.assembler.residual.constrain(self._b)
         columns, corner = zip(*(found[j] for j in range(len(steps))), strict=True)
         return list(columns), np.column_stack(corner)
 
@@ -216,9 +216,9 @@ class Bordered:
             changed[j] += sign * h
             self.scalars.put(changed)
             if moving:
-                self.assembler.constrain(self._b)
+                self.assembler.residual.constrain(self._b)
             else:
-                self.assembler.residual(self._x, self._b)
+                self.assembler.residual.evaluate(self._x, self._b)
             sides.append((self._b.array_r.copy(), self.scalars.residual()))
         (f, g), (p, q) = sides
         column, corner = np.asarray(f - p) / (2 * h), np.asarray(g - q) / (2 * h)
@@ -230,7 +230,7 @@ class Bordered:
         """The operator. Collective."""
         scalars = self.scalar_part(x)
         self._x.array_w[:] = x.array_r[: self._size]
-        self.assembler.matrix.mult(self._x, self._b)
+        self.assembler.tangent.matrix.mult(self._x, self._b)
         fields = self._b.array_r.copy()
         for s, column in zip(scalars, self._columns, strict=True):
             fields += s * column

@@ -164,7 +164,7 @@ def pulled_off(assembler: Assembler) -> bool:
     for touch in problem.contact_pairs:
         gaps, n = touch.gaps()
         normals += n[gaps <= touch.size].sum(axis=0)
-    forces = assembler.external_forces()[assembler.moves].reshape(-1, dim)
+    forces = assembler.reactions.loads()[assembler.displacement_dofs].reshape(-1, dim)
     sums = [normals, forces.sum(axis=0), [np.abs(forces).sum()]]
     found = total(problem.body.comm, np.concatenate(sums))
     away = float(found[:dim] @ found[dim : 2 * dim])

@@ -158,14 +158,14 @@ class RoundOff:
         """Takes the rows from a fresh tangent. Collective."""
         a = self._assembler
         diagonal = tangent.getDiagonal()
-        stiff = np.abs(diagonal.array_r[a.moves])
+        stiff = np.abs(diagonal.array_r[a.displacement_dofs])
         most = largest(a.comm, float(np.max(stiff, initial=0.0)))
         self.first = self.first or most
         stiff = np.minimum(stiff, CRUSHED * self.first)
         size = SAFETY * np.finfo(float).eps * (self._h + min(a.max_displacement(), self._span))
         square, count = total(a.comm, np.array([np.sum(stiff**2), len(stiff)]))
         self._rows[:] = size * np.sqrt(square / max(count, 1.0))
-        self._rows[a.moves] = size * stiff
+        self._rows[a.displacement_dofs] = size * stiff
         self.norm = float(np.sqrt(total(a.comm, float(np.sum(self._rows**2)))))
         if self._inertia is not None:
             self.norm = self._norm_in_motion(diagonal, self._inertia)
@@ -187,8 +187,8 @@ class RoundOff:
     def beyond(self) -> float:
         """Norm of what the free rows of the last residual have beyond it [N]. Collective."""
         a = self._assembler
-        out = a.balance.array[: a.size]
-        rows = np.maximum(np.abs(out - a.constraint_forces(out)) - self._rows, 0.0)
+        out = a.residual.owned
+        rows = np.maximum(np.abs(out - a.constrained_part(out)) - self._rows, 0.0)
         return float(np.sqrt(total(a.comm, float(np.sum(rows**2)))))
 
 
@@ -252,7 +252,7 @@ class ConvergenceTest:
 
     def take_loads(self) -> None:
         """Measures the applied forces, which scalar unknowns may change. Collective."""
-        self._applied = self._assembler.external_norm()
+        self._applied = self._assembler.reactions.load_norm()
 
     def linear_tolerance(self) -> float:
         """Relative tolerance of the next linear solve. Collective.
@@ -270,7 +270,7 @@ class ConvergenceTest:
     def _wanted(self) -> float:
         """The same by the tolerance, whatever round-off does [N]. Collective."""
         a = self._assembler
-        reference = max(self._applied, a.held, a.pushed)
+        reference = max(self._applied, a.residual.reaction_norm, a.residual.restraint_norm)
         if self._inertia is not None:
             reference = max(reference, self._inertia.norm)
         return max(self._tolerance.rtol * reference, self._tolerance.atol)
@@ -283,7 +283,8 @@ class ConvergenceTest:
         its own rounding error, and what all have beyond it must be as small as wanted.  In motion
         the round-off of inertia is known as a norm only, so the norm decides.
         """
-        free, wanted, floor = self._assembler.free, self._wanted(), self.round_off.norm
+        free = self._assembler.residual.free_norm
+        wanted, floor = self._wanted(), self.round_off.norm
         if free <= wanted or self._inertia is not None:
             return free <= max(wanted, floor)
         # So far above the floor its rows cannot make the difference: they are not looked at.
@@ -304,10 +305,10 @@ class ConvergenceTest:
         if iteration == 1:
             self.predicted = norms[1]
         self._norm = norms[2]
-        self.residuals.append(a.free)
+        self.residuals.append(a.residual.free_norm)
         if not norms[2] <= HOPELESS * max(self._first, self.target()):  # NaN, too
             return int(reason.DIVERGED_FNORM_NAN)
-        prescribed = a.gap <= PRESCRIBED * self._span
+        prescribed = a.residual.gap <= PRESCRIBED * self._span
         if prescribed and self._balanced() and self._scalars_hold():
             return int(reason.CONVERGED_FNORM_RELATIVE)
         if self._crushed():

@@ -95,10 +95,12 @@ class Newton:
         )
         self.linear = LinearSolver(assembler, self.options, self.ksp, self.snes)
         self._source: Assembler | Bordered = self.bordered or assembler
+        matrix = assembler.tangent.matrix if self.bordered is None else self.bordered.matrix
+        self._matrix: PETSc.Mat = matrix
         self._x, self._f = self._source.create_vector(), self._source.create_vector()
         if self._owns:
             self.snes.setFunction(self._residual, self._f)
-            self.snes.setJacobian(self._tangent, self._source.matrix)
+            self.snes.setJacobian(self._tangent, self._matrix)
         try:
             self._configure()
         except Exception:  # the same on all ranks: nobody else can free what is there already
@@ -110,7 +112,7 @@ class Newton:
         if self.bordered is not None:
             python_solver(self.snes, self.bordered, PREFIX + "bordered_")
             self.ksp.setOptionsPrefix(PREFIX)
-            self.ksp.setOperators(self.assembler.matrix)
+            self.ksp.setOperators(self.assembler.tangent.matrix)
         with self.options.in_force(), self.options.input_errors():
             self.snes.setFromOptions()
             self.linear.set_up()
@@ -251,7 +253,7 @@ class Newton:
         fields[:] = unknowns[: len(fields)]
         if self.bordered is not None:
             self.bordered.scalars.put(unknowns[len(fields) :])
-        problem.unknowns.tell()
+        problem.unknowns.w_to_u()
 
     def solution(self) -> FloatArray:
         """Owned entries of where the last solve has ended, from `assembler.origin`."""
@@ -260,21 +262,24 @@ class Newton:
     # --- what SNES calls ---
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        self._source.residual(x, f)
+        if self.bordered is None:
+            self.assembler.residual.evaluate(x, f)
+        else:
+            self.bordered.residual(x, f)
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         if self.bordered is None:
-            self.assembler.tangent(x)
+            self.assembler.tangent.assemble(x)
         else:
             self.bordered.renew(x)
             self.test.take_loads()  # scalars may load the body
-            self.linear.set_tangent(self.assembler.matrix)
-        self.take_tangent(self.assembler.matrix)
+            self.linear.set_tangent(self.assembler.tangent.matrix)
+        self.take_tangent(self.assembler.tangent.matrix)
         self.shift = 0.0
         if self._shift_of is not None:
-            self.shift = self._shift_of(self.assembler.free, self.test.target())
+            self.shift = self._shift_of(self.assembler.residual.free_norm, self.test.target())
         if self.shift > 0.0:
-            self.assembler.shift_diagonal(self.shift)
+            self.assembler.tangent.shift_diagonal(self.shift)
 
     def take_tangent(self, P: PETSc.Mat) -> None:
         """Sets the linear tolerance and the round-off floor from a fresh tangent. Collective."""
@@ -287,8 +292,8 @@ class Newton:
         self._shift_of, self.factorised = None, True
         self._source.get(self._x)
         with stage("solve"), self.options.in_force():
-            self._tangent(self.snes, self._x, self._source.matrix, self._source.matrix)
-            self.ksp.setOperators(self.assembler.matrix)
+            self._tangent(self.snes, self._x, self._matrix, self._matrix)
+            self.ksp.setOperators(self.assembler.tangent.matrix)
             self.ksp.setUp()
             if self.bordered is not None:
                 self.bordered.eliminate()
@@ -304,9 +309,9 @@ class Newton:
         self.test.round_off.restore(saved["stiffest"])
         x = self.assembler.create_vector()
         self.assembler.get(x)
-        self.assembler.tangent(x, 0.0 if self._inertia is None else self._inertia.factor)
+        self.assembler.tangent.assemble(x, 0.0 if self._inertia is None else self._inertia.factor)
         x.destroy()
-        self.take_tangent(self.assembler.matrix)
+        self.take_tangent(self.assembler.tangent.matrix)
         while self.ksp.getType() != saved["linear"] and self.linear.fall_back(
             "before the checkpoint"
         ):

@@ -49,7 +49,7 @@ class Scalars:
         self.parts: list[ScalarUnknowns] = [c for c in self._cavities if c.cavity.volume_controlled]
         self.parts += [
             RigidSurface(assembler, motion)
-            for motion in self._prescribed.motions
+            for motion in self._prescribed.rigid_motions
             if len(motion.free)
         ]
         if (strains := free_strains(assembler.cell)) is not None:
@@ -74,11 +74,11 @@ class Scalars:
             if chamber.closed:
                 found[f"volume_{chamber.cavity.label}"] = chamber.volume()
             found[f"pressure_{chamber.cavity.label}"] = chamber.cavity.pressure
-        for motion in self._prescribed.motions:
-            values = self._prescribed.freedoms(motion)
+        for motion in self._prescribed.rigid_motions:
+            values = self._prescribed.motion_values(motion)
             for name, value in zip(motion.names, values, strict=True):
                 found[f"{motion.label}_{name}"] = float(value)
-            forces = self._assembler.balance.array[self._assembler.moves]
+            forces = self._assembler.residual.vector.array[self._assembler.displacement_dofs]
             if inertia is not None:
                 forces = forces + inertia
             u = self._assembler.problem.u.x.array
@@ -131,8 +131,8 @@ class CavityScalars(ScalarUnknowns):
         a = self._assembler
         size, loss = np.sqrt(
             [
-                total(a.comm, float(np.sum((v - a.constraint_forces(v)) ** 2)))
-                for v in (a.nodal(form) for form in self._forms[1:])
+                total(a.comm, float(np.sum((v - a.constrained_part(v)) ** 2)))
+                for v in (a.reactions.nodal(form) for form in self._forms[1:])
             ]
         )
         return bool(loss <= OPEN * size)
@@ -179,7 +179,7 @@ class CavityScalars(ScalarUnknowns):
 
     def rows(self) -> list[FloatArray]:
         """Its derivative [m^2]. Collective."""
-        return [self._assembler.nodal(self._forms[1])]
+        return [self._assembler.reactions.nodal(self._forms[1])]
 
     def settled(self, residual: FloatArray, target: float) -> bool:
         """The volume is the given one."""
@@ -215,7 +215,7 @@ class RigidSurface(ScalarUnknowns):
         self._levers = np.array([max(problem.body.comm.allgather(x)) for x in lever])
 
     def _directions(self) -> tuple[IndexArray, FloatArray]:
-        dofs, D = self._prescribed.directions(self._motion)
+        dofs, D = self._prescribed.motion_directions(self._motion)
         return dofs, D[:, list(self._motion.free)]
 
     def get(self) -> FloatArray:
@@ -225,26 +225,26 @@ class RigidSurface(ScalarUnknowns):
     def put(self, values: FloatArray) -> None:
         """Sets them and the prescribed values that depend on them."""
         self._motion.values[:] = values
-        self._prescribed.follow(self._motion)
+        self._prescribed.update_motion(self._motion)
 
     def residual(self) -> FloatArray:
         """Forces and moments that the body needs beyond the applied ones [N, N m]. Collective."""
         dofs, D = self._directions()
-        forces = self._assembler.balance.array[self._assembler.moves]
+        forces = self._assembler.residual.vector.array[self._assembler.displacement_dofs]
         own = dofs < len(forces)
         needed = total(self._problem.body.comm, D[own].T @ forces[dofs[own]])
-        return np.asarray(needed - self._prescribed.applied(self._motion))
+        return np.asarray(needed - self._prescribed.motion_forces(self._motion))
 
     def rows(self) -> list[FloatArray]:
         """Their derivatives. Collective."""
         dofs, D = self._directions()
-        places = self._problem.unknowns.places(dofs)
+        places = self._problem.unknowns.mixed_dofs(dofs)
         found = []
         for column in D.T:
             self._along.x.array[:] = 0.0
             self._along.x.array[places] = column
             self._along.x.scatter_forward()
-            found.append(self._assembler.nodal(self._work))
+            found.append(self._assembler.reactions.nodal(self._work))
         return found
 
     def settled(self, residual: FloatArray, target: float) -> bool:
@@ -264,7 +264,7 @@ def refuse_scalars(problem: Problem) -> None:
             where="load",
             expected="its pressure, or [statics]",
         )
-    if any(len(motion.free) for motion in problem.dirichlet.motions):
+    if any(len(motion.free) for motion in problem.dirichlet.rigid_motions):
         raise InputError(
             "a rigid surface with free motion exists in statics only",
             where="support",

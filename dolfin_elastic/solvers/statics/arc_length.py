@@ -64,7 +64,7 @@ class ArcLengthConstraint(ScalarUnknowns):
 
     def displacement(self) -> FloatArray:
         """Owned displacements."""
-        return np.asarray(self._problem.w.x.array[self._assembler.moves])
+        return np.asarray(self._problem.w.x.array[self._assembler.displacement_dofs])
 
     def get(self) -> FloatArray:
         """The load factor."""
@@ -94,7 +94,7 @@ class ArcLengthConstraint(ScalarUnknowns):
     def rows(self) -> list[FloatArray]:
         """Its derivative."""
         row = np.zeros(self._assembler.size)
-        row[self._assembler.moves] = 2.0 * self.moved() / self.wanted
+        row[self._assembler.displacement_dofs] = 2.0 * self.moved() / self.wanted
         return [row]
 
     def settled(self, residual: FloatArray, target: float) -> bool:
@@ -218,7 +218,7 @@ class ArcLength:
         if self._way is None or self._bordered is None:
             return RestartState({})
         way = fem.Function(self._problem.W)
-        way.x.array[self._assembler.moves] = self._way
+        way.x.array[self._assembler.displacement_dofs] = self._way
         numbers = {
             "lead": self._lead.tolist(),
             "size": self._size,
@@ -240,7 +240,7 @@ class ArcLength:
         if way is None or self._bordered is None:
             return
         self._length.t = t
-        self._way = way.x.array[self._assembler.moves].copy()
+        self._way = way.x.array[self._assembler.displacement_dofs].copy()
         self._lead = np.array(saved["lead"])
         self._size, self._longest = saved["size"], saved["longest"]
         self._points = [(load, arc) for load, arc in saved["points"]]
@@ -278,11 +278,11 @@ class ArcLength:
         share = size / np.sqrt(length.product(way, way))
         lead = share * self._lead
         length.steps[0] = max(1e-4 * abs(lead[0]), 1e-7 * self._end)
-        moves = self._assembler.moves
+        moves = self._assembler.displacement_dofs
         w.x.array[moves] += share * way
         w.x.scatter_forward()
         self._all.put(self._all.get() + lead)
-        self._problem.unknowns.tell()
+        self._problem.unknowns.w_to_u()
         self._ladder.begin()
         start = self._bordered.unknowns()
         self._bordered.linear.refresh()

@@ -51,10 +51,10 @@ def disturb(newton: Newton, size: float) -> None:
     """
     assembler = newton.assembler
     x, b = assembler.create_vector(), assembler.create_vector()
-    moves = assembler.moves
+    moves = assembler.displacement_dofs
     b.array_w[moves] = uneven(assembler)
     for _ in range(ITERATIONS):
-        assembler.hold(b)
+        assembler.remove_constrained(b)
         newton.ksp.solve(b, x)
         x.scale(1.0 / max(float(x.norm(PETSc.NormType.INFINITY)), 1e-300))
         x.copy(b)
@@ -66,6 +66,6 @@ def disturb(newton: Newton, size: float) -> None:
     for halving in range(HALVINGS):
         w.array[moves] = start + size / 2**halving * mode
         w.scatter_forward()
-        assembler.problem.unknowns.tell()
+        assembler.problem.unknowns.w_to_u()
         if guard is None or guard.watch.smallest()[0] > 0.0:
             break

@@ -88,7 +88,7 @@ class LoadStepping:
     def _arrive(self) -> None:
         """Takes the present state as one where the next step begins. Collective."""
         with stage("assemble"):
-            self.assembler.assemble_balance()
+            self.assembler.residual.assemble()
         self._watch.look()
         self._watch.accept()
 
@@ -130,7 +130,7 @@ class LoadStepping:
         self.problem.set_time(self._t, default=PROPORTIONAL)
         if self._scalars.joined is not None:
             self._scalars.joined.put(np.array(numbers["scalars"]))
-        self.problem.unknowns.tell()
+        self.problem.unknowns.w_to_u()
         self._sizes.restore(numbers["sizes"])
         self._jumps, self._limits = numbers["jumps"], tuple(numbers["limits"])
         self._pace.speed = numbers["speed"]
@@ -281,7 +281,7 @@ class LoadStepping:
         found = diagnose(
             self.assembler, result, good=good[:fields], failed=last[:fields], stable=judged
         )
-        force, place = self.assembler.largest_unbalance()
+        force, place = self.assembler.residual.largest()
         return ConvergenceError(
             f"no equilibrium beyond load factor {t:.6g}: {found.text}\n  at the end: "
             f"{result.reason}, Newton iterations: {result.newton}; the largest force out of "
@@ -335,7 +335,7 @@ class LoadStepping:
             reason=result.reason,
             residuals=result.residuals,
             energies=energies,
-            reactions=assembler.reactions(),
+            reactions=assembler.reactions.by_support(assembler.residual.owned),
             max_displacement=assembler.max_displacement(),
             negative=negative,
             limit_points=self._limits,

@@ -96,7 +96,7 @@ class RetryStrategy:
         self.newton.put_back(start)
         if guard is not None and guard.watch.smallest()[0] <= 0.0:
             return np.inf
-        return assembler.norm()
+        return assembler.residual.norm()
 
     def _try(self, start: FloatArray, line_search: str) -> NewtonResult:
         self.newton.put_back(start)

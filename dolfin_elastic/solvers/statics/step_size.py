@@ -148,7 +148,7 @@ class StepSpeed:
                 tangent at rest leads to.
         """
         a = self._assembler
-        du = a.problem.w.x.array[a.moves] - start[a.moves]
+        du = a.problem.w.x.array[a.displacement_dofs] - start[a.displacement_dofs]
         size = float(np.sqrt(total(a.comm, float(np.sum(du**2)))))
         self._now = size / (goal - t)
         if a.problem.linear or any(abs(corner - t) < 1e-9 for corner in self._corners if t > 0):

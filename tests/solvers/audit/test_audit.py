@@ -33,7 +33,7 @@ from dolfin_elastic.cli.console import _end_rows
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.problem.state import Audit, State
 from dolfin_elastic.results.outputs import History, Summary
-from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.assembly.assembler import Assembler, Reactions
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
 
 COMM = MPI.COMM_WORLD
@@ -235,8 +235,8 @@ def test_forces_that_do_not_balance(monkeypatch, said):
 
     All nodal forces of the bar have one direction, so what is left is 0.001 of 1.001 F.
     """
-    true = Assembler.external_forces
-    monkeypatch.setattr(Assembler, "external_forces", lambda self: 1.001 * true(self))
+    true = Reactions.loads
+    monkeypatch.setattr(Reactions, "loads", lambda self: 1.001 * true(self))
     found = audits(bar(), steps=3)
     assert [audit.verdict for audit in found] == ["pass", "warn", "warn", "warn"]
     # Round-off of the stiffness, here 1e-8 of what is left, is taken off before.
@@ -250,7 +250,7 @@ def test_forces_that_do_not_balance(monkeypatch, said):
 
 def test_load_that_is_missing(monkeypatch):
     """A load that the sum has forgotten is left over whole, and its work is missed."""
-    monkeypatch.setattr(Assembler, "external_forces", lambda self: np.zeros(self.size))
+    monkeypatch.setattr(Reactions, "loads", lambda self: np.zeros(self._dofs.size))
     last = audits(bar(), steps=2)[-1]
     assert last.verdict == "warn"
     assert last.force == pytest.approx(1.0, rel=1e-8)
@@ -259,14 +259,14 @@ def test_load_that_is_missing(monkeypatch):
 
 def test_moments_that_do_not_balance(monkeypatch):
     """The same total force on other nodes: forces balance, moments do not."""
-    true = Assembler.external_forces
+    true = Reactions.loads
 
-    def spread(self: Assembler) -> Any:
+    def spread(self: Reactions) -> Any:
         rows = true(self).reshape(-1, 3)
         sums = total(COMM, np.array([*rows.sum(axis=0), len(rows)]))
         return np.tile(sums[:3] / sums[3], len(rows))
 
-    monkeypatch.setattr(Assembler, "external_forces", spread)
+    monkeypatch.setattr(Reactions, "loads", spread)
     last = audits(block(), steps=1)[-1]
     assert last.force < EXACT
     assert last.verdict == "warn"
@@ -303,7 +303,7 @@ def test_cell_inside_out():
     watch: Any = type(
         "Watch", (), {"extremes": lambda _: worst, "steepest": lambda _: (0.0, worst[1][1])}
     )()
-    assembler.assemble_balance()
+    assembler.residual.assemble()
     audit = EquilibriumAuditor(problem, assembler, watch).of(0.0, 0.0)
     assert audit.reasons == ("a cell is inside out: det F = -0.1 at (0.5, 0.25, 0.125) m",)
     assert (audit.min_jacobian, audit.max_jacobian) == (-0.1, 2.0)
@@ -315,12 +315,12 @@ def test_cell_inside_out():
 
 def test_files(folder: Path, monkeypatch):
     """The audit is in history.csv and, the worst of all steps, in summary.json."""
-    true = Assembler.external_forces
+    true = Reactions.loads
 
-    def tampered(self: Assembler) -> Any:
-        return true(self) * (1.01 if 0.4 < self.problem.t.value < 0.6 else 1.0)
+    def tampered(self: Reactions) -> Any:
+        return true(self) * (1.01 if 0.4 < self._dofs.problem.t.value < 0.6 else 1.0)
 
-    monkeypatch.setattr(Assembler, "external_forces", tampered)
+    monkeypatch.setattr(Reactions, "loads", tampered)
     problem = block(Textbook(E=E, nu=NU))
     writers = [History().open(problem, folder), Summary().open(problem, folder)]
     for state in Statics(problem, steps=4).steps():

@@ -117,7 +117,7 @@ def test_moment_and_rotation_are_a_pair():
         body, law, supports=[Support(on="left"), Rigid(on="right", rotation=turn, force=[0, 0, 0])]
     )
     *_, first = Statics(held, steps=2).steps()
-    motion = held.dirichlet.motions[0]
+    motion = held.dirichlet.rigid_motions[0]
     spins = tangent(np.array(turn))
     vector = np.array([first.numbers[f"moment_right_{x}"] for x in "xyz"])
     free = Problem(
@@ -169,7 +169,7 @@ def test_moments_balance_where_an_oblique_support_meets_a_plate(dim):
     *_, state = Statics(problem, steps=1).steps()
     assert state.audit.verdict == "pass"
     left, size = np.zeros(3), 0.0
-    for motion in problem.dirichlet.motions:
+    for motion in problem.dirichlet.rigid_motions:
         force, moment = np.zeros(3), np.zeros(3)
         force[:dim] = state.reactions[motion.label]
         for i, axis in enumerate("xyz"):

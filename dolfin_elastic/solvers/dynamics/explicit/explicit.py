@@ -95,10 +95,10 @@ class Explicit(ABC):
         self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety)
         self.work = ExternalWork(problem, a, self.mass, v)
         self._energies = Energies(problem, v, self.mass, self.work)
-        self._forces = Forces(problem, a.form, a.balance, points=-1.0)
+        self._forces = Forces(problem, a.residual.form, a.residual.vector, points=-1.0)
         self._leads, self._timed = supports_move(problem), changes(problem)
-        self._tilts = problem.dirichlet.tilted is not None
-        arrays = problem.u.x.array, v.x.array, a.balance.array
+        self._tilts = problem.dirichlet.skew is not None
+        arrays = problem.u.x.array, v.x.array, a.residual.vector.array
         self._u, self._v, self._out = (array[: a.size] for array in arrays)
         self._pull, self._free = self._mobility(), np.ones(a.size)
         self._free[problem.dirichlet.owned] = 0.0
@@ -228,7 +228,7 @@ class Explicit(ABC):
     def _hold(self, dt: float) -> None:
         """Makes the change of velocity one that takes supports where they are to be."""
         held = self.problem.dirichlet
-        goal = (held.targets - held.present(self.problem.u.x.array)) / dt
+        goal = (held.targets - held.extract(self.problem.u.x.array)) / dt
         self._change += self._v
         held.impose(self._change, goal)
         self._change -= self._v
@@ -285,7 +285,7 @@ class Explicit(ABC):
 
     def _seen(self, measures: Measures) -> State:
         energies, momenta = measures
-        inertia = self.mass * self.a.x.array[: len(self._v)]
+        a, inertia = self.assembler, self.mass * self.a.x.array[: len(self._v)]
         return State(
             step=self._step,
             t=self._t,
@@ -294,7 +294,7 @@ class Explicit(ABC):
             a=self.a,
             reason="explicit",
             energies=energies,
-            reactions=self.assembler.reactions(self.assembler.constraint_forces(inertia)),
+            reactions=a.reactions.by_support(a.residual.owned + a.constrained_part(inertia)),
             momenta=momenta,
             max_displacement=self.assembler.max_displacement(),
             numbers={**self._energies.numbers(), **self._scalars.numbers(inertia)},

@@ -92,7 +92,7 @@ class FrequencyBound:
 
     def now(self) -> FloatArray:
         """The bound at each owned node at the present displacement [1/s^2]. Collective."""
-        return self._held + self._assembler.nodal(self._form)[:: self._dim] / self._mass
+        return self._held + self._assembler.reactions.nodal(self._form)[:: self._dim] / self._mass
 
     def place(self, rates: FloatArray) -> tuple[float, ...]:
         """Reference place of the node with the largest rate [m]. Collective."""
@@ -111,7 +111,7 @@ def rows_over_mass(
     """Bounds of the rows of a matrix at owned entries, over the mass there. Collective."""
     found = np.zeros(len(mass))
     for form in compiled(assembler.problem, bounds) if bounds else []:
-        found += assembler.nodal(form) / mass
+        found += assembler.reactions.nodal(form) / mass
     return found
 
 

@@ -65,7 +65,7 @@ def mean_acceleration(
         interval: From the time of the velocity to the middle of its next step [s].
     """
     held = problem.dirichlet
-    here, now = held.present(problem.u.x.array), held.present(v.x.array)
+    here, now = held.extract(problem.u.x.array), held.extract(v.x.array)
 
     def targets(time: float) -> FloatArray:
         try:

@@ -122,7 +122,7 @@ class StabilityMonitor:
         problem.dirichlet.check_finite()
         kept = u.copy()
         u[:] = 0.0  # loads that follow the body are not finite where it is not
-        forces = self._assembler.external_forces()
+        forces = self._assembler.reactions.loads()
         u[:] = kept
         if total(problem.body.comm, int(np.sum(~np.isfinite(forces)))):
             raise load_not_finite(t)

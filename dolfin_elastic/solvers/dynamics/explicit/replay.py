@@ -215,7 +215,7 @@ class Replay:
         """The least place of a node whose force is not finite. Collective."""
         assembler, problem = self._march.assembler, self._march.problem
         dim = problem.body.dim
-        forces = assembler.balance.array[: assembler.size].reshape(-1, dim)
+        forces = assembler.residual.owned.reshape(-1, dim)
         bad = ~np.isfinite(forces).all(axis=1)
         places = problem.V.tabulate_dof_coordinates()[: len(forces), :dim][bad]
         return first_of(problem.body.comm, map(plain, places)) or ()

@@ -120,13 +120,13 @@ class StepSize:
             x, scale = a.create_vector(), a.create_vector()
             a.get(x)
             with all_touching(self._problem):
-                a.tangent(x, unit=0.0)
+                a.tangent.assemble(x, unit=0.0)
             scale.array_w[:] = 1 / np.sqrt(self._mass)
             scale.array_w[self._problem.dirichlet.owned] = 0.0
-            a.matrix.diagonalScale(scale, scale)
-            a.forget_tangent()
-            x.array_w[a.moves] = uneven(a)
-            square = _largest_eigenvalue(a.matrix, x, self._problem.symmetric)
+            a.tangent.matrix.diagonalScale(scale, scale)
+            a.tangent.invalidate()
+            x.array_w[a.displacement_dofs] = uneven(a)
+            square = _largest_eigenvalue(a.tangent.matrix, x, self._problem.symmetric)
             x.destroy()
             scale.destroy()
         return max(square, 0.0)

@@ -156,7 +156,9 @@ class Implicit:
         if isinstance(self.stepper, GeneralizedAlphaStepper):
             snes = ts.getSNES()
             snes.setFunction(self.stepper.residual, self._f)
-            snes.setJacobian(self.stepper.tangent, self.assembler.matrix, self.assembler.matrix)
+            snes.setJacobian(
+                self.stepper.tangent, self.assembler.tangent.matrix, self.assembler.tangent.matrix
+            )
         ts.setTime(0.0)
         ts.setTimeStep(self.settings.dt)
         ts.setMaxTime(self.settings.end)
@@ -221,7 +223,7 @@ class Implicit:
             self.problem.set_time(0.0)
             size = len(self.moving.moves)
             self.moving.set_rates(self.v.x.array[:size], np.zeros(size))
-            self.assembler.assemble_balance()
+            self.assembler.residual.assemble()
         settle(self.problem, self.assembler)
         with stage("solve"):
             h = min(self.control.nominal / 8, AHEAD * self.settings.end)
@@ -290,7 +292,7 @@ class Implicit:
 
     def _failure(self) -> ConvergenceError:
         t = float(self.ts.getTime())
-        force, place = self.assembler.largest_unbalance()
+        force, place = self.assembler.residual.largest()
         reason = ts_reason(self.ts.getConvergedReason())
         last = self.problem.w.x.array.copy()
         if isinstance(self.stepper, Alpha2):
@@ -315,12 +317,16 @@ class Implicit:
         """
         if isinstance(self.stepper, GeneralizedAlphaStepper):
             self.stepper.look_at_end(t)
-        return self.assembler.reactions()
+        return self.assembler.reactions.by_support(self.assembler.residual.owned)
 
     def _state(self, *, failed: bool = False) -> State:
         step, t = int(self.ts.getStepNumber()), float(self.ts.getTime())
         first = step == 0 and not failed
-        reactions = self.assembler.reactions() if failed else self._reactions(t)
+        reactions = (
+            self.assembler.reactions.by_support(self.assembler.residual.owned)
+            if failed
+            else self._reactions(t)
+        )
         kinetic, linear, angular = self.measure.measure()
         strain, contact = self.strain.energy(), self._measured.energies()
         energies = {

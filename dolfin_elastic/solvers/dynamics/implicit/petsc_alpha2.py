@@ -68,7 +68,8 @@ class Alpha2:
         ts.setType("alpha2")
         ts.setProblemType(PETSc.TS.ProblemType.NONLINEAR)
         ts.setI2Function(self._function, self._F)
-        ts.setI2Jacobian(self._jacobian, self.assembler.matrix, self.assembler.matrix)
+        matrix = self.assembler.tangent.matrix
+        ts.setI2Jacobian(self._jacobian, matrix, matrix)
 
     def begin(self, ts: PETSc.TS) -> None:
         """Before each step. Collective."""
@@ -103,7 +104,7 @@ class Alpha2:
         self.done = forces, *self._in_the_middle(before, v, self._start + h)
 
     def start(self, t: float) -> None:
-        """Lets `assembler.balance` hold the forces of the first state. Collective."""
+        """Lets `assembler.residual.vector` hold the forces of the first state. Collective."""
         size = len(self.moving.moves)
         self.moving.forces_at(t, self.v.x.array[:size], self.at_end.x.array[:size])
 
@@ -117,7 +118,7 @@ class Alpha2:
         for place, v, time in ((self._w, before, self._start), (there, after, t)):
             w.array[:size] = place
             w.scatter_forward()
-            self.problem.unknowns.tell()
+            self.problem.unknowns.w_to_u()
             ends.append(self.moving.forces_at(time, v, a))
         return ends[0].mean(ends[1]), there[self.moving.moves] - self._w[self.moving.moves]
 
@@ -131,7 +132,7 @@ class Alpha2:
         share = (t - self._start) / self._step(ts)
         self.problem.set_time(t)
         self.moving.set_stage_rates(V.array_r[moves], A.array_r[moves])
-        self.assembler.residual(U, F, target=(1 - share) * self._from + share * self._to)
+        self.assembler.residual.evaluate(U, F, target=(1 - share) * self._from + share * self._to)
 
     def _jacobian(
         self,
@@ -146,7 +147,7 @@ class Alpha2:
         P: PETSc.Mat,
     ) -> None:
         self.moving.shift.value, self.moving.drag.value = shift_a, shift_v
-        self.assembler.tangent(U, shift_a)
+        self.assembler.tangent.assemble(U, shift_a)
         self.newton.take_tangent(P)
 
     def _step(self, ts: PETSc.TS) -> float:

@@ -157,7 +157,7 @@ class StepControl:
         if int(self._ts.getStepNumber()) == 0:
             self.scale = present
         atol: Any = self._tolerance * present
-        if len(self._moving.problem.unknowns.extras):
+        if len(self._moving.problem.unknowns.auxiliary_fields):
             value, atol = atol, self._moving.assembler.create_vector()
             atol.set(value)
             atol.array_w[self._moving.extras] = UNJUDGED

@@ -108,12 +108,12 @@ class GeneralizedAlphaStepper:
             self._ends = self.look(t)
 
     def look_at_end(self, t: float) -> None:
-        """Lets `assembler.balance` hold the forces at the present state, if it does not yet."""
+        """Assembles the residual's vector at the present state, if it is not yet."""
         if self.scheme.alpha_f == 0.5:
             self.look(t)
 
     def look(self, t: float) -> Forces:
-        """The forces at the present state, at a time; `assembler.balance` holds them then."""
+        """The forces at the present state, at a time; the residual's vector is theirs then."""
         size = len(self.moving.moves)
         return self.moving.forces_at(t, self.v.x.array[:size], self.at_end.x.array[:size])
 
@@ -125,14 +125,14 @@ class GeneralizedAlphaStepper:
         self.moving.set_stage_rates(v, a)
         with stage("assemble"):
             self.assembler.put(x)
-            self.assembler.assemble_balance()
+            self.assembler.residual.assemble()
             if self._volumes is not None:
                 self._volumes.complete()
-        self.assembler.constrain(f, target=self._goal)
+        self.assembler.residual.constrain(f, target=self._goal)
 
     def tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         """Derivative of the residual by the stage's displacement."""
-        self.assembler.tangent(x, self.moving.factor)
+        self.assembler.tangent.assemble(x, self.moving.factor)
         self.newton.take_tangent(P)
 
     def _rates(self, off: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -241,9 +241,9 @@ class GeneralizedAlphaStepper:
         rate, shift = self.scheme.shifts(h)  # residuals, too, look at them: for prescribed values
         self.moving.shift.value, self.moving.drag.value = shift, rate
         goal = self._prescribed_at(old.t + h)
-        held = self.problem.dirichlet.present(self.problem.u.x.array)
+        held = self.problem.dirichlet.extract(self.problem.u.x.array)
         self._held_rates = held_rates(self.problem, old.t + h, h)
-        was = self.problem.dirichlet.present(self.a.x.array)
+        was = self.problem.dirichlet.extract(self.a.x.array)
         self._held_stage = (1 - s.alpha_f) * self._held_rates[1] + s.alpha_f * was
         self._end_values = goal
         self._goal = s.alpha_f * held + (1 - s.alpha_f) * goal
@@ -310,7 +310,7 @@ class GeneralizedAlphaStepper:
     def _put_unknowns(self, w: FloatArray) -> None:
         self.problem.w.x.array[: len(w)] = w
         self.problem.w.x.scatter_forward()
-        self.problem.unknowns.tell()
+        self.problem.unknowns.w_to_u()
 
     def _advance(self, U: PETSc.Vec, V: PETSc.Vec) -> bool:
         """From the stage to the end of the step; whether no cell is inside out there.

@@ -55,7 +55,7 @@ class VolumeConstraint:
         found = compiled(self._problem, forms)
         self._all, self._giving = found[0], found[1] if giving else None
         entries = np.ones(len(self._problem.w.x.array), dtype=bool)
-        entries[self._problem.unknowns.places(np.arange(len(self._problem.u.x.array)))] = False
+        entries[self._problem.unknowns.mixed_dofs(np.arange(len(self._problem.u.x.array)))] = False
         self._scalars = entries
         self._old: FloatArray = np.empty(0)
         self._known: FloatArray = np.zeros(assembler.size)
@@ -85,19 +85,19 @@ class VolumeConstraint:
         more += (1 - s) * self._rows(self._all, end)
         self._problem.set_time(now)
         self._problem.w.x.array[:] = here
-        self._assembler.balance.array[: len(more)] += more
+        self._assembler.residual.vector.array[: len(more)] += more
 
     def _rows(self, form: fem.Form | None, w: FloatArray) -> FloatArray:
         """g of a place, at no pressure, in the rows of all unknowns [N]."""
         if form is None:
             return np.zeros(self._assembler.size)
         self._problem.w.x.array[:] = np.where(self._scalars, 0.0, w)
-        found = self._assembler.nodal(form)
+        found = self._assembler.reactions.nodal(form)
         self._problem.w.x.array[:] = w
         return found
 
 
 def _strain(problem: Problem, parts: Sequence[MaterialRegion]) -> ufl.Form:
     F = problem.weak_form.F(problem.w)
-    q = problem.unknowns.extra("pressure", ufl.TestFunction(problem.W))
+    q = problem.unknowns.auxiliary("pressure", ufl.TestFunction(problem.W))
     return sum(problem.weak_form.volume_gap(part, F, q) for part in parts)

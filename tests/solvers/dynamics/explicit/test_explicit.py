@@ -190,10 +190,10 @@ def test_stable_step_against_all_eigenvalues(comm, dim, held):
     estimate = explicit.stable_step()
     x = explicit.assembler.create_vector()
     explicit.assembler.get(x)
-    explicit.assembler.tangent(x)
-    K = dense(explicit.assembler.matrix, comm)
+    explicit.assembler.tangent.assemble(x)
+    K = dense(explicit.assembler.tangent.matrix, comm)
     mass = np.concatenate(comm.allgather(explicit.mass))
-    fixed = explicit.assembler.matrix.getOwnershipRange()[0] + problem.dirichlet.owned
+    fixed = explicit.assembler.tangent.matrix.getOwnershipRange()[0] + problem.dirichlet.owned
     free = np.setdiff1d(np.arange(len(mass)), np.concatenate(comm.allgather(fixed)))
     scaled = (K / np.sqrt(np.outer(mass, mass)))[np.ix_(free, free)]
     exact = 2 / np.sqrt(np.linalg.eigvalsh(scaled).max())

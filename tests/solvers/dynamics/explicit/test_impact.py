@@ -195,13 +195,15 @@ def test_obstacles_are_assembled_once(monkeypatch):
     problem.u.x.array[:] = np.random.default_rng(1).uniform(0.0, 0.01, problem.u.x.array.size)
     problem.u.x.scatter_forward()
     moving, asked = DynamicResidual(problem), []
-    nodal = moving.assembler.nodal
+    nodal = moving.assembler.reactions.nodal
     monkeypatch.setattr(
         moving.assembler, "nodal", lambda form: [asked.append(form), nodal(form)][1]
     )
     forces = moving.forces()
     assert len(asked) == 5  # inertia, both obstacles, the wall with its spring, the other spring
-    assert np.allclose(forces.holding, moving.assembler.holding_forces(), rtol=1e-14, atol=1e-12)
+    assert np.allclose(
+        forces.holding, moving.assembler.reactions.restraints(), rtol=1e-14, atol=1e-12
+    )
     largest = problem.body.comm.allreduce(np.abs(forces.holding).max(initial=0.0), op=MPI.MAX)
     assert largest > 10.0
     moving.destroy()

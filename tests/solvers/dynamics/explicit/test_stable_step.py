@@ -43,11 +43,11 @@ def true_square(march: SymplecticEuler) -> float:
     a, comm = march.assembler, march.problem.body.comm
     x = a.create_vector()
     a.get(x)
-    a.forget_tangent()
-    a.tangent(x)
+    a.tangent.invalidate()
+    a.tangent.assemble(x)
     x.destroy()
-    K, mass = dense(a.matrix, comm), np.concatenate(comm.allgather(march.mass))
-    fixed = a.matrix.getOwnershipRange()[0] + march.problem.dirichlet.owned
+    K, mass = dense(a.tangent.matrix, comm), np.concatenate(comm.allgather(march.mass))
+    fixed = a.tangent.matrix.getOwnershipRange()[0] + march.problem.dirichlet.owned
     free = np.setdiff1d(np.arange(len(mass)), np.concatenate(comm.allgather(fixed)))
     scaled = (K / np.sqrt(np.outer(mass, mass)))[np.ix_(free, free)]
     return float(np.abs(np.linalg.eigvals(scaled)).max())

@@ -42,7 +42,7 @@ def spun(dt: float, radius: float) -> tuple[np.ndarray, float]:
     problem = free_block((2, 1))
     unknowns = problem.unknowns
     all_of_them = np.arange(problem.W.dofmap.index_map.size_local)
-    scalars = np.setdiff1d(all_of_them, unknowns.moves)
+    scalars = np.setdiff1d(all_of_them, unknowns.displacement_dofs)
     rows, gained = [], 0.0
     for state in Dynamics(
         problem,

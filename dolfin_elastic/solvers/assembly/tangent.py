@@ -1,4 +1,4 @@
-"""The tangent as a PETSc matrix, filled twice as fast as entry by entry.
+"""The tangent of a problem as a PETSc matrix.
 
 DOLFINx's own CSR matrix is assembled without PETSc's insertion, which costs more than the element
 matrices themselves (DOLFINx pull request 4555), and its values are then copied into the arrays of
@@ -15,9 +15,93 @@ import numpy as np
 from dolfinx import fem, la
 from petsc4py import PETSc
 
+from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.assembly.skew_rows import SkewProjection
 from dolfin_elastic.solvers.petsc.c_api import check, library
+
+
+class Tangent:
+    """The tangent of a problem, with ones on the diagonal of prescribed dofs. Collective.
+
+    At skew nodes it is Q K Q + s P, see `SkewProjection`, where s is of the size of K: round-off
+    of K would drown P otherwise.
+
+    Args:
+        dofs: The unknowns and what is prescribed of them.
+        form: The compiled bilinear form.
+
+    Attributes:
+        form: The compiled bilinear form.
+        matrix: The tangent; owned here.
+    """
+
+    def __init__(self, dofs: ConstrainedDofs, form: fem.Form) -> None:
+        self._dofs, self.form = dofs, form
+        skew = dofs.skew
+        with stage("assemble"):
+            self._filled = (
+                TangentMatrix(form)
+                if skew is None
+                else TangentMatrix(form, dofs.skew_dofs, skew.P[: skew.count])
+            )
+        self.matrix = self._filled.petsc
+        self._shift: float | None = None
+        self._scale = 0.0
+        if dofs.problem.symmetric:
+            self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            self.matrix.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+
+    def assemble(self, x: PETSc.Vec, shift: float = 0.0, *, unit: float | None = None) -> None:
+        """Assembles the tangent into `matrix`, unless neither it nor the shift can have changed.
+
+        A matrix that is left alone keeps its factorisation.
+
+        Args:
+            x: The unknowns, from `ConstrainedDofs.origin`.
+            shift: Factor of the inertia in the form, by which linear tangents differ.
+            unit: The factor s of P at skew nodes; by default of the size of the tangent [N/m].
+        """
+        with stage("assemble"):
+            self._dofs.put(x)
+            if self._dofs.problem.linear and shift == self._shift:
+                return
+            if unit is None and self._dofs.skew is not None:
+                unit = self.scale()
+            self._filled.unit = unit or 0.0
+            self._filled.assemble(self._dofs.bcs)
+            self._shift = shift
+
+    def scale(self) -> float:
+        """Mean size of the tangent's diagonal at the first call, a power of two [N/m]."""
+        if self._scale == 0.0:
+            self._filled.unit = 0.0
+            self._filled.assemble(self._dofs.bcs)
+            self.invalidate()
+            diagonal = self.matrix.getDiagonal()
+            mean = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
+            diagonal.destroy()
+            self._scale = 2.0 ** np.round(np.log2(mean)) if 0.0 < mean < np.inf else 1.0
+        return self._scale
+
+    def shift_diagonal(self, share: float) -> None:
+        """Adds a share of its size to the diagonal of free dofs."""
+        diagonal = self.matrix.getDiagonal()
+        added = share * np.abs(diagonal.array_r)
+        added[self._dofs.prescribed_dofs] = 0.0
+        diagonal.array_w[:] += added
+        self.matrix.setDiagonal(diagonal)
+        diagonal.destroy()
+        self.invalidate()
+
+    def invalidate(self) -> None:
+        """`matrix` was changed: `assemble` assembles it, also in a linear problem. Local."""
+        self._shift = None
+
+    def destroy(self) -> None:
+        """Frees the matrix."""
+        self._filled.destroy()
 
 
 class TangentMatrix:

@@ -1,0 +1,174 @@
+"""The vector of unknowns: which entries are displacements, and what is prescribed of them."""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem, la
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.problem.problem import Problem
+
+
+class ConstrainedDofs:
+    """Owned dofs of a problem's unknowns, with its Dirichlet conditions. Collective to make.
+
+    Args:
+        problem: Whose unknowns; its `w` and `u` are changed by `put`.
+        still: All displacements are prescribed: only the scalar fields are unknown.
+
+    Attributes:
+        problem: Whose unknowns.
+        comm: Its ranks.
+        size: Dofs that this rank owns.
+        displacement_dofs: Those that belong to the displacement, in the displacement's order.
+        prescribed_dofs: Those that are prescribed.
+        skew: Nodes whose prescribed directions are not along the axes; None if no rank has any.
+        skew_dofs: All components at the owned ones of these nodes, of shape (nodes, dim).
+        bcs: DOLFINx's conditions at `prescribed_dofs`, ghosts included.
+        origin: What vectors of unknowns are counted from: zeros, or what is known of a step of a
+            motion, for accelerations are differences of places and would lose their digits far out.
+    """
+
+    def __init__(self, problem: Problem, *, still: bool = False) -> None:
+        self.problem, self.comm = problem, problem.body.comm
+        dirichlet, unknowns = problem.dirichlet, problem.unknowns
+        self._map, self._bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
+        self._dim = problem.body.dim
+        self.size = self._map.size_local * self._bs
+        self.origin: FloatArray = np.zeros(self.size)
+        self.displacement_dofs = unknowns.displacement_dofs
+        self._prescribed = dirichlet.owned
+        self.prescribed_dofs = unknowns.mixed_dofs(dirichlet.owned)
+        self.skew = None if still else dirichlet.skew
+        nodes = np.empty(0, np.int32) if self.skew is None else self.skew.nodes
+        entries = (nodes[:, None] * self._dim + np.arange(self._dim)).astype(np.int32)
+        self._skew_nodes = nodes[: 0 if self.skew is None else self.skew.count]
+        self.skew_dofs = unknowns.mixed_dofs(entries[: len(self._skew_nodes)])
+        if problem.w is problem.u:
+            self._values, self.bcs = dirichlet.values, dirichlet.bcs
+            lifted: list[fem.DirichletBC] = [fem.dirichletbc(self._values, nodes)]
+        else:
+            self._values = fem.Function(problem.W)
+            every = np.arange(len(problem.u.x.array), dtype=np.int32)
+            self.bcs = [self._condition(every if still else dirichlet.dofs)]
+            lifted = [self._condition(entries.reshape(-1))]
+        self._lifted_bcs = self.bcs if self.skew is None else self.bcs + lifted
+        if still:
+            self.prescribed_dofs = self.displacement_dofs
+            self._prescribed = np.arange(len(self.displacement_dofs), dtype=np.int32)
+
+    def _condition(self, dofs: IndexArray) -> fem.DirichletBC:
+        """Prescribes entries of the displacement's local array in all unknowns."""
+        entries = self.problem.unknowns.mixed_dofs(dofs)
+        return fem.dirichletbc(self._values, np.unique(entries // self._bs))
+
+    # --- vectors ---
+
+    def create_vector(self) -> PETSc.Vec:
+        """A distributed vector of the unknowns, without ghosts; the caller destroys it."""
+        vec = PETSc.Vec().createMPI((self.size, None), bsize=self._bs, comm=self.comm)
+        vec.set(0.0)
+        return vec
+
+    def ghosted_vector(self) -> la.Vector:
+        """A vector of the unknowns with ghosts, as DOLFINx assembles into."""
+        return la.vector(self._map, self._bs)
+
+    def get(self, x: PETSc.Vec) -> None:
+        """Copies the problem's unknowns into a vector."""
+        x.array_w[:] = self.problem.w.x.array[: self.size] - self.origin
+
+    def put(self, x: PETSc.Vec) -> None:
+        """Copies a vector into the problem's unknowns, ghosts included. Collective."""
+        self.problem.w.x.array[: self.size] = self.origin + x.array_r
+        self.problem.w.x.scatter_forward()
+        self.problem.unknowns.w_to_u()
+
+    def max_displacement(self) -> float:
+        """Largest length of a nodal displacement [m]. Collective."""
+        nodes = self.problem.V.dofmap.index_map.size_local
+        u = self.problem.u.x.array[: nodes * self._dim].reshape(-1, self._dim)
+        lengths = np.linalg.norm(u, axis=1)
+        return float(self.comm.allreduce(float(np.max(lengths, initial=0.0)), op=MPI.MAX))
+
+    def max_unknown(self) -> float:
+        """Largest entry of all unknowns, from `origin` [m]. Collective."""
+        own = self.problem.w.x.array[: self.size] - self.origin
+        return float(self.comm.allreduce(float(np.max(np.abs(own), initial=0.0)), op=MPI.MAX))
+
+    # --- what is prescribed ---
+
+    def differences(self, target: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Displacement minus its prescribed value [m], at prescribed dofs and at skew nodes.
+
+        Args:
+            target: Prescribed values as of `DirichletConditions.targets`; None: the problem's.
+
+        Returns:
+            At `prescribed_dofs`, and along the prescribed directions at `skew_dofs`, (nodes, dim).
+        """
+        dirichlet, x = self.problem.dirichlet, self.problem.w.x.array
+        if self.skew is None:
+            goal = dirichlet.values.x.array[self._prescribed] if target is None else target
+            return x[self.prescribed_dofs] - goal, np.zeros((0, self._dim))
+        target = dirichlet.targets if target is None else target
+        goal, along = np.split(target, [len(self._prescribed)])
+        rows = self.skew.constrained_part(x[self.skew_dofs])
+        return x[self.prescribed_dofs] - goal, rows - along.reshape(-1, self._dim)
+
+    def lift(
+        self, form: fem.Form, differences: tuple[FloatArray, FloatArray], out: la.Vector
+    ) -> None:
+        """Product of the tangent's prescribed columns and g - x, for the free rows. Collective.
+
+        Args:
+            form: The compiled tangent K.
+            differences: Of `differences`: x - g [m].
+            out: Receives K (g - x) [N], owned entries.
+        """
+        w, values = self.problem.w.x.array, self._values
+        saved = values.x.array.copy()
+        try:
+            values.x.array[:] = w
+            values.x.array[self.prescribed_dofs] -= differences[0]
+            values.x.array[self.skew_dofs] -= differences[1]
+            values.x.scatter_forward()
+            out.array[:] = 0.0
+            fem.apply_lifting(out.array, [form], [self._lifted_bcs], [w], -1.0)
+            out.scatter_reverse(la.InsertMode.add)
+        finally:
+            values.x.array[:] = saved
+
+    def constrained_part(self, vector: FloatArray) -> FloatArray:
+        """The part of owned entries that Dirichlet conditions prescribe; of forces, reactions."""
+        part = np.zeros(self.size)
+        part[self.prescribed_dofs] = vector[self.prescribed_dofs]
+        if self.skew is not None:
+            part[self.skew_dofs] = self.skew.constrained_part(vector[self.skew_dofs])
+        return part
+
+    def remove_constrained(self, step: PETSc.Vec) -> None:
+        """Takes from a step of the unknowns what Dirichlet conditions prevent. Not collective."""
+        step.array_w[self.prescribed_dofs] = 0.0
+        if self.skew is not None:
+            step.array_w[self.skew_dofs] = self.skew.free_part(step.array_r[self.skew_dofs])
+
+    def resultants(self, forces: FloatArray) -> dict[str, FloatArray]:
+        """Sum of nodal forces at each support's prescribed dofs, by label [N]. Collective.
+
+        Args:
+            forces: Owned entries of all unknowns [N].
+        """
+        forces = forces[self.displacement_dofs]
+        supports = self.problem.dirichlet.reaction_dofs
+        local = np.zeros((len(supports), self._dim))
+        for row, dofs in zip(local, supports.values(), strict=True):
+            np.add.at(row, dofs % self._dim, forces[dofs])
+        if self.skew is not None:
+            along = self.skew.resultants(forces.reshape(-1, self._dim)[self._skew_nodes])
+            for k, label in enumerate(supports):
+                local[k] += along.get(label, 0.0)
+        sums = self.comm.allreduce(local, op=MPI.SUM)
+        return dict(zip(supports, sums, strict=True))
