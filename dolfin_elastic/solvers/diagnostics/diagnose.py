@@ -15,6 +15,7 @@ Each cause is decided by evidence, the cheap and certain ones first:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
