@@ -17,7 +17,8 @@ from dolfin_elastic.solvers.dynamics.dynamics import Dynamics, DynamicsSettings
 from dolfin_elastic.solvers.eigen.buckling import Buckling, BucklingSettings
 from dolfin_elastic.solvers.eigen.modal import Modal, ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings
-from dolfin_elastic.solvers.statics.statics import Statics, StaticsSettings
+from dolfin_elastic.solvers.statics.settings import StaticsSettings
+from dolfin_elastic.solvers.statics.statics import Statics
 
 Analysis = Literal["statics", "dynamics", "modal", "buckling"]
 Solver = Statics | Dynamics | Modal | Buckling

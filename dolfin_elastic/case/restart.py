@@ -1,4 +1,4 @@
-"""Going on with a run that has ended before its end: what is in its folder, and what must fit."""
+"""Restart: what is in the folder of a run that was stopped, and what must be unchanged."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ log = logging.getLogger("dolfin_elastic")
 
 @dataclass(frozen=True)
 class Unfinished:
-    """A run that can go on.
+    """A run that was stopped and can be continued.
 
     Attributes:
         case: What it computes.
         folder: Of its results.
-        found: Its newest whole checkpoint.
-        newest: Step of its newest one, be it damaged or not.
+        found: Its newest undamaged checkpoint.
+        newest: Step of its newest checkpoint, damaged or not.
     """
 
     case: Case
@@ -52,25 +52,25 @@ class Unfinished:
 
     @property
     def step(self) -> int:
-        """The last step that is known."""
+        """Step of the checkpoint."""
         return int(self.found.content["step"])
 
     @property
     def done(self) -> float:
-        """Share of the run that is done."""
+        """Share of the run that was done at the checkpoint."""
         return float(self.found.content["done"])
 
-    def told(self) -> str:
-        """Where it goes on, in words."""
+    def message(self) -> str:
+        """Step, time or load, and date of the checkpoint, for the log."""
         content, motion = self.found.content, self.case.dynamics is not None
         place = f"t = {content['t']:.5g} s" if motion else f"load {100 * content['t']:.4g} %"
         return f"going on after step {self.step} ({place}), written {content['written']}"
 
     def check_newest(self) -> None:
-        """Nobody has gone on since this was found. Collective.
+        """Checks that nobody has continued the run since it was found. Collective.
 
         Raises:
-            RestartError: The run is complete, or the checkpoint is not there any more.
+            RestartError: The run is complete, or has other checkpoints now.
         """
         on_root(self.found.comm, self._check_newest)
 
@@ -83,17 +83,19 @@ class Unfinished:
                 expected="restart it again",
             )
 
-    def check(self, about: RunDescription) -> None:
-        """The mesh is that of the checkpoint. Not collective.
+    def check_mesh(self, description: RunDescription) -> None:
+        """Checks that the mesh is that of the checkpoint. Not collective.
 
         Raises:
             RestartError: It is another one.
         """
         before = self.found.content["mesh"]
-        if before == json.loads(json.dumps(about.mesh)):
+        if before == json.loads(json.dumps(description.mesh)):
             return
         words = {"cells": "number of cells", "geometry": "places of cells"}
-        which = next((key for key in about.mesh if before.get(key) != about.mesh[key]), "cells")
+        which = next(
+            (key for key in description.mesh if before.get(key) != description.mesh[key]), "cells"
+        )
         raise RestartError(
             f"the mesh is not that of the checkpoint: its {words.get(which, which)} differ",
             where=str(self.folder),
@@ -105,12 +107,12 @@ class Unfinished:
 def unfinished(
     folder: str | PathLike[str], *, case: Case | None = None, comm: MPI.Comm = MPI.COMM_WORLD
 ) -> Unfinished:
-    """Looks for the run in a folder of results. Collective.
+    """Finds the run in a folder of results. Collective.
 
     Args:
         folder: The folder.
-        case: What it computes, needed only if the case was made in Python and is no text.
-        comm: The ranks that shall go on.
+        case: What it computes; needed only of a case with Python functions, which is no text.
+        comm: The ranks that continue it.
 
     Raises:
         RestartError: There is nothing to go on from, the case is another one, or it is still going.
@@ -145,14 +147,18 @@ def unfinished(
             expected="the same case, or compute it anew",
         )
     if written is not None and case is None:
-        _compare(written, found.content["file"], comm)
+        _warn_if_changed(written, found.content["file"], comm)
     known = case or written
     assert known is not None
     return Unfinished(known, path, found, latest)
 
 
 def _check_folder(folder: Path) -> None:
-    """Says what is missing. On rank 0."""
+    """Checks that a stopped run is in the folder. On rank 0.
+
+    Raises:
+        RestartError: There is none.
+    """
     where = str(folder)
     if folder.is_file():
         raise RestartError(
@@ -168,6 +174,7 @@ def _check_folder(folder: Path) -> None:
 
 
 def _check_unfinished(folder: Path) -> None:
+    """Checks that a run is not complete and has a checkpoint. On rank 0."""
     where, status = str(folder), _status(folder)
     if status == "completed":
         raise RestartError(
@@ -189,28 +196,29 @@ def _check_unfinished(folder: Path) -> None:
 
 
 def _status(folder: Path) -> str:
-    """How a run has ended as its summary says; empty where there is none."""
+    """Status of a run in its summary; empty if there is none."""
     try:
         return str(json.loads((folder / "summary.json").read_text(encoding="utf-8"))["status"])
     except (OSError, ValueError, KeyError, TypeError):
         return ""
 
 
-def about(
+def describe_run(
     case: Case, mesh: Mapping[str, Any], petsc: Mapping[str, Any], before: Unfinished | None = None
 ) -> RunDescription:
-    """What checkpoints of a run say of it. Not collective.
+    """The description of a run that its checkpoints carry. Not collective.
 
     Args:
         case: What it computes.
-        mesh: See `sums.fingerprint`.
+        mesh: See `checksums.fingerprint`.
         petsc: PETSc options from outside the case.
-        before: What it goes on with, whose case file stays the one that people edit.
+        before: The run that is continued. Its case is read from the copy in the folder of results,
+            but the file to compare with at the next restart stays the user's.
     """
     try:
         tables = portable(case)
         text = toml_text(tables)
-    except TypeError:  # a function in Python is no text
+    except TypeError:  # TOML has no Python functions
         text = ""
     file = str(Path(case.file).resolve()) if case.file else ""
     if before is not None:
@@ -219,30 +227,30 @@ def about(
 
 
 def portable(case: Case) -> dict[str, Any]:
-    """The tables of a case that needs no file but its mesh, whose path holds from everywhere."""
-    given = {key: found for key in CURVED if (found := getattr(case, key))}
-    whole = {
-        key: [_with_table(row) for row in found] if isinstance(found, list) else _with_table(found)
-        for key, found in given.items()
+    """The tables of a case, with amplitudes in place of their files and an absolute mesh path."""
+    given = {key: rows for key in CURVED if (rows := getattr(case, key))}
+    inlined = {
+        key: [_inline_curve(row) for row in rows] if isinstance(rows, list) else _inline_curve(rows)
+        for key, rows in given.items()
     }
-    tables = case.model_copy(update=whole).to_dict()
+    tables = case.model_copy(update=inlined).to_dict()
     if case.mesh.file is not None:
         tables["mesh"]["file"] = str((case.folder / case.mesh.file).resolve())
     return tables
 
 
-def _with_table(row: Record) -> Record:
-    """A record with its curve's table in place of the file that it stood in."""
+def _inline_curve(row: Record) -> Record:
+    """A record with its curve as a table in place of a CSV file."""
     curve = getattr(row, "curve", None)
     if isinstance(curve, Amplitude) and curve.rows:
         return row.model_copy(update={"curve": Amplitude(curve.rows)})
     return row
 
 
-def _compare(written: Case, file: str, comm: MPI.Comm) -> None:
+def _warn_if_changed(written: Case, file: str, comm: MPI.Comm) -> None:
     """Warns where the case file has been changed since the run began. Collective."""
     if not file or not on_root(comm, Path(file).is_file):
-        return  # it is gone, as on another machine
+        return  # there is none on this machine
     try:
         now = read_case(file, comm=comm)
     except InputError as error:
@@ -261,14 +269,14 @@ def _compare(written: Case, file: str, comm: MPI.Comm) -> None:
 
 
 def _tables(case: Case) -> dict[str, Any]:
-    """What two cases are compared by: not by where the mesh lies, for that has a fingerprint."""
+    """Tables by which two cases are compared; without the mesh file, which has a fingerprint."""
     tables = json.loads(json.dumps(portable(case), default=repr))
     tables["mesh"].pop("file", None)
     return dict(tables)
 
 
 def _difference(case: Case, other: Case) -> str:
-    """The first key in which two cases differ."""
+    """The first dotted key in which two cases differ."""
     here, there = _tables(case), _tables(other)
     return _first_difference(here, there) or "the case"
 

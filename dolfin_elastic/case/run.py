@@ -1,4 +1,4 @@
-"""The pipe: case, body, problem, solver, results; from the start or from a checkpoint."""
+"""A run: case, body, problem, solver, results; from the start or from a checkpoint."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dolfin_elastic.case.analysis import Solver
 from dolfin_elastic.case.case import Case, located
 from dolfin_elastic.case.check import check
 from dolfin_elastic.case.check.initial_state import contact_notes
-from dolfin_elastic.case.restart import Unfinished, about, unfinished
+from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, OutputError, SolveError
 from dolfin_elastic.core.parallel import on_root
@@ -56,7 +56,7 @@ def run(
         output: Folder of the results; by default what the case says.
         petsc: PETSc options that win over the case's own.
         comm: The ranks that work together.
-        asked: Called after each state; true on a rank: a checkpoint is written there and then.
+        asked: Called after each state on each rank; if it is true on one, a checkpoint is written.
 
     Raises:
         InputError: The case is wrong, or a run is still going in that folder; nothing has been
@@ -97,14 +97,14 @@ def restart(
     """
     if not isinstance(folder, Unfinished):
         folder = unfinished(folder, case=case, comm=comm)
-        log.info("%s", folder.told())
+        log.info("%s", folder.message())
     options = {**folder.found.content["petsc"], **(petsc or {})}
     yield from _Run(folder.case, folder.folder, options, comm, asked).states(folder)
 
 
 @dataclass
 class _Run:
-    """One run, from the start or from a checkpoint; see `run`."""
+    """One run, from the start or from a checkpoint; see `run` for the attributes."""
 
     case: Case
     folder: Path
@@ -112,26 +112,27 @@ class _Run:
     comm: MPI.Comm
     asked: Callable[[], bool] | None
 
-    def __post_init__(self) -> None:
-        self.lock = FolderLock(self.comm, self.folder)
-
     def states(self, before: Unfinished | None = None) -> States:
-        """All states and modes, in a folder that no other run writes into meanwhile."""
-        with closing(self.lock):
-            self.lock.acquire()  # before anything is computed; where there is no folder yet, later
+        """All states and modes, while no other run can write into the folder. Collective.
+
+        Args:
+            before: The run that is continued; None: from the start.
+        """
+        with closing(FolderLock(self.comm, self.folder)) as lock:
+            lock.acquire()  # before computing, if the folder exists; else in `_write_all`
             if before is not None:
                 before.check_newest()
-            if self.comm.rank == 0:  # only now: until it is locked it may be another run's
+            if self.comm.rank == 0:  # not before the lock: the file may be for another run
                 forget(self.folder)
-            yield from self._states(before)
+            yield from self._states(before, lock)
 
-    def _states(self, before: Unfinished | None) -> States:
+    def _states(self, before: Unfinished | None, lock: FolderLock) -> States:
         timing.begin()
         with timing.stage("mesh"):
             body = self.case.read_body(self.comm)
-            told = about(self.case, fingerprint(body), self.petsc, before)
+            description = describe_run(self.case, fingerprint(body), self.petsc, before)
         if before is not None:
-            before.check(told)
+            before.check_mesh(description)
         for note in body.notes:
             log.info("mesh: %s", note)
         for note in check(self.case, body):
@@ -142,78 +143,101 @@ class _Run:
         solver = self.case.make_solver(problem, petsc=self.petsc)
         steps = _steps(solver, problem, before)
         step, settings = 0 if before is None else before.step, self.case.output.checkpoint
-        checkpoints = Checkpoints(self.comm, self.folder, settings, told, step=step)
+        checkpoints = Checkpoints(self.comm, self.folder, settings, description, step=step)
+        run_checkpoints = _RunCheckpoints(checkpoints, solver, self.asked)
         with located(self.case.file), closing(steps):
-            yield from self._written(problem, steps, _Keeper(checkpoints, solver), before)
+            yield from self._write_all(problem, steps, run_checkpoints, before, lock)
         checkpoints.clear()
 
-    def _written(
-        self, problem: Problem, steps: States, keeper: _Keeper, before: Unfinished | None
+    def _write_all(
+        self,
+        problem: Problem,
+        steps: States,
+        checkpoints: _RunCheckpoints,
+        before: Unfinished | None,
+        lock: FolderLock,
     ) -> States:
-        """The states, each with all outputs, and a checkpoint now and then."""
-        output = self.case.output
-        # A fault at the start leaves no folder behind; where one goes on, it is there already.
-        probe = output.probe(problem, self.case.mesh.scale)
+        """Yields what the solver yields, after it is written to all outputs. Collective."""
+        probe = self.case.output.probe(problem, self.case.mesh.scale)
         probed = (probe.add_to(step) if isinstance(step, State) else step for step in steps)
+        # The first state is computed before the folder is made: an error in it leaves none behind.
         first = [] if before else list(islice(probed, 1))
-        self.lock.acquire(create=True)
-        keeper.begin(new=before is None)
+        lock.acquire(create=True)
+        checkpoints.remove_foreign(new=before is None)
         saved = None if before is None else before.found.content["outputs"]
         with open_outputs(self.case.files(), problem, self.folder, saved) as writers:
-            for found in chain(first, probed):
+            for result in chain(first, probed):
                 for writer in writers:
-                    _write(writer, found)
-                keeper.look(found, writers, asked=self.asked is not None and self.asked())
+                    _write(writer, result)
+                checkpoints.save_if_due(result, writers)
                 try:
-                    yield found
+                    yield result
                 except GeneratorExit:
-                    keeper.stop(found, writers)
+                    checkpoints.save_at_stop(result, writers)
                     raise
 
 
 def _steps(solver: Solver, problem: Problem, before: Unfinished | None) -> States:
     """The solver's generator, from the start or from a checkpoint."""
-    if before is None:  # whether something touched earlier is unknown after a restart
+    if before is None:  # after a restart it is unknown whether something touched before
         return tell_untouched(problem, cast(States, solver.steps()))
     assert isinstance(solver, RestartableSolver)  # others have no checkpoints
     return cast(States, solver.steps(before.found))
 
 
-def _write(writer: Writer, found: State | Mode) -> None:
-    if isinstance(found, State):
-        writer.write(found)
+def _write(writer: Writer, result: State | Mode) -> None:
+    if isinstance(result, State):
+        writer.write(result)
     elif isinstance(writer, ModeWriter):
-        writer.write_mode(found)
+        writer.write_mode(result)
 
 
-class _Keeper:
-    """Makes checkpoints of a solver that can go on from them.  All of it is collective.
+class _RunCheckpoints:
+    """Checkpoints of a run whose solver can restart; of others there are none.  Collective.
 
     Args:
-        checkpoints: Where they go.
+        checkpoints: Where they are written.
         solver: What is saved; modes and buckling loads are not.
+        asked: See `run`.
     """
 
-    def __init__(self, checkpoints: Checkpoints, solver: Solver) -> None:
-        self._checkpoints = checkpoints
+    def __init__(
+        self, checkpoints: Checkpoints, solver: Solver, asked: Callable[[], bool] | None
+    ) -> None:
+        self._checkpoints, self._asked = checkpoints, asked
         self._solver = solver if isinstance(solver, RestartableSolver) else None
 
-    def begin(self, *, new: bool) -> None:
-        """Removes the checkpoints that are none of this run."""
+    def remove_foreign(self, *, new: bool) -> None:
+        """Removes the checkpoints of other runs in the folder.
+
+        Args:
+            new: The run begins: all of them; otherwise those after the one that it continues from.
+        """
         if not new:
             self._checkpoints.remove_later()
         elif self._checkpoints.clear():
             log.warning("the checkpoints of a run that had not ended are removed")
 
-    def look(self, state: State | Mode, writers: Sequence[Writer], *, asked: bool) -> None:
-        """Makes one if it is time."""
+    def save_if_due(self, state: State | Mode, writers: Sequence[Writer]) -> None:
+        """Writes a checkpoint if it is time or if one was asked for.
+
+        Args:
+            state: The last one yielded by the solver.
+            writers: The open outputs, which have written it.
+        """
+        asked = self._asked is not None and self._asked()  # on every rank, whatever the solver
         if self._solver is None or isinstance(state, Mode):
             return
         if self._checkpoints.due(state, asked=asked):
             self._save(self._solver, state, writers)
 
-    def stop(self, state: State | Mode, writers: Sequence[Writer]) -> None:
-        """Makes one for whoever goes on."""
+    def save_at_stop(self, state: State | Mode, writers: Sequence[Writer]) -> None:
+        """Writes a checkpoint of a run that is stopped, for its restart.
+
+        Args:
+            state: The last one yielded by the solver.
+            writers: The open outputs, which have written it.
+        """
         if self._solver is None or isinstance(state, Mode):
             return
         if self._checkpoints.off or state.done >= 1.0:
@@ -238,7 +262,7 @@ def open_outputs(
     folder: Path,
     saved: Sequence[Mapping[str, Any]] | None = None,
 ) -> Iterator[list[Writer]]:
-    """Opens files and closes them with how it ended: completed, failed or stopped.
+    """Opens the outputs, and closes them as completed, failed or stopped. Collective.
 
     Args:
         files: What is written.
@@ -266,14 +290,14 @@ def open_outputs(
         ending = ("stopped", "on request")
         raise
     except BaseException:
-        writers.clear()  # perhaps on this rank alone: closing together would wait for ever
+        writers.clear()  # perhaps on this rank alone: closing is collective and would deadlock
         raise
     finally:
         _close(writers, ending)
 
 
 def _remove_others(folder: Path, files: Sequence[Output]) -> None:
-    """Removes what an older run has left that this one has no name for. Not collective."""
+    """Removes files of an older run that this one does not overwrite. Not collective."""
     remove(folder / _FAILED)
     kinds = {type(file) for file in files}
     if Xdmf not in kinds:
@@ -285,7 +309,12 @@ def _remove_others(folder: Path, files: Sequence[Output]) -> None:
 
 
 def _close(writers: Iterable[Writer], ending: tuple[str, object]) -> None:
-    """Closes all; a file that cannot be closed does not keep the others open, nor hide a cause."""
+    """Closes all writers, also after one could not be closed. Collective.
+
+    Args:
+        writers: The open outputs.
+        ending: Status and cause. An error of closing is raised only if the run itself had none.
+    """
     fault: OutputError | None = None
     for writer in writers:
         try:
@@ -298,7 +327,7 @@ def _close(writers: Iterable[Writer], ending: tuple[str, object]) -> None:
 
 
 def _write_failed(problem: Problem, folder: Path, state: State) -> None:
-    """The state that is no solution, in a file of its own. Collective."""
+    """Writes a state without equilibrium into a file of its own. Collective."""
     fields = ["displacement", "jacobian", "von_mises"]
     fields += ["residual"] * (state.v is None) + ["energy_density"] * problem.has_energy
     writer = Xdmf(file=_FAILED, fields=tuple(fields)).open(problem, folder)

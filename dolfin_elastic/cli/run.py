@@ -88,7 +88,7 @@ def restart(
 
     comm = _begin(quiet)
     found = unfinished(folder, comm=comm)
-    logging.getLogger("dolfin_elastic").info("%s", found.told())
+    logging.getLogger("dolfin_elastic").info("%s", found.message())
 
     stop = Stop(folder)
     states = restart_case(found, petsc=options, asked=stop.wants_checkpoint)
