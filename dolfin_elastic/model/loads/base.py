@@ -1,4 +1,4 @@
-"""What every load is: one external virtual-work term, and the site where it acts."""
+"""What every load is: one external virtual-work term, and the context where it acts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PLACE = frozenset("xyz")
 
 
 class LoadContext(Protocol):
-    """What a load finds on the body it acts on; see `site.FormContext`."""
+    """What a load finds on the body it acts on; see `context.FormContext`."""
 
     v: Expr
     """Virtual displacement."""
@@ -180,22 +180,22 @@ class Load(Record):
         timed = self.curve is None and depends_on_time(self.values)
         return CONSTANT if timed else self.curve
 
-    def field(self, site: LoadContext) -> Expr:
+    def field(self, context: LoadContext) -> Expr:
         """The load's vector as a UFL expression."""
-        return site.vector(self.values, self.curve)
+        return context.vector(self.values, self.curve)
 
-    def intensity(self, places: LoadPoints) -> FloatArray | None:
+    def intensity(self, points: LoadPoints) -> FloatArray | None:
         """Force per reference area or volume on the undeformed body, without its amplitude.
 
         A report integrates it before anything is compiled: the same as `virtual_work`, in numbers.
 
         Returns:
-            Shape of `places.X` [N/m^2 or N/m^3]; None: the load cannot be told so.
+            Shape of `points.X` [N/m^2 or N/m^3]; None: the load cannot be told so.
         """
         return None
 
-    def virtual_work(self, site: LoadContext) -> ufl.Form:
-        """External virtual work of the load, linear in `site.v`."""
+    def virtual_work(self, context: LoadContext) -> ufl.Form:
+        """External virtual work of the load, linear in `context.v`."""
         raise TypeError(f"{type(self).__name__} has no virtual work")
 
 

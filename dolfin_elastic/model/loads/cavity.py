@@ -146,35 +146,35 @@ class Cavity(Load):
         }
         return initial + scale * change[self.key]
 
-    def virtual_work(self, site: LoadContext) -> ufl.Form:
+    def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""
-        p = site.unknown(self.label) if self.volume_controlled else self._given(site)
-        return self.work(site, p, linear=site.linear)
+        p = context.unknown(self.label) if self.volume_controlled else self._given(context)
+        return self.work(context, p, linear=context.linear)
 
-    def work(self, site: LoadContext, p: Expr, *, linear: bool) -> ufl.Form:
+    def work(self, context: LoadContext, p: Expr, *, linear: bool) -> ufl.Form:
         """Virtual work of a pressure p [Pa], on the undeformed surface if `linear`."""
-        return -p * ufl.inner(area_vector(site, linear), site.v) * site.areas(self.parts)
+        return -p * ufl.inner(area_vector(context, linear), context.v) * context.areas(self.parts)
 
-    def _given(self, site: LoadContext) -> Expr:
-        return site.scalar(self.values[0], self.amplitude)
+    def _given(self, context: LoadContext) -> Expr:
+        return context.scalar(self.values[0], self.amplitude)
 
-    def enclosed(self, site: LoadContext, linear: bool) -> ufl.Form:
+    def enclosed(self, context: LoadContext, linear: bool) -> ufl.Form:
         """Its present volume [m^3]; to first order in u if `linear`."""
-        dim = len(site.v)
+        dim = len(context.v)
         if self.origin_components and len(self.origin_components) != dim:
             raise InputError(
                 f"{len(self.origin_components)} components given, the body has {dim}",
                 where="origin",
             )
-        if site.axisymmetric and self.origin_components and self.origin_components[0] != 0.0:
+        if context.axisymmetric and self.origin_components and self.origin_components[0] != 0.0:
             raise InputError(
                 "a body of revolution has its planes of symmetry across the axis",
                 where="origin[0]",
                 expected="0: a point on the axis",
             )
-        o = site.constant([float(x or 0.0) for x in self.origin_components or (0.0,) * dim])  # type: ignore[arg-type]
-        d = 3 if site.axisymmetric else dim
-        areas = site.areas(self.parts)
+        o = context.constant([float(x or 0.0) for x in self.origin_components or (0.0,) * dim])  # type: ignore[arg-type]
+        d = 3 if context.axisymmetric else dim
+        areas = context.areas(self.parts)
         if linear:
-            return -ufl.inner((site.X - o) / d + site.u, site.N) * areas
-        return -ufl.inner(site.X + site.u - o, area_vector(site, False)) / d * areas
+            return -ufl.inner((context.X - o) / d + context.u, context.N) * areas
+        return -ufl.inner(context.X + context.u - o, area_vector(context, False)) / d * areas

@@ -29,11 +29,11 @@ class Eigenstrain(Load):
         return {}
 
     @abstractmethod
-    def growth(self, site: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
+    def growth(self, context: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
         """Fg, shape (3, 3).
 
         Args:
-            site: Where numbers become constants.
+            context: Where numbers become constants.
             expansion: The material's coefficient of expansion [1/K], if it has one.
             share: 1 where the load acts and 0 elsewhere; None: everywhere.
         """
@@ -58,10 +58,10 @@ class Thermal(Eigenstrain):
         with keyed("value"):
             return (component(self.value, self.unit),)
 
-    def growth(self, site: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
+    def growth(self, context: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
         """See the class."""
         assert expansion is not None
-        strain = expansion * site.scalar(self.values[0], self.amplitude)
+        strain = expansion * context.scalar(self.values[0], self.amplitude)
         return (1 + (strain if share is None else share * strain)) * ufl.Identity(3)
 
 
@@ -97,10 +97,10 @@ class Growth(Eigenstrain):
             raise InputError("a stretch must be above 0", expected="1 is no growth")
         return [[stretches[i] if i == j else 0.0 for j in range(3)] for i in range(3)]
 
-    def growth(self, site: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
+    def growth(self, context: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
         """See the class."""
-        one, factors = ufl.Identity(3), site.factors(self.values, self.curve)
-        items = [site.value(item) for item in self.values]
+        one, factors = ufl.Identity(3), context.factors(self.values, self.curve)
+        items = [context.value(item) for item in self.values]
         if all(factor is factors[0] for factor in factors):
             strain = factors[0] * (ufl.as_matrix([items[i : i + 3] for i in (0, 3, 6)]) - one)
         else:

@@ -64,20 +64,20 @@ class Traction(Load):
         """See `Load.vectors`."""
         return {"value" if self.force is None else "force": self.values}
 
-    def intensity(self, places: LoadPoints) -> FloatArray:
+    def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
-        share = 1.0 if self.force is None else places.size
-        return np.asarray(vector_at(self.values, places.X, places.t) / share)
+        share = 1.0 if self.force is None else points.size
+        return np.asarray(vector_at(self.values, points.X, points.t) / share)
 
-    def virtual_work(self, site: LoadContext) -> ufl.Form:
+    def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""
-        traction = self.field(site)
+        traction = self.field(context)
         if self.force is not None:
-            area = site.area(self.parts)
+            area = context.area(self.parts)
             if not area.value > 0.0:
                 raise InputError("the surface has no area", where="on")
             traction = traction / area
-        return ufl.inner(traction, site.v) * site.areas(self.parts)
+        return ufl.inner(traction, context.v) * context.areas(self.parts)
 
 
 class BodyForce(Load):
@@ -87,13 +87,13 @@ class BodyForce(Load):
     on: str | list[str] | None = None
     unit: ClassVar[str] = "N/m^3"
 
-    def intensity(self, places: LoadPoints) -> FloatArray:
+    def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
-        return vector_at(self.values, places.X, places.t)
+        return vector_at(self.values, points.X, points.t)
 
-    def virtual_work(self, site: LoadContext) -> ufl.Form:
+    def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""
-        return ufl.inner(self.field(site), site.v) * site.volumes(self.parts)
+        return ufl.inner(self.field(context), context.v) * context.volumes(self.parts)
 
 
 class Gravity(Load):
@@ -117,26 +117,26 @@ class Gravity(Load):
         """Its components [m/s^2] in 2 or 3 dimensions."""
         return self.values or (0.0,) * (dim - 1) + (-9.81,)
 
-    def field(self, site: LoadContext) -> Expr:
+    def field(self, context: LoadContext) -> Expr:
         """The acceleration as a UFL expression."""
-        return site.vector(self.acceleration(len(site.v)), self.curve)
+        return context.vector(self.acceleration(len(context.v)), self.curve)
 
-    def intensity(self, places: LoadPoints) -> FloatArray:
+    def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
-        assert places.density is not None
-        g = vector_at(self.acceleration(places.X.shape[-1]), places.X, places.t)
-        return np.asarray(places.density[..., None] * g)
+        assert points.density is not None
+        g = vector_at(self.acceleration(points.X.shape[-1]), points.X, points.t)
+        return np.asarray(points.density[..., None] * g)
 
-    def virtual_work(self, site: LoadContext) -> ufl.Form:
+    def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""
-        if site.axisymmetric and self.values and self.values[0] != 0.0:
+        if context.axisymmetric and self.values and self.values[0] != 0.0:
             raise InputError(
                 "weight across the axis is none of a body of revolution",
                 where="value[0]",
                 expected="0: it acts along the axis",
             )
-        g = self.field(site)
-        return sum(rho * ufl.inner(g, site.v) * dx for rho, dx in site.densities(self.parts))
+        g = self.field(context)
+        return sum(rho * ufl.inner(g, context.v) * dx for rho, dx in context.densities(self.parts))
 
 
 class Centrifugal(Load):
@@ -192,33 +192,35 @@ class Centrifugal(Load):
                 raise InputError("an axis of no length", expected='for example "z" or [0, 0, 1]')
         return [float(item) for item in found]  # type: ignore[arg-type]
 
-    def virtual_work(self, site: LoadContext) -> ufl.Form:
+    def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""
-        dim = len(site.v)
-        a, c = self._axis(site.axisymmetric), self._centre(site)
-        place = site.X if site.linear else site.X + site.u
-        r = ufl.as_vector([place[i] for i in range(dim)]) - site.constant(c)
-        axis = site.constant(a[:dim])
+        dim = len(context.v)
+        a, c = self._axis(context.axisymmetric), self._centre(context)
+        place = context.X if context.linear else context.X + context.u
+        r = ufl.as_vector([place[i] for i in range(dim)]) - context.constant(c)
+        axis = context.constant(a[:dim])
         across = r - ufl.inner(axis, r) * axis
-        force = site.factor(self.amplitude) * site.value(self.values[0]) ** 2 * across
-        return sum(rho * ufl.inner(force, site.v) * dx for rho, dx in site.densities(self.parts))
+        force = context.factor(self.amplitude) * context.value(self.values[0]) ** 2 * across
+        return sum(
+            rho * ufl.inner(force, context.v) * dx for rho, dx in context.densities(self.parts)
+        )
 
-    def intensity(self, places: LoadPoints) -> FloatArray:
+    def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`; of a body of revolution only the radial part is left."""
-        assert places.density is not None
-        dim = places.X.shape[-1]
-        a = np.array(self._axis(places.axisymmetric)[:dim])
-        r = places.X - np.array(self._numbers("point") or [0.0] * dim)
+        assert points.density is not None
+        dim = points.X.shape[-1]
+        a = np.array(self._axis(points.axisymmetric)[:dim])
+        r = points.X - np.array(self._numbers("point") or [0.0] * dim)
         (speed,) = self.values
-        omega = speed.evaluate(t=places.t) if isinstance(speed, Formula) else float(speed or 0.0)
+        omega = speed.evaluate(t=points.t) if isinstance(speed, Formula) else float(speed or 0.0)
         across = r - (r @ a)[..., None] * a
-        return np.asarray(places.density[..., None] * omega**2 * across)
+        return np.asarray(points.density[..., None] * omega**2 * across)
 
-    def _centre(self, site: LoadContext) -> list[float]:
-        c, dim = self._numbers("point") or [0.0] * len(site.v), len(site.v)
+    def _centre(self, context: LoadContext) -> list[float]:
+        c, dim = self._numbers("point") or [0.0] * len(context.v), len(context.v)
         if len(c) != dim:
             raise InputError(f"{len(c)} components given, the body has {dim}", where="point")
-        if site.axisymmetric and c[0]:
+        if context.axisymmetric and c[0]:
             raise InputError("a body of revolution spins about y only", where="point")
         return c
 

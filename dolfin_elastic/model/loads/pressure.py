@@ -60,23 +60,27 @@ class Pressure(Load):
         (p,) = self.values
         return not isinstance(p, Formula) or not p.names & PLACE
 
-    def intensity(self, places: LoadPoints) -> FloatArray:
+    def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
-        assert places.N is not None
+        assert points.N is not None
         (p,) = self.values
-        return np.asarray(-number_at(p, places.X, places.t)[..., None] * places.N)
+        return np.asarray(-number_at(p, points.X, points.t)[..., None] * points.N)
 
-    def virtual_work(self, site: LoadContext) -> ufl.Form:
+    def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""
-        p = site.scalar(self.values[0], self.amplitude)
-        return -p * ufl.inner(area_vector(site, site.linear), site.v) * site.areas(self.parts)
+        p = context.scalar(self.values[0], self.amplitude)
+        return (
+            -p
+            * ufl.inner(area_vector(context, context.linear), context.v)
+            * context.areas(self.parts)
+        )
 
 
-def area_vector(site: LoadContext, linear: bool) -> Expr:
+def area_vector(context: LoadContext, linear: bool) -> Expr:
     """Current area vector over reference area, cof F N; N if `linear`."""
     if linear:
-        return site.N
-    dim = len(site.v)
-    N = ufl.as_vector([site.N[i] if i < dim else 0.0 for i in range(3)])
-    n = ufl.dot(cofactor(site.F), N)
+        return context.N
+    dim = len(context.v)
+    N = ufl.as_vector([context.N[i] if i < dim else 0.0 for i in range(3)])
+    n = ufl.dot(cofactor(context.F), N)
     return ufl.as_vector([n[i] for i in range(dim)])

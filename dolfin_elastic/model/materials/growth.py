@@ -11,17 +11,16 @@ Boley & Weiner, Theory of Thermal Stresses (1960), (1.12.14).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.law import Law, ModifiedLaw
 from dolfin_elastic.model.materials.mixed import Mixed
 
 
 @dataclass(frozen=True)
-class GrownLaw:
+class GrownLaw(ModifiedLaw):
     """A law, with or without a pressure, whose material has grown.
 
     Attributes:
@@ -31,12 +30,6 @@ class GrownLaw:
 
     law: Law | Mixed
     growth: Expr
-
-    def __getattr__(self, name: str) -> Any:
-        """What else a law has: its constants, density, allowable stress."""
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(self.law, name)
 
     def elastic(self, F: Expr) -> Expr:
         """What of the deformation gradient the material feels."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
@@ -168,6 +168,49 @@ class SplitLaw(Law):
         """First Piola-Kirchhoff stress [Pa], part by part."""
         k = getattr(self, self.volume_modulus)
         return self.shape_stress(F) + k * self.volume_strain(F) * self.volume_gradient(F)
+
+
+class ModifiedLaw(ABC):
+    """A law seen through something that changes its response: a pressure field, or growth.
+
+    It gives what forms and fields of results ask of a law, and nothing else of it.
+    """
+
+    law: Law | ModifiedLaw
+    """The law behind, possibly a modified one too."""
+
+    @property
+    def linear(self) -> bool:
+        """Stress is linear in the displacement gradient."""
+        return self.law.linear
+
+    @property
+    def has_energy(self) -> bool:
+        """The law derives from a strain energy."""
+        return self.law.has_energy
+
+    @property
+    def density(self) -> float | None:
+        """Mass per reference volume [kg/m^3], or None."""
+        return self.law.density
+
+    @property
+    def allowable(self) -> float | None:
+        """Von Mises stress that the material may bear [Pa], or None."""
+        return self.law.allowable
+
+    @property
+    def E(self) -> float | None:
+        """Young's modulus [Pa]; None where the law has no such constant."""
+        return getattr(self.law, "E", None)
+
+    @abstractmethod
+    def energy(self, F: Expr) -> Expr:
+        """Energy per reference volume [J/m^3] at a deformation gradient, shape (3, 3)."""
+
+    @abstractmethod
+    def stress(self, F: Expr) -> Expr:
+        """First Piola-Kirchhoff stress [Pa] at a deformation gradient, shape (3, 3)."""
 
 
 def to_come() -> float:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.model.materials.law import SplitLaw
+from dolfin_elastic.model.materials.law import ModifiedLaw, SplitLaw
 
 
 @dataclass(frozen=True)
-class Mixed:
+class Mixed(ModifiedLaw):
     """A split law with a pressure p that is an unknown.
 
     psi(F, p) = shape_energy(F) + p g(F) - p^2/(2k), g the law's volume strain.  Where psi is
@@ -31,12 +30,6 @@ class Mixed:
     law: SplitLaw
     p: Expr
     compliance: Expr
-
-    def __getattr__(self, name: str) -> Any:
-        """What else a law has: its constants, density, allowable stress."""
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(self.law, name)
 
     def gap(self, F: Expr) -> Expr:
         """What the pressure's equation makes zero: g - p/k."""

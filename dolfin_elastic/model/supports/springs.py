@@ -28,7 +28,7 @@ T = TypeVar("T")
 
 
 class SupportContext(Protocol):
-    """What a spring finds at the surface it acts on; see `site.FormContext`."""
+    """What a spring finds at the surface it acts on; see `context.FormContext`."""
 
     v: Expr
     """Virtual displacement."""
@@ -132,18 +132,18 @@ class ResistingSupport(Restraint):
         """See `Restraint`."""
         return {} if self.by_normal else {self.axes: self.coefficients}
 
-    def _values(self, site: SupportContext) -> list[Expr]:
-        values = [site.value(c) for c in self.coefficients]
+    def _values(self, context: SupportContext) -> list[Expr]:
+        values = [context.value(c) for c in self.coefficients]
         if not self.total:
             return values
-        area = site.area(self.surfaces)
+        area = context.area(self.surfaces)
         if not area.value > 0.0:
             raise InputError("the surface has no area", where=f"support '{self.label}'.on")
         return [value / area for value in values]
 
-    def resistance(self, site: SupportContext, w: Expr) -> Expr:
+    def resistance(self, context: SupportContext, w: Expr) -> Expr:
         """Force per reference area against w, as a UFL expression. Collective."""
-        values = self._values(site)
+        values = self._values(context)
         if not self.by_normal:
             if len(values) != len(w):
                 raise InputError(
@@ -151,20 +151,20 @@ class ResistingSupport(Restraint):
                     where=f"support '{self.label}'.{self.axes}",
                 )
             return ufl.as_vector([k * w[i] for i, k in enumerate(values)])
-        along = ufl.inner(w, site.N) * site.N
+        along = ufl.inner(w, context.N) * context.N
         return values[0] * along + values[1] * (w - along)
 
     @abstractmethod
-    def virtual_work(self, site: SupportContext) -> ufl.Form:
-        """Virtual work of its force on the body, linear in `site.v`. Collective."""
+    def virtual_work(self, context: SupportContext) -> ufl.Form:
+        """Virtual work of its force on the body, linear in `context.v`. Collective."""
 
-    def bound(self, site: SupportContext) -> ufl.Form:
-        """Largest coefficient times each component of `site.v`: a bound of its matrix's rows."""
-        values = self._values(site)
+    def bound(self, context: SupportContext) -> ufl.Form:
+        """Largest coefficient times each component of `context.v`: a bound of its matrix's rows."""
+        values = self._values(context)
         most = values[0]
         for value in values[1:]:
             most = ufl.max_value(most, value)
-        return most * sum(site.v) * site.areas(self.surfaces)
+        return most * sum(context.v) * context.areas(self.surfaces)
 
 
 def _located(key: str, read: Callable[[Any, str], T], written: Any, unit: str) -> T:
@@ -216,24 +216,24 @@ class Spring(ResistingSupport):
         """See `Restraint`."""
         return all(value == 0.0 for value in self.base)
 
-    def _stretch(self, site: SupportContext) -> Expr:
+    def _stretch(self, context: SupportContext) -> Expr:
         if not self.base:
-            return site.u
+            return context.u
         try:
-            return site.u - site.vector(self.base, self.curve)
+            return context.u - context.vector(self.base, self.curve)
         except InputError as error:
             where = f"support '{self.label}'.displacement"
             raise InputError(error.what, where=where, expected=error.expected) from None
 
-    def virtual_work(self, site: SupportContext) -> ufl.Form:
+    def virtual_work(self, context: SupportContext) -> ufl.Form:
         """See `ResistingSupport`."""
-        force = self.resistance(site, self._stretch(site))
-        return -ufl.inner(force, site.v) * site.areas(self.surfaces)
+        force = self.resistance(context, self._stretch(context))
+        return -ufl.inner(force, context.v) * context.areas(self.surfaces)
 
-    def energy(self, site: SupportContext) -> ufl.Form:
+    def energy(self, context: SupportContext) -> ufl.Form:
         """Stored energy [J]."""
-        w = self._stretch(site)
-        return 0.5 * ufl.inner(self.resistance(site, w), w) * site.areas(self.surfaces)
+        w = self._stretch(context)
+        return 0.5 * ufl.inner(self.resistance(context, w), w) * context.areas(self.surfaces)
 
 
 class Dashpot(ResistingSupport):
@@ -249,13 +249,15 @@ class Dashpot(ResistingSupport):
     unit: ClassVar[str] = "N*s/m"
     axes: ClassVar[str] = "viscosity"
 
-    def virtual_work(self, site: SupportContext) -> ufl.Form:
+    def virtual_work(self, context: SupportContext) -> ufl.Form:
         """See `ResistingSupport`."""
-        return self.work_at(site, site.velocity)
+        return self.work_at(context, context.velocity)
 
-    def work_at(self, site: SupportContext, velocity: Expr) -> ufl.Form:
+    def work_at(self, context: SupportContext, velocity: Expr) -> ufl.Form:
         """Virtual work of its force at a velocity [m/s]."""
-        return -ufl.inner(self.resistance(site, velocity), site.v) * site.areas(self.surfaces)
+        return -ufl.inner(self.resistance(context, velocity), context.v) * context.areas(
+            self.surfaces
+        )
 
 
 SUPPORTS: dict[str, type[Restraint]] = {
