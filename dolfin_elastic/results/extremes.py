@@ -1,4 +1,4 @@
-"""The largest and smallest values of a state, and where they are."""
+"""Extreme values of a state with their places, for the summary."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Extreme:
-    """A value and its place.
+    """An extreme value and its place.
 
     Attributes:
         value: In the field's SI unit.
-        place: Point of the reference configuration [m], as many components as the body has: a
-            node, or the middle of a cell.
-        part: Material's name; empty for values of nodes.
+        place: Node or barycentre of a cell [m], reference configuration.
+        part: Name of the material region; empty for values of nodes.
     """
 
     value: float
@@ -33,7 +32,7 @@ class Extreme:
 
 
 class Extremes:
-    """Finds the extremes of states; compiles once. Collective.
+    """Finds the extremes of states.  All of it is collective; the constructor compiles.
 
     Args:
         problem: The problem that is solved.
@@ -47,10 +46,10 @@ class Extremes:
         self.evaluate = Evaluator(problem, names)
 
     def of(self, state: State) -> dict[str, Extreme]:
-        """Largest ``von_mises`` and ``displacement``, ``min_jacobian``, ``max_jacobian``.
+        """Name to extreme: the same on all ranks.
 
-        Collective.  Where a material has an allowable stress, also the smallest
-        ``safety_factor``.
+        ``von_mises`` and ``displacement`` (largest), ``min_jacobian``, ``max_jacobian``, and where
+        a material has an allowable stress the smallest ``safety_factor``.
         """
         values = self.evaluate(state)
         J = values["jacobian"][:, 0]
@@ -67,9 +66,9 @@ class Extremes:
 
     def _in_cells(self, values: AnyArray, *, sign: int = 1) -> Extreme:
         cell, value = _first_largest(sign * values)
-        middle = _middle(self.evaluate.grid.mesh, cell) if cell >= 0 else np.zeros(0)
+        centre = _barycentre(self.evaluate.grid.mesh, cell) if cell >= 0 else np.zeros(0)
         part = next((p.name for p in self.problem.regions if cell in p.cells), "")
-        return self._largest(Extreme(sign * value, _numbers(middle), part), sign)
+        return self._largest(Extreme(sign * value, _numbers(centre), part), sign)
 
     def _at_nodes(self, values: AnyArray) -> Extreme:
         node, value = _first_largest(values)
@@ -83,7 +82,7 @@ class Extremes:
 
 
 def _first_largest(values: AnyArray) -> tuple[int, float]:
-    """Index and value of the largest number; -inf where none is finite, -1 where there is none."""
+    """Index and value of the largest finite number; (-1, -inf) without values on this rank."""
     finite = np.where(np.isfinite(values), values, -np.inf)
     if not len(finite):
         return -1, -np.inf
@@ -95,12 +94,20 @@ def _numbers(place: AnyArray) -> tuple[float, ...]:
     return tuple(float(x) for x in place)
 
 
-def _middle(mesh: Mesh, cell: int) -> AnyArray:
+def _barycentre(mesh: Mesh, cell: int) -> AnyArray:
     dim = mesh.geometry.dim
     corners = mesh.geometry.dofmap[cell][: mesh.topology.dim + 1]
     return np.asarray(mesh.geometry.x[corners].mean(axis=0)[:dim])
 
 
 def extremes(problem: Problem, state: State) -> dict[str, Extreme]:
-    """Extremes of one state, see `Extremes.of`. Collective."""
+    """Extremes of one state. Collective.
+
+    Args:
+        problem: The problem that is solved.
+        state: Its state.
+
+    Returns:
+        See `Extremes.of`.
+    """
     return Extremes(problem).of(state)

@@ -1,4 +1,4 @@
-"""Files that are never half-written, and errors that say which file could not be."""
+"""Files that are replaced as a whole, and errors that name the file and the cause."""
 
 from __future__ import annotations
 
@@ -18,9 +18,12 @@ _SPARE = 1 << 20
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turns what the operating system or MPI says about a file into an `OutputError`.
+    """Turns an `OSError` or MPI error of a file into an `OutputError`.
 
     Not collective: use it inside `parallel.on_root` or before `parallel.agree`.
+
+    Args:
+        path: The file or folder that is written, for the message.
 
     Raises:
         OutputError: Names the file, the cause and what helps.
@@ -47,13 +50,16 @@ def _cause(error: OSError) -> str:
 def replace_text(path: Path, text: str, *, durable: bool = False) -> None:
     """Writes a whole file under another name and renames it. Not collective.
 
-    Whoever opens `path`, at any moment and also after the program was killed, finds either the
-    old text or the new one, complete.
+    At any moment, also after a kill, `path` holds the whole old text or the whole new one.
 
     Args:
         path: The file.
-        text: What it shall hold.
-        durable: Also after a loss of power.
+        text: Its new content.
+        durable: Brings the text to the disk before the renaming (fsync), so that the same holds
+            after a loss of power.
+
+    Raises:
+        OutputError: The file cannot be written.
     """
     draft = path.with_name(f".{path.name}.part")
     with writing(path):
@@ -64,7 +70,7 @@ def replace_text(path: Path, text: str, *, durable: bool = False) -> None:
 
 
 def sync(path: Path) -> None:
-    """Waits until a file or folder is on the disk itself. Not collective."""
+    """Brings a file or folder from the cache to the disk (fsync). Not collective."""
     with writing(path):
         descriptor = os.open(path, os.O_RDONLY)
         try:
@@ -74,7 +80,12 @@ def sync(path: Path) -> None:
 
 
 def missing_results(path: Path, what: str) -> RestartError:
-    """The error of results that are not there any more. Not collective."""
+    """The error of a restart whose results have been removed or shortened. Not collective.
+
+    Args:
+        path: The file.
+        what: Its content, in the plural: "rows" or "steps".
+    """
     return RestartError(
         f"{what} that the checkpoint knows of are not there",
         where=str(path),
@@ -83,7 +94,11 @@ def missing_results(path: Path, what: str) -> RestartError:
 
 
 def make_folder(folder: Path) -> None:
-    """Makes a folder and its parents, and sees that it can be written to. Not collective."""
+    """Makes a folder and its parents, and checks that it can be written to. Not collective.
+
+    Raises:
+        OutputError: It cannot be made or written to.
+    """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         if not os.access(folder, os.W_OK | os.X_OK):
@@ -91,10 +106,14 @@ def make_folder(folder: Path) -> None:
 
 
 def need_space(folder: Path, size: int) -> None:
-    """Checks that `size` bytes (and a little more) are free. Not collective.
+    """Checks that a disk has room. Not collective.
+
+    Args:
+        folder: A folder on it.
+        size: Bytes that are needed, beside a reserve of 1 MiB.
 
     Raises:
-        OutputError: They are not.
+        OutputError: Less is free.
     """
     with writing(folder):
         if shutil.disk_usage(folder).free < size + _SPARE:

@@ -1,7 +1,7 @@
-"""The body as results show it: points at the displacement's nodes, cells between them.
+"""`Grid`: points and cells of the output, the nodes and cells of the displacement's space.
 
-A quadratic displacement is shown on quadratic cells, so nothing is interpolated.  Points and cells
-are numbered over all ranks, rank after rank; each rank holds those it owns.
+A quadratic displacement is written on quadratic cells, so that nothing is interpolated.  Points and
+cells are numbered over all ranks, rank after rank; each rank has those that it owns.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ class Grid:
 
     @property
     def own_points(self) -> int:
-        """Points this rank owns."""
+        """Number of points that this rank owns."""
         return int(self.V.dofmap.index_map.size_local)
 
     @property
     def own_cells(self) -> int:
-        """Cells this rank owns."""
+        """Number of cells that this rank owns."""
         return int(self.mesh.topology.index_map(self.mesh.topology.dim).size_local)
 
     def points(self) -> FloatArray:
@@ -70,9 +70,13 @@ class Grid:
         return np.asarray(self.V.tabulate_dof_coordinates()[: self.own_points])
 
     def cells(self) -> AnyArray:
-        """Points of each owned cell, in VTK's order, numbered over all ranks.
+        """Points of each owned cell in VTK's order, numbered over all ranks.
 
-        Cells that the mesh holds mirrored are turned, so that all have a positive volume.
+        Two nodes of a cell with negative orientation are exchanged, so that all volumes are
+        positive.
+
+        Returns:
+            Shape (owned cells, nodes of a cell).
         """
         order = np.argsort(cpp.io.perm_vtk(self.mesh.topology.cell_type, self.nodes_per_cell))
         local = self.V.dofmap.list[: self.own_cells][:, order]
@@ -84,7 +88,12 @@ class Grid:
         return np.asarray(numbers, dtype=kind).reshape(local.shape)
 
     def rows(self, centre: str, values: AnyArray) -> Rows:
-        """Values of this rank's points (`"node"`) or cells as rows of the whole array."""
+        """This rank's values as rows of an array over all ranks. Not collective.
+
+        Args:
+            centre: "node" or "cell".
+            values: Of the owned points or cells, shape (n, ...).
+        """
         topology = self.mesh.topology
         index_map = (
             self.V.dofmap.index_map if centre == "node" else topology.index_map(topology.dim)
@@ -97,7 +106,10 @@ class Grid:
 
 
 def signed_volumes(mesh: Mesh) -> FloatArray:
-    """Volume (3D) or area (2D) of each local cell between its corners; negative if mirrored."""
+    """Volume (3D) [m^3] or area (2D) [m^2] between the corners of each local cell, ghosts too.
+
+    Negative where the corners have negative orientation.
+    """
     dim = mesh.topology.dim
     corners = mesh.geometry.x[mesh.geometry.dofmap[:, : dim + 1]][:, :, :dim]
     edges = corners[:, 1:] - corners[:, :1]
@@ -107,11 +119,11 @@ def signed_volumes(mesh: Mesh) -> FloatArray:
 def to_nodes(V: fem.FunctionSpace, values: FloatArray) -> FloatArray:
     """Values of cells, averaged at each node with the cells' volumes as weights. Collective.
 
-    This is the projection with a lumped mass matrix: smooth, no overshoots, nothing to solve.
+    It is the L2 projection with a lumped mass matrix: no system to solve, and no overshoots.
 
     Args:
-        V: The space whose nodes are meant.
-        values: Shape (owned cells, columns).
+        V: Space at whose nodes the values are averaged.
+        values: Of cells, shape (owned cells, columns).
 
     Returns:
         Shape (local nodes, columns), ghosts up to date.

@@ -1,18 +1,18 @@
-"""HDF5 files whose arrays are written by all ranks at once, each its own rows.
+"""HDF5 files into which all ranks write at once, each its own rows of the arrays.
 
-Rank 0 lays the file out with h5py: every array is contiguous and has its place from the start
-(`H5Dget_offset`).  It closes the file, and then each rank puts its rows there with one MPI-IO call
-an array.  Against h5py's own MPI driver this
+Rank 0 creates the file with h5py and allocates every array contiguously; `H5Dget_offset` gives the
+position in the file.  After rank 0 has closed the file, each rank writes its rows of an array by
+one MPI-IO call.  In comparison with h5py's own MPI driver this
 
-* needs no h5py built with MPI: Debian's two builds and the one from PyPI do equally well,
-* is two to four times faster, for no metadata are agreed on by all ranks,
-* cannot hang: an HDF5 call that fails on one rank leaves the others waiting in the next one.
+* needs no h5py built with MPI: Debian's two builds and the one from PyPI serve equally well,
+* is two to four times faster, for ranks need not agree on metadata,
+* cannot hang: after an HDF5 call that fails on one rank the others would wait in the next one.
 
-The calls are independent ones (`Write_at`): each rank has one long run of bytes, so there is
-nothing to collect, and Open MPI 5's collective write loses errors, a full disk among them, that
-only some ranks meet.
+The writes are independent (`Write_at`): the rows of a rank are one run of bytes, so that a
+collective write has nothing to gather, and Open MPI 5's loses errors that occur on some ranks
+only, a full disk among them.
 
-No rank ever holds the rows of another one.
+No rank holds the rows of another one.
 """
 
 from __future__ import annotations
@@ -63,40 +63,42 @@ def write(comm: MPI.Comm, path: Path, arrays: Mapping[str, Rows], *, durable: bo
         comm: The ranks that hold the rows.
         path: The file, on a file system all ranks see; it is overwritten.
         arrays: Name in the file to this rank's rows; same names and types on all ranks.
-        durable: On return it is on the disk itself, and outlasts a loss of power.
+        durable: Brings the file to the disk before returning, so that it outlasts a loss of power.
 
     Raises:
         OutputError: On all ranks, when the file cannot be written on any.
     """
-    places = on_root(comm, lambda: _lay_out(path, arrays))
+    offsets = on_root(comm, lambda: _allocate(path, arrays))
     file = _open(comm, path)
-    errors = [_put(file, path, places[name], rows) for name, rows in arrays.items()]
+    errors = [_write_rows(file, path, offsets[name], rows) for name, rows in arrays.items()]
     if durable:
         errors.append(_sync(file, path))
     file.Close()
     agree(comm, next((error for error in errors if error), None))
 
 
-def _lay_out(path: Path, arrays: Mapping[str, Rows]) -> dict[str, int]:
-    """Makes the file with every array in its place but unwritten: name to byte offset."""
+def _allocate(path: Path, arrays: Mapping[str, Rows]) -> dict[str, int]:
+    """Creates the file with all arrays allocated: name to byte offset. On rank 0."""
     import h5py
 
     need_space(path.parent, sum(rows.size for rows in arrays.values()))
     try:
         with writing(path), h5py.File(path, "w") as file:
-            return {name: _reserve(h5py, file, name, rows) for name, rows in arrays.items()}
-    except RuntimeError as error:  # h5py's way to say that closing failed
+            return {name: _create_array(h5py, file, name, rows) for name, rows in arrays.items()}
+    except RuntimeError as error:  # what h5py raises where closing fails
         raise OutputError(f"cannot write {path}: {error}") from error
 
 
-def _reserve(h5py: Any, file: Any, name: str, rows: Rows) -> int:
-    how = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    how.set_layout(h5py.h5d.CONTIGUOUS)
-    how.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-    how.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+def _create_array(h5py: Any, file: Any, name: str, rows: Rows) -> int:
+    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    properties.set_layout(h5py.h5d.CONTIGUOUS)
+    properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    properties.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
     kind = h5py.h5t.py_create(rows.values.dtype)
     space = h5py.h5s.create_simple(rows.shape)
-    return int(h5py.h5d.create(file.id, name.encode(), kind, space, dcpl=how).get_offset() or 0)
+    return int(
+        h5py.h5d.create(file.id, name.encode(), kind, space, dcpl=properties).get_offset() or 0
+    )
 
 
 def _open(comm: MPI.Comm, path: Path) -> MPI.File:
@@ -110,10 +112,10 @@ def _open(comm: MPI.Comm, path: Path) -> MPI.File:
     return file
 
 
-def _put(file: MPI.File, path: Path, start: int, rows: Rows) -> OutputError | None:
-    """Writes this rank's rows; an error is returned, to be agreed on. Not collective."""
+def _write_rows(file: MPI.File, path: Path, offset: int, rows: Rows) -> OutputError | None:
+    """Writes this rank's rows; returns an error, which all ranks then raise. Not collective."""
     values = np.ascontiguousarray(rows.values)
-    place = start + rows.first * values.shape[1] * values.itemsize
+    place = offset + rows.first * values.shape[1] * values.itemsize
     status = MPI.Status()
     try:
         with writing(path):
@@ -126,7 +128,7 @@ def _put(file: MPI.File, path: Path, start: int, rows: Rows) -> OutputError | No
 
 
 def _sync(file: MPI.File, path: Path) -> OutputError | None:
-    """Waits until what was written is on disk; an error is returned. Collective."""
+    """Brings the written data to the disk; returns an error. Collective."""
     try:
         with writing(path):
             file.Sync()
@@ -135,8 +137,8 @@ def _sync(file: MPI.File, path: Path) -> OutputError | None:
     return None
 
 
-def names(path: Path) -> dict[str, tuple[int, int]]:
-    """Name to rows and columns of the arrays in a file. Not collective.
+def shapes(path: Path) -> dict[str, tuple[int, int]]:
+    """Name to (rows, columns) of the arrays in a file. Not collective.
 
     Raises:
         OSError: The file is missing, or no HDF5 file.
@@ -149,6 +151,15 @@ def names(path: Path) -> dict[str, tuple[int, int]]:
 
 def read(path: Path, name: str, first: int, count: int) -> AnyArray:
     """Some rows of an array. Not collective.
+
+    Args:
+        path: The file.
+        name: Of the array.
+        first: Number of the first row.
+        count: Number of rows.
+
+    Returns:
+        Shape (count, columns).
 
     Raises:
         OSError: The file is missing, damaged, or has fewer rows.

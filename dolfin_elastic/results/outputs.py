@@ -34,10 +34,11 @@ if TYPE_CHECKING:
 
 
 _MANY = 4
+"""Number of files from which only the first and the last are listed."""
 
 
 class Output(Record):
-    """One kind of result.
+    """Settings of one output file.
 
     Attributes:
         file: Name of the file inside the results' folder.
@@ -62,11 +63,11 @@ class Output(Record):
         """
 
     def listing(self, folder: Path) -> list[str]:
-        """What of it is in the results' folder, as a user reads it. Not collective."""
+        """Its files in the results' folder, for the list at the end of a run. Not collective."""
         return [self.file] if (folder / self.file).is_file() else []
 
 
-def _suffix(file: str, suffix: str) -> str:
+def _check_suffix(file: str, suffix: str) -> str:
     if not file.endswith(suffix) or file == suffix:
         raise InputError(f"'{file}' does not end in {suffix}", expected=f'for example "a{suffix}"')
     return file
@@ -79,8 +80,8 @@ class Xdmf(Output):
         file: The file to open; the numbers go to a folder of the same name beside it.
         fields: Names from `FIELDS`; by default displacement, von Mises and Cauchy stress, and in
             motion velocity.
-        every: Writes the first state at or after each n-th step, and the last one.
-        frames: Instead of that, so many states evenly over the run.
+        every: The first state at or after each n-th step is written, and the last one.
+        frames: If given, so many states evenly over the run are written instead.
     """
 
     file: str = "results.xdmf"
@@ -88,7 +89,7 @@ class Xdmf(Output):
     every: Steps = 1
     frames: int | None = Field(default=None, ge=1)
 
-    _check_file = field_validator("file")(lambda file: _suffix(file, ".xdmf"))
+    _check_file = field_validator("file")(lambda file: _check_suffix(file, ".xdmf"))
 
     @field_validator("fields")
     @classmethod
@@ -122,7 +123,7 @@ class History(Output):
 
 
 class Summary(Output):
-    """The run in numbers.
+    """The summary of a run as JSON.
 
     Attributes:
         file: The JSON file.
@@ -139,12 +140,12 @@ class Picture(Output):
     """A picture of the deformed body.
 
     Attributes:
-        file: The PNG file; with numbers in front of the suffix where `every` is one.
-        field: Name from `FIELDS` that colours the surface; of a vector or tensor its length.
-        view: Where it is looked at from.
+        file: The PNG file; where `every` is a number, the step's number is added to its name.
+        field: Name from `FIELDS` whose value colours the surface; of a vector or tensor its norm.
+        view: Direction from which the body is seen.
         scale: Magnification of the displacement.
         every: "last"; or n for the first state at or after each n-th step, and the last one.
-        title: Stands above the body; by default the case's title.
+        title: Text above the body; by default the case's title.
     """
 
     file: str = "picture.png"
@@ -154,7 +155,7 @@ class Picture(Output):
     every: Literal["last"] | int = "last"
     title: str | None = None
 
-    _check_file = field_validator("file")(lambda file: _suffix(file, ".png"))
+    _check_file = field_validator("file")(lambda file: _check_suffix(file, ".png"))
     _check_field = field_validator("field")(staticmethod(check_drawable))
 
     @field_validator("every")
@@ -178,7 +179,7 @@ class Picture(Output):
         )
 
     def listing(self, folder: Path) -> list[str]:
-        """See `Output.listing`; many pictures are the first and the last."""
+        """See `Output.listing`; of many pictures the first, the last and their number."""
         path = folder / self.file
         found = [str(p.relative_to(folder)) for p in picture_files(path)] if folder.is_dir() else []
         if len(found) <= _MANY:
@@ -190,7 +191,7 @@ class ModePicture(Picture):
     """A picture of each mode, coloured by its displacement.
 
     Attributes:
-        amplitude: Largest displacement, over the body's longest side.
+        amplitude: Largest displacement in the picture, over the body's longest side.
     """
 
     amplitude: float = Field(default=0.1, gt=0)
@@ -212,7 +213,7 @@ class Modes(Output):
 
     Attributes:
         file: The CSV file; animations are called mode_01.xdmf, mode_02.xdmf ... beside it.
-        frames: Of one period.
+        frames: Number of frames of one period.
         amplitude: Largest displacement of an animation, over the body's longest side.
     """
 
@@ -227,7 +228,7 @@ class Modes(Output):
         )
 
     def listing(self, folder: Path) -> list[str]:
-        """See `Output.listing`; many animations are the first and the last."""
+        """See `Output.listing`; of many animations the first and the last."""
         found = [path.name for path in animations(folder)]
         if len(found) > _MANY:
             found = [f"{found[0]} ... {found[-1]}"]

@@ -1,4 +1,4 @@
-"""Probes: what a state is like at given points of the undeformed body."""
+"""Probes: values of fields at points of the undeformed body, and means over surfaces."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _AXES = "xyz"
 
 
 class ProbePoint(Record):
-    """A point of the undeformed body where fields are read off, or a surface that has their mean.
+    """A point of the undeformed body where fields are evaluated, or a surface for their means.
 
     Attributes:
         at: The point's coordinates, bare numbers in the mesh's unit.
@@ -53,7 +53,7 @@ class ProbePoint(Record):
     @model_validator(mode="before")
     @classmethod
     def _short(cls, value: Any) -> Any:
-        """Coordinates alone stand for a point where the displacement is read."""
+        """A list of coordinates stands for a point where the displacement is evaluated."""
         return {"at": value} if isinstance(value, list | tuple) else value
 
     @field_validator("fields")
@@ -69,7 +69,7 @@ class ProbePoint(Record):
         return self
 
     def place(self, scale: float) -> list[float]:
-        """Its coordinates [m]; it is a point.
+        """Coordinates [m] of a probe that is a point.
 
         Args:
             scale: Metres per unit of the mesh.
@@ -83,7 +83,12 @@ def _points(probes: Mapping[str, ProbePoint], scale: float) -> dict[str, list[fl
 
 
 def check_places(probes: Mapping[str, ProbePoint], body: Body, scale: float) -> None:
-    """Finds points and surfaces of probes in a body. Collective.
+    """Checks that a body has the points and surfaces of probes. Collective.
+
+    Args:
+        probes: Name to point or surface.
+        body: The body.
+        scale: Metres per unit of the mesh.
 
     Raises:
         MeshError: A point lies outside, or has too few coordinates; or there is no such surface.
@@ -95,10 +100,10 @@ def check_places(probes: Mapping[str, ProbePoint], body: Body, scale: float) -> 
 
 
 def check_readable(names: Iterable[str]) -> tuple[str, ...]:
-    """The names, if all of them are fields that a probe can read.
+    """Checks that a probe can evaluate these fields, and returns their names.
 
     Raises:
-        InputError: One is not.
+        InputError: It cannot: the field is of nodes, but for displacement, velocity, acceleration.
     """
     known = [name for name in FIELDS if name in NODAL or FIELDS[name].formula]
     for name in (found := tuple(names)):
@@ -108,23 +113,25 @@ def check_readable(names: Iterable[str]) -> tuple[str, ...]:
 
 
 class Probe:
-    """Reads fields off states at points of the undeformed body.  All of it is collective.
+    """Evaluates fields of states at points of the undeformed body.  All of it is collective.
 
-    The displacement is that of the elements.  Fields of cells are fitted by linear functions to
-    their values inside the cells (at the points of the quadrature rule of degree 2 in quadratic
-    elements, where stresses are most accurate: Barlow, Int. J. Numer. Meth. Eng. 10 (1976) 243),
-    averaged at the corners over the cells of the same material that meet there, with their volumes
-    as weights, and interpolated.  Where materials meet it is the first of them, in the order in
-    which the problem was given them.
+    The displacement is evaluated by the shape functions.  A field of cells is extrapolated
+    linearly from sampling points of the cells to their corners, averaged there over the adjacent
+    cells of the same material with their volumes as weights, and interpolated to the point.  The
+    sampling point of linear elements is the barycentre; those of quadratic elements are the points
+    of the quadrature rule of degree 2, where stresses are most accurate (J. Barlow, Int. J. Numer.
+    Meth. Eng. 10 (1976) 243).  On an interface it is the field of the material that comes first in
+    the problem.
 
     Args:
         problem: The problem that is solved.
         points: Name to coordinates [m] in the reference configuration.
         fields: Fields at all points, or name of the point to its fields.
-        surfaces: Name to a surface and the fields whose means over it are read, too.
+        surfaces: Name to a surface and the fields whose means over it are evaluated.
 
     Raises:
-        InputError: A point lies outside of the body, or a field cannot be read at a point.
+        InputError: A field cannot be evaluated at a point.
+        MeshError: A point lies outside of the body.
     """
 
     def __init__(
@@ -147,7 +154,7 @@ class Probe:
 
     @classmethod
     def of(cls, probes: Mapping[str, ProbePoint], problem: Problem, scale: float) -> Probe:
-        """From what a user wrote. Collective.
+        """Makes it from the settings of a case. Collective.
 
         Args:
             probes: Name to point or surface.
@@ -159,7 +166,7 @@ class Probe:
         return cls(problem, points, {name: probes[name].fields for name in points}, surfaces)
 
     def __call__(self, state: State) -> dict[str, FloatArray]:
-        """`POINT_FIELD` to the field's components there, the same on every rank.
+        """Column stem "POINT_FIELD" to the field's components in SI units, the same on every rank.
 
         Vectors have as many components as the body has dimensions, tensors nine, row by row.
         """
@@ -189,7 +196,7 @@ class Probe:
             return dict(zip(values, found, strict=True))
 
     def _nodal(self, state: State, field: str, place: LocatedPoint) -> FloatArray:
-        """A vector at a point, on the rank that has it; zeros elsewhere."""
+        """A vector at a point, on the rank that owns its cell; zeros on the others."""
         function = getattr(state, NODAL[field])
         if function is None:
             raise InputError(f"there is no '{field}' in statics", where="output.probes")
@@ -200,7 +207,7 @@ class Probe:
         return np.asarray(shape @ function.x.array.reshape(-1, self.dim)[nodes])
 
     def numbers(self, state: State) -> dict[str, float]:
-        """Column to value: `POINT_x` ... of the displacement, `POINT_FIELD` ... of other fields."""
+        """Column of the history to value, "POINT_x" ... of the displacement, else "POINT_FIELD"."""
         return {
             column: float(value)
             for name, components in self(state).items()
@@ -208,10 +215,10 @@ class Probe:
         }
 
     def add_to(self, state: State) -> State:
-        """The state with these numbers among its own.
+        """A copy of the state whose numbers contain those of the probes.
 
         Raises:
-            InputError: A probe's column has the name of another number.
+            InputError: A probe's column has the name of another column of the history.
         """
         found = self.numbers(state)
         if twice := found.keys() & row(state).keys():
@@ -220,7 +227,7 @@ class Probe:
 
 
 def duplicate_column(column: str) -> InputError:
-    """What is wrong where a probe's column has the name of another number."""
+    """The error of a probe whose column has the name of another one."""
     return InputError(
         f"there are two results called '{column}'",
         where="output.probes",
@@ -229,7 +236,7 @@ def duplicate_column(column: str) -> InputError:
 
 
 def _materials(problem: Problem) -> IndexArray:
-    """Number of the material of each owned cell."""
+    """Number of each owned cell's material region."""
     found = np.zeros(len(problem.body.owned_cells()), dtype=np.int32)
     for number, part in enumerate(problem.regions):
         found[part.cells] = number
@@ -245,7 +252,16 @@ def _columns(name: str, size: int) -> list[str]:
 
 
 def _shape_functions(dim: int, degree: int, local: FloatArray) -> FloatArray:
-    """Values of a cell's shape functions at a point of the reference cell."""
+    """Shape functions at a point of the reference cell.
+
+    Args:
+        dim: 2: triangle, 3: tetrahedron.
+        degree: Of the Lagrange element.
+        local: Coordinates in the reference cell, shape (dim,).
+
+    Returns:
+        Shape (nodes,).
+    """
     kind = (basix.CellType.triangle, basix.CellType.tetrahedron)[dim - 2]
     element = basix.create_element(
         basix.ElementFamily.P, kind, degree, basix.LagrangeVariant.equispaced
@@ -254,8 +270,15 @@ def _shape_functions(dim: int, degree: int, local: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class _PartFields:
-    """Points in one material, its owned cells around them, and what gives which columns there."""
+class _RegionFields:
+    """Points in one material region, and how its fields are evaluated there.
+
+    Attributes:
+        places: Name to place, of points on this rank.
+        cells: Owned cells of the region that share a corner with the points' cells.
+        columns: Components that the region's material has.
+        kernel: Expression of these components at the sampling points; None without any.
+    """
 
     places: Mapping[str, LocatedPoint]
     cells: IndexArray
@@ -264,11 +287,11 @@ class _PartFields:
 
 
 class _CellFields:
-    """Fields of cells at points, averaged over the cells that meet at a corner. Collective.
+    """Fields of cells at points, averaged over adjacent cells; see `Probe`.  Collective.
 
     Args:
         problem: The problem that is solved.
-        places: Where the points are.
+        places: Name of the point to its cell and local coordinates.
         names: Names of fields of cells.
     """
 
@@ -284,12 +307,12 @@ class _CellFields:
         self.samples = _samples(self.mesh.topology.dim, problem.degree)
         dim = self.mesh.topology.dim
         at_samples = np.array([_shape_functions(dim, 1, sample) for sample in self.samples])
-        # From values at the samples to values at the corners, of the linear function through them.
+        # Least squares: values at the sampling points to a linear function's values at corners.
         self.fit = np.linalg.pinv(at_samples)
-        self._parts = [self._of(part) for part in problem.regions]
+        self._parts = [self._region_fields(part) for part in problem.regions]
 
-    def _of(self, part: MaterialRegion) -> _PartFields | None:
-        """A part's points, its kernel, and its owned cells near the points. None: no points."""
+    def _region_fields(self, part: MaterialRegion) -> _RegionFields | None:
+        """The evaluation in one region; None if no rank has a point there. Collective."""
         mine = {n: p for n, p in self.places.items() if p.cell >= 0 and p.cell in part.cells}
         if not total(self.problem.body.comm, len(mine)):
             return None
@@ -299,10 +322,10 @@ class _CellFields:
         marks.scatter_reverse(la.InsertMode.add)
         marks.scatter_forward()
         near = (marks.array[self.corners.list[part.cells]] > 0).any(axis=1)
-        return _PartFields(mine, part.cells[near], *self._kernel(part))
+        return _RegionFields(mine, part.cells[near], *self._kernel(part))
 
     def _kernel(self, part: MaterialRegion) -> tuple[IntArray, Any]:
-        """The columns that a part's material has, and what gives them."""
+        """`columns` and `kernel` of a region, see `_RegionFields`."""
         law = cast("Law", self.problem.weak_form.response(part, self.w))
         if "energy_density" in self.names and not law.has_energy:
             raise InputError(
@@ -318,7 +341,7 @@ class _CellFields:
         return columns, compile_expression(comm, components, self.samples, jit)
 
     def __call__(self, state: State) -> dict[str, dict[str, FloatArray]]:
-        """Point and field to components, on the rank that has the point; zeros elsewhere."""
+        """Point and field to components, on the rank that owns the cell; zeros on the others."""
         self.w.x.array[:] = (state.w or state.u).x.array
         width = sum(self.widths)
         values = {
@@ -337,8 +360,8 @@ class _CellFields:
             for point, row in values.items()
         }
 
-    def _at_corners(self, part: _PartFields) -> FloatArray:
-        """Means at the local corners, shape (corners, columns); nothing where no cell is near."""
+    def _at_corners(self, part: _RegionFields) -> FloatArray:
+        """Means at the local corners, shape (corners, columns); 0 away from the points."""
         width, cells = len(part.columns), part.cells
         sums = la.vector(self.corners.index_map, width + 1)
         table = sums.array.reshape(-1, width + 1)
@@ -359,7 +382,7 @@ def _flat(tensor: Expr) -> list[Expr]:
 
 
 def _samples(dim: int, degree: int) -> FloatArray:
-    """Where fields of cells are taken: the barycentre, or the rule of degree 2 points."""
+    """Sampling points of fields of cells in the reference cell, shape (points, dim)."""
     kind = (basix.CellType.triangle, basix.CellType.tetrahedron)[dim - 2]
     points, _ = basix.make_quadrature(kind, 1 if degree == 1 else 2)
     return np.asarray(points, dtype=np.float64)

@@ -27,11 +27,16 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 NODAL = {"displacement": "u", "velocity": "v", "acceleration": "a"}
-"""Fields that are read off a state's functions."""
+"""Fields that are functions of the state: name to attribute of `State`."""
 
 
 def check_surface(body: Body, name: str, where: str = "") -> None:
-    """Raises where a mean over a surface is none. Collective.
+    """Checks that a mean over a surface is defined. Collective.
+
+    Args:
+        body: The body.
+        name: Of the surface.
+        where: Key of the case file, for the message.
 
     Raises:
         MeshError: The body has no such surface, or it has no facets.
@@ -47,13 +52,14 @@ def check_surface(body: Body, name: str, where: str = "") -> None:
 class SurfaceMean:
     """Means over the undeformed area of one surface.  All of it is collective.
 
-    The fields are integrated as the elements have them, those of cells with the gradient beside the
-    surface; in an axisymmetric body over the surface of revolution.
+    Fields are integrated by quadrature of the finite element functions, fields of cells with the
+    displacement gradient of the adjacent cell; in an axisymmetric body over the surface of
+    revolution.
 
     Args:
         problem: The problem that is solved.
-        surface: Its name.
-        fields: Names from `FIELDS`, as probes take them.
+        surface: Name of the surface.
+        fields: Names from `FIELDS` that `check_readable` accepts.
 
     Raises:
         InputError: A field that a material of the surface does not have.
@@ -81,7 +87,7 @@ class SurfaceMean:
         self._sums = fem.Function(space).x.array.reshape(-1, size)
 
     def _measure(self, surface: str) -> Any:
-        """The surface's facets, material by material."""
+        """Integration over the surface; facets of region k of the problem have the number 1 + k."""
         body = self.problem.body
         mesh, tdim = body.mesh, body.mesh.topology.dim
         mesh.topology.create_connectivity(tdim, tdim - 1)
@@ -111,7 +117,7 @@ class SurfaceMean:
         return found
 
     def __call__(self, state: State) -> dict[str, FloatArray]:
-        """Field to the means of its components, the same on every rank."""
+        """Field to the means of its components in SI units, the same on every rank."""
         self._w.x.array[:] = (state.w or state.u).x.array
         for name, function in self._nodal.items():
             values = getattr(state, NODAL[name])

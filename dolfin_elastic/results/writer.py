@@ -20,7 +20,7 @@ class Writer(Protocol):
     """An open output.  All of it is collective."""
 
     def write(self, state: State) -> None:
-        """Takes one converged step."""
+        """Writes one converged step, or passes it over."""
 
     def restart_state(self) -> Numbers:
         """Where the output ends now, for `Output.open`; brings what is written to the disk first.
@@ -29,23 +29,23 @@ class Writer(Protocol):
         """
 
     def close(self, status: str = "completed", error: object = None) -> None:
-        """Ends the output.
+        """Ends the output, at the end of the run or after an error.
 
         Args:
-            status: "completed" or "failed".
-            error: Why it failed.
+            status: "completed", "failed" or "stopped".
+            error: What the run failed of, or "on request".
         """
 
 
 @runtime_checkable
 class ModeWriter(Protocol):
-    """An open output that takes modes, too."""
+    """An open output of modes."""
 
     def write_mode(self, mode: Mode) -> None:
-        """Takes one mode. Collective."""
+        """Writes one mode. Collective."""
 
 
-def _some(steps: int) -> int:
+def _check_positive(steps: int) -> int:
     if steps < 1:
         raise InputError(
             f"{steps} is wrong", expected="expected a whole number of steps, at least 1"
@@ -53,28 +53,28 @@ def _some(steps: int) -> int:
     return steps
 
 
-Steps = Annotated[int, AfterValidator(_some)]
-"""How many steps there are from one to the next."""
+Steps = Annotated[int, AfterValidator(_check_positive)]
+"""Number of steps from one written state to the next."""
 
 
 class StepInterval:
-    """Which states are taken: the first one at or after each n-th step.
+    """Selects the first state at or after each n-th step.
 
-    A solver may not show every step; then the steps it shows need not be multiples of n.
+    A solver need not yield every step, so the numbers of its states need not be multiples of n.
 
     Args:
-        n: Steps from one taken state to the next.
-        taken: Where a run before this one was.
+        n: Steps from one selected state to the next.
+        taken: Value of the attribute at the checkpoint from which the run continues.
 
     Attributes:
-        taken: Number of the last n steps of which a state was taken.
+        taken: Number of the last interval of n steps from which a state was selected; -1: none.
     """
 
     def __init__(self, n: int, taken: int = -1) -> None:
         self.n, self.taken = n, taken
 
     def takes(self, step: int) -> bool:
-        """True if this state is taken. To be asked once for each."""
+        """Whether the state of this step is selected; call it once for each state."""
         due = step // self.n > self.taken
         if due:
             self.taken = step // self.n

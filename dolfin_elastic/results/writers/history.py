@@ -1,4 +1,4 @@
-"""`history.csv`: one row a step, for plots and tables."""
+"""`history.csv`: one row of numbers for each step."""
 
 from __future__ import annotations
 
@@ -38,12 +38,11 @@ class HistoryWriter:
     * ``strain_energy`` [J] if the material has one; in motion ``kinetic_energy``,
       ``external_energy`` (work of the loads so far), ``total_energy``, and where there are such
       ``springs_energy``, ``contact_energy``, ``damping_energy`` and ``dashpots_energy`` (lost so
-      far), ``potential_energy`` (of loads that do not change), ``balance_energy`` (what has come
-      from nowhere),
+      far), ``potential_energy`` (of dead loads), ``balance_energy`` (the energy error),
     * ``reaction_<support>_x``, ``_y``, ``_z`` [N] for each support,
     * further results by name, for example of probes, obstacles and cavities,
     * in motion ``momentum_x`` ... [kg m/s] and ``angular_momentum_x`` ... [kg m^2/s],
-    * the audit: ``balance_force`` and ``balance_moment`` (shares that are left), in statics
+    * the audit: ``balance_force`` and ``balance_moment`` (relative residuals), in statics
       ``external_work`` [J], ``min_jacobian``, ``max_jacobian``, ``verdict`` (pass or warn).
 
     A row is on disk when `write` returns.
@@ -55,7 +54,7 @@ class HistoryWriter:
 
     Raises:
         OutputError: The file cannot be written.
-        RestartError: It has lost rows since the checkpoint.
+        RestartError: Rows from before the checkpoint are missing.
     """
 
     def __init__(self, problem: Problem, path: Path, saved: Numbers | None = None) -> None:
@@ -111,7 +110,7 @@ class HistoryWriter:
 
 
 def row(state: State) -> dict[str, Number | str]:
-    """Column to value of one step, in the columns' order."""
+    """Column to value of one step in SI units, in the columns' order."""
     values: dict[str, Number] = {
         "step": state.step,
         "t": plain(state.t),
@@ -132,14 +131,14 @@ def row(state: State) -> dict[str, Number | str]:
             values.update(_components(column, state.momenta[name]))
     values.update(state.numbers)
     found = {name: v if isinstance(v, int) else float(v) for name, v in values.items()}
-    judged = _judged(state.audit)
+    audited = _audit_columns(state.audit)
     if state.v is not None:  # in motion the work is among the energies
-        judged.pop("external_work", None)
-    return {**found, **judged}
+        audited.pop("external_work", None)
+    return {**found, **audited}
 
 
-def _judged(audit: Audit | None) -> dict[str, Number | str]:
-    """The audit's columns; no forces or moments where there is no balance of them."""
+def _audit_columns(audit: Audit | None) -> dict[str, Number | str]:
+    """Columns of the audit, without the balances that do not exist for the problem."""
     if audit is None:
         return {}
     force = {} if math.isnan(audit.force) else {"balance_force": audit.force}
@@ -156,7 +155,7 @@ def _judged(audit: Audit | None) -> dict[str, Number | str]:
 
 def _components(name: str, vector: Iterable[float]) -> dict[str, Number]:
     numbers = [float(v) for v in vector]
-    # In the plane angular momentum has one component, about z.
+    # The angular momentum of a plane body has one component, about z.
     axes = ("z",) if len(numbers) == 1 else _AXES
     return {f"{name}_{axis}": v for axis, v in zip(axes, numbers, strict=False)}
 

@@ -1,12 +1,12 @@
-"""Modes as files: a table of all, and one animation each for ParaView.
+"""Modes as files: a table of all of them, and one animation for each in ParaView.
 
-    modes.csv                 one row a mode
-    mode_01.xdmf              the first mode: one period in so many frames
-    modes_data/mesh.h5        points and cells of all of them
-    modes_data/0001.h5        displacements of the first mode's frames
+    modes.csv                 one row per mode
+    mode_01.xdmf              frames over one period of the first mode
+    modes_data/mesh.h5        points and cells of all animations
+    modes_data/0001.h5        displacements in the first mode's frames
 
-A period is symmetric, so that half its frames are stored and used twice.  Rigid and buckling modes
-have no period; theirs is shown as 1 s.
+The second half of a period is the first one reversed, so that half the frames are stored.  Rigid
+and buckling modes have no period; they are shown with one of 1 s.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 _DATA = "modes_data"
-_OURS = re.compile(r"mesh\.h5|\d{4,}\.h5")
-_LIGHT = re.compile(r"mode_\d{2,}\.xdmf")
+_OWN_FILES = re.compile(r"mesh\.h5|\d{4,}\.h5")
+_ANIMATION = re.compile(r"mode_\d{2,}\.xdmf")
 
 
 class ModesWriter:
-    """Writes modes as they come.  All of it is collective.
+    """Writes each mode when it is found.  All of it is collective.
 
     Args:
         problem: The problem that is solved.
-        path: The CSV file; animations go beside it, an older run's are removed.
-        frames: Of one period.
+        path: The CSV file; animations go beside it, those of an earlier run are removed.
+        frames: Number of frames of one period.
         amplitude: Largest displacement of an animation, over the body's longest side.
 
     Raises:
@@ -69,10 +69,10 @@ class ModesWriter:
         make_folder(self._data)
 
     def write(self, state: State) -> None:
-        """Takes no notice of what is no mode."""
+        """Passes over a state: it is no mode."""
 
     def write_mode(self, mode: Mode) -> None:
-        """Writes one mode; on return it can be opened."""
+        """Writes one mode: on return its files are complete."""
         with stage("output"):
             if not self._rows:
                 hdf5.write(self.comm, self._data / "mesh.h5", mesh_rows(self._grid))
@@ -91,10 +91,10 @@ class ModesWriter:
         file = f"{mode.number:04d}.h5"
         hdf5.write(self.comm, self._data / file, rows)
         period = 1.0 / mode.frequency if mode.frequency > 0.0 else 1.0
-        light, mesh = [], mesh_xml(self._grid, f"{_DATA}/mesh.h5")
+        grids, mesh = [], mesh_xml(self._grid, f"{_DATA}/mesh.h5")
         for k in range(self.frames):
             name = f"frame{min(k, self.frames - k)}"
-            light.append(
+            grids.append(
                 f'<Grid Name="frame {k}" GridType="Uniform">\n{mesh}'
                 f'<Time Value="{k * period / self.frames!r}"/>\n'
                 '<Attribute Name="displacement" AttributeType="Vector" Center="Node">'
@@ -103,13 +103,13 @@ class ModesWriter:
         text = (
             '<?xml version="1.0" encoding="utf-8"?>\n<Xdmf Version="3.0">\n<Domain>\n'
             f'<Grid Name="mode {mode.number}" GridType="Collection" CollectionType="Temporal">\n'
-            f"{''.join(light)}</Grid>\n</Domain>\n</Xdmf>\n"
+            f"{''.join(grids)}</Grid>\n</Domain>\n</Xdmf>\n"
         )
         path = self.path.parent / f"mode_{mode.number:02d}.xdmf"
         on_root(self.comm, lambda: replace_text(path, text))
 
     def _nodal(self, function: fem.Function) -> FloatArray:
-        """Displacements of the owned points, with three components."""
+        """Displacements [m] of the owned points, shape (points, 3)."""
         dim, own = self._grid.mesh.geometry.dim, self._grid.own_points
         values = np.zeros((own, 3))
         values[:, :dim] = function.x.array[: own * dim].reshape(-1, dim)
@@ -120,7 +120,7 @@ class ModesWriter:
         return {}
 
     def close(self, status: str = "completed", error: object = None) -> None:
-        """Everything is on disk already."""
+        """All files are complete already."""
 
 
 def clear(folder: Path) -> None:
@@ -135,22 +135,22 @@ def clear(folder: Path) -> None:
             path.unlink()
         (folder / "modes.csv").unlink(missing_ok=True)
         for file in data.glob("*.h5"):
-            if _OURS.fullmatch(file.name):
+            if _OWN_FILES.fullmatch(file.name):
                 file.unlink()
         if data.is_dir() and not any(data.iterdir()):
             data.rmdir()
 
 
 def listing(folder: Path) -> list[Path]:
-    """The animations in a folder, in their order. Not collective."""
+    """Files of the animations in a folder, in the order of the modes. Not collective."""
     if not folder.is_dir():
         return []
-    found = [path for path in folder.iterdir() if _LIGHT.fullmatch(path.name)]
+    found = [path for path in folder.iterdir() if _ANIMATION.fullmatch(path.name)]
     return sorted(found, key=lambda path: int(path.stem.removeprefix("mode_")))
 
 
 def row(mode: Mode) -> dict[str, Any]:
-    """A mode as a row of a table, in SI units."""
+    """Column to value of a mode in SI units, in the columns' order."""
     if mode.kind == "buckling":
         return {"mode": mode.number, "kind": mode.kind, "load_factor": mode.load_factor}
     return {

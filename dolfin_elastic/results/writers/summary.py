@@ -1,4 +1,4 @@
-"""`summary.json`: a run in numbers, for scripts and for a first look."""
+"""`summary.json`: how a run ended, its last state, the worst audits, extremes and costs."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 _INTERVAL = 1.0
+"""Seconds between two updates of the file."""
 _STAGES = (*timing.STAGES, "total")
 UNITS = {
     "t": "s (in statics the load parameter)",
@@ -47,11 +48,11 @@ UNITS = {
 
 
 class SummaryWriter:
-    """Keeps `summary.json` up to date, about once a second.  All of it is collective.
+    """Writes `summary.json`, and updates it about once a second.  All of it is collective.
 
-    The file is complete at every moment.  Its ``status`` is "running", then "completed" or
-    "failed" with the ``reason``; a run that was killed stays "running".  The numbers are those of
-    the last converged step.  ``extremes`` come at the end.
+    The file is valid JSON at any moment.  Its ``status`` is "running", then "completed", "stopped"
+    or "failed" with the ``reason``; after a kill it remains "running".  The numbers are those of
+    the last converged step; ``extremes`` are evaluated at the end of the run only.
 
     Args:
         problem: The problem that is solved.
@@ -75,7 +76,7 @@ class SummaryWriter:
             again = {"step": self._last["steps"], "t": self._last["t"], "ranks": self.comm.size}
             self._restarts = [*self._restarts, {**again, "at": _now()}]
         self._last_state = LastState()
-        self._audit = WorstAudit(before.get("audits", ()))
+        self._audits = WorstAudit(before.get("audits", ()))
         self._extremes: Extremes | None = None
         self._modes: list[Mode] = []
         with timing.stage("output"):
@@ -83,7 +84,7 @@ class SummaryWriter:
             self._save("running")
 
     def write(self, state: State) -> None:
-        """Takes in one step; writes the file if it is older than a second."""
+        """Takes the numbers of one step; updates the file if that is due."""
         with timing.stage("output"):
             if self._extremes is None:
                 self._extremes = Extremes(self.problem)
@@ -91,16 +92,16 @@ class SummaryWriter:
             self._krylov += state.krylov
             self._last_state.copy(state)
             self._last = _numbers(state)
-            self._audit.take(state)
-            self._save_now_and_then()
+            self._audits.add(state)
+            self._save_if_due()
 
     def write_mode(self, mode: Mode) -> None:
-        """Takes in one mode; writes the file if it is older than a second."""
+        """Takes the numbers of one mode; updates the file if that is due."""
         with timing.stage("output"):
             self._modes.append(mode)
-            self._save_now_and_then()
+            self._save_if_due()
 
-    def _save_now_and_then(self) -> None:
+    def _save_if_due(self) -> None:
         # Clocks differ between ranks: the first one decides for all.
         if self.comm.bcast(time.monotonic() - self._written > _INTERVAL):
             self._save("running")
@@ -114,7 +115,7 @@ class SummaryWriter:
             "last": _plain(self._last),
             "timings": self._timings(),
             "restarts": self._restarts,
-            "audits": self._audit.restart_state(),
+            "audits": self._audits.restart_state(),
         }
         return self.comm.bcast(found)  # clocks differ
 
@@ -125,7 +126,7 @@ class SummaryWriter:
             found = self._extremes.of(state) if state and self._extremes else {}
             extra: dict[str, Any] = {
                 "finished": _now(),
-                "extremes": {k: asdict(e) for k, e in found.items()},
+                "extremes": {name: asdict(extreme) for name, extreme in found.items()},
             }
             if (diagnosis := getattr(error, "diagnosis", None)) is not None:
                 extra["diagnosis"] = asdict(diagnosis)
@@ -163,10 +164,10 @@ class SummaryWriter:
 
     def _numbers(self) -> dict[str, Any]:
         counts = {"newton_iterations": self._newton, "krylov_iterations": self._krylov}
-        return {**self._last, **counts, "audit": self._audit.told(), **self._of_modes()}
+        return {**self._last, **counts, "audit": self._audits.as_json(), **self._of_modes()}
 
     def _of_modes(self) -> dict[str, Any]:
-        """The modes, the whole body's masses, and the share of them that the modes carry."""
+        """The modes, masses and inertias of the body, and shares of the modes' effective masses."""
         if not self._modes:
             return {}
         whole, rows = self._modes[0].whole, [row(mode) for mode in self._modes]
@@ -197,11 +198,11 @@ _NUMBERS: dict[str, Any] = {
     "numbers": {},
     "limit_points": [],
 }
-"""What is told of the last step, before there is one; in this order."""
+"""Numbers of the last step, in the file's order, before there is one."""
 
 
 def _numbers(state: State) -> dict[str, Any]:
-    """What is told of a step."""
+    """Numbers of one step."""
     return {
         **_NUMBERS,
         "steps": state.step,
@@ -221,9 +222,9 @@ def _now() -> str:
 
 
 def peak_memory(comm: MPI.Comm) -> dict[str, int]:
-    """Largest memory in use so far [byte]: of all ranks together, and of the largest. Collective.
+    """Peak memory [byte]: "sum" over the ranks and "largest_rank". Collective.
 
-    Each rank's own peak (Linux VmHWM); the sum counts shared pages once per rank.
+    Linux's VmHWM of each rank; pages that ranks share count once for each of them.
     """
     own = _high_water()
     return {"sum": comm.allreduce(own), "largest_rank": comm.allreduce(own, op=MPI.MAX)}
@@ -239,7 +240,7 @@ def _high_water() -> int:
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package and of what its numbers depend on. Not collective."""
+    """Versions of this package and of DOLFINx, PETSc and numpy. Not collective."""
     petsc = ".".join(str(number) for number in PETSc.Sys.getVersion())
     return {
         "dolfin_elastic": __version__,
@@ -250,7 +251,7 @@ def versions() -> dict[str, str]:
 
 
 def _plain(value: Any) -> Any:
-    """JSON's own types; what is not finite becomes null, for JSON has no word for it."""
+    """A value in JSON's types; numbers that are not finite become null, for JSON has none."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
@@ -264,7 +265,7 @@ def _plain(value: Any) -> Any:
 
 
 class WorstAudit:
-    """Takes in the audit of each step and tells the worst of all.  Not collective.
+    """Collects the audits of all steps and keeps the worst ones.  Not collective.
 
     Args:
         saved: Restart state: the worst audits before the checkpoint.
@@ -277,13 +278,13 @@ class WorstAudit:
         """The worst audits so far, as JSON data."""
         return [asdict(audit) for audit in self._audits]
 
-    def take(self, state: State) -> None:
-        """Takes in one step; keeps nothing but what is worst so far."""
+    def add(self, state: State) -> None:
+        """Takes the audit of one step, if it has one."""
         if state.audit is not None:
             self._audits = _extremes([*self._audits, state.audit])
 
-    def told(self) -> dict[str, Any]:
-        """Verdict, reasons and the worst numbers, for JSON; empty where nothing is audited."""
+    def as_json(self) -> dict[str, Any]:
+        """Verdict, reasons and the worst numbers; empty where nothing is audited."""
         if not self._audits:
             return {}
         every, last = self._audits, self._audits[-1]
@@ -305,7 +306,7 @@ class WorstAudit:
 
 
 def _audit(table: Mapping[str, Any]) -> Audit:
-    """From JSON, which knows lists only."""
+    """An audit from JSON data, whose lists become tuples."""
     values: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in table.items()
     }
@@ -313,7 +314,7 @@ def _audit(table: Mapping[str, Any]) -> Audit:
 
 
 def _extremes(audits: list[Audit]) -> list[Audit]:
-    """Those with the worst of each number, and the last one."""
+    """The audits that are worst by one of their numbers, and the last one."""
     worst = [
         max(audits, key=lambda audit: np.nan_to_num(audit.force)),
         max(audits, key=lambda audit: np.nan_to_num(audit.moment)),

@@ -1,24 +1,23 @@
 """XDMF for ParaView: every field of a step in one grid.
 
-What is on disk:
+Files:
 
-    results.xdmf              light data: which array of which file is what
-    results_data/mesh.h5      points, cells, and fields that never change
-    results_data/000000.h5    the fields of the first written step
-    results_data/000001.h5    ... one file for each further one
-    results_data/mesh_000007.h5   points and cells from there on, if the run went on from a
-                              checkpoint on other ranks
+    results.xdmf              XML that refers to the arrays in the other files
+    results_data/mesh.h5      points, cells, and fields that are the same at all steps
+    results_data/000000.h5    fields of the first written step
+    results_data/000001.h5    ... one file for each further step
+    results_data/mesh_000007.h5   points and cells from that step on, where a run was continued
+                              from a checkpoint on another number of ranks
 
-One HDF5 file per step, because a run may be killed at any moment.  A file that is open while the
-program dies is lost, also the older steps in it if it is one that grows; here it is only ever the
-step being written, which no `.xdmf` names yet.  The light data are written after the step's file
-is closed, under another name, and renamed: what `results.xdmf` names is complete at every moment.
-The price is a file per step, a few milliseconds and 2 kB each, all in one folder; a run with ten
-thousand steps thins them with `every`.  A user opens, copies or deletes two things.
+There is one HDF5 file per step, because a run may be killed at any moment: a file that is open then
+is lost with all steps in it.  So only the step that is being written can be lost, to which no
+`.xdmf` refers yet: the XML is replaced (written under another name and renamed) after the step's
+file is closed, and all arrays it refers to are complete at any moment.  The costs are a few
+milliseconds and 2 kB per step; runs of many thousand steps reduce them by `every`.
 
-The mesh is repeated in every grid as a plain reference, without xi:include: ParaView's default
-reader cannot follow one and crashes.  A new run into the same folder removes the old results
-first, the `.xdmf` before what it names.
+Every grid refers to the mesh's arrays directly, without xi:include: ParaView's default reader
+crashes at one.  A new run into the same folder removes the old results first, the `.xdmf` before
+the files that it refers to.
 """
 
 from __future__ import annotations
@@ -52,26 +51,26 @@ from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
-_OURS = re.compile(r"mesh\.h5|(?:mesh_)?(\d{6,})\.h5")
+_OWN_FILES = re.compile(r"mesh\.h5|(?:mesh_)?(\d{6,})\.h5")
 _MESH = re.compile(r"/([^/:<>]+\.h5):/points<")
 _FRAME = '<Grid Name="step '
 _END = "</Grid>\n</Domain>"
 
 
 class XdmfWriter:
-    """Writes states of a problem as XDMF.  All of it is collective.
+    """Writes states of a problem as XDMF; see the module.  All of it is collective.
 
     Args:
         problem: The problem that is solved.
-        path: The `.xdmf` file; the heavy data go to a folder beside it.
+        path: The `.xdmf` file; the arrays go into a folder beside it.
         fields: Names from `FIELDS`; None: displacement and stresses, in motion also velocity.
-        every: Writes each n-th step (see `StepInterval`), and always the last one.
-        frames: Instead of that, as many states as this, evenly over the run, and the last one.
+        every: Steps between written states, see `StepInterval`; the last state is always written.
+        frames: If given, so many states evenly over the run are written instead, and the last.
         saved: Its restart state: later steps are cut off.
 
     Raises:
         InputError: An unknown field.
-        RestartError: Steps have got lost since the checkpoint.
+        RestartError: Steps from before the checkpoint are missing.
         OutputError: The folder cannot be written to.
     """
 
@@ -91,7 +90,7 @@ class XdmfWriter:
             frames,
         )
         self.comm = problem.body.comm
-        self.data = _data(path)
+        self.data = _data_folder(path)
         self._frames: list[str] = []
         self._synced = 0
         self._mesh_file = self._mesh_xml = ""
@@ -110,7 +109,7 @@ class XdmfWriter:
         clear(self.path)
 
     def _cut(self, count: int) -> list[str]:
-        """Leaves the first frames only, and returns them. On rank 0."""
+        """Removes all frames but the first ones, and returns the XML of these. On rank 0."""
         make_folder(self.data)
         with writing(self.path):
             text = self.path.read_text(encoding="utf-8") if self.path.is_file() else ""
@@ -120,12 +119,12 @@ class XdmfWriter:
         if len(frames) < count or any(not (self.data / name).is_file() for name in needed):
             raise missing_results(self.path, "steps")
         if count:
-            replace_text(self.path, _light(frames), durable=True)
+            replace_text(self.path, _document(frames), durable=True)
         else:
             clear(self.path)
         with writing(self.data):
             for file in self.data.glob("*.h5"):
-                if _OURS.fullmatch(file.name) and file.name not in needed:
+                if _OWN_FILES.fullmatch(file.name) and file.name not in needed:
                     file.unlink()
         return frames
 
@@ -143,7 +142,7 @@ class XdmfWriter:
             sync(self.path)
 
     def write(self, state: State) -> None:
-        """Writes one step; on return it can be opened, whatever happens next."""
+        """Writes one step, if it is due: on return its file is complete."""
         with stage("output"):
             self._pending = not self._due(state)
             if self._pending:
@@ -168,10 +167,10 @@ class XdmfWriter:
         file = f"{len(self._frames):06d}.h5"
         hdf5.write(self.comm, self.data / file, moving)
         self._frames.append(self._frame(state, file, rows))
-        on_root(self.comm, lambda: replace_text(self.path, _light(self._frames), durable=True))
+        on_root(self.comm, lambda: replace_text(self.path, _document(self._frames), durable=True))
 
     def _write_mesh(self, grid: Grid, arrays: Mapping[str, Rows]) -> None:
-        """Writes what never changes, unless a run before this one has written the same."""
+        """Writes arrays that are the same at all steps, unless the continued run has done so."""
         before = _MESH.findall(self._frames[-1])[0] if self._frames else ""
         self._mesh_file = before or "mesh.h5"
         if not before or not _same(self.comm, self.data / before, arrays):
@@ -191,14 +190,14 @@ class XdmfWriter:
         )
 
     def close(self, status: str = "completed", error: object = None) -> None:
-        """Writes the last step if `every` has left it out."""
+        """Writes the last step, if it was not due."""
         if self._pending and self._last_state.state:
             with stage("output"):
                 self._write(self._last_state.state)
             self._pending = False
 
 
-def _light(frames: Sequence[str]) -> str:
+def _document(frames: Sequence[str]) -> str:
     return (
         '<?xml version="1.0" encoding="utf-8"?>\n<Xdmf Version="3.0">\n<Domain>\n'
         '<Grid Name="results" GridType="Collection" CollectionType="Temporal">\n'
@@ -207,13 +206,13 @@ def _light(frames: Sequence[str]) -> str:
 
 
 def _same(comm: MPI.Comm, path: Path, arrays: Mapping[str, Rows]) -> bool:
-    """Whether a file holds these very arrays. Collective."""
+    """Whether a file has these arrays with the same values. Collective."""
     return not largest(comm, float(_differs(path, arrays)))
 
 
 def _differs(path: Path, arrays: Mapping[str, Rows]) -> bool:
     try:
-        if hdf5.names(path) != {name: rows.shape for name, rows in arrays.items()}:
+        if hdf5.shapes(path) != {name: rows.shape for name, rows in arrays.items()}:
             return True
         return any(
             not np.array_equal(hdf5.read(path, name, rows.first, len(rows.values)), rows.values)
@@ -224,9 +223,9 @@ def _differs(path: Path, arrays: Mapping[str, Rows]) -> bool:
 
 
 def clear(path: Path) -> None:
-    """Removes the results of an earlier run. Not collective.
+    """Removes the results of an earlier run, first the `.xdmf`. Not collective.
 
-    First what names them, then themselves; files of others stay.
+    Files in the folder that this writer does not make stay.
 
     Args:
         path: The `.xdmf` file; it need not exist.
@@ -236,35 +235,43 @@ def clear(path: Path) -> None:
     """
     with writing(path):
         path.unlink(missing_ok=True)
-        for file in _data(path).glob("*.h5"):
-            if _OURS.fullmatch(file.name):
+        for file in _data_folder(path).glob("*.h5"):
+            if _OWN_FILES.fullmatch(file.name):
                 file.unlink()
 
 
 def remove(path: Path) -> None:
-    """As `clear`, and the folder of the numbers goes, too, if it is empty. Not collective.
+    """As `clear`; the folder of the arrays is removed, too, if it is empty. Not collective.
+
+    Args:
+        path: The `.xdmf` file; it need not exist.
 
     Raises:
         OutputError: They cannot be removed.
     """
     clear(path)
-    data = _data(path)
+    data = _data_folder(path)
     with writing(data):
         if data.is_dir() and not any(data.iterdir()):
             data.rmdir()
 
 
-def _data(path: Path) -> Path:
+def _data_folder(path: Path) -> Path:
     return path.with_name(f"{path.stem}_data")
 
 
 def mesh_rows(grid: Grid) -> dict[str, Rows]:
-    """This rank's points and cells."""
+    """This rank's rows of the arrays "points" and "cells"."""
     return {"points": grid.rows("node", grid.points()), "cells": grid.rows("cell", grid.cells())}
 
 
 def mesh_xml(grid: Grid, file: str) -> str:
-    """The mesh that stands in a file, as light data."""
+    """XML of a mesh.
+
+    Args:
+        grid: Points and cells.
+        file: HDF5 file with the arrays of `mesh_rows`, relative to the `.xdmf`.
+    """
     mesh = mesh_rows(grid)
     count, nodes = mesh["cells"].shape
     return (
@@ -285,7 +292,12 @@ def _attribute(name: str, rows: Rows, file: str) -> str:
 
 
 def item(rows: Rows, place: str) -> str:
-    """An array that stands at a place, as light data."""
+    """XML that refers to an array.
+
+    Args:
+        rows: This rank's part of it.
+        place: "FILE:/NAME", relative to the `.xdmf`.
+    """
     count, columns = rows.shape
     kind = "Float" if rows.values.dtype.kind == "f" else "Int"
     return (

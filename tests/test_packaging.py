@@ -1,0 +1,56 @@
+"""What is imported is what is declared: pyproject.toml and docker/packages.txt."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from mpi4py import MPI
+
+ROOT = Path(__file__).parents[1]
+
+SYSTEM = {"dolfinx", "petsc4py", "slepc4py", "mpi4py", "gmsh", "basix", "ufl"}
+"""Modules whose packages on PyPI do not fit together with MPI; basix and ufl are DOLFINx's."""
+
+BROUGHT = {"pydantic_core": "pydantic", "click": "typer", "vtkmodules": "pyvista"}
+"""Modules that come with another package and are of its version."""
+
+UNDER_OTHER_NAMES = {"python3-cffi", "python3-dev", "python3-h5py-mpi"}
+"""Packages of the environment that no module imports by name: compiled forms and h5py need them."""
+
+pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="reads files only")
+
+
+def imported(folder: str) -> set[str]:
+    """Top-level names of foreign modules that a folder imports."""
+    found = set()
+    for file in (ROOT / folder).rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
+                found.add(node.module.partition(".")[0])
+    return found - sys.stdlib_module_names - {"dolfin_elastic"}
+
+
+def test_dependencies_are_the_imports() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    declared = {re.split(r"[<>=~! \[]", line)[0] for line in project["dependencies"]}
+    needed = {BROUGHT.get(name, name) for name in imported("dolfin_elastic") - SYSTEM}
+    assert declared == needed
+
+
+def test_packages_of_the_environment_are_used() -> None:
+    text = (ROOT / "docker/packages.txt").read_text(encoding="utf-8")
+    used, _, _ = text.partition("# --- installing and testing ---")
+    packages = set(re.findall(r"^(python3-\S+)", used, re.MULTILINE))
+    modules = imported("dolfin_elastic") | imported("tests")
+    wanted = {f"python3-{BROUGHT.get(name, name)}" for name in modules}
+    assert packages - wanted == UNDER_OTHER_NAMES
+    assert {
+        f"python3-{name}" for name in imported("dolfin_elastic") - {"basix", "numpy", "ufl"}
+    } <= (packages | {f"python3-{name}" for name in BROUGHT})
