@@ -27,7 +27,8 @@ from dolfinx import fem, la
 from mpi4py import MPI
 
 from dolfin_elastic import NeoHookean, Problem, box_body
-from dolfin_elastic.solvers.dynamics.explicit.explicit import CentralDifferences
+from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
+from dolfin_elastic.solvers.dynamics.explicit.scheme import CentralDifferences
 
 STEPS, TIMES = 200, 8
 
@@ -50,7 +51,7 @@ def measure(n: int) -> None:
     problem = Problem(body, NeoHookean(E=1e6, nu=0.3, density=1000))
     v = fem.Function(problem.V)
     v.interpolate(lambda x: np.array([-x[1], x[0], 0.3 * x[2]]))
-    march = CentralDifferences(problem, v, end=1e6, dt=None, safety=0.9, every=STEPS)
+    march = Explicit(problem, v, CentralDifferences, end=1e6, dt=None, safety=0.9, every=STEPS)
     form, u = march.assembler.residual.form, problem.u
     force = la.vector(problem.V.dofmap.index_map, problem.V.dofmap.index_map_bs)
 
@@ -63,11 +64,9 @@ def measure(n: int) -> None:
 
     def step() -> None:
         for _ in range(STEPS):
-            if march._step == march.size.due:
-                march.size.look(march._step, march._t)
-            march._advance(march.size.dt)
+            march.step()
 
-    march._balance()
+    march.scheme.assemble_forces()
     found = best(bare, step, march.size.by_cells, march.size.sharp)
     found[0], found[1] = found[0] / STEPS, found[1] / STEPS
     cells = body.num_cells / body.comm.size

@@ -36,7 +36,7 @@ from dolfin_elastic.model.supports.displacement import Support
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, Picture
-from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
+from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.eigen.buckling import BucklingSettings
 from dolfin_elastic.solvers.eigen.modal import ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings

@@ -13,7 +13,8 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Idle, refuse_idle
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.outputs import Output as File
-from dolfin_elastic.solvers.dynamics.dynamics import Dynamics, DynamicsSettings
+from dolfin_elastic.solvers.dynamics.dynamics import Dynamics
+from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.eigen.buckling import Buckling, BucklingSettings
 from dolfin_elastic.solvers.eigen.modal import Modal, ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings

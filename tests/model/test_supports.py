@@ -39,7 +39,8 @@ from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.distribute import make_mesh
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.rigid_body import free_motions
-from dolfin_elastic.solvers.dynamics.explicit.explicit import SymplecticEuler
+from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
+from dolfin_elastic.solvers.dynamics.explicit.scheme import SymplecticEuler
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 E, NU = 1e6, 0.3
@@ -492,14 +493,16 @@ def test_dashpots_lower_the_stable_step():
             LinearElastic(E=E, nu=NU, density=RHO),
             supports=[Dashpot(on="left", normal=c)],
         )
-        march = SymplecticEuler(
-            problem, fem.Function(problem.V), end=1.0, dt=None, safety=1.0, every=1
+        march = Explicit(
+            problem, fem.Function(problem.V), SymplecticEuler, end=1.0, dt=None, safety=1.0, every=1
         )
-        found.append(march.dt)
+        found.append(march.size.dt)
         march.assembler.destroy()
     plain = Problem(body, LinearElastic(E=E, nu=NU, density=RHO))
-    march = SymplecticEuler(plain, fem.Function(plain.V), end=1.0, dt=None, safety=1.0, every=1)
-    assert found[0] == pytest.approx(march.dt, rel=1e-3)
+    march = Explicit(
+        plain, fem.Function(plain.V), SymplecticEuler, end=1.0, dt=None, safety=1.0, every=1
+    )
+    assert found[0] == pytest.approx(march.size.dt, rel=1e-3)
     worst = max(total(body.comm, 0.0), 1e9 / 3 / (RHO / 24))  # the least mass with the most area
     assert 0.9 * 2 / worst <= found[1] <= 24 * 2 / worst
     march.assembler.destroy()

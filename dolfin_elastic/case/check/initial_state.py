@@ -15,8 +15,8 @@ from dolfin_elastic.mesh.body import span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
 from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
+from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.nonlinear.contact import buried, check_start, first_gaps
 
 TIMES = 41
@@ -158,4 +158,5 @@ def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]
     penetrations = [buried(pair, gap, at) for pair, (gap, at) in gaps if gap < -pair.tolerance]
     problem.u.x.array[:] = 0.0
     problem.unknowns.u_to_w()
-    return (*([s.limited] if s.limited else []), *map(str, incompatible), *penetrations)
+    unstable = [s.stability_limit] if s.stability_limit else []
+    return (*unstable, *map(str, incompatible), *penetrations)

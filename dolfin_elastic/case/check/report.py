@@ -34,8 +34,6 @@ from dolfin_elastic.problem.material_regions import locking_notes
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.probes import duplicate_column
 from dolfin_elastic.solvers.diagnostics.rigid_body import FreeBody, check_held, free_bodies
-from dolfin_elastic.solvers.dynamics.explicit.limits import check_explicit
-from dolfin_elastic.solvers.dynamics.implicit.petsc_alpha2 import check_alpha2
 from dolfin_elastic.solvers.eigen.buckling import Buckling
 from dolfin_elastic.solvers.eigen.modal import UNMOVED, Modal
 from dolfin_elastic.solvers.linear.choice import Choice, choose
@@ -134,12 +132,10 @@ def _start(case: Case, problem: Problem) -> tuple[str, ...]:
     check_probes(case, problem)
     if case.analysis in ("statics", "buckling") or case.preloaded:
         check_held(problem)
-    elif case.dynamics is not None and not case.dynamics.implicit:
-        check_explicit(problem, case.dynamics.scheme)
     elif case.dynamics is not None:
-        check_damped(problem, case.dynamics.damping.get("stiffness", 0.0))
-        if case.dynamics.scheme == "alpha2":
-            check_alpha2(problem)
+        if case.dynamics.implicit:
+            check_damped(problem, case.dynamics.damping.get("stiffness", 0.0))
+        case.dynamics.row.scheme.check(problem, case.dynamics.scheme)
     notes = start_notes(problem, case.dynamics) if case.dynamics is not None else ()
     if case.analysis in ("statics", "dynamics") or case.preloaded:
         check_supports(case, problem)

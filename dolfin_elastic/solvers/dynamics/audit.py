@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,14 +12,11 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor, Found
 from dolfin_elastic.solvers.audit.path_energy import round_off
-from dolfin_elastic.solvers.dynamics.energy_balance import EnergyBalance
+from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.dynamics.rotation_error import RotationError
+from dolfin_elastic.solvers.dynamics.work import EnergyBalance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
-
-if TYPE_CHECKING:
-    from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
-
 
 GAINED = 0.02
 """Share of the largest energy that may appear from nowhere: the schemes keep the energy of a
@@ -44,7 +41,8 @@ class MotionAuditor(EquilibriumAuditor):
         problem: What moves.
         moving: Its forces.
         watch: Of det F.
-        settings: Of the motion: whether its scheme is meant to damp.
+        parameters: Of the scheme: what it is meant to damp.
+        end: When the motion ends [s].
     """
 
     def __init__(
@@ -52,12 +50,14 @@ class MotionAuditor(EquilibriumAuditor):
         problem: Problem,
         moving: DynamicResidual,
         watch: JacobianWatch,
-        settings: DynamicsSettings,
+        parameters: GeneralizedAlphaParameters,
+        *,
+        end: float,
     ) -> None:
         super().__init__(problem, moving.assembler, watch)
-        self._moving, self._settings = moving, settings
+        self._moving, self._parameters, self._end = moving, parameters, end
         self._forces: Forces | None = None
-        self._chords = RotationError(problem, settings)
+        self._chords = RotationError(problem, parameters.alpha_f)
         self._du: FloatArray = np.empty(0)
         self._worst = [0.0, 0.0]
         self._reasons: dict[str, str] = {}
@@ -122,7 +122,7 @@ class MotionAuditor(EquilibriumAuditor):
         """
         before, settled = self._off, scale <= GROWS * self._scale
         self._off, self._scale = abs(off) if reasons else 0.0, scale
-        last = t >= self._settings.end * (1 - 1e-9)
+        last = t >= self._end * (1 - 1e-9)
         again = before > 0.0 and (settled or min(before, self._off) > MOST)
         return reasons if last or again else {}
 
@@ -130,8 +130,8 @@ class MotionAuditor(EquilibriumAuditor):
         if off > GAINED:
             what = f"{100 * off:.3g} % of the energy has come from nowhere: a smaller dt is needed"
             return {"energy": what}
-        if off < -LOST and not self._settings.damps:
-            radius = ", or a larger spectral_radius," if self._settings.dissipates else ""
+        if off < -LOST and not self._parameters.damps:
+            radius = ", or a larger spectral_radius," if self._parameters.can_damp_less else ""
             what = (
                 f"the scheme has damped {-100 * off:.3g} % of the energy away: a smaller dt"
                 f"{radius} keeps it"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import ufl
 from dolfinx import fem
+from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
@@ -126,6 +127,27 @@ class DynamicResidual:
             velocity.scatter_forward()
         if not self.damping.none:
             self.damping.tell(v)
+
+    def set_unknowns(self, w: FloatArray) -> None:
+        """Sets all unknowns, and the displacement with them. Collective.
+
+        Args:
+            w: Owned entries.
+        """
+        self.problem.w.x.array[: len(w)] = w
+        self.problem.w.x.scatter_forward()
+        self.problem.unknowns.w_to_u()
+
+    def copy_to(self, U: PETSc.Vec, V: PETSc.Vec, v: fem.Function) -> None:
+        """Gives TS the present state. Not collective.
+
+        Args:
+            U: Receives all unknowns.
+            V: Receives the velocity in the rows of displacements.
+            v: Velocity [m/s].
+        """
+        self.assembler.get(U)
+        V.array_w[self.moves] = v.x.array[: len(self.moves)]
 
     def momentum(self, v: FloatArray) -> FloatArray:
         """M v of owned entries of a velocity, at owned entries of all unknowns. Collective."""

@@ -15,8 +15,6 @@ Source: J. C. Simo & N. Tarnow, ZAMP 43 (1992) 757, section 4.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import basix
 import numpy as np
 import ufl
@@ -26,10 +24,6 @@ from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-
-if TYPE_CHECKING:
-    from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
-
 
 CHORD = 0.06
 """Share of the largest strain so far that chords may be before it is said.  The largest is that of
@@ -44,15 +38,12 @@ class RotationError:
 
     Args:
         problem: What moves.
-        settings: Of the motion, whose scheme says where the stage lies.
+        alpha_f: Share of the old displacement in that of the stage.
     """
 
-    def __init__(self, problem: Problem, settings: DynamicsSettings) -> None:
+    def __init__(self, problem: Problem, alpha_f: float) -> None:
         self._problem, self._most, self._seen = problem, 0.0, False
-        old = 0.0  # share of the old place in that of the stage
-        if settings.scheme in ("generalized-alpha", "alpha2"):
-            old = settings.spectral_radius / (1 + settings.spectral_radius)
-        self._share = old * (1 - old) / 2
+        self._share = alpha_f * (1 - alpha_f) / 2
         feels = any(not part.law.linear for part in problem.regions)
         self._needed = self._share > 0.0 and feels
         if not self._needed:

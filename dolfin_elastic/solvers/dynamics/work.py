@@ -1,22 +1,243 @@
-"""Work of loads and supports in explicit motion, summed up no more often than it must be."""
+"""Energies of a motion: what its states store, and the work that loads and supports have done.
+
+`EnergyBook` measures the states of any motion.  What they cannot tell is the work done on the way:
+implicit schemes sum it up in an `EnergyBalance`, from the forces of each step, which they have
+anyway; explicit ones in an `ExternalWork`, which assembles forces of its own and does so only where
+the work does not follow from two states, for a step of theirs costs no more than such a force.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
 import ufl
 from dolfinx import fem, la
 
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
-from dolfin_elastic.solvers.assembly.nodal_forces import Forces
+from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, LumpedMass, Strain
+from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces
+from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
+from dolfin_elastic.solvers.nonlinear.contact import Measured
+
+Measures = tuple[dict[str, float], dict[str, FloatArray]]
+"""Energies [J] by name, and momenta by name: "linear" [kg m/s], "angular" [kg m^2/s]."""
+
+_NAMES = ("external", "damping", "dashpots")
+
+_NOISE = 10.0
+"""Round-off of the stored energy over eps mu V: up to 1.8 was found, of laws whose energy is a
+difference, such as neo-Hookean and corotated ones."""
 
 
-class _Share(Protocol):
+class Work(Protocol):
+    """What has been done on the body since the start of a motion."""
+
+    def energies(self, kinetic: float, stored: float) -> dict[str, float]:
+        """Work and what follows from it [J] by name, up to the present state. Collective.
+
+        Args:
+            kinetic: Kinetic energy of the present velocity [J].
+            stored: Energy of the present displacement, strains and contact penalties [J]; nan where
+                a law has none.
+        """
+
+
+class EnergyBook:
+    """Energies and momenta of the states of a motion. Collective to make.
+
+    Args:
+        problem: What moves.
+        inertia: Kinetic energy and momenta of its velocity, with the mass of the scheme.
+        work: Done on the body so far.
+    """
+
+    def __init__(self, problem: Problem, inertia: ConsistentMass | LumpedMass, work: Work) -> None:
+        self._comm, self._inertia, self._work = problem.body.comm, inertia, work
+        self._strain, self._contacts = Strain(problem), Measured(problem, moving=True)
+
+    @np.errstate(all="ignore")  # whether the values are finite is asked by `finite`
+    def measure(self) -> Measures:
+        """Energies and momenta of the present displacement and velocity. Collective."""
+        kinetic, linear, angular = self._inertia.measure()
+        strain, contact = self._strain.energy(), self._contacts.energies()
+        penalties = sum(contact.values())
+        energies = {
+            "strain": strain,
+            "kinetic": kinetic,
+            "total": strain + kinetic + penalties,
+            **self._work.energies(kinetic, strain + penalties),
+            **self._strain.springs(),
+            **contact,
+        }
+        return energies, {"linear": linear, "angular": angular}
+
+    def finite(self, energies: Mapping[str, float], forces: FloatArray) -> bool:
+        """Whether energies and forces are finite, but for energies a law lacks. Collective.
+
+        Args:
+            energies: From `measure` [J].
+            forces: At owned entries [N].
+        """
+        missing = ("strain", "total") if self._strain.none else ()
+        values = [energy for name, energy in energies.items() if name not in missing]
+        bad = not (np.isfinite(values).all() and np.isfinite(forces).all())
+        return largest(self._comm, float(bad)) == 0.0
+
+    def numbers(self) -> dict[str, float]:
+        """Further results of contacts, by name [SI units]. Collective."""
+        return self._contacts.numbers()
+
+
+def supports_move(problem: Problem) -> bool:
+    """A prescribed displacement is not zero."""
+    return any(not s.at_rest for s in problem.supports if s not in problem.springs)
+
+
+# --- implicit motion ---
+
+
+class EnergyBalance:
+    """Sums up work over the steps of a motion.
+
+    The work of a step is that of the forces in the middle of it over its displacement, of second
+    order: those of the stage where that is the middle, and else the mean of those at both ends.
+    What the penalties of obstacles store counts as the body's: they do work only where they move.
+    Supports that move work against the inertia of what they carry: M dv . (v0 + v1)/2, which is the
+    change of its kinetic energy also where they are set going at once, and the force has no end.
+
+    Collective to make.
+
+    Args:
+        moving: The body.
+        v: Its velocity.
+
+    Attributes:
+        scale: The largest energy so far [J].
+    """
+
+    def __init__(self, moving: DynamicResidual, v: fem.Function) -> None:
+        self._moving, self._velocity = moving, v
+        self._leads = supports_move(moving.problem)
+        self._v: FloatArray = np.empty(0)
+        self._sums = dict.fromkeys(_NAMES, 0.0)
+        self._initial: float | None = None
+        self.scale = 0.0
+        problem = moving.problem
+        self._constant = bool(problem.loads) and not problem.loads_change
+        self._dead: FloatArray | None = None
+        self._places: FloatArray = np.empty(0)
+        size = problem.constant(1.0) * problem.weak_form.volume(None, 1)
+        volume = integral(problem, compiled(problem, [size])[0])
+        self._round_off = _NOISE * np.finfo(float).eps * problem.stiffness * volume
+
+    def begin(self) -> None:
+        """Takes in where the obstacles are at the problem's time, and the speed. Not collective."""
+        self._places = self._shifts()
+        self._v = self._now()
+
+    def add(self, forces: Forces, du: FloatArray) -> None:
+        """Adds the work of one step. Collective.
+
+        Args:
+            forces: In the middle of it; the problem's time is that of its end.
+            du: Change of the displacement, owned entries [m].
+        """
+        moves = self._moving.moves
+        outside = forces.loads + forces.reactions + forces.holding - forces.obstacles
+        rows = (outside, forces.damping, -forces.dashpots)
+        mine = np.array([np.dot(row[moves], du) for row in rows])
+        before, self._places = self._places, self._shifts()
+        mine[0] += np.sum(forces.pushes * (self._places - before))
+        if self._leads:
+            mine[0] += self._carried(forces, du)
+        found = total(self._moving.comm, mine)
+        for name, value in zip(_NAMES, found, strict=True):
+            self._sums[name] += float(value)
+
+    def _carried(self, forces: Forces, du: FloatArray) -> float:
+        """What inertia costs supports, in place of its forces over the way, on this rank [J]."""
+        a, moves = self._moving.assembler, self._moving.moves
+        before, self._v = self._v, self._now()
+        change = a.constrained_part(self._moving.momentum(self._v - before))[moves]
+        pushed = a.constrained_part(forces.inertia)[moves]
+        return float(np.dot(change, (before + self._v) / 2) - np.dot(pushed, du))
+
+    def _now(self) -> FloatArray:
+        return self._velocity.x.array[: len(self._moving.moves)].copy()
+
+    def _shifts(self) -> FloatArray:
+        """How far the obstacles have moved by now, shape (contacts, dim) [m]."""
+        return np.array([touch.shift.value for touch in self._moving.problem.contact_pairs])
+
+    def energies(self, kinetic: float, stored: float) -> dict[str, float]:
+        """Work, dissipation, potential and balance [J] by name. Collective.
+
+        Args:
+            kinetic: Energy of the present velocity [J].
+            stored: Energy of the present displacement, strain and penalties [J]; nan where a law
+                has none.
+        """
+        found = {"external": self._sums["external"]}
+        if not self._moving.damping.none:
+            found["damping"] = self._sums["damping"]
+        if self._moving.problem.dashpots:
+            found["dashpots"] = self._sums["dashpots"]
+        if self._constant:
+            found["potential"] = self._potential()
+        if math.isfinite(stored):
+            if self._initial is None:
+                self._initial = kinetic + stored
+            found["balance"] = (
+                kinetic + stored - self._initial + self._sums["damping"] - self._sums["external"]
+            )
+            moved = abs(self._sums["external"]) + self._sums["damping"]
+            self.scale = max(self.scale, kinetic, abs(stored), moved)
+        return found
+
+    def off(self, energies: Mapping[str, float]) -> float:
+        """The balance over the largest energy so far; positive where energy has appeared.
+
+        Damping takes energy; what it should have given has appeared, too.  Round-off is no part of
+        it: where hardly anything moves, all energy is. Not collective.
+        """
+        balance, noise = energies.get("balance", 0.0), self._round_off
+        balance = max(balance, -energies.get("damping", 0.0)) if balance >= 0.0 else balance
+        if self.scale == 0.0 or abs(balance) <= noise:
+            return 0.0
+        return (balance - math.copysign(noise, balance)) / self.scale
+
+    def _potential(self) -> float:
+        """Of loads that do not change: minus their forces times the displacement [J]."""
+        moves = self._moving.moves
+        if self._dead is None:
+            self._dead = self._moving.assembler.reactions.loads()[moves].copy()
+        u = self._moving.problem.w.x.array[moves]
+        return -float(total(self._moving.comm, float(np.dot(self._dead, u))))
+
+    # --- restarts ---
+
+    def restart_state(self) -> dict[str, float | None]:
+        """See `Restartable`. Not collective."""
+        return {**self._sums, "initial": self._initial, "scale": self.scale}
+
+    def restore(self, saved: Mapping[str, float | None]) -> None:
+        """See `Restartable`; the problem has the state of that time already. Collective."""
+        self.begin()
+        self._sums = {name: float(saved[name] or 0.0) for name in _NAMES}
+        self._initial, self.scale = saved["initial"], float(saved["scale"] or 0.0)
+
+
+# --- explicit motion ---
+
+
+class _WorkTerm(Protocol):
     """What does work that must be summed up step by step."""
 
     def begin(self) -> None:
@@ -29,10 +250,10 @@ class _Share(Protocol):
         """This rank's share of the work of a step with the displacement du [J]. Collective."""
 
 
-class _Pushing:
-    """Forces on nodes that are in a form of their own, by the trapezoidal rule."""
+class _NodalLoad:
+    """NodalForces on nodes that are in a form of their own, by the trapezoidal rule."""
 
-    def __init__(self, forces: Forces) -> None:
+    def __init__(self, forces: NodalForces) -> None:
         self._forces = forces
         self._before = np.zeros(len(forces.owned))
 
@@ -51,10 +272,10 @@ class _Pushing:
         return float(work)
 
 
-class _Obstacle:
+class _MovingObstacle:
     """A moving obstacle: its force on the body, times the way that it has gone."""
 
-    def __init__(self, touch: ContactPair, forces: Forces) -> None:
+    def __init__(self, touch: ContactPair, forces: NodalForces) -> None:
         self._touch, self._forces = touch, forces
         self._dim = len(touch.shift.value)
         self._force = self._place = np.zeros(self._dim)
@@ -73,7 +294,7 @@ class _Obstacle:
         return float((force + self._force) @ (self._place - place)) / 2
 
 
-class _Leading:
+class _MovingSupports:
     """Supports that move: what they push with, beside the inertia of what they carry."""
 
     def __init__(self, assembler: Assembler) -> None:
@@ -109,7 +330,7 @@ class ExternalWork:
 
     Attributes:
         sum: The work at the last state asked for [J].
-        shares: What must be summed up step by step.
+        terms: What must be summed up step by step.
     """
 
     def __init__(
@@ -118,10 +339,10 @@ class ExternalWork:
         self._problem, self._assembler, self._mass = problem, assembler, mass
         size = assembler.size
         self._u, self._v = problem.u.x.array[:size], v.x.array[:size]
-        self.shares: list[_Share] = []
+        self.terms: list[_WorkTerm] = []
         loaded = bool(problem.loads)
         if loaded and problem.loads_change:
-            self.shares.append(_Pushing(self._of(self._external(), points=1.0)))
+            self.terms.append(_NodalLoad(self._of(self._external(), points=1.0)))
         self._steady = loaded and not problem.loads_change
         self._constant = np.zeros(size if self._steady else 0)
         self._from = np.zeros(len(self._constant))
@@ -129,13 +350,13 @@ class ExternalWork:
         for support in problem.supports:
             if support in problem.dashpots or (support in problem.springs and not resting):
                 work = support.virtual_work(problem.context)
-                self.shares.append(_Pushing(self._of(work)))
-        self.leading = supports_move(problem)
-        if self.leading:
-            self.shares.append(_Leading(assembler))
+                self.terms.append(_NodalLoad(self._of(work)))
+        self._moving_supports = supports_move(problem)
+        if self._moving_supports:
+            self.terms.append(_MovingSupports(assembler))
         for touch in problem.contact_pairs:
             if touch.contact.values:
-                self.shares.append(_Obstacle(touch, self._of(touch.work)))
+                self.terms.append(_MovingObstacle(touch, self._of(touch.work)))
         springs = problem.weak_form.spring_energy if resting else None
         self._springs = None if springs is None else compiled(problem, [springs])[0]
         self._stored = self._carried = self._local = self.sum = 0.0
@@ -148,10 +369,10 @@ class ExternalWork:
             problem.constant(0.0) * sum(problem.v) * problem.weak_form.volume(None, 1)
         )  # points only
 
-    def _of(self, form: ufl.Form, points: float = 0.0) -> Forces:
+    def _of(self, form: ufl.Form, points: float = 0.0) -> NodalForces:
         dofmap = self._problem.V.dofmap
         vector = la.vector(dofmap.index_map, dofmap.index_map_bs)
-        return Forces(self._problem, compiled(self._problem, [form])[0], vector, points=points)
+        return NodalForces(self._problem, compiled(self._problem, [form])[0], vector, points=points)
 
     def begin(self, work: float = 0.0) -> None:
         """Takes in the state from which the next step starts. Collective.
@@ -164,22 +385,22 @@ class ExternalWork:
             self._constant[:] = self._assembler.reactions.loads()
             self._from[:] = self._u
         self._stored, self._carried = self._in_springs(), self._on_supports()
-        for share in self.shares:
-            share.begin()
+        for term in self.terms:
+            term.begin()
 
     def renew(self) -> None:
         """Takes over the numbers of the present time. Not collective."""
-        for share in self.shares:
-            share.renew()
+        for term in self.terms:
+            term.renew()
 
     def step(self, du: FloatArray) -> None:
-        """Adds a step that has led to the present state; for nothing without `shares`. Collective.
+        """Adds a step that has led to the present state; for nothing without `terms`. Collective.
 
         Args:
             du: Its displacement, owned entries [m].
         """
-        for share in self.shares:
-            self._local += share.step(du)
+        for term in self.terms:
+            self._local += term.step(du)
 
     def close(self) -> float:
         """The work up to the present state [J]. Collective."""
@@ -193,18 +414,17 @@ class ExternalWork:
         self._stored, self._carried = stored, carried
         return self.sum
 
+    def energies(self, kinetic: float, stored: float) -> dict[str, float]:
+        """See `Work.energies`. Collective."""
+        return {"external": self.close()}
+
     def _in_springs(self) -> float:
         """Energy of springs at rest [J]. Collective."""
         return 0.0 if self._springs is None else integral(self._problem, self._springs)
 
     def _on_supports(self) -> float:
         """This rank's kinetic energy of what supports move [J]."""
-        if not self.leading:
+        if not self._moving_supports:
             return 0.0
         v = self._assembler.constrained_part(self._v)
         return 0.5 * float(np.dot(self._mass * v, v))
-
-
-def supports_move(problem: Problem) -> bool:
-    """A prescribed displacement is not zero."""
-    return any(not s.at_rest for s in problem.supports if s not in problem.springs)

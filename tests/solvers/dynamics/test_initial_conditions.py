@@ -22,8 +22,8 @@ from dolfin_elastic import (
 from dolfin_elastic.case.check import report
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.state import StateCopy
-from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
 from dolfin_elastic.solvers.dynamics.initial_conditions import SupportJump, set_initial
+from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 
 FREE = "free"
 LAW = StVenantKirchhoff(E=1e6, nu=0.3, density=1000)

@@ -54,13 +54,13 @@ class ExplicitMarch(Protocol):
     def restore(self, saved: SavedState) -> None:
         """See `Restartable`. Collective."""
 
-    def forward(self) -> None:
+    def step(self) -> None:
         """One step. Collective."""
 
     def finite(self) -> bool:
         """Whether energies and forces are. Collective."""
 
-    def reached(self, *, moved: bool) -> State:
+    def state(self, *, moved: bool) -> State:
         """The present state. Collective."""
 
 
@@ -113,8 +113,8 @@ class Replay:
             march.restore(self._last)
         begin, _ = march.now
         while march.now[0] < goal:
-            march.forward()
-        return march.reached(moved=march.now[0] > begin)
+            march.step()
+        return march.state(moved=march.now[0] > begin)
 
     def refused(self, error: StabilityError) -> StabilityError:
         """An error of the step's length, with where and what; or why the state is lost. Collective.
@@ -125,7 +125,7 @@ class Replay:
         march = self._march
         if not march.finite():
             return self.lost()
-        state, place = march.reached(moved=True), march.size.place()
+        state, place = march.state(moved=True), march.size.place()
         text = error.what + (f"; cells at {coordinates(place)} m ask for it" if place else "")
         cells = Cells(march.assembler).worst()
         found = Diagnosis("step", text, error.advice, place, cells)
@@ -145,7 +145,7 @@ class Replay:
         self._look("by")
         while march.finite() and march.now[0] < last:
             before = march.now[1]
-            march.forward()
+            march.step()
             self._look("in the step to")
         return before
 

@@ -7,7 +7,7 @@ One step from (u0, v0, a0) to (u1, v1, a1) over h:
     M ((1 - alpha_m) a1 + alpha_m a0) + f(u_s, v_s) = 0
 
 with the stage u_s = (1 - alpha_f) u1 + alpha_f u0, v_s alike, at t_s = t0 + (1 - alpha_f) h, where
-loads are taken, too: forces are those of the mean place, not the mean of two forces, so that
+loads are taken, too: forces are those of the mean displacement, not the mean of two forces, so that
 without damping (alpha_m = alpha_f = 1/2) angular momentum is kept exactly.
 
 Sources: N. M. Newmark, J. Eng. Mech. Div. ASCE 85 (1959) 67; J. Chung & G. M. Hulbert, J. Appl.
@@ -25,8 +25,8 @@ from dolfin_elastic.core.types import FloatArray
 
 
 @dataclass(frozen=True)
-class Scheme:
-    """Parameters of a step, see the module.
+class GeneralizedAlphaParameters:
+    """Coefficients of one step, see the module.
 
     Attributes:
         alpha_m: Share of the old acceleration in the stage's.
@@ -34,6 +34,7 @@ class Scheme:
         beta: Weight of the new acceleration in the displacement.
         gamma: Weight of the new acceleration in the velocity.
         start: Weight of the old acceleration in the displacement.
+        spectral_radius: At infinite frequency, where the others follow from it.
     """
 
     alpha_m: float
@@ -41,18 +42,24 @@ class Scheme:
     beta: float
     gamma: float
     start: float
+    spectral_radius: float | None = None
 
     @classmethod
-    def generalized_alpha(cls, radius: float) -> Scheme:
+    def generalized_alpha(cls, spectral_radius: float) -> GeneralizedAlphaParameters:
         """Of second order, with a spectral radius from 0 to 1 at infinite frequency.
 
         Source: Chung & Hulbert (1993), (17), (18) and (25).
+
+        Args:
+            spectral_radius: 1 keeps the energy of a linear body, 0 removes the highest frequencies
+                in one step.
         """
+        radius = spectral_radius
         alpha_m, alpha_f = (2 * radius - 1) / (radius + 1), radius / (radius + 1)
         beta = (1 - alpha_m + alpha_f) ** 2 / 4
-        return cls(alpha_m, alpha_f, beta, 0.5 - alpha_m + alpha_f, 0.5 - beta)
+        return cls(alpha_m, alpha_f, beta, 0.5 - alpha_m + alpha_f, 0.5 - beta, radius)
 
-    def without_overshoot(self) -> Scheme:
+    def without_overshoot(self) -> GeneralizedAlphaParameters:
         """The same with beta = gamma/2, for bodies whose material is damped.
 
         Where stiff damping does not fit the start, the first acceleration is as large as the
@@ -64,36 +71,99 @@ class Scheme:
         return replace(self, beta=self.gamma / 2, start=0.5 - self.gamma / 2)
 
     @classmethod
-    def newmark(cls, beta: float, gamma: float) -> Scheme:
-        """Newmark's method; beta = 1/4 and gamma = 1/2 are the trapezoidal rule."""
+    def newmark(cls, beta: float | None, gamma: float | None) -> GeneralizedAlphaParameters:
+        """Newmark's method; beta = 1/4 and gamma = 1/2 are the trapezoidal rule.
+
+        Args:
+            beta: None: (gamma + 1/2)^2/4, which damps the highest frequencies most.
+            gamma: None: 1/2, which damps nothing.
+        """
+        gamma = gamma or 0.5
+        beta = beta or 0.25 * (gamma + 0.5) ** 2
         return cls(0.0, 0.0, beta, gamma, 0.5 - beta)
 
     @classmethod
-    def implicit_euler(cls) -> Scheme:
+    def implicit_euler(cls) -> GeneralizedAlphaParameters:
         """Backward Euler: u1 = u0 + h v1, v1 = v0 + h a1; of first order, damps strongly."""
         return cls(0.0, 0.0, 1.0, 1.0, 0.0)
 
-    def acceleration(self, off: FloatArray, a0: FloatArray, h: float) -> FloatArray:
-        """a1 from how far u1 is off what was `predicted`."""
-        return np.asarray(a0 + off / (self.beta * h * h))
+    @property
+    def order(self) -> int:
+        """Power of the step with which the error of one step grows: 3 for second order, else 2."""
+        return 3 if self.gamma <= 0.5 - self.alpha_m + self.alpha_f else 2
+
+    @property
+    def damps(self) -> bool:
+        """Whether more is meant to be damped than the highest frequencies."""
+        return self.order == 2 or (self.spectral_radius is not None and self.spectral_radius < 0.5)
+
+    @property
+    def can_damp_less(self) -> bool:
+        """Whether a larger spectral radius would damp less."""
+        return self.spectral_radius is not None and self.spectral_radius < 1.0
+
+    @property
+    def stability_limit(self) -> str:
+        """Why Newmark's method with these is not stable with any step; empty where it is.
+
+        Source: T. J. R. Hughes, The Finite Element Method (2000), section 9.1.
+        """
+        if self.alpha_m != 0.0 or self.alpha_f != 0.0 or 2 * self.beta >= self.gamma:
+            return ""
+        most = (self.gamma / 2 - self.beta) ** -0.5
+        return (
+            f"with beta below gamma/2 newmark is stable for omega dt up to {most:.3g} only, "
+            "omega that of the stiffest motion of the mesh"
+        )
+
+    def acceleration(self, offset: FloatArray, a0: FloatArray, h: float) -> FloatArray:
+        """The new acceleration a1 [m/s^2].
+
+        Args:
+            offset: u1 less what was `predicted` [m].
+            a0: Old acceleration [m/s^2].
+            h: Step [s].
+        """
+        return np.asarray(a0 + offset / (self.beta * h * h))
 
     def velocity(self, v0: FloatArray, a0: FloatArray, a1: FloatArray, h: float) -> FloatArray:
-        """v1 from both accelerations."""
+        """The new velocity v1 [m/s].
+
+        Args:
+            v0: Old velocity [m/s].
+            a0: Old acceleration [m/s^2].
+            a1: New acceleration [m/s^2].
+            h: Step [s].
+        """
         return np.asarray(v0 + h * ((1 - self.gamma) * a0 + self.gamma * a1))
 
     def predicted(self, v0: FloatArray, a0: FloatArray, h: float) -> FloatArray:
-        """u1 - u0 if the acceleration did not change."""
+        """The predictor u1 - u0 [m], with which the acceleration does not change.
+
+        Args:
+            v0: Old velocity [m/s].
+            a0: Old acceleration [m/s^2].
+            h: Step [s].
+        """
         return np.asarray(h * v0 + h * h * (self.start + self.beta) * a0)
 
     def shifts(self, h: float) -> tuple[float, float]:
-        """Derivatives of the stage's velocity [1/s] and acceleration [1/s^2] by its place."""
+        """Derivatives of the stage's velocity [1/s] and acceleration [1/s^2] by its displacement.
+
+        Args:
+            h: Step [s].
+        """
         rate = 1 / (self.beta * h)
         return self.gamma * rate, (1 - self.alpha_m) / (1 - self.alpha_f) * rate / h
 
     def at_end(self, a0: FloatArray, a1: FloatArray) -> FloatArray:
-        """The acceleration at t1 to second order.
+        """The acceleration at t1 to second order [m/s^2].
 
         a1 belongs to the time t1 - (alpha_f - alpha_m) h: Erlicher et al. (2002), section 3.
+
+        Args:
+            a0: Old acceleration of the scheme [m/s^2].
+            a1: New acceleration of the scheme [m/s^2].
         """
         return np.asarray(a1 + (self.alpha_f - self.alpha_m) * (a1 - a0))
 
@@ -102,36 +172,16 @@ class Scheme:
     ) -> FloatArray:
         """Estimate of the error that a step makes in the displacement [m].
 
-        The place is compared with that of a linear acceleration, which is of one order more:
+        The displacement is compared with that of a linear acceleration, which is of one order more:
         for all schemes but the implicit Euler h^2 (beta - 1/6) (a1 - a0).  Where gamma is not
         what makes the scheme one of second order, the velocity's error times h comes in.
         Source: O. C. Zienkiewicz & Y. M. Xie, Earthq. Eng. Struct. Dyn. 20 (1991) 871, (13).
 
         Args:
-            v: v0 and v1.
-            a: a0 and a1.
-            h: The step [s].
+            v: v0 and v1 [m/s].
+            a: a0 and a1 [m/s^2].
+            h: Step [s].
         """
         first = h * h * ((self.start - 1 / 3) * a[0] + (self.beta - 1 / 6) * a[1])
         lag = self.gamma - 0.5 - self.alpha_f + self.alpha_m
         return np.asarray(first + lag * h * h * (a[1] - a[0]))
-
-
-def newmark(beta: float | None, gamma: float | None) -> tuple[float, float]:
-    """Beta and gamma, where they are not given those that damp most: gamma = 1/2 damps nothing."""
-    gamma = gamma or 0.5
-    return beta or 0.25 * (gamma + 0.5) ** 2, gamma
-
-
-def limit(beta: float, gamma: float) -> str:
-    """Why Newmark's method with these is not stable with any step; nothing where it is.
-
-    Source: T. J. R. Hughes, The Finite Element Method (2000), section 9.1.
-    """
-    if 2 * beta >= gamma:
-        return ""
-    most = (gamma / 2 - beta) ** -0.5
-    return (
-        f"with beta below gamma/2 newmark is stable for omega dt up to {most:.3g} only, "
-        "omega that of the stiffest motion of the mesh"
-    )

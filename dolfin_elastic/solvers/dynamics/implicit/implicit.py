@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -15,35 +15,31 @@ from petsc4py import PETSc
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.petsc_options import PREFIX
 from dolfin_elastic.core.timing import stage
-from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
-from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, Strain
+from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
 from dolfin_elastic.solvers.dynamics.audit import MotionAuditor
 from dolfin_elastic.solvers.dynamics.consistent_start import AuxiliaryFields, begin, settle
-from dolfin_elastic.solvers.dynamics.energy_balance import EnergyBalance
-from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import Scheme
-from dolfin_elastic.solvers.dynamics.implicit.impact_error import ImpactError
-from dolfin_elastic.solvers.dynamics.implicit.petsc_alpha2 import Alpha2
+from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
+from dolfin_elastic.solvers.dynamics.implicit.output_times import OutputTimes
+from dolfin_elastic.solvers.dynamics.implicit.scheme import SchemeContext
 from dolfin_elastic.solvers.dynamics.implicit.step_control import (
     StepControl,
     warn_of_inexact_restart,
 )
-from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import GeneralizedAlphaStepper
 from dolfin_elastic.solvers.dynamics.initial_conditions import jump
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
+from dolfin_elastic.solvers.dynamics.schemes import ImplicitRow
+from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
+from dolfin_elastic.solvers.dynamics.work import EnergyBalance, EnergyBook
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.messages import JUMP, coordinates
-from dolfin_elastic.solvers.nonlinear.contact import Measured
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.petsc.options import ts_reason
-
-if TYPE_CHECKING:
-    from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -90,11 +86,7 @@ class Implicit:
         self.ts = PETSc.TS().create(problem.body.comm)
         self._owned.callback(self.ts.destroy)
         self.ts.setOptionsPrefix(PREFIX)
-        scheme = settings.parameters
-        if scheme and self.moving.damping.inside and settings.scheme == "generalized-alpha":
-            scheme = scheme.without_overshoot()
-        self.stepper: GeneralizedAlphaStepper | Alpha2 = self._stepper(scheme)
-        self.newton = self.stepper.newton = Newton(
+        self.newton = Newton(
             self.assembler,
             choice,
             Tolerance(settings.rtol, settings.atol, settings.max_iterations),
@@ -104,61 +96,61 @@ class Implicit:
             inertia=self.moving,
         )
         self._owned.callback(self.newton.destroy)
-        self.control = StepControl(self.ts, settings, self.moving, self.newton.span)
-        self.times = self.control.times
-        if isinstance(self.stepper, GeneralizedAlphaStepper):
-            self._join(self.stepper)
+        self.times = OutputTimes(settings.end, settings.times, settings.every)
+        self.control = StepControl(
+            self.ts,
+            self.moving,
+            self.times,
+            dt=float(settings.dt or 0.0),
+            tolerance=settings.tolerance if settings.adaptive else None,
+            span=self.newton.span,
+        )
+        watch = JacobianWatch(problem)
+        parameters = self._make_scheme(watch)
+        self._owned.callback(self.scheme.close)
         self.options = self.newton.options
         self.options.update(self._defaults())
-        self._U, self._V, self._f = (self.assembler.create_vector() for _ in range(3))
-        for vector in (self._U, self._V, self._f):
+        self._U, self._V = (self.assembler.create_vector() for _ in range(2))
+        for vector in (self._U, self._V):
             self._owned.callback(vector.destroy)
         self._configure()
-        self.measure, self.strain = ConsistentMass(problem, self.v), Strain(problem)
-        self._measured = Measured(problem, moving=True)
+        self.balance = EnergyBalance(self.moving, self.v)
+        self._energies = EnergyBook(problem, ConsistentMass(problem, self.v), self.balance)
         self._scalars = Scalars(self.assembler)
-        self.ledger = EnergyBalance(self.moving, self.v)
-        watch = getattr(self.stepper, "watch", None) or JacobianWatch(problem)
-        self.auditor = MotionAuditor(problem, self.moving, watch, settings)
+        self.auditor = MotionAuditor(problem, self.moving, watch, parameters, end=settings.end)
         self.extras = AuxiliaryFields(problem)
         self._newton = self._krylov = 0
         self._usual = 0.0
 
-    def _join(self, stepper: GeneralizedAlphaStepper) -> None:
-        """Lets the scheme and the control of its steps know of each other."""
-        stepper.reached, stepper.weigh = self.control.meant, self.control.weigh
-        # With alpha_f = 0 the stage is the end of the step: nothing there is unseen.
-        if self.settings.adaptive and self.problem.contact_pairs and stepper.scheme.alpha_f > 0:
-            stepper.strikes = ImpactError(self.moving, stepper.scheme.alpha_f)
-
     # --- TS ---
 
-    def _stepper(self, scheme: Scheme | None) -> GeneralizedAlphaStepper | Alpha2:
-        """The scheme, registered with TS."""
-        if scheme is None:
-            petsc = Alpha2(self.moving, self.v)
-            self._owned.callback(petsc.destroy)
-            petsc.set_up(self.ts)
-            return petsc
-        own = GeneralizedAlphaStepper(self.moving, self.v, self.a, scheme, self.settings.order)
-        self.ts.setType("python")
-        self.ts.setPythonContext(own)
-        return own
+    def _make_scheme(self, watch: JacobianWatch) -> GeneralizedAlphaParameters:
+        """Registers the scheme with TS."""
+        row, parameters = self.settings.row, self.settings.parameters
+        assert isinstance(row, ImplicitRow)
+        assert parameters is not None
+        if row.overshoots and self.moving.damping.inside:
+            parameters = parameters.without_overshoot()
+        context = SchemeContext(
+            ts=self.ts,
+            moving=self.moving,
+            newton=self.newton,
+            control=self.control,
+            watch=watch,
+            v=self.v,
+            a=self.a,
+            parameters=parameters,
+            adaptive=self.settings.adaptive,
+        )
+        self.scheme = row.scheme(context)
+        return parameters
 
     def _defaults(self) -> dict[str, Any]:
-        more: dict[str, Any] = {"snes_linesearch_type": "basic", **self.newton.choice.options}
-        if isinstance(self.stepper, Alpha2):
-            more["ts_alpha_radius"] = self.settings.spectral_radius
-        return {**self.control.options, **more}
+        more = {"snes_linesearch_type": "basic", **self.newton.choice.options}
+        return {**self.control.options, **more, **self.scheme.options}
 
     def _configure(self) -> None:
         ts = self.ts
-        if isinstance(self.stepper, GeneralizedAlphaStepper):
-            snes = ts.getSNES()
-            snes.setFunction(self.stepper.residual, self._f)
-            snes.setJacobian(
-                self.stepper.tangent, self.assembler.tangent.matrix, self.assembler.tangent.matrix
-            )
         ts.setTime(0.0)
         ts.setTimeStep(self.settings.dt)
         ts.setMaxTime(self.settings.end)
@@ -174,28 +166,28 @@ class Implicit:
 
     def _before_step(self, ts: PETSc.TS) -> None:
         self.control.before()
-        if isinstance(self.stepper, Alpha2):
-            self.stepper.begin(ts)
+        self.scheme.begin_step()
 
     def _after_step(self, ts: PETSc.TS) -> None:
         ts.setMaxTime(self.settings.end)
         if ts.getConvergedReason() < 0:
             return  # TS comes here after a step that it has given up, too
-        if isinstance(self.stepper, Alpha2):
-            self.stepper.accept(ts)
-            self.problem.set_time(float(ts.getTime()))
-            self._stop_at_goals()
+        forces = self.scheme.accept()
+        self._stop_at_goals()
         self.control.after()
-        assert self.stepper.done is not None
-        at_stage, in_the_middle, du = self.stepper.done
-        self.ledger.add(in_the_middle, du)
-        self.auditor.look(at_stage, du)
+        self.balance.add(forces.middle, forces.du)
+        self.auditor.look(forces.stage, forces.du)
 
     def _stop_at_goals(self) -> None:
-        """Ends the march at a time that PETSc's scheme has met but for the round-off of a sum."""
+        """Ends the march at a time that is met but for the round-off of a sum.
+
+        TS compares its time with the goal as it is: a scheme of PETSc, which adds up steps, may
+        fall short of it by a rounding error and would go on.
+        """
         ts = self.ts
         ts.setTime(self.control.meant(float(ts.getTime())))
-        if self.times.shown(int(ts.getStepNumber()), float(ts.getTime())):
+        shown = self.times.shown(int(ts.getStepNumber()), float(ts.getTime()))
+        if shown and not ts.getConvergedReason():
             ts.setConvergedReason(PETSc.TS.ConvergedReason.CONVERGED_TIME)
 
     # --- the loop ---
@@ -228,15 +220,10 @@ class Implicit:
         with stage("solve"):
             h = min(self.control.nominal / 8, AHEAD * self.settings.end)
             begin(self.moving, self.v, self.a, h)
-        self.stepper.at_end.x.array[:] = self.a.x.array
-        self.stepper.start(0.0)
+        self.scheme.start(0.0)
         self.problem.set_time(0.0)
-        self.ledger.begin()
-        self._tell_ts()
-
-    def _tell_ts(self) -> None:
-        self.assembler.get(self._U)
-        self._V.array_w[self.moving.moves] = self.v.x.array[: len(self.moving.moves)]
+        self.balance.begin()
+        self.moving.copy_to(self._U, self._V, self.v)
 
     def _march(self) -> None:
         """Lets TS go on to the next state that is to be shown; it stops at times that are met."""
@@ -250,34 +237,22 @@ class Implicit:
 
     def _solve(self) -> None:
         ts = self.ts
-        newton, krylov = self._counts()
+        newton, krylov = self.scheme.counts()
         with stage("solve"), self.options.in_force():
             ts.solve()
-            if ts.getConvergedReason() < 0 and self._falls_back():
+            while ts.getConvergedReason() < 0 and self.scheme.fall_back():
                 ts.setConvergedReason(PETSc.TS.ConvergedReason.CONVERGED_ITERATING)
                 ts.solve()
             self.options.report_unused()
-        if self.stepper.error is not None:
-            raise self.stepper.error
-        now = self._counts()
+        if self.scheme.error is not None:
+            raise self.scheme.error
+        now = self.scheme.counts()
         newton, krylov = now[0] - newton, 0 if self.newton.linear.direct else now[1] - krylov
         self._newton += newton
         self._krylov += krylov
         if ts.getConvergedReason() < 0:
             raise self._failure()
         self._renew(krylov / max(newton, 1))
-
-    def _counts(self) -> tuple[int, int]:
-        if isinstance(self.stepper, GeneralizedAlphaStepper):
-            return self.stepper.newton_iterations, self.stepper.krylov_iterations
-        return self.ts.getSNESIterations(), self.ts.getKSPIterations()
-
-    def _falls_back(self) -> bool:
-        """PETSc's scheme has met a linear solver that fails, and there is another."""
-        if isinstance(self.stepper, GeneralizedAlphaStepper):
-            return False
-        self.newton.finish()
-        return "LINEAR_SOLVE" in self.newton.result.reason and self.newton.fall_back()
 
     def _renew(self, each: float) -> None:
         """Lets multigrid begin anew when the body has turned away from the modes it knows.
@@ -295,8 +270,6 @@ class Implicit:
         force, place = self.assembler.residual.largest()
         reason = ts_reason(self.ts.getConvergedReason())
         last = self.problem.w.x.array.copy()
-        if isinstance(self.stepper, Alpha2):
-            self.newton.finish()
         found = diagnose(self.assembler, self.newton.result, good=last, failed=last, moving=True)
         if sudden := jump(self.problem, t, self.control.nominal):
             found = replace(found, text=f"{sudden}; {found.text}", advice=JUMP)
@@ -310,50 +283,30 @@ class Implicit:
 
     # --- what is yielded ---
 
-    def _reactions(self, t: float) -> dict[str, FloatArray]:
-        """Of the state at the end of the step, its inertia included. Collective.
-
-        PETSc's scheme does not tell its acceleration: they are those with its mean one.
-        """
-        if isinstance(self.stepper, GeneralizedAlphaStepper):
-            self.stepper.look_at_end(t)
-        return self.assembler.reactions.by_support(self.assembler.residual.owned)
-
     def _state(self, *, failed: bool = False) -> State:
         step, t = int(self.ts.getStepNumber()), float(self.ts.getTime())
         first = step == 0 and not failed
-        reactions = (
-            self.assembler.reactions.by_support(self.assembler.residual.owned)
-            if failed
-            else self._reactions(t)
-        )
-        kinetic, linear, angular = self.measure.measure()
-        strain, contact = self.strain.energy(), self._measured.energies()
-        energies = {
-            "strain": strain,
-            "kinetic": kinetic,
-            "total": strain + kinetic + sum(contact.values()),
-            **self.ledger.energies(kinetic, strain + sum(contact.values())),
-            **self.strain.springs(),
-            **contact,
-        }
+        if not failed:
+            self.scheme.balance_at_end(t)
+        reactions = self.assembler.reactions.by_support(self.assembler.residual.owned)
+        energies, momenta = self._energies.measure()
         return State(
             step=-1 if failed else step,
             t=t,
             u=self.problem.u,
             w=self.problem.w,
             v=self.v,
-            a=self.stepper.at_end,
+            a=self.scheme.acceleration,
             newton=0 if first else self._newton,
             krylov=0 if first else self._krylov,
             reason="initial state" if first else "converged",
             residuals=self.newton.result.residuals,
             energies=energies,
             reactions=reactions,
-            momenta={"linear": linear, "angular": angular},
+            momenta=momenta,
             max_displacement=self.assembler.max_displacement(),
-            numbers={**self._measured.numbers(), **self._scalars.numbers()},
-            audit=None if failed else self.auditor.judge(t, self.ledger, energies),
+            numbers={**self._energies.numbers(), **self._scalars.numbers()},
+            audit=None if failed else self.auditor.judge(t, self.balance, energies),
             done=t / self.settings.end,
         )
 
@@ -368,7 +321,7 @@ class Implicit:
             "dt": float(self.ts.getTimeStep()),
             "scale": self.control.scale,
             "usual": self._usual,
-            "ledger": self.ledger.restart_state(),
+            "ledger": self.balance.restart_state(),
             "audit": self.auditor.restart_state(),
             "newton": self.newton.restart_state(),
         }
@@ -379,7 +332,7 @@ class Implicit:
             "displacement": self.problem.u,
             "velocity": self.v,
             "acceleration": self.a,
-            "acceleration_at_end": self.stepper.at_end,
+            "acceleration_at_end": self.scheme.acceleration,
             **self.extras.fields,
         }
 
@@ -387,18 +340,17 @@ class Implicit:
         """See `Restartable`. Collective."""
         saved.fill(self._fields())
         numbers = saved.numbers
-        warn_of_inexact_restart(self.settings.scheme, self.options.users)
+        warn_of_inexact_restart(self.scheme.not_restartable, self.options.users)
         self.extras.give()
         self.ts.setTime(numbers["t"])
         self.ts.setStepNumber(numbers["step"])
         self.ts.setTimeStep(numbers["dt"])
         self.control.scale, self._usual = numbers["scale"], numbers["usual"]
         self.problem.set_time(numbers["t"])
-        self.ledger.restore(numbers["ledger"])
+        self.balance.restore(numbers["ledger"])
         self.auditor.restore(numbers["audit"])
-        if isinstance(self.stepper, GeneralizedAlphaStepper):
-            self.stepper.start(numbers["t"])
-        self._tell_ts()
+        self.scheme.resume(numbers["t"])
+        self.moving.copy_to(self._U, self._V, self.v)
         self.newton.restore(numbers["newton"])
 
     def destroy(self) -> None:

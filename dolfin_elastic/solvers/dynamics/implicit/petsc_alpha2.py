@@ -6,73 +6,96 @@ cannot be gone on with exactly.
 
 from __future__ import annotations
 
+from typing import Any, ClassVar
+
 import numpy as np
-from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.incompressible import partly_incompressible
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import FAILURES, Done
-from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
-from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.dynamics.implicit.scheme import (
+    FAILURES,
+    ImplicitScheme,
+    SchemeContext,
+    StepForces,
+)
+from dolfin_elastic.solvers.dynamics.residual import Forces
 
 
-def check_alpha2(problem: Problem) -> None:
-    """What the scheme cannot follow. Not collective.
-
-    Raises:
-        InputError: A material cannot be compressed.
-    """
-    if partly_incompressible(problem):
-        raise InputError(
-            "PETSc's 'alpha2' asks for volumes at its stages: the pressure of what cannot be "
-            "compressed swings the more, the smaller dt is",
-            where="dynamics.scheme",
-            expected="generalized-alpha, which asks for them at the ends of steps",
-        )
-
-
-class Alpha2:
-    """What TSALPHA2 asks for.
+class PetscAlpha2(ImplicitScheme):
+    """Registers TSALPHA2 with a TS.
 
     The scheme asks for the residual at a stage between two times.  Prescribed values there are
-    blended between the two times, so that the end of the step is prescribed exactly.
+    means of those at both times, so that the end of the step is prescribed exactly.
+
+    TSALPHA2 does not give its acceleration away: that of the states is the mean one of the step.
 
     Args:
-        moving: The body.
-        v: Velocity, changed by steps.
-
-    Attributes:
-        newton: Set by whoever has the TS and its SNES.
-        done: See `stepper.GeneralizedAlphaStepper`.
-        error: See `stepper.GeneralizedAlphaStepper`.
-        at_end: Mean acceleration of the last step [m/s^2].
+        context: What it works on.
     """
 
-    def __init__(self, moving: DynamicResidual, v: fem.Function) -> None:
-        self.moving, self.problem, self.assembler = moving, moving.problem, moving.assembler
-        self.v = v
-        self.newton: Newton
-        self.done: Done | None = None
-        self.error: InputError | None = None
-        self.at_end = fem.Function(self.problem.V, name="acceleration")
+    not_adaptive: ClassVar[str] = (
+        "PETSc's 'alpha2' judges the error of velocities by what is allowed for displacements, and "
+        "takes thousands of steps for it"
+    )
+    not_restartable: ClassVar[str] = (
+        "PETSc's 'alpha2' keeps its acceleration for itself and begins anew with two half steps of "
+        "first order; 'generalized-alpha', the same scheme, goes on exactly"
+    )
+
+    def __init__(self, context: SchemeContext) -> None:
+        super().__init__(context)
+        ts, matrix = context.ts, self.assembler.tangent.matrix
         self._F = self.assembler.create_vector()
         self._start, self._known_h = 0.0, 0.0
         self._from = self._to = self.problem.dirichlet.targets
         self._w = np.empty(0)
-
-    def set_up(self, ts: PETSc.TS) -> None:
-        """Makes it TS's scheme. Collective."""
         ts.setType("alpha2")
         ts.setProblemType(PETSc.TS.ProblemType.NONLINEAR)
         ts.setI2Function(self._function, self._F)
-        matrix = self.assembler.tangent.matrix
         ts.setI2Jacobian(self._jacobian, matrix, matrix)
 
-    def begin(self, ts: PETSc.TS) -> None:
-        """Before each step. Collective."""
+    @classmethod
+    def check(cls, problem: Problem, name: str) -> None:
+        """See `ImplicitScheme.check`.
+
+        Args:
+            problem: What is to move.
+            name: Of the scheme, for the message.
+
+        Raises:
+            InputError: A material is incompressible.
+        """
+        if partly_incompressible(problem):
+            raise InputError(
+                f"PETSc's '{name}' asks for volumes at its stages: the pressure of what cannot be "
+                "compressed swings the more, the smaller dt is",
+                where="dynamics.scheme",
+                expected="generalized-alpha, which asks for them at the ends of steps",
+            )
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """See `ImplicitScheme.options`: petsc4py's setter is that of another scheme, TSALPHA."""
+        return {"ts_alpha_radius": self.context.parameters.spectral_radius}
+
+    # --- what the motion asks for ---
+
+    def start(self, t: float) -> None:
+        """See `ImplicitScheme.start`.
+
+        Args:
+            t: Time [s].
+        """
+        self.acceleration.x.array[:] = self.context.a.x.array
+        size = len(self.moving.moves)
+        self.moving.forces_at(t, self.v.x.array[:size], self.acceleration.x.array[:size])
+
+    def begin_step(self) -> None:
+        """See `ImplicitScheme.begin_step`."""
+        ts = self.context.ts
         self._start, self._known_h = float(ts.getTime()), 0.0
         self._w = self.problem.w.x.array[: self.assembler.size].copy()
         ts.setMaxSNESFailures(ts.getSNESFailures() + FAILURES)
@@ -84,41 +107,68 @@ class Alpha2:
         except InputError as error:  # the same on all ranks; PETSc would lose it
             self.error = error
 
-    def accept(self, ts: PETSc.TS) -> None:
-        """After each step: takes displacement, velocity and mean acceleration from TS."""
+    def accept(self) -> StepForces:
+        """See `ImplicitScheme.accept`; the acceleration is the mean one of the step."""
         self.newton.finish()
-        forces = self.moving.forces()
+        ts, stage = self.context.ts, self.moving.forces()
         moves, extras = self.moving.moves, self.moving.extras
-        size, h = len(moves), float(ts.getTime()) - self._start
+        size, t = len(moves), float(ts.getTime())
+        h = t - self._start
         U, V = ts.getSolution2()
-        # The scheme would extrapolate scalar fields, which have no inertia, from the stage, and
-        # they would swing from step to step; they are taken from the stage itself.
+        # TSALPHA2 would extrapolate scalar fields, which have no inertia, from the stage, and they
+        # would swing from step to step: they are taken from the stage itself.
         if len(extras):
             U.array_w[extras] = self.problem.w.x.array[extras]
         self.assembler.put(U)
         before, v = self.v.x.array[:size].copy(), V.array_r[moves].copy()
-        self.at_end.x.array[:size] = (v - before) / h
-        self.at_end.x.scatter_forward()
+        self.acceleration.x.array[:size] = (v - before) / h
+        self.acceleration.x.scatter_forward()
         self.v.x.array[:size] = v
         self.v.x.scatter_forward()
-        self.done = forces, *self._in_the_middle(before, v, self._start + h)
+        middle, du = self._in_the_middle(before, v, self._start + h)
+        self.problem.set_time(t)
+        return StepForces(stage, middle, du)
 
-    def start(self, t: float) -> None:
-        """Lets `assembler.residual.vector` hold the forces of the first state. Collective."""
-        size = len(self.moving.moves)
-        self.moving.forces_at(t, self.v.x.array[:size], self.at_end.x.array[:size])
+    def balance_at_end(self, t: float) -> None:
+        """Leaves the mean forces at the end, assembled by `accept`: they have its acceleration.
+
+        Args:
+            t: Time [s].
+        """
+
+    def counts(self) -> tuple[int, int]:
+        """See `ImplicitScheme.counts`."""
+        ts = self.context.ts
+        return ts.getSNESIterations(), ts.getKSPIterations()
+
+    def fall_back(self) -> bool:
+        """See `ImplicitScheme.fall_back`."""
+        self.newton.finish()
+        return "LINEAR_SOLVE" in self.newton.result.reason and self.newton.fall_back()
+
+    def close(self) -> None:
+        """Frees what it owns."""
+        self._F.destroy()
+
+    # --- one step ---
 
     def _in_the_middle(
         self, before: FloatArray, after: FloatArray, t: float
     ) -> tuple[Forces, FloatArray]:
-        """Mean of the forces at both ends of the step, with its mean acceleration, and its way."""
+        """Mean of the forces at both ends of the step, and the change of the displacement.
+
+        Both forces are with the mean acceleration of the step: there is no other.
+
+        Args:
+            before: Velocity at the start of the step [m/s].
+            after: Velocity at its end [m/s].
+            t: Time of its end [s].
+        """
         w, size = self.problem.w.x, self.assembler.size
-        a, ends = self.at_end.x.array[: len(before)], []
+        a, ends = self.acceleration.x.array[: len(before)], []
         there = w.array[:size].copy()
         for place, v, time in ((self._w, before, self._start), (there, after, t)):
-            w.array[:size] = place
-            w.scatter_forward()
-            self.problem.unknowns.w_to_u()
+            self.moving.set_unknowns(place)
             ends.append(self.moving.forces_at(time, v, a))
         return ends[0].mean(ends[1]), there[self.moving.moves] - self._w[self.moving.moves]
 
@@ -160,7 +210,3 @@ class Alpha2:
     def _prescribed_at(self, t: float) -> FloatArray:
         self.problem.set_time(t)
         return np.asarray(self.problem.dirichlet.targets)
-
-    def destroy(self) -> None:
-        """Frees what it owns. Collective."""
-        self._F.destroy()

@@ -20,7 +20,7 @@ import logging
 from bisect import bisect_right
 from collections.abc import Mapping
 from math import ceil
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
@@ -29,9 +29,6 @@ from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.solvers.breakpoints import corners, winds
 from dolfin_elastic.solvers.dynamics.implicit.output_times import OutputTimes
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
-
-if TYPE_CHECKING:
-    from dolfin_elastic.solvers.dynamics.dynamics import DynamicsSettings
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -54,26 +51,34 @@ class StepControl:
 
     Args:
         ts: Its step is set before each one.
-        settings: Of the motion.
         moving: The body.
-        span: Its size [m].
+        times: Which are met exactly, and the end.
+        dt: The user's step [s].
+        tolerance: Error of a step over the largest displacement, if steps are adaptive; else None.
+        span: Size of the body [m].
 
     Attributes:
-        times: Which are met.
+        times: See the arguments.
         nominal: The user's step [s].
         scale: The largest displacement so far, in the first step that of all tries [m].
     """
 
     def __init__(
-        self, ts: PETSc.TS, settings: DynamicsSettings, moving: DynamicResidual, span: float
+        self,
+        ts: PETSc.TS,
+        moving: DynamicResidual,
+        times: OutputTimes,
+        *,
+        dt: float,
+        tolerance: float | None,
+        span: float,
     ) -> None:
         self._ts, self._moving, self._span = ts, moving, span
-        self.times = OutputTimes(settings.end, settings.times, settings.every)
-        self.nominal, self.scale = float(settings.dt or 0.0), 0.0
-        self._end, self._tolerance = settings.end, settings.tolerance
-        self._adaptive = settings.adaptive
-        self._bends = [t for t in corners(moving.problem) if 0.0 <= t <= settings.end]
-        self._longest = settings.end / LOOKS if winds(moving.problem) else settings.end
+        self.times, self._end = times, times.end
+        self.nominal, self.scale = dt, 0.0
+        self._adaptive, self._tolerance = tolerance is not None, tolerance or 0.0
+        self._bends = [t for t in corners(moving.problem) if 0.0 <= t <= self._end]
+        self._longest = self._end / LOOKS if winds(moving.problem) else self._end
         self._start, self._goal, self._planned, self._free = 0.0, 0.0, 0.0, 0.0
 
     def tell(self) -> None:
@@ -167,23 +172,18 @@ class StepControl:
             self._ts.setTolerances(rtol=0.0, atol=atol)
 
 
-def warn_of_inexact_restart(scheme: str, options: Mapping[str, Any]) -> None:
+def warn_of_inexact_restart(reason: str, options: Mapping[str, Any]) -> None:
     """Warns where PETSc has data of former steps that cannot be saved: steps then differ a little.
 
     Args:
-        scheme: Of the motion.
+        reason: Why the scheme cannot be restarted exactly; empty if it can.
         options: PETSc options of the user, without prefix.
     """
     adapt = str(options.get("ts_adapt_type", "basic"))
-    if scheme == "alpha2":
-        log.warning(
-            "the motion goes on, but not exactly as without the stop: PETSc's 'alpha2' keeps its "
-            "acceleration for itself and begins anew with two half steps of first order; "
-            "'generalized-alpha', the same scheme, goes on exactly"
+    if not reason and adapt not in ("basic", "none"):
+        reason = (
+            f"PETSc's '-ts_adapt_type {adapt}' keeps the errors of former steps for itself; "
+            "'basic' goes on exactly"
         )
-    elif adapt not in ("basic", "none"):
-        log.warning(
-            "the motion goes on, but not exactly as without the stop: PETSc's '-ts_adapt_type %s' "
-            "keeps the errors of former steps for itself; 'basic' goes on exactly",
-            adapt,
-        )
+    if reason:
+        log.warning("the motion goes on, but not exactly as without the stop: %s", reason)

@@ -1,192 +1,150 @@
-"""A step of generalized-alpha and its relatives as a type of PETSc's TS.
+"""Generalized-alpha and its relatives as a type of PETSc's TS.
 
 TS owns time: the loop, the control of the step, monitors, events and options.  What it asks of a
 scheme is here: to take a step, to take it back, and what to compare it with.  The scheme keeps the
-acceleration, which PETSc's own TSALPHA2 hides, so that a motion can be stopped and gone on with.
+acceleration, which PETSc's own TSALPHA2 hides, so that a motion can be restarted exactly.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass
 
-import numpy as np
-from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.solvers.assembly.mass import free, held_rates
-from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import Scheme
+from dolfin_elastic.solvers.assembly.mass import free
 from dolfin_elastic.solvers.dynamics.implicit.impact_error import ImpactError
-from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import VolumeConstraint
-from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
-from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
-from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.petsc.ts_adapt import choose
+from dolfin_elastic.solvers.dynamics.implicit.scheme import (
+    FAILURES,
+    ImplicitScheme,
+    SchemeContext,
+    StepForces,
+)
+from dolfin_elastic.solvers.dynamics.implicit.stage import Stage, StageSolver, StepStart
+from dolfin_elastic.solvers.dynamics.residual import Forces
+from dolfin_elastic.solvers.petsc.c_api import choose_step
 
 log = logging.getLogger("dolfin_elastic")
 
-FAILURES = 8
-"""Times that one step is made smaller, to a quarter each, before it is given up."""
 
-
-Done = tuple[Forces, Forces, FloatArray]
-
-
-@dataclass(frozen=True)
-class StepStart:
-    """Where a step begins: owned entries.
-
-    Attributes:
-        t: Time [s].
-        w: All unknowns.
-        u: Displacement [m].
-        v: Velocity [m/s].
-        a: Acceleration of the scheme [m/s^2].
-    """
-
-    t: float
-    w: FloatArray
-    u: FloatArray
-    v: FloatArray
-    a: FloatArray
-
-
-class GeneralizedAlphaStepper:
-    """The Python context of a TS of type "python".  All of it is collective.
+class GeneralizedAlphaScheme(ImplicitScheme):
+    """The Python context of a TS of type "python", for any `GeneralizedAlphaParameters`.
 
     Args:
-        moving: The body.
-        v: Velocity, changed by steps.
-        a: Acceleration of the scheme, changed by steps.
-        scheme: Its parameters.
-        order: Power of the step that its error grows with.
+        context: What it works on.
 
     Attributes:
-        newton: Set by whoever has the TS and its SNES.
-        done: Of the last step the forces of its stage, those of its middle, and the change of the
-            displacement; nothing counts before TS has accepted it for good.
-        reached: From a time to the one that was meant, without the round-off of a sum.
-        weigh: Tells TS, at the end of a step, what errors are judged against.
-        strikes: Of obstacles, where errors count.
-        error: A fault of the input that a step has met; PETSc would lose it.
-        newton_iterations, krylov_iterations: Of all solves so far.
+        impact_error: Error estimate of contacts, where steps are adaptive.
     """
 
-    def __init__(
-        self, moving: DynamicResidual, v: fem.Function, a: fem.Function, scheme: Scheme, order: int
-    ) -> None:
-        self.moving, self.problem, self.assembler = moving, moving.problem, moving.assembler
-        self.scheme, self.v, self.a, self._order = scheme, v, a, order
-        self.newton: Newton
-        self.done: Done | None = None
-        self.reached: Callable[[float], float] = lambda t: t
-        self.weigh: Callable[[], None] = lambda: None
-        self.strikes: ImpactError | None = None
-        self.error: InputError | None = None
-        self.newton_iterations = self.krylov_iterations = 0
-        self.at_end = fem.Function(self.problem.V, name="acceleration")
-        linear = self.problem.linear
-        self.watch: JacobianWatch | None = None if linear else JacobianWatch(self.problem)
-        volumes = VolumeConstraint.needed(self.problem, scheme.alpha_f)
-        self._volumes = VolumeConstraint(self.assembler, scheme.alpha_f) if volumes else None
-        self._before: StepStart | None = None
-        self._ends: Forces | None = None
-        self._old_ends: Forces | None = None
-        nothing: FloatArray = np.empty(0)
-        self._goal = self._end_values = self._held_stage = self._ahead = self._off = nothing
-        self._held_rates = nothing, nothing
-        self._h = 0.0
-        self._hat: FloatArray | None = None
+    def __init__(self, context: SchemeContext) -> None:
+        super().__init__(context)
+        self._a, self._control = context.a, context.control
+        self._parameters = context.parameters
+        context.ts.setType("python")
+        context.ts.setPythonContext(self)
+        self._stages = StageSolver(context)
+        # With alpha_f = 0 the stage is the end of the step: no contact there is unseen.
+        share = self._parameters.alpha_f
+        estimated = context.adaptive and bool(self.problem.contact_pairs) and share > 0
+        self.impact_error = ImpactError(self.moving, share) if estimated else None
+        self._start: StepStart | None = None
+        self._stage: Stage | None = None
+        self._stage_forces: Forces | None = None
+        self._end_forces: Forces | None = None
+        self._old_end_forces: Forces | None = None
+        self._accepted: StepForces | None = None
+        self._higher_order: FloatArray | None = None
+
+    # --- what the motion asks for ---
 
     def start(self, t: float) -> None:
-        """Looks at the state that the next step begins with."""
-        if self.scheme.alpha_f != 0.5:
-            self._ends = self.look(t)
+        """See `ImplicitScheme.start`.
 
-    def look_at_end(self, t: float) -> None:
-        """Assembles the residual's vector at the present state, if it is not yet."""
-        if self.scheme.alpha_f == 0.5:
-            self.look(t)
-
-    def look(self, t: float) -> Forces:
-        """The forces at the present state, at a time; the residual's vector is theirs then."""
-        size = len(self.moving.moves)
-        return self.moving.forces_at(t, self.v.x.array[:size], self.at_end.x.array[:size])
-
-    # --- what SNES asks for: how far the stage is off what was predicted ---
-
-    def residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        """Out-of-balance forces of the stage, with inertia."""
-        v, a = self._rates(x.array_r[self.moving.moves])
-        self.moving.set_stage_rates(v, a)
-        with stage("assemble"):
-            self.assembler.put(x)
-            self.assembler.residual.assemble()
-            if self._volumes is not None:
-                self._volumes.complete()
-        self.assembler.residual.constrain(f, target=self._goal)
-
-    def tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        """Derivative of the residual by the stage's displacement."""
-        self.assembler.tangent.assemble(x, self.moving.factor)
-        self.newton.take_tangent(P)
-
-    def _rates(self, off: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Velocity and acceleration of the stage from how far it is off what was predicted."""
-        assert self._before is not None
-        s, old = self.scheme, self._before
-        v1, a1 = self._rates_at_end(np.asarray(off / (1 - s.alpha_f)))
-        v = (1 - s.alpha_f) * v1 + s.alpha_f * old.v
-        a = (1 - s.alpha_m) * a1 + s.alpha_m * old.a
-        self.problem.dirichlet.impose(a, self._held_stage)
-        return v, a
-
-    def _rates_at_end(self, off: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Velocity and acceleration at the end of the step, from how far its place is off.
-
-        Those of prescribed motion are its own: by the formulas of the scheme an error of them, at
-        a kink of a curve, would hardly ever die out, and grow as steps become smaller.
+        Args:
+            t: Time [s].
         """
-        assert self._before is not None
-        s, old, held = self.scheme, self._before, self.problem.dirichlet
-        a = s.acceleration(off, old.a, self._h)
-        v = s.velocity(old.v, old.a, a, self._h)
-        held.impose(v, self._held_rates[0])
-        held.impose(a, self._held_rates[1])
-        return v, a
+        self.acceleration.x.array[:] = self._a.x.array
+        self.resume(t)
+
+    def resume(self, t: float) -> None:
+        """See `ImplicitScheme.resume`.
+
+        Args:
+            t: Time [s].
+        """
+        if not self._midpoint:
+            self._end_forces = self._forces_at(t)
+
+    def accept(self) -> StepForces:
+        """See `ImplicitScheme.accept`."""
+        assert self._accepted is not None
+        return self._accepted
+
+    def balance_at_end(self, t: float) -> None:
+        """See `ImplicitScheme.balance_at_end`.
+
+        Args:
+            t: Time [s].
+        """
+        if self._midpoint:  # else it was assembled when the step was accepted
+            self._forces_at(t)
+
+    def counts(self) -> tuple[int, int]:
+        """See `ImplicitScheme.counts`."""
+        return self._stages.newton_iterations, self._stages.krylov_iterations
+
+    def close(self) -> None:
+        """Frees what it owns."""
+        self._stages.destroy()
+
+    @property
+    def _midpoint(self) -> bool:
+        """The stage is the middle of the step, and its forces are those whose work counts."""
+        return self._parameters.alpha_f == 0.5
+
+    def _forces_at(self, t: float) -> Forces:
+        """The forces at the present state; `assembler.residual.vector` holds them then."""
+        size = len(self.moving.moves)
+        return self.moving.forces_at(t, self.v.x.array[:size], self.acceleration.x.array[:size])
 
     # --- what TS asks for ---
 
     def step(self, ts: PETSc.TS) -> None:
         """Takes one step, smaller where it must be."""
         try:
-            found = self._found(ts)
+            found = self._take_step(ts)
         except InputError as error:  # the same on all ranks
             self.error, found = error, False
         if not found:
             ts.setConvergedReason(PETSc.TS.ConvergedReason.DIVERGED_NONLINEAR_SOLVE)
 
-    def _found(self, ts: PETSc.TS) -> bool:
-        """Takes one step; whether there was one, however small."""
+    def _take_step(self, ts: PETSc.TS) -> bool:
+        """Takes one step; whether there was one, however small.
+
+        Two loops, for a step is made smaller for two reasons.  The inner one is TSAdapt's: the step
+        was solved, but its error is too large; TSAdapt says how long the next try is, and sees to
+        it that this ends.  The outer one is for steps without a solution, of which TSAdapt knows
+        nothing: a quarter of the length, at most `FAILURES` times.  A step whose stage is found but
+        whose end has cells inside out counts as one without a solution, for its error estimate is
+        worthless; unless cells were inside out before: then no shorter step puts that right.
+        """
         U, V = ts.getSolution2()
-        self._before = self._here(float(ts.getTime()))
-        if self._volumes is not None:
-            self._volumes.begin(self._before.t)
-        if self.strikes is not None:
-            self.strikes.begin(self._before.t)
-        crushed = self._crushed()
+        start = self._start = self._present(float(ts.getTime()))
+        self._stages.begin(start.t)
+        if self.impact_error is not None:
+            self.impact_error.begin(start.t)
+        inverted = self._inverted()
         for failure in range(FAILURES + 1):
-            while self._solved(float(ts.getTimeStep())):
-                if not self._advance(U, V) and not crushed:
+            while (found := self._stages.solve(start, float(ts.getTimeStep()))) is not None:
+                self._advance(*found, U, V)
+                if not self._upright_at_end() and not inverted:
                     break
-                self.weigh()
-                h, good = choose(ts, self._order)
+                self._control.weigh()
+                h, good = choose_step(ts, self._parameters.order)
                 if good:
-                    self._accept(ts, h)
+                    self._finish(ts, h)
                     return True
                 self._put_back(U, V)
                 ts.setTimeStep(h)
@@ -198,21 +156,34 @@ class GeneralizedAlphaStepper:
         return False
 
     def evaluatestep(self, ts: PETSc.TS, order: int, x: PETSc.Vec) -> bool:
-        """What TSAdapt compares the step with: the displacement of one order more."""
-        assert self._hat is not None
+        """What TSAdapt compares the step with: the displacement of one order more.
+
+        Args:
+            ts: Holds the new solution.
+            order: Asked for; there is one only.
+            x: Receives all unknowns.
+        """
+        assert self._higher_order is not None
         ts.getSolution().copy(x)
-        x.array_w[self.moving.moves] = self._hat
+        x.array_w[self.moving.moves] = self._higher_order
         return True
 
     def rollback(self, ts: PETSc.TS) -> None:
         """Takes the last step back, for an event within it."""
-        self._ends = self._old_ends
+        self._end_forces = self._old_end_forces
         self._put_back(*ts.getSolution2())
 
     def interpolate(self, ts: PETSc.TS, t: float, x: PETSc.Vec) -> None:
-        """The displacement within the last step: the cubic through both ends and velocities."""
-        assert self._before is not None
-        old, now, h = self._before, self._here(float(ts.getTime())), self._h
+        """The displacement within the last step: the cubic through both ends and velocities.
+
+        Args:
+            ts: Its time is that of the end of the step.
+            t: Time within the step [s].
+            x: Receives all unknowns, of which scalar fields are those of the end.
+        """
+        assert self._start is not None
+        assert self._stage is not None
+        old, now, h = self._start, self._present(float(ts.getTime())), self._stage.h
         s = (t - old.t) / h
         ts.getSolution().copy(x)
         x.array_w[self.moving.moves] = (
@@ -224,159 +195,83 @@ class GeneralizedAlphaStepper:
 
     # --- one step ---
 
-    def _here(self, t: float) -> StepStart:
+    def _present(self, t: float) -> StepStart:
         moves, size = self.moving.moves, len(self.moving.moves)
         w = self.problem.w.x.array[: self.assembler.size].copy()
-        return StepStart(t, w, w[moves], self.v.x.array[:size].copy(), self.a.x.array[:size].copy())
+        return StepStart(
+            t, w, w[moves], self.v.x.array[:size].copy(), self._a.x.array[:size].copy()
+        )
 
-    def _crushed(self) -> bool:
-        """Cells are inside out already: then nothing is to be kept from it."""
-        return self.watch is not None and self.watch.smallest()[0] <= 0.0
+    def _inverted(self) -> bool:
+        """Whether a cell is inside out; a linear body has none to speak of."""
+        return not self.problem.linear and self.context.watch.smallest()[0] <= 0.0
 
-    def _solved(self, h: float) -> bool:
-        """Solves for the stage; the problem holds it then, or the last iterate."""
-        old, s = self._before, self.scheme
-        assert old is not None
-        self._h = h
-        rate, shift = self.scheme.shifts(h)  # residuals, too, look at them: for prescribed values
-        self.moving.shift.value, self.moving.drag.value = shift, rate
-        goal = self._prescribed_at(old.t + h)
-        held = self.problem.dirichlet.extract(self.problem.u.x.array)
-        self._held_rates = held_rates(self.problem, old.t + h, h)
-        was = self.problem.dirichlet.extract(self.a.x.array)
-        self._held_stage = (1 - s.alpha_f) * self._held_rates[1] + s.alpha_f * was
-        self._end_values = goal
-        self._goal = s.alpha_f * held + (1 - s.alpha_f) * goal
-        self.problem.set_time(old.t + (1 - s.alpha_f) * h)
-        self._ahead = s.predicted(old.v, old.a, h)
-        if self._volumes is not None:
-            self._volumes.end = old.t + h
-        origin = self.assembler.origin
-        origin[:] = old.w
-        origin[self.moving.moves] += (1 - s.alpha_f) * self._ahead
-        try:
-            return any(self._solved_from(start) for start in self._starts())
-        finally:
-            origin[:] = 0.0
-
-    def _solved_from(self, start: FloatArray) -> bool:
-        self._put_unknowns(start)
-        progress = self.newton.solve(self.newton.line_searches()[0])
-        while "LINEAR_SOLVE" in progress.reason and self.newton.fall_back():
-            self._put_unknowns(start)
-            progress = self.newton.solve(self.newton.line_searches()[0])
-        self.newton_iterations += progress.newton
-        self.krylov_iterations += progress.krylov
-        off = self.newton.solution()[self.moving.moves]
-        self._off = np.asarray(off / (1 - self.scheme.alpha_f))
-        return progress.converged
-
-    def _prescribed_at(self, t: float) -> FloatArray:
-        """Prescribed values at the end of the step, where loads, too, must have values."""
-        self.problem.set_time(t)
-        self.problem.dirichlet.check_finite()
-        if self.problem.loads_change:
-            self.newton.begin()
-        return np.asarray(self.problem.dirichlet.targets)
-
-    def _starts(self) -> list[FloatArray]:
-        """Where Newton's method may begin, the better one first: on the way, or at rest."""
-        old = self._before
-        assert old is not None
-        further = self.assembler.origin.copy()
-        moved = further[self.moving.moves]
-        self.problem.dirichlet.impose(moved, self._goal)
-        further[self.moving.moves] = moved
+    def _upright_at_end(self) -> bool:
+        """Whether det F > 0 at the end of the step; if not, the diagnosis is to know of it."""
         if self.problem.linear:
-            return [further]
-        sizes = [self._size(start) for start in (further, old.w)]
-        if not np.isfinite(sizes[0]):
-            return [old.w]
-        return [further, old.w] if sizes[0] <= sizes[1] else [old.w, further]
-
-    def _size(self, start: FloatArray) -> float:
-        """Norm of the residual at a start; infinite where a cell is inside out."""
-        self._put_unknowns(start)
-        if self.watch is not None and self.watch.smallest()[0] <= 0.0:
-            return float(np.inf)
-        x, f = self.assembler.create_vector(), self.assembler.create_vector()
-        self.assembler.get(x)
-        self.residual(self.newton.snes, x, f)
-        norm = float(f.norm())
-        x.destroy()
-        f.destroy()
-        return norm if np.isfinite(norm) else float(np.inf)
-
-    def _put_unknowns(self, w: FloatArray) -> None:
-        self.problem.w.x.array[: len(w)] = w
-        self.problem.w.x.scatter_forward()
-        self.problem.unknowns.w_to_u()
-
-    def _advance(self, U: PETSc.Vec, V: PETSc.Vec) -> bool:
-        """From the stage to the end of the step; whether no cell is inside out there.
-
-        Scalar fields have no inertia and no rate: they stay those of the stage, for extrapolated
-        ones would swing from step to step.
-        """
-        old, s, h = self._before, self.scheme, self._h
-        assert old is not None
-        self._forces = self.moving.forces()
-        if self.strikes is not None:
-            self.strikes.at_stage(self._forces)
-        moves, size = self.moving.moves, len(self.moving.moves)
-        w = self.problem.w.x.array[: self.assembler.size].copy()
-        u = old.u + (self._ahead + self._off)
-        self.problem.dirichlet.impose(u, self._end_values)
-        v, a = self._rates_at_end(self._off)
-        w[moves] = u
-        self._put_unknowns(w)
-        at_end = s.at_end(old.a, a)
-        self.problem.dirichlet.impose(at_end, self._held_rates[1])
-        for field, values in ((self.v, v), (self.a, a), (self.at_end, at_end)):
-            field.x.array[:size] = values
-            field.x.scatter_forward()
-        self._tell(U, V)
-        self.problem.set_time(old.t + h)
-        error = s.error((old.v, v), (old.a, a), h)
-        if self.strikes is not None:
-            error += self.strikes.error(h)
-        # What is prescribed has no error, whatever its acceleration does.
-        self._hat = u - free(self.problem, error)
-        return self._whole()
-
-    def _whole(self) -> bool:
-        """No cell is inside out; otherwise the step counts as refused."""
-        if self.watch is None:
             return True
-        value, place = self.watch.smallest()
+        value, place = self.context.watch.smallest()
         if value > 0.0:
             return True
         self.newton.reject(value, place)
         return False
 
-    def _accept(self, ts: PETSc.TS, h: float) -> None:
-        assert self._before is not None
-        middle = self._forces
-        if self.scheme.alpha_f != 0.5:
-            self._old_ends = self._ends
-            self._ends = self.look(self._before.t + self._h)
-            assert self._old_ends is not None
-            middle = self._old_ends.mean(self._ends)
-        here = self.problem.w.x.array[self.moving.moves]
-        self.done = self._forces, middle, here - self._before.u
-        ts.setTime(self.reached(self._before.t + self._h))
+    def _advance(self, stage: Stage, offset: FloatArray, U: PETSc.Vec, V: PETSc.Vec) -> None:
+        """From the stage to the end of the step.
+
+        Scalar fields have no inertia and no rate: they stay those of the stage, for extrapolated
+        ones would swing from step to step.
+
+        Args:
+            stage: Which was found; the problem holds it.
+            offset: Displacement of the end less that of the predictor [m].
+            U: Receives all unknowns.
+            V: Receives the velocity.
+        """
+        self._stage, old, p = stage, stage.start, self._parameters
+        self._stage_forces = self.moving.forces()
+        if self.impact_error is not None:
+            self.impact_error.at_stage(self._stage_forces)
+        size = len(self.moving.moves)
+        w = self.problem.w.x.array[: self.assembler.size].copy()
+        u = stage.displacement_at_end(offset)
+        v, a = stage.rates_at_end(offset)
+        w[self.moving.moves] = u
+        self.moving.set_unknowns(w)
+        at_end = p.at_end(old.a, a)
+        self.problem.dirichlet.impose(at_end, stage.a_end)
+        for field, values in ((self.v, v), (self._a, a), (self.acceleration, at_end)):
+            field.x.array[:size] = values
+            field.x.scatter_forward()
+        self.moving.copy_to(U, V, self.v)
+        self.problem.set_time(old.t + stage.h)
+        error = p.error((old.v, v), (old.a, a), stage.h)
+        if self.impact_error is not None:
+            error += self.impact_error.error(stage.h)
+        # What is prescribed has no error, whatever its acceleration does.
+        self._higher_order = u - free(self.problem, error)
+
+    def _finish(self, ts: PETSc.TS, h: float) -> None:
+        """Takes note of a step that TSAdapt has accepted, and of the length of the next one [s]."""
+        assert self._stage is not None
+        assert self._stage_forces is not None
+        start, end = self._stage.start, self._stage.start.t + self._stage.h
+        middle = self._stage_forces
+        if not self._midpoint:
+            self._old_end_forces, self._end_forces = self._end_forces, self._forces_at(end)
+            assert self._old_end_forces is not None
+            middle = self._old_end_forces.mean(self._end_forces)
+        u = self.problem.w.x.array[self.moving.moves]
+        self._accepted = StepForces(self._stage_forces, middle, u - start.u)
+        ts.setTime(self._control.meant(end))
         ts.setTimeStep(h)
 
     def _put_back(self, U: PETSc.Vec, V: PETSc.Vec) -> None:
-        old, size = self._before, len(self.moving.moves)
+        """Goes back to the state that the step began with."""
+        old, size = self._start, len(self.moving.moves)
         assert old is not None
-        self._put_unknowns(old.w)
-        for field, values in ((self.v, old.v), (self.a, old.a)):
+        self.moving.set_unknowns(old.w)
+        for field, values in ((self.v, old.v), (self._a, old.a)):
             field.x.array[:size] = values
             field.x.scatter_forward()
-        self._tell(U, V)
-
-    def _tell(self, U: PETSc.Vec, V: PETSc.Vec) -> None:
-        """Gives TS the present displacement and velocity."""
-        self.assembler.get(U)
-        V.array_w[self.moving.moves] = self.v.x.array[: len(self.moving.moves)]
+        self.moving.copy_to(U, V, self.v)

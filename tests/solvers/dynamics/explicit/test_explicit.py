@@ -30,7 +30,8 @@ from dolfin_elastic import (
 from dolfin_elastic.core.errors import InputError, StabilityError
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.distribute import make_mesh
-from dolfin_elastic.solvers.dynamics.explicit.explicit import SymplecticEuler
+from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
+from dolfin_elastic.solvers.dynamics.explicit.scheme import SymplecticEuler
 
 FREE, SCHEME, CENTRAL = "free", "symplectic-euler", "central-differences"
 BOTH = pytest.mark.parametrize("scheme", [SCHEME, CENTRAL])
@@ -184,10 +185,10 @@ def test_stable_step_against_all_eigenvalues(comm, dim, held):
     supports = [Support(on="left", displacement=[0] * dim)] if held else []
     law = LinearElastic(E=E, nu=0.4, density=RHO)
     problem = Problem(body, law, supports=supports)
-    explicit = SymplecticEuler(
-        problem, fem.Function(problem.V), end=1.0, dt=None, safety=0.9, every=1
+    explicit = Explicit(
+        problem, fem.Function(problem.V), SymplecticEuler, end=1.0, dt=None, safety=0.9, every=1
     )
-    estimate = explicit.stable_step()
+    estimate = explicit.size.step_for(explicit.size.sharp())
     x = explicit.assembler.create_vector()
     explicit.assembler.get(x)
     explicit.assembler.tangent.assemble(x)
@@ -230,8 +231,10 @@ def test_a_step_that_becomes_too_long_is_noticed():
     law = NeoHookean(E=E, nu=NU, density=RHO)
     left = Support(on="left", displacement=[0, 0])
     still = Problem(body, law, supports=[left, Support(on="right", displacement=[0, 0])])
-    explicit = SymplecticEuler(still, fem.Function(still.V), end=1.0, dt=None, safety=1.0, every=1)
-    dt = 0.95 * explicit.stable_step()
+    explicit = Explicit(
+        still, fem.Function(still.V), SymplecticEuler, end=1.0, dt=None, safety=1.0, every=1
+    )
+    dt = 0.95 * explicit.size.step_for(explicit.size.sharp())
     explicit.assembler.destroy()
     # Late enough that the next look at the stable step comes before the instability has grown.
     crush = f"-0.3*smoothstep((t - {180 * dt})/{19 * dt})"

@@ -36,7 +36,7 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.core.parallel import largest
-from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import Scheme
+from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 
 # --- discrete oracles ---
 
@@ -366,6 +366,6 @@ def test_the_audit_sees_what_a_scheme_damps_away():
 
 def test_parameters_of_the_family():
     """rho = 1 is the midpoint rule; Chung & Hulbert's optimum for rho = 0 has beta = gamma = ..."""
-    one, none = Scheme.generalized_alpha(1.0), Scheme.generalized_alpha(0.0)
+    one, none = (GeneralizedAlphaParameters.generalized_alpha(radius) for radius in (1.0, 0.0))
     assert (one.alpha_m, one.alpha_f, one.beta, one.gamma) == (0.5, 0.5, 0.25, 0.5)
     assert (none.alpha_m, none.alpha_f, none.beta, none.gamma) == (-1.0, 0.0, 1.0, 1.5)

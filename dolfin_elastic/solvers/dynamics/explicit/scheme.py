@@ -1,0 +1,298 @@
+"""Explicit schemes with lumped mass: symplectic Euler, and central differences.
+
+Both change the velocity by the forces of the present displacement and then move on with it.
+Euler's v_n+1 = v_n + dt f_n/m, u_n+1 = u_n + dt v_n+1 is of first order.  With the velocity halfway
+between two displacements, v_n+1/2 = v_n-1/2 + dt f_n/m, u_n+1 = u_n + dt v_n+1/2, it becomes
+central differences, of second order, and v_n = v_n-1/2 + dt/2 f_n/m where a state is asked for.
+Both are stable for dt < 2/omega_max, their energy is bounded, and momenta are kept exactly.
+
+A scheme is one class and one row of the table `SCHEMES` in `solvers/dynamics/schemes.py`.
+
+Source: E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., Springer 2006,
+sections I.1.2 and I.1.4; T. Belytschko, W. K. Liu, B. Moran, K. Elkhodary, Nonlinear Finite
+Elements for Continua and Structures, 2nd ed., Wiley 2014, section 6.2 (box 6.1).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from time import perf_counter
+
+import numpy as np
+from dolfinx import fem
+
+from dolfin_elastic.core import timing
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.assembly.nodal_forces import Forces
+from dolfin_elastic.solvers.dynamics.explicit.limits import (
+    changes,
+    check_explicit,
+    mean_acceleration,
+)
+from dolfin_elastic.solvers.dynamics.work import ExternalWork, supports_move
+
+END = 1 - 1e-12
+"""Share of the duration at which the end is reached."""
+
+
+class ExplicitScheme(ABC):
+    """Displacement and velocity of a body, a step at a time. Collective.
+
+    Args:
+        assembler: Of the problem that moves.
+        mass: Lumped mass at every owned entry [kg].
+        v: Velocity, in its initial state; changed by steps.
+        work: Sums up the work of loads and supports that change.
+        end: When the motion ends [s].
+        dt: First step [s].
+        chosen: The user's step, which all steps but the last have [s]; None: steps change.
+
+    Attributes:
+        a: Acceleration [m/s^2], after `start` or `synchronise`.
+        t: Time [s].
+        steps: Number of steps done.
+        dt: The last step [s].
+        velocity: Owned entries of the velocity [m/s]; a scheme may hold it at another time.
+        out_of_balance: Owned entries of the forces out of balance [N]: minus the nodal forces.
+        change: Change of the velocity in a step, owned entries [m/s].
+        free: 1 at owned entries that no support prescribes, 0 at the others.
+    """
+
+    def __init__(
+        self,
+        assembler: Assembler,
+        mass: FloatArray,
+        v: fem.Function,
+        work: ExternalWork,
+        *,
+        end: float,
+        dt: float,
+        chosen: float | None,
+    ) -> None:
+        self.problem, self.mass, self._velocity = assembler.problem, mass, v
+        self._work, self._end, self._chosen = work, end, chosen
+        self.a = fem.Function(self.problem.V, name="acceleration")
+        self._forces = Forces(
+            self.problem, assembler.residual.form, assembler.residual.vector, points=-1.0
+        )
+        self._supports_move, self._timed = supports_move(self.problem), changes(self.problem)
+        self._imposed = self._supports_move or self.problem.dirichlet.skew is not None
+        arrays = self.problem.u.x.array, v.x.array, assembler.residual.vector.array
+        self._u, self.velocity, self.out_of_balance = (array[: assembler.size] for array in arrays)
+        self._factor, self.free = self._mobility(), np.ones(assembler.size)
+        self.free[self.problem.dirichlet.owned] = 0.0
+        self.change, self._du = np.zeros(assembler.size), np.zeros(assembler.size)
+        self.t, self.steps, self.dt = 0.0, 0, dt
+
+    def _mobility(self) -> FloatArray:
+        """-1/m at owned entries, 0 where supports prevent any motion [1/kg]."""
+        factor = -1 / self.mass
+        if not self._supports_move:
+            factor[self.problem.dirichlet.owned] = 0.0
+        return np.asarray(factor)
+
+    @classmethod
+    def check(cls, problem: Problem, name: str) -> None:
+        """Refuses what the scheme cannot compute. Not collective.
+
+        Args:
+            problem: What is to move.
+            name: Of the scheme, for the message.
+
+        Raises:
+            InputError: It cannot compute this problem.
+        """
+        check_explicit(problem, name)
+
+    # --- what the schemes differ in ---
+
+    @abstractmethod
+    def kick_duration(self, dt: float) -> float:
+        """For how long the present forces accelerate the body before it moves on [s].
+
+        Args:
+            dt: The step [s].
+        """
+
+    @abstractmethod
+    def synchronise(self) -> None:
+        """Brings the velocity to the time of the displacement, and finds the acceleration."""
+
+    @abstractmethod
+    def start(self) -> None:
+        """Finds the acceleration of the state that the motion begins with."""
+
+    @abstractmethod
+    def conserved_excess(self, dt: float) -> float:
+        """What the energy that the scheme conserves has beyond that of a state, on this rank [J].
+
+        Of linear problems U + m v- . v+ / 2 is conserved exactly, with the velocities before and
+        after the displacement of U; the energy of one time swings about it, up to all of it.
+
+        Args:
+            dt: The step to come [s].
+        """
+
+    # --- one step ---
+
+    def advance(self, dt: float) -> None:
+        """One step; the forces at its start are there before, those at its end afterwards.
+
+        Args:
+            dt: The step [s].
+        """
+        begin = perf_counter()
+        v, change, du = self.velocity, self.change, self._du
+        np.multiply(self.out_of_balance, self._factor, out=change)
+        change *= self.kick_duration(dt)
+        self.steps += 1
+        self.t = self._without_round_off(self.t + dt)
+        if self._timed:
+            self.problem.set_time(self.t)
+        if self._imposed:
+            self._impose_motion(dt)
+        v += change
+        np.multiply(v, dt, out=du)
+        self._u += du
+        self.problem.u.x.scatter_forward()
+        self.dt = dt
+        middle = perf_counter()
+        timing.add("solve", middle - begin)
+        self.update_dashpots()
+        self.assemble_forces()
+        if self._work.terms:
+            self._work.step(du)
+        timing.add("assemble", perf_counter() - middle)
+
+    def _without_round_off(self, t: float) -> float:
+        """A time without the round-off of a sum: of equal steps, and the end."""
+        even = t if self._chosen is None else self.steps * self._chosen
+        meant = self._end if t >= self._end * END else even
+        return meant if abs(meant - t) < 1e-9 * (self._chosen or self.dt) else t
+
+    def _impose_motion(self, dt: float) -> None:
+        """Makes the change of velocity one that takes supports where they are prescribed to be."""
+        dirichlet = self.problem.dirichlet
+        goal = (dirichlet.targets - dirichlet.extract(self.problem.u.x.array)) / dt
+        self.change += self.velocity
+        dirichlet.impose(self.change, goal)
+        self.change -= self.velocity
+
+    def update_dashpots(self) -> None:
+        """Gives dashpots the velocity, which may be that of half a step before."""
+        if self.problem.dashpots:
+            seen = self.problem.context.velocity.x
+            seen.array[: len(self.velocity)] = self.velocity
+            seen.scatter_forward()
+
+    def assemble_forces(self) -> None:
+        """Forces out of balance at the present displacement and time."""
+        if self._timed:
+            self._forces.renew()
+            self._work.renew()
+        self._forces.assemble()
+
+    @np.errstate(all="ignore")
+    def find_acceleration(self, interval: float) -> None:
+        """Sets `a` and `change` to forces over mass; of supports, their mean acceleration.
+
+        Args:
+            interval: From the time of the velocity to the middle of the velocity's next step [s].
+        """
+        np.multiply(self.out_of_balance, self._factor, out=self.change)
+        if self._imposed:
+            driven = mean_acceleration(self.problem, self._velocity, self.t, self.dt, interval)
+            self.problem.dirichlet.impose(self.change, driven)
+        self.set_acceleration(self.change + 0.0)  # no -0
+
+    def set_acceleration(self, a: FloatArray) -> None:
+        """Sets the acceleration of the state.
+
+        Args:
+            a: Owned entries [m/s^2].
+        """
+        self.a.x.array[: len(a)] = a
+        self.a.x.scatter_forward()
+
+    def update_velocity(self) -> None:
+        """Brings ghost entries of the velocity up to date."""
+        self._velocity.x.scatter_forward()
+
+    def resume(self, t: float, steps: int) -> None:
+        """Goes back to a state whose displacement and velocity were restored.
+
+        Args:
+            t: Time [s].
+            steps: Number of steps done.
+        """
+        self.t, self.steps = t, steps
+        self.problem.set_time(t)
+        self.assemble_forces()
+
+
+class SymplecticEuler(ExplicitScheme):
+    """v += dt f/m, then u += dt v.
+
+    The acceleration is the mean of the step before, that of the first state of the step after.
+    """
+
+    def kick_duration(self, dt: float) -> float:
+        """See `ExplicitScheme`."""
+        return dt
+
+    def synchronise(self) -> None:
+        """See `ExplicitScheme`."""
+        self.set_acceleration(self.change / self.dt)
+        self.update_velocity()
+
+    def start(self) -> None:
+        """See `ExplicitScheme`."""
+        self.find_acceleration(self.dt)
+
+    def conserved_excess(self, dt: float) -> float:
+        """See `ExplicitScheme`; nodes of supports have no force but that of the body."""
+        power = self.velocity * self.out_of_balance * self.free
+        return -0.5 * dt * float(np.sum(power))
+
+
+class CentralDifferences(ExplicitScheme):
+    """The velocity is that halfway to the next displacement.
+
+    States have velocity and acceleration of their own time; where a support moves, they are the
+    differences of its displacements before and after.
+
+    Attributes:
+        remaining: For how long the forces at the present displacement have still to accelerate the
+            body [s]; 0 at states.
+    """
+
+    remaining = 0.0
+
+    def kick_duration(self, dt: float) -> float:
+        """See `ExplicitScheme`."""
+        duration, self.remaining = self.remaining + dt / 2, dt / 2
+        return duration
+
+    def synchronise(self) -> None:
+        """See `ExplicitScheme`."""
+        self.find_acceleration(self.dt / 2 + self.remaining)
+        self.change *= self.remaining
+        self.velocity += self.change
+        self.update_velocity()
+        self.remaining = 0.0
+
+    def start(self) -> None:
+        """See `ExplicitScheme`."""
+        self.synchronise()
+
+    def resume(self, t: float, steps: int) -> None:
+        """See `ExplicitScheme`."""
+        self.remaining = 0.0
+        super().resume(t, steps)
+
+    def conserved_excess(self, dt: float) -> float:
+        """See `ExplicitScheme`."""
+        a = self.a.x.array[: len(self.velocity)]
+        return -(dt**2) / 8 * float(np.sum(self.mass * a**2 * self.free))

@@ -1,0 +1,156 @@
+"""`ImplicitScheme`: what an implicit motion asks of its time scheme, whoever takes the steps.
+
+A scheme is one class and one row of the table `SCHEMES` in `solvers/dynamics/schemes.py`.  It is
+registered with PETSc's TS, which owns the loop over steps, monitors and events.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from dolfinx import fem
+from petsc4py import PETSc
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
+from dolfin_elastic.solvers.dynamics.implicit.step_control import StepControl
+from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
+from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
+from dolfin_elastic.solvers.nonlinear.newton import Newton
+
+FAILURES = 8
+"""Times that one step is made smaller, to a quarter each, before it is given up."""
+
+
+@dataclass(frozen=True)
+class StepForces:
+    """What the balances of momentum and energy need of a step that TS has accepted.
+
+    Attributes:
+        stage: Forces at the stage, where the equation of motion holds.
+        middle: Forces in the middle of the step, whose work over `du` is of second order.
+        du: Change of the displacement, owned entries [m].
+    """
+
+    stage: Forces
+    middle: Forces
+    du: FloatArray
+
+
+@dataclass(frozen=True)
+class SchemeContext:
+    """What a scheme works on; all of it is owned by whoever makes the scheme.
+
+    Attributes:
+        ts: The scheme registers itself with it.
+        moving: Residual and tangent with inertia and damping.
+        newton: Solver of the equations of a step, on the SNES of `ts`.
+        control: Sizes of steps, and times that are met.
+        watch: Of det F.
+        v: Velocity, changed by steps.
+        a: Acceleration of the scheme, changed by steps.
+        parameters: Coefficients of the scheme.
+        adaptive: The error of each step is estimated.
+    """
+
+    ts: PETSc.TS
+    moving: DynamicResidual
+    newton: Newton
+    control: StepControl
+    watch: JacobianWatch
+    v: fem.Function
+    a: fem.Function
+    parameters: GeneralizedAlphaParameters
+    adaptive: bool
+
+
+class ImplicitScheme(ABC):
+    """A time scheme of an implicit motion.  All of it is collective.
+
+    Args:
+        context: What it works on.
+
+    Attributes:
+        not_adaptive: Why the scheme cannot choose its steps by their errors; empty if it can.
+        not_restartable: Why a restarted motion differs from one never stopped; empty if it does
+            not.
+        acceleration: At the end of the last step [m/s^2].
+        error: A fault of the input that a step has met: PETSc would lose a Python exception.
+    """
+
+    not_adaptive: ClassVar[str] = ""
+    not_restartable: ClassVar[str] = ""
+
+    def __init__(self, context: SchemeContext) -> None:
+        self.context, self.moving = context, context.moving
+        self.problem, self.assembler = self.moving.problem, self.moving.assembler
+        self.newton, self.v = context.newton, context.v
+        self.acceleration = fem.Function(self.problem.V, name="acceleration")
+        self.error: InputError | None = None
+
+    @classmethod  # noqa: B027  a hook, as are the others below
+    def check(cls, problem: Problem, name: str) -> None:
+        """Refuses what the scheme cannot compute. Not collective.
+
+        Args:
+            problem: What is to move.
+            name: Of the scheme, for the message.
+
+        Raises:
+            InputError: It cannot compute this problem.
+        """
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """PETSc options that the scheme needs, without prefix."""
+        return {}
+
+    # --- the first state ---
+
+    @abstractmethod
+    def start(self, t: float) -> None:
+        """Takes in the state that the motion begins with; its forces are then in `assembler`.
+
+        Args:
+            t: Time [s].
+        """
+
+    def resume(self, t: float) -> None:  # noqa: B027
+        """Takes in a state that was restored.
+
+        Args:
+            t: Time [s].
+        """
+
+    # --- each step ---
+
+    def begin_step(self) -> None:  # noqa: B027
+        """Called before TS takes a step."""
+
+    @abstractmethod
+    def accept(self) -> StepForces:
+        """Called after TS has accepted a step; state and velocity are then those of its end."""
+
+    @abstractmethod
+    def balance_at_end(self, t: float) -> None:
+        """Lets `assembler.residual.vector` hold the forces at the end of the step, for reactions.
+
+        Args:
+            t: Time [s].
+        """
+
+    @abstractmethod
+    def counts(self) -> tuple[int, int]:
+        """Newton and linear iterations of all steps so far, rejected ones included."""
+
+    def fall_back(self) -> bool:
+        """After TS has failed: whether another linear solver is now in use, to try once more."""
+        return False
+
+    @abstractmethod
+    def close(self) -> None:
+        """Frees what it owns; `destroy` is the name by which TS calls a Python context."""

@@ -1,0 +1,279 @@
+"""The stage of a generalized-alpha step: what it begins with, and how Newton's method finds it.
+
+The unknown of a stage is its `offset` from the predictor: displacements less those with which the
+acceleration does not change.  A body that flies through space fast has an offset of zero, so that
+round-off is that of the change and not of the way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+
+from dolfin_elastic.core.timing import stage as timed
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
+from dolfin_elastic.solvers.assembly.mass import held_rates
+from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
+from dolfin_elastic.solvers.dynamics.implicit.scheme import SchemeContext
+from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import VolumeConstraint
+
+
+@dataclass(frozen=True)
+class StepStart:
+    """The state that a step begins with: copies of owned entries.
+
+    Attributes:
+        t: Time [s].
+        w: All unknowns.
+        u: Displacement [m].
+        v: Velocity [m/s].
+        a: Acceleration of the scheme [m/s^2].
+    """
+
+    t: float
+    w: FloatArray
+    u: FloatArray
+    v: FloatArray
+    a: FloatArray
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One trial of a step, with the motion that supports prescribe in it.
+
+    Rates of prescribed motion are those of the support's own curve: by the formulas of the scheme
+    an error of them, at a kink of a curve, would hardly ever die out, and grow as steps become
+    smaller.
+
+    Attributes:
+        parameters: Coefficients of the scheme.
+        prescribed: Puts prescribed values into vectors.
+        start: The state that the step begins with.
+        h: Length of the step [s].
+        predictor: u1 - u0 if the acceleration did not change, owned entries [m].
+        u: Prescribed displacement at the stage [m], like `DirichletConditions.targets`.
+        a: Prescribed acceleration at the stage [m/s^2].
+        u_end: Prescribed displacement at the end of the step [m].
+        v_end: Prescribed velocity there [m/s].
+        a_end: Prescribed acceleration there [m/s^2].
+    """
+
+    parameters: GeneralizedAlphaParameters
+    prescribed: DirichletConditions
+    start: StepStart
+    h: float
+    predictor: FloatArray
+    u: FloatArray
+    a: FloatArray
+    u_end: FloatArray
+    v_end: FloatArray
+    a_end: FloatArray
+
+    def rates(self, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Velocity [m/s] and acceleration [m/s^2] at the stage, owned entries.
+
+        Args:
+            offset: Displacement of the stage less that of the predictor [m].
+        """
+        p, old = self.parameters, self.start
+        v1, a1 = self.rates_at_end(np.asarray(offset / (1 - p.alpha_f)))
+        v = (1 - p.alpha_f) * v1 + p.alpha_f * old.v
+        a = (1 - p.alpha_m) * a1 + p.alpha_m * old.a
+        self.prescribed.impose(a, self.a)
+        return v, a
+
+    def rates_at_end(self, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Velocity [m/s] and acceleration [m/s^2] at the end of the step, owned entries.
+
+        Args:
+            offset: Displacement there less that of the predictor [m].
+        """
+        p, old = self.parameters, self.start
+        a = p.acceleration(offset, old.a, self.h)
+        v = p.velocity(old.v, old.a, a, self.h)
+        self.prescribed.impose(v, self.v_end)
+        self.prescribed.impose(a, self.a_end)
+        return v, a
+
+    def displacement_at_end(self, offset: FloatArray) -> FloatArray:
+        """Displacement at the end of the step, owned entries [m].
+
+        Args:
+            offset: Of it from the predictor [m].
+        """
+        u = self.start.u + (self.predictor + offset)
+        self.prescribed.impose(u, self.u_end)
+        return u
+
+
+class StageSolver:
+    """Finds the displacement of a stage by Newton's method.  Collective.
+
+    Args:
+        context: What the scheme works on.
+
+    Attributes:
+        newton_iterations: Of all solves so far.
+        krylov_iterations: Linear ones of all solves so far.
+    """
+
+    def __init__(self, context: SchemeContext) -> None:
+        self._context, self._moving, self._newton = context, context.moving, context.newton
+        self._problem, self._assembler = self._moving.problem, self._moving.assembler
+        self._parameters = context.parameters
+        share = self._parameters.alpha_f
+        needed = VolumeConstraint.needed(self._problem, share)
+        self._volumes = VolumeConstraint(self._assembler, share) if needed else None
+        self._stage: Stage | None = None
+        self.newton_iterations = self.krylov_iterations = 0
+        self._F = self._assembler.create_vector()
+        snes, matrix = context.ts.getSNES(), self._assembler.tangent.matrix
+        snes.setFunction(self.residual, self._F)
+        snes.setJacobian(self.tangent, matrix, matrix)
+
+    # --- callbacks of SNES ---
+
+    def residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        """Forces out of balance at the stage, with inertia.
+
+        Args:
+            snes: Whose callback it is.
+            x: Offset of the stage from the predictor.
+            f: Receives the residual.
+        """
+        assert self._stage is not None
+        self._moving.set_stage_rates(*self._stage.rates(x.array_r[self._moving.moves]))
+        with timed("assemble"):
+            self._assembler.put(x)
+            self._assembler.residual.assemble()
+            if self._volumes is not None:
+                self._volumes.complete()
+        self._assembler.residual.constrain(f, target=self._stage.u)
+
+    def tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
+        """Derivative of the residual by the displacement of the stage.
+
+        Args:
+            snes: Whose callback it is.
+            x: Offset of the stage from the predictor.
+            A: The assembler's matrix.
+            P: The same.
+        """
+        self._assembler.tangent.assemble(x, self._moving.factor)
+        self._newton.take_tangent(P)
+
+    # --- one step ---
+
+    def begin(self, t: float) -> None:
+        """Takes in the state that a step begins with.
+
+        Args:
+            t: Its time [s].
+        """
+        if self._volumes is not None:
+            self._volumes.begin(t)
+
+    def solve(self, start: StepStart, h: float) -> tuple[Stage, FloatArray] | None:
+        """The stage and the offset of the step's end from the predictor; None: not found.
+
+        The problem holds the stage afterwards, or the last iterate.
+
+        Args:
+            start: The state that the step begins with.
+            h: Length of the step [s].
+        """
+        p = self._parameters
+        # Before the residual of the first guess: forms of damping ask for them, too.
+        self._moving.drag.value, self._moving.shift.value = p.shifts(h)
+        stage = self._stage = self._prescribe(start, h)
+        if self._volumes is not None:
+            self._volumes.end = start.t + h
+        origin = self._assembler.origin
+        origin[:] = start.w
+        origin[self._moving.moves] += (1 - p.alpha_f) * stage.predictor
+        try:
+            found = any(self._solve_from(guess) for guess in self._guesses(stage))
+        finally:
+            origin[:] = 0.0
+        offset = self._newton.solution()[self._moving.moves] / (1 - p.alpha_f)
+        return (stage, np.asarray(offset)) if found else None
+
+    def _prescribe(self, start: StepStart, h: float) -> Stage:
+        """What supports prescribe in a step; the problem's time is that of the stage then.
+
+        Prescribed values of the stage are means of those at both ends, so that the end, which is
+        extrapolated from the stage, is prescribed exactly.
+        """
+        problem, p = self._problem, self._parameters
+        end = start.t + h
+        problem.set_time(end)  # loads must have values there, too
+        problem.dirichlet.check_finite()
+        if problem.loads_change:
+            self._newton.begin()
+        u_end = np.asarray(problem.dirichlet.targets)
+        u_start = problem.dirichlet.extract(problem.u.x.array)
+        v_end, a_end = held_rates(problem, end, h)
+        a_start = problem.dirichlet.extract(self._context.a.x.array)
+        problem.set_time(start.t + (1 - p.alpha_f) * h)
+        return Stage(
+            parameters=p,
+            prescribed=problem.dirichlet,
+            start=start,
+            h=h,
+            predictor=p.predicted(start.v, start.a, h),
+            u=p.alpha_f * u_start + (1 - p.alpha_f) * u_end,
+            a=(1 - p.alpha_f) * a_end + p.alpha_f * a_start,
+            u_end=u_end,
+            v_end=v_end,
+            a_end=a_end,
+        )
+
+    def _solve_from(self, guess: FloatArray) -> bool:
+        newton = self._newton
+        self._moving.set_unknowns(guess)
+        result = newton.solve(newton.line_searches()[0])
+        while "LINEAR_SOLVE" in result.reason and newton.fall_back():
+            self._moving.set_unknowns(guess)
+            result = newton.solve(newton.line_searches()[0])
+        self.newton_iterations += result.newton
+        self.krylov_iterations += result.krylov
+        return result.converged
+
+    def _guesses(self, stage: Stage) -> list[FloatArray]:
+        """Unknowns that Newton's method may begin with, the better ones first.
+
+        The predictor is the better one of a body that flies, the old state of one that is stiff
+        and is set going at once: there the predictor may turn cells inside out.
+        """
+        moves = self._moving.moves
+        predicted = self._assembler.origin.copy()
+        u = predicted[moves]
+        stage.prescribed.impose(u, stage.u)
+        predicted[moves] = u
+        old = stage.start.w
+        if self._problem.linear:
+            return [predicted]
+        norms = [self._norm_at(guess) for guess in (predicted, old)]
+        if not np.isfinite(norms[0]):
+            return [old]
+        return [predicted, old] if norms[0] <= norms[1] else [old, predicted]
+
+    def _norm_at(self, guess: FloatArray) -> float:
+        """Norm of the residual of a first guess; infinite where a cell is inside out."""
+        self._moving.set_unknowns(guess)
+        if self._context.watch.smallest()[0] <= 0.0:
+            return float(np.inf)
+        x, f = self._assembler.create_vector(), self._assembler.create_vector()
+        self._assembler.get(x)
+        self.residual(self._newton.snes, x, f)
+        norm = float(f.norm())
+        x.destroy()
+        f.destroy()
+        return norm if np.isfinite(norm) else float(np.inf)
+
+    def destroy(self) -> None:
+        """Frees what it owns."""
+        self._F.destroy()

@@ -1,0 +1,253 @@
+"""Settings of motion, for implicit and explicit schemes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, field_serializer, model_validator
+
+from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.schema import Idle, Record, refuse_idle, shown
+from dolfin_elastic.core.units import Force, Rate, Time
+from dolfin_elastic.model.values import Component, components, depends_on_time
+from dolfin_elastic.solvers.breakpoints import refuse_beyond
+from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
+from dolfin_elastic.solvers.dynamics.implicit.output_times import Interval
+from dolfin_elastic.solvers.dynamics.schemes import DEFAULT, SCHEMES, ExplicitRow, ImplicitRow
+
+
+def _known(name: object) -> object:
+    if name not in SCHEMES:
+        raise InputError(f"{shown(name)} is wrong", expected=nearest(str(name), SCHEMES))
+    return name
+
+
+SchemeName = Annotated[str, BeforeValidator(_known)]
+"""A key of `SCHEMES`."""
+
+
+class Rayleigh(Record):
+    """Rayleigh damping: forces a M v, and stresses b times the rate of the elastic ones.
+
+    A mode of angular frequency w has the damping ratio a/(2 w) + b w/2.
+
+    Attributes:
+        mass: a [1/s].
+        stiffness: b [s].
+    """
+
+    mass: Rate = Field(default=0.0, ge=0)
+    stiffness: Time = Field(default=0.0, ge=0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short(cls, value: Any) -> Any:
+        """Two numbers stand for both."""
+        if not isinstance(value, list | tuple):
+            return value
+        if len(value) != 2:
+            raise InputError(
+                f"{len(value)} factors given",
+                expected="expected two, [a, b], or {mass = a, stiffness = b}",
+            )
+        return {"mass": value[0], "stiffness": value[1]}
+
+
+class DynamicsSettings(Record):
+    """How motion is followed through time.
+
+    Attributes:
+        scheme: Implicit: "generalized-alpha", "newmark", "implicit-euler", and "alpha2", PETSc's
+            own generalized-alpha.  Explicit, with lumped mass and linear elements:
+            "symplectic-euler" (v += dt f/m, then x += dt v) and "central-differences" (the
+            velocity halfway between places, of second order).
+        end: When it ends [s]; it starts at 0.
+        dt: Time step [s].  Implicit: needed; the first step if adaptive.  Explicit: the stable
+            step times `safety` if not given; a larger one than the stable one is refused.
+        adaptive: Let the error estimate choose the implicit step (not that of "alpha2").
+        tolerance: Error a step may make in the displacement of any node, over the largest
+            displacement so far (in the first step, of a step of dt, too), if adaptive.
+        spectral_radius: Of the generalized-alpha scheme at infinite frequency: 1 keeps the
+            energy of a linear body, less damps what the step cannot resolve.
+        beta: Of Newmark's method; (gamma + 1/2)^2/4 by default.
+        gamma: Of Newmark's method; 1/2 by default, more damps.
+        rayleigh: Damping of the whole body (implicit schemes).
+        initial_displacement: Components [m] or formulas in x, y, z.
+        initial_velocity: Components [m/s] or formulas in x, y, z.
+        rtol: Newton's tolerance, relative to the forces of the step.
+        atol: Free residual that always is small enough [N].
+        max_iterations: Newton iterations after which a step is made smaller.
+        safety: Share of the stable step that the explicit scheme takes; at most 0.6 of it where
+            there are obstacles, see `stable_step.RESONANCE`.
+        every: Steps from one yielded state to the next, if not given 1, of explicit schemes about
+            200 states in all; or, with a unit, the time between states, which is met exactly
+            (implicit schemes).
+        times: Further times that are met exactly and yielded [s] (implicit schemes).
+    """
+
+    scheme: SchemeName = DEFAULT
+    end: Time = Field(gt=0)
+    dt: Time | None = Field(default=None, gt=0)
+    adaptive: bool = False
+    tolerance: float = Field(default=1e-3, gt=0, lt=1)
+    spectral_radius: float = Field(default=0.9, ge=0, le=1)
+    beta: float | None = Field(default=None, gt=0)
+    gamma: float | None = Field(default=None, ge=0.5)
+    rayleigh: Rayleigh | None = None
+    initial_displacement: list[Any] = Field(default=[])
+    initial_velocity: list[Any] = Field(default=[])
+    rtol: float = Field(default=1e-8, gt=0, lt=1)
+    atol: Force = Field(default=0.0, ge=0)
+    max_iterations: int = Field(default=20, ge=1)
+    safety: float = Field(default=0.9, gt=0, le=1)
+    every: Interval = 0
+    times: list[Annotated[Time, Field(gt=0)]] = Field(default=[])
+
+    @field_serializer("every")
+    def _with_unit(self, every: float) -> int | str:
+        return every if isinstance(every, int) else f"{every!r} s"
+
+    @model_validator(mode="after")
+    def _read(self) -> DynamicsSettings:
+        _ = self.displacement, self.velocity
+        refuse_idle(self, _idle(self))
+        if self.dt is None and self.implicit:
+            raise InputError(
+                "this key is missing",
+                where="dt",
+                expected=f"'{self.scheme}' needs a time step, for example \"1 ms\"",
+            )
+        if self.dt is not None and self.dt > self.end * (1 + 1e-9):
+            raise InputError(
+                f"{self.dt:g} s is longer than the motion",
+                where="dt",
+                expected=f"at most dynamics.end = {self.end:g} s",
+            )
+        if self.adaptive and isinstance(self.row, ImplicitRow) and self.row.scheme.not_adaptive:
+            raise InputError(
+                self.row.scheme.not_adaptive,
+                where="adaptive",
+                expected="leave it out, or take 'generalized-alpha': the same scheme with an "
+                "estimate of its own",
+            )
+        if self.adaptive and self.stability_limit:
+            raise InputError(
+                f"{self.stability_limit}: steps that follow the error only may be too long",
+                where="adaptive",
+                expected="leave it out, or beta and gamma",
+            )
+        if self.implicit:  # an explicit scheme knows only later how many steps it takes
+            self.__dict__["every"] = self.every or 1
+        if isinstance(self.every, float) and self.every > self.end:
+            raise InputError(
+                f"{self.every:g} s lies beyond the end",
+                where="every",
+                expected=f"at most dynamics.end = {self.end:g} s",
+            )
+        refuse_beyond(self.times, self.end, "dynamics.end", "s")
+        return self
+
+    @property
+    def row(self) -> ImplicitRow | ExplicitRow:
+        """The scheme's row in `SCHEMES`."""
+        return SCHEMES[self.scheme]
+
+    @property
+    def implicit(self) -> bool:
+        """The scheme solves equations."""
+        return isinstance(self.row, ImplicitRow)
+
+    @property
+    def parameters(self) -> GeneralizedAlphaParameters | None:
+        """Coefficients of an implicit scheme."""
+        row = self.row
+        if isinstance(row, ExplicitRow):
+            return None
+        return row.parameters(**{key: getattr(self, key) for key in row.keys})
+
+    @property
+    def stability_limit(self) -> str:
+        """Why an implicit scheme is not stable with any step; empty where it is."""
+        parameters = self.parameters
+        return parameters.stability_limit if parameters else ""
+
+    @property
+    def damping(self) -> dict[str, float]:
+        """Rayleigh's factors by name; zero without any."""
+        given = self.rayleigh
+        return {"mass": given.mass, "stiffness": given.stiffness} if given else {}
+
+    @cached_property
+    def displacement(self) -> tuple[Component, ...]:
+        """Initial displacement as numbers and formulas."""
+        return _initial_values("initial_displacement", self.initial_displacement, "m")
+
+    @cached_property
+    def velocity(self) -> tuple[Component, ...]:
+        """Initial velocity as numbers and formulas."""
+        return _initial_values("initial_velocity", self.initial_velocity, "m/s")
+
+
+def _initial_values(key: str, written: list[Any], unit: str) -> tuple[Component, ...]:
+    """Components of a vector at the start, which cannot depend on time."""
+    found = components(written, unit, key=key) if written else ()
+    if depends_on_time(found):
+        raise InputError(
+            "what holds at the start does not depend on t",
+            where=key,
+            expected="a formula in x, y, z",
+        )
+    return found
+
+
+def _idle(s: DynamicsSettings) -> Iterator[Idle]:
+    """Keys that have no meaning for the scheme, or for steps of this kind."""
+    scheme, leave = f"the scheme '{s.scheme}'", "leave it out, or scheme = "
+    knows: dict[str, str] = {}
+    for name, row in SCHEMES.items():
+        for key in row.keys:
+            knows.setdefault(key, name)
+    for key, name in knows.items():
+        if key not in s.row.keys:
+            yield Idle([key], f"{scheme} has no {key.replace('_', ' ')}", f'{leave}"{name}"')
+    yield from _idle_implicit(s, scheme) if s.implicit else _idle_explicit(s, scheme, leave)
+
+
+def _idle_implicit(s: DynamicsSettings, scheme: str) -> Iterator[Idle]:
+    names = (name for name, row in SCHEMES.items() if isinstance(row, ExplicitRow))
+    explicit = " and ".join(f'"{name}"' for name in names)
+    yield Idle(
+        ["safety"],
+        f"{scheme} takes no share of a stable step",
+        f"leave it out; it is for {explicit}",
+    )
+    if not s.adaptive:
+        yield Idle(
+            ["tolerance"],
+            "all steps are dt: their error is not judged",
+            "leave it out, or adaptive = true; rtol is Newton's tolerance",
+        )
+
+
+def _idle_explicit(s: DynamicsSettings, scheme: str, leave: str) -> Iterator[Idle]:
+    leave += f'"{DEFAULT}"'
+    if s.adaptive:
+        yield Idle(
+            ["adaptive"],
+            f"{scheme} has no estimate of its error",
+            f"{leave}; without dt the stable step is followed",
+        )
+    yield Idle(["tolerance"], f"{scheme} has no estimate of its error", "leave it out")
+    yield Idle(["rtol", "atol", "max_iterations"], f"{scheme} solves no equations", leave)
+    yield Idle(["rayleigh"], f"{scheme} has no rayleigh damping", leave)
+    yield Idle(["times"], f"{scheme} meets no times exactly", leave)
+    if not isinstance(s.every, int):
+        yield Idle(["every"], f"{scheme} counts steps", "a whole number")
+    if s.dt is not None:
+        yield Idle(
+            ["safety"],
+            f"all steps are dt = {s.dt:g} s, and no share of the stable one",
+            "leave one of them out",
+        )
