@@ -16,10 +16,17 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 
 
 def integration_entities(mesh: Mesh, facets: IndexArray) -> IndexArray:
-    """Pairs (cell, local facet), flattened, of one cell beside each facet given.
+    """Pairs (cell, local facet) for measures over facets, one cell beside each facet.
 
     Not collective once the facet-cell connectivities exist.  Written out by hand because
     `compute_integration_domains` lost an argument in 0.10 and refuses interior facets.
+
+    Args:
+        mesh: A mesh of simplices.
+        facets: Local facets, shape (n,).
+
+    Returns:
+        Shape (2 n,): cell, local facet, cell, local facet ...
     """
     tdim = mesh.topology.dim
     facet_cells = mesh.topology.connectivity(tdim - 1, tdim)
@@ -36,7 +43,12 @@ def interpolation_points(element: Any) -> FloatArray:
 
 
 def interpolation_matrix(coarse: fem.FunctionSpace, fine: fem.FunctionSpace) -> PETSc.Mat:
-    """Assembled interpolation matrix between two spaces of one mesh. Collective."""
+    """Assembled matrix that interpolates functions of one space in another. Collective.
+
+    Args:
+        coarse: Space of the functions: columns of the matrix.
+        fine: Space of their interpolants, on the same mesh: rows of the matrix.
+    """
     matrix = _fem_petsc.interpolation_matrix(coarse, fine)
     matrix.assemble()
     return matrix
@@ -55,7 +67,14 @@ def reads_attributes_by_name() -> bool:
 def read_meshtags(file: XDMFFile, mesh: Mesh, grid: str, attribute: str) -> MeshTags:
     """Integer cell data of a grid of an XDMF file. Collective.
 
-    0.9 takes the first attribute of the grid, from 0.10 it can be named.
+    DOLFINx 0.9 reads the first attribute of the grid whatever `attribute` says; see
+    `reads_attributes_by_name`.
+
+    Args:
+        file: The open file.
+        mesh: The mesh read from it.
+        grid: Name of the grid, of cells or of facets.
+        attribute: Name of the data.
     """
     if reads_attributes_by_name():
         return file.read_meshtags(mesh, name=grid, attribute_name=attribute)

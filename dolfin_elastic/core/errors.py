@@ -6,10 +6,10 @@ ElasticError                      base: `except ElasticError` catches all of the
 │   ├── FormulaError              a formula ("0.1*x*t")
 │   ├── UnitError                 a number with a unit ("10 MPa")
 │   ├── MeshError                 a mesh file, a region or surface name, a geometry selector
-│   └── RestartError              a folder of results that no run can go on from, or is going in
+│   └── RestartError              a folder of results without a usable checkpoint, or in use
 ├── SolveError          exit 3    the input is right, but no solution was found
 │   ├── ConvergenceError          Newton or the load stepping gave up
-│   └── StabilityError            an explicit motion was lost, or its step is above the stable one
+│   └── StabilityError            explicit dynamics diverged, or its step exceeds the stable one
 └── OutputError         exit 4    results cannot be written
 """
 
@@ -77,7 +77,7 @@ class MeshError(InputError):
 
 
 class RestartError(InputError):
-    """There is nothing to go on from, or not with this case and this mesh; or a run is going."""
+    """No checkpoint to restart from, one of another case or mesh, or a run still writes there."""
 
 
 class SolveError(ElasticError):
@@ -118,14 +118,14 @@ def _rebuild_solve(
 
 @dataclass(frozen=True)
 class BadCell:
-    """A cell of a state that is no solution.
+    """A cell of an iterate that has not converged.
 
     Attributes:
         place: Its middle in the reference configuration [m].
         material: Name of its material.
         regions: Named regions it belongs to.
         jacobian: Its smallest det F.
-        residual: Largest force out of balance at its free nodes [N].
+        residual: Largest residual force at its free nodes [N].
     """
 
     place: tuple[float, ...]
@@ -162,7 +162,7 @@ class ConvergenceError(SolveError):
 
 
 class StabilityError(SolveError):
-    """An explicit motion was lost, or its time step is above the stable one."""
+    """Explicit dynamics diverged, or its time step exceeds the stable one."""
 
 
 class OutputError(ElasticError):

@@ -47,7 +47,7 @@ Tree = float | str | tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Formula:
-    """A formula that has been read and found right.
+    """A parsed formula.
 
     Attributes:
         text: As it was written.
@@ -167,13 +167,13 @@ class _Token:
 
 
 class _Reader:
-    """One reading of one text: tokens, their order, Python's parser, the tree."""
+    """Parser of one formula: cuts it into tokens, checks their order, builds the tree."""
 
     def __init__(self, text: str, allowed: frozenset[str]) -> None:
         self.text, self.allowed = text, allowed
         self.names: set[str] = set()
         self.at: dict[int, int] = {}
-        """Column in what Python parses to column in the text."""
+        """Column in the source handed to Python's parser to column in the user's text."""
 
     def read(self) -> tuple[frozenset[str], Tree]:
         if len(self.text) > MAX_LENGTH:
@@ -213,7 +213,10 @@ class _Reader:
             at = match.end()
 
     def _check_order(self, tokens: list[_Token]) -> None:
-        """Values and operators by turns, parentheses in pairs: Python's parser finds no fault."""
+        """Refuses missing operands, operators and parentheses, with a caret under the place.
+
+        After this check Python's parser meets nothing it could refuse with a text of its own.
+        """
         opened: list[tuple[int, bool]] = []
         value_before = False
         for before, token in zip([None, *tokens], tokens, strict=False):
@@ -228,7 +231,17 @@ class _Reader:
     def _follow(
         self, token: _Token, value_before: bool, call: bool, opened: list[tuple[int, bool]]
     ) -> bool:
-        """Takes one token; True when a value is complete after it."""
+        """Checks one token against what stands before it.
+
+        Args:
+            token: The token.
+            value_before: An operand is complete before it.
+            call: A name stands before it, so that a parenthesis holds arguments.
+            opened: Column of each open parenthesis and whether it holds arguments; updated.
+
+        Returns:
+            True when an operand is complete after the token.
+        """
         if token.kind in ("number", "name") or (token.kind == "open" and not call):
             if value_before:
                 raise self._fault("an operator is missing", token.at, "a product is written a*b")

@@ -18,7 +18,14 @@ from ufl.core.expr import Expr
 
 @dataclass(frozen=True)
 class Operation:
-    """One operation twice: on numbers and arrays, and on UFL expressions."""
+    """An operation of the formula language.
+
+    Attributes:
+        numeric: On numbers and arrays.
+        symbolic: The same on UFL expressions.
+        fewest: Least number of arguments.
+        most: Largest number of arguments.
+    """
 
     numeric: Callable[..., Any]
     symbolic: Callable[..., Any]
@@ -105,12 +112,25 @@ OPERATIONS = OPERATORS | FUNCTIONS
 
 
 def numeric(operation: Operation, args: list[Any]) -> Any:
-    """On numbers and arrays."""
+    """Applies an operation to numbers and arrays.
+
+    Args:
+        operation: One of `OPERATIONS`.
+        args: Floats or arrays whose shapes broadcast.
+    """
     return operation.numeric(*args)
 
 
 def symbolic(operation: Operation, args: list[Any]) -> Any:
-    """UFL where an expression takes part, plain numbers where none does."""
+    """Applies an operation to UFL expressions; without any of them, to numbers.
+
+    Args:
+        operation: One of `OPERATIONS`.
+        args: Scalar UFL expressions or floats.
+
+    Raises:
+        ArithmeticError: A number among the arguments is not finite.
+    """
     if any(isinstance(arg, Expr) for arg in args):
         if operation.symbolic is not _choose or isinstance(args[0], Expr):
             args = [arg if isinstance(arg, Expr) else _literal(arg) for arg in args]

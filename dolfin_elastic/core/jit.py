@@ -39,10 +39,10 @@ FLAGS = (
 
 
 def cache_folder() -> Path:
-    """Where compiled forms are kept: one folder a kind of processor.
+    """Folder of compiled forms, one for each kind of processor.
 
-    Forms are compiled for the processor at hand, so a home shared by unlike machines must not
-    hand one's code to the other.
+    Forms are compiled with -march=native: in a home directory shared by unlike machines, none may
+    load the code of another.
     """
     root = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(root) / "dolfin_elastic" / "forms" / _processor()
@@ -134,7 +134,17 @@ def compile_expression(
     points: Any,
     jit_options: dict[str, Any],
 ) -> fem.Expression:
-    """Compiles a UFL expression at reference points of a cell. Collective."""
+    """Compiles a UFL expression at points of the reference cell. Collective.
+
+    Args:
+        comm: The ranks of the expression's mesh.
+        expression: UFL expression of any shape.
+        points: Points of the reference cell, shape (n, dim).
+        jit_options: From `options`.
+
+    Raises:
+        Exception: What the form compiler raised on any rank.
+    """
     expression = _with_numbered_labels(expression)
     key = f"{expression.ufl_shape}{np.asarray(points).round(9).tolist()}"
     part = _part(jit_options, hashlib.sha256(key.encode()).hexdigest())

@@ -1,4 +1,4 @@
-"""Acting together: no rank may fail alone and leave the others waiting."""
+"""Reductions, and errors that all ranks raise together so that none waits for one that failed."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from mpi4py import MPI
 
 T = TypeVar("T")
 
-# Every rank logs the same: rank 0 says it for all.
+# Every rank logs the same messages: only those of rank 0 are shown.
 logging.getLogger("dolfin_elastic").addFilter(lambda record: MPI.COMM_WORLD.rank == 0)
 
 
 def agree(comm: MPI.Comm, error: Exception | None) -> None:
-    """Raises on every rank what any rank has found wrong.
+    """Raises an error on every rank if any rank has one.
 
     Collective.
 
     Args:
-        comm: The ranks that agree.
-        error: What this rank found, or None.
+        comm: The ranks that take part.
+        error: The error of this rank, or None.
 
     Raises:
         Exception: The error of the lowest rank that has one.
@@ -35,7 +35,7 @@ def agree(comm: MPI.Comm, error: Exception | None) -> None:
 
 
 def _sendable(error: Exception | None) -> Exception | None:
-    """The error, or its text where it cannot travel: a rank that cannot send leaves all waiting."""
+    """The error, or its text if it cannot be pickled: sending it would fail on this rank alone."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:  # whatever pickling a foreign error raises
@@ -44,7 +44,7 @@ def _sendable(error: Exception | None) -> Exception | None:
 
 
 def on_root(comm: MPI.Comm, action: Callable[[], T]) -> T:
-    """Does something on rank 0 only and gives every rank the result or the error.
+    """Calls a function on rank 0 and gives every rank its result or its error.
 
     Collective.
 
@@ -72,21 +72,41 @@ def on_root(comm: MPI.Comm, action: Callable[[], T]) -> T:
 
 
 def total(comm: MPI.Comm, value: T) -> T:
-    """The sum of a number or array over all ranks. Collective."""
+    """Sum over all ranks. Collective.
+
+    Args:
+        comm: The ranks.
+        value: This rank's number, or array of the same shape on all ranks.
+    """
     return comm.allreduce(value, op=MPI.SUM)
 
 
 def largest(comm: MPI.Comm, value: float) -> float:
-    """The largest value of all ranks. Collective."""
+    """Largest number of all ranks. Collective.
+
+    Args:
+        comm: The ranks.
+        value: This rank's number.
+    """
     return float(comm.allreduce(value, op=MPI.MAX))
 
 
 def smallest(comm: MPI.Comm, value: float) -> float:
-    """The smallest value of all ranks. Collective."""
+    """Smallest number of all ranks. Collective.
+
+    Args:
+        comm: The ranks.
+        value: This rank's number.
+    """
     return float(comm.allreduce(value, op=MPI.MIN))
 
 
 def first_of(comm: MPI.Comm, mine: Iterable[T]) -> T | None:
-    """The least of all ranks' things that can be compared, None without any. Collective."""
+    """Least item of all ranks, None if there are none. Collective.
+
+    Args:
+        comm: The ranks.
+        mine: This rank's items, which can be compared and pickled.
+    """
     own = min(mine, default=None)  # type: ignore[type-var]
     return min((one for one in comm.allgather(own) if one is not None), default=None)

@@ -33,7 +33,7 @@ else:
 
 
 class _Raising(ModelMetaclass):
-    """Turns pydantic's error into ours, at the outermost constructor only."""
+    """Raises `InputError` in place of pydantic's error, at the outermost constructor only."""
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:  # noqa: N805  of a metaclass
         try:
@@ -72,7 +72,7 @@ class Record(BaseModel, metaclass=_Raising):
 
 
 def _refuse_switch(kinds: Sequence[Any], where: str, value: Any) -> None:
-    """Pydantic takes true for 1, which nobody means who writes `steps = true` or `[true, 1]`."""
+    """Refuses booleans where numbers are expected: pydantic would read `steps = true` as 1."""
     members = [member for kind in kinds for member in _members(kind)]
     if isinstance(value, list | tuple):
         inside = [get_args(kind)[0] for kind in members if get_origin(kind) in (list, tuple)]
@@ -88,7 +88,7 @@ def _refuse_switch(kinds: Sequence[Any], where: str, value: Any) -> None:
 
 
 def _refuse_word(kind: Any, where: str, value: Any) -> None:
-    """Pydantic takes "no", "off" and 0 for false; a case file has a word for that."""
+    """Refuses "no", "off" and 0 for false, which pydantic would take."""
     if (
         _members(kind) == [bool]
         and not isinstance(value, bool)
@@ -98,7 +98,7 @@ def _refuse_word(kind: Any, where: str, value: Any) -> None:
 
 
 def _speaks(metadata: Iterable[Any]) -> bool:
-    """A type says itself what it wants."""
+    """The type validates its own input and reports its own errors."""
     return any(isinstance(one, Quantity | BeforeValidator) for one in metadata)
 
 
@@ -122,8 +122,8 @@ def input_error(record: type[BaseModel], error: ValidationError) -> InputError:
         return InputError("this key is missing", where=path)
     if fault["type"] == "value_error" and ours is None:
         return InputError(str(_inner(fault)), where=path)
-    told = ours is not None and isinstance(fault["input"], str)
-    what = ours.what if ours is not None and told else f"{shown(fault['input'])} is wrong"
+    names_input = ours is not None and isinstance(fault["input"], str)
+    what = ours.what if ours is not None and names_input else f"{shown(fault['input'])} is wrong"
     return InputError(what, where=path, expected=_wanted(same))
 
 
@@ -132,7 +132,12 @@ def _inner(fault: Any) -> Any:
 
 
 def within(path: str, error: InputError) -> InputError:
-    """The same error, seen from the table that holds `path`."""
+    """The same error with the dotted key of an outer table in front of its own.
+
+    Args:
+        path: Dotted key of the table in which the error was found; may be empty.
+        error: The error.
+    """
     joint = "" if not path or not error.where or error.where.startswith("[") else "."
     return type(error)(error.what, where=path + joint + error.where, expected=error.expected)
 
@@ -178,7 +183,7 @@ _WANTED = {
 
 
 def _wanted(faults: Sequence[Any]) -> str:
-    """What the members of a union, or the one type, would have taken."""
+    """What would have been accepted, over all members of a union."""
     for fault in faults:
         choices = re.findall(r"'([^']*)'", str(fault.get("ctx", {}).get("expected", "")))
         if fault["type"] == "literal_error" and choices and isinstance(fault["input"], str):
@@ -201,8 +206,12 @@ def _phrase(fault: Any) -> str:
 def dotted(record: type[BaseModel], path: Iterable[str | int]) -> str:
     """``("support", 0, "on")`` as ``support[0].on``.
 
-    Pydantic's names for members of unions and for what its validators do are left out: they are
-    no keys of the record, nor of what its fields hold.
+    Pydantic adds names of union members and of validators to a location; they are no keys of the
+    record and are left out.
+
+    Args:
+        record: Type of the record that was validated.
+        path: Location of the fault as pydantic gives it.
     """
     text, kinds = "", [record]
     for part in path:
@@ -216,7 +225,7 @@ def dotted(record: type[BaseModel], path: Iterable[str | int]) -> str:
 
 
 def _below(kind: Any, part: str | int) -> list[Any]:
-    """What a type holds under a key or index; nothing where that is none."""
+    """Types of the values that a type holds under a key or index; empty if it has no such part."""
     origin, inside = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and origin is None and issubclass(kind, BaseModel):
         field = next((f for n, f in kind.model_fields.items() if part in _names(n, f)), None)
@@ -257,12 +266,12 @@ def _names(name: str, field: FieldInfo) -> list[str]:
 
 @dataclass(frozen=True)
 class Idle:
-    """Keys that say nothing as long as another one is as it is.
+    """Keys without effect as long as another key has its present value.
 
     Attributes:
-        keys: Whoever writes one of them expects something that does not happen.
-        what: Why, in words.
-        expected: What to do.
+        keys: The keys; a user who writes one expects something that would not happen.
+        what: The reason, for the message.
+        expected: What to do instead.
     """
 
     keys: Sequence[str]
@@ -271,19 +280,24 @@ class Idle:
 
 
 def given(record: Record, key: str) -> bool:
-    """The user has written this key, and something into it."""
+    """Whether the user has written a key, and not an empty value.
+
+    Args:
+        record: The record.
+        key: Name of the field.
+    """
     value = getattr(record, key)
     empty = value is None or (isinstance(value, list | dict) and not value)
     return key in record.model_fields_set and not empty
 
 
 def refuse_idle(record: Record, rules: Iterable[Idle], table: str = "") -> None:
-    """Refuses keys that were written, but have no meaning beside others.
+    """Refuses keys that were written but have no effect beside others.
 
     Args:
-        record: Whose keys they are.
-        rules: Which have none, and why.
-        table: Dotted key of the record, where it is another one that decides.
+        record: The record.
+        rules: Keys without effect, with the reasons.
+        table: Dotted key of the record, if the message must name it.
 
     Raises:
         InputError: The first one.
@@ -299,7 +313,12 @@ R = TypeVar("R", bound=Record)
 
 
 def settled(kind: type[R], record: R | None, fields: Mapping[str, Any]) -> R:
-    """Settings as a record, or made from keywords, which are its fields.
+    """Settings given as a record or as keywords.
+
+    Args:
+        kind: Type of the record.
+        record: The settings, or None.
+        fields: The settings as keywords: fields of `kind`.
 
     Raises:
         TypeError: Both are given.

@@ -1,4 +1,4 @@
-"""Signals, and the file, that end a run after its step or ask for a checkpoint."""
+"""Signals and a file by which a user ends a run after its step, or asks for a checkpoint."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FILE = "stop"
 """File in the folder of results that ends a run there."""
 
 SAME = 0.5
-"""Signals so close [s] are one: to a process, to its group, and handed on by a launcher."""
+"""Signals closer than this [s] count as one: a launcher forwards what the group got already."""
 
 
 class Stop:
@@ -43,8 +43,9 @@ class Stop:
                 os._exit(INTERRUPTED)
             return
         self.asked, self._since = True, time.monotonic()
-        if launched_rank() == 0:  # not by `print`, which may be interrupted in the midst of one
-            with suppress(OSError):  # nobody reads it any more
+        if launched_rank() == 0:
+            # Not `print`: it is not reentrant, and the signal may have interrupted one.
+            with suppress(OSError):  # the terminal may be closed
                 os.write(2, b"\nstopping after this step; once more: at once\n")
 
     def _want(self, number: int, frame: FrameType | None) -> None:
@@ -61,15 +62,18 @@ class Stop:
 
         if comm.rank == 0 and self._file.exists():
             self.asked = True
-            with suppress(OSError):  # nobody reads it any more
+            with suppress(OSError):  # the terminal may be closed
                 os.write(2, f"stopping: there was a file {self._file}\n".encode())
-            forget(self._file.parent)  # it has done what it is for
+            forget(self._file.parent)  # or the next run would stop at once
         return largest(comm, float(self.asked)) > 0
 
 
 def forget(folder: Path) -> None:
-    """Removes the file that has stopped a run, or was to stop one that has ended."""
-    with suppress(OSError):  # somebody else's file
+    """Removes the file "stop" from a folder of results.
+
+    It has stopped a run, or was to stop one that ended before.
+    """
+    with suppress(OSError):  # another user's file may not be removable
         (folder / FILE).unlink(missing_ok=True)
 
 

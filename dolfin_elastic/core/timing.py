@@ -12,7 +12,7 @@ STAGES = ("mesh", "compile", "assemble", "solve", "output")
 
 
 class Stopwatch:
-    """Seconds per stage.  A stage inside another is taken off the outer one."""
+    """Seconds per stage.  Time in a stage inside another counts for the inner one only."""
 
     def __init__(self) -> None:
         self.start = time.perf_counter()
@@ -31,7 +31,13 @@ class Stopwatch:
             self.add(name, spent, inner=self._inner.pop())
 
     def add(self, name: str, seconds: float, *, inner: float = 0.0) -> None:
-        """Adds seconds to a stage, of which others inside it have counted `inner` already."""
+        """Adds time to a stage.
+
+        Args:
+            name: The stage, one of `STAGES` or a new one.
+            seconds: Time spent in it.
+            inner: Part of this time that stages inside it have counted already.
+        """
         self.seconds[name] = self.seconds.get(name, 0.0) + seconds - inner
         if self._inner:
             self._inner[-1] += seconds

@@ -1,6 +1,6 @@
 """Arrays of numpy as they pass through the package, by the type of their entries.
 
-Shapes, units and configuration are told where an array is an argument or a result.
+Shape, unit and configuration stand in the docstrings of functions that take or return them.
 """
 
 from __future__ import annotations

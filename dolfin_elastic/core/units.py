@@ -29,11 +29,11 @@ _NUMBER = re.compile(
 _UNIT = re.compile(
     r"(?:1\s*/\s*)?(?:(?:[^\W\d_]|[%°])+(?:\s*(?:\^|\*\*)\s*-?[0-9](?![0-9])|[²³])?(?:\s*[*/·.]\s*|\s+|\Z))+"
 )
-"""What pint may see: names with one-digit powers; it would work out 9^9^9 for hours."""
+"""Units handed to pint: names with one-digit powers, since it would evaluate 9^9^9 for hours."""
 
 
 LONGEST = 40
-"""Letters of the longest unit."""
+"""Most characters of a unit."""
 
 COMMON = {
     "m": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6},
@@ -49,14 +49,14 @@ COMMON = {
     "Hz": {"Hz": 1.0, "kHz": 1e3},
     "rad": {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180},
 }
-"""Units that most cases use, so that most cases start without pint's 0.3 s."""
+"""Usual units, found without importing pint, which takes 0.3 s."""
 
 MEANT = {
     "Hz": {"rad/s": 1 / math.tau, "rpm": 1 / 60},
     "rad/s": {"Hz": math.tau},
     "K": {"degC": 1.0, "°C": 1.0},
 }
-"""Units whose sense pint cannot see: turns per second, and changes of temperature."""
+"""Conversions that pint makes otherwise: revolutions per second, changes of temperature."""
 
 
 @lru_cache(maxsize=1)
@@ -133,7 +133,7 @@ def _from_text(text: str, unit: str) -> float:
 
 
 def _turned(name: str, unit: str) -> float:
-    """What a frequency is as an angular one, or the other way round; to pint both are 1/s."""
+    """Factor between frequency and angular frequency; to pint both are 1/s."""
     if unit == "Hz" and "radian" in str(_registry().Quantity(1.0, name).to_root_units().units):
         return 1 / math.tau
     if unit == "rad/s" and "hertz" in str(_registry().parse_units(name)):
@@ -142,10 +142,15 @@ def _turned(name: str, unit: str) -> float:
 
 
 def _scale(text: str, name: str, unit: str | None) -> tuple[float, float]:
-    """What nothing of a unit is in `unit` (None: in SI base units), and how much one of it adds.
+    """Offset and factor of the linear conversion from a unit.
+
+    Args:
+        text: As the user wrote it, for messages.
+        name: Unit to convert from.
+        unit: Unit to convert to; None: SI base units.
 
     Raises:
-        UnitError: Its steps are not equal, as those of decibels.
+        UnitError: The conversion is not linear, as that of decibels.
     """
     quantities = [_registry().Quantity(x, name) for x in (0.0, 1.0, 2.0)]
     zero, one, two = (
@@ -205,8 +210,8 @@ _EXAMPLES = {
 }
 
 
-PLACED = {"Pa": "2 kPa"}
-"""Examples of what acts on places, where those of materials are of another size."""
+LOAD_EXAMPLES = {"Pa": "2 kPa"}
+"""Examples for loads, where those for materials are of another order of magnitude."""
 
 
 def _expected(unit: str) -> str:
@@ -217,7 +222,10 @@ def _expected(unit: str) -> str:
 
 
 class SpatialValue(ABC):
-    """Stands in for a number that is known only on a body, where its bounds are checked too."""
+    """A constant that varies in space: it has values, and bounds to check, only on a mesh.
+
+    All comparisons are true, so that validators of bounds let it pass.
+    """
 
     @property
     @abstractmethod
@@ -244,7 +252,15 @@ class Quantity:
     unit: str
 
     def read(self, value: Any, bounded: Callable[[float], float]) -> float | SpatialValue:
-        """A number in SI units and within bounds; what stands for a number is left as it is."""
+        """Reads a number in SI units; a `SpatialValue` is returned as it is.
+
+        Args:
+            value: As a user wrote it.
+            bounded: Pydantic's validator of bounds.
+
+        Raises:
+            UnitError: See `to_si`.
+        """
         return value if isinstance(value, SpatialValue) else bounded(to_si(value, self.unit))
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
@@ -258,7 +274,7 @@ def _as_written(value: Any) -> Any:
 
 
 as_written = core_schema.plain_serializer_function_ser_schema(_as_written)
-"""For pydantic: writes what is deferred as it was read."""
+"""For pydantic: writes a `SpatialValue` as it was read."""
 
 
 def quantity(unit: str) -> Any:

@@ -1,4 +1,4 @@
-"""Amplitude over time: what multiplies a load or a prescribed displacement.
+"""Amplitude over time: the factor of a load or of a prescribed displacement.
 
 In statics "time" is the load parameter, from 0 (nothing) to 1 (everything).
 """
@@ -58,9 +58,9 @@ class Amplitude:
         written: As the user wrote it: one of `WORDS`, a formula in t, or a table of pairs
             (t, value); "file" where a file says it.
         formula: The formula, if it is one.
-        smooth: Between the rows of the table there are smooth steps, not straight lines.
-        source: The file that the table stands in.
-        rows: The table that was read from the file; none before.
+        smooth: The table is interpolated by smooth steps in place of straight lines.
+        source: The file of the table.
+        rows: The table read from `source`; empty before.
     """
 
     written: str | Rows
@@ -94,12 +94,12 @@ class Amplitude:
 
     @property
     def table(self) -> Rows:
-        """The rows of its table, wherever they stand; none if it is a word or a formula."""
+        """Rows (t, value) of the table, given or from a file; empty for a word or a formula."""
         return self.rows if self.source else () if isinstance(self.written, str) else self.written
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
-        """Times between which it is smooth, as far as that is known [s]."""
+        """Times [s] between which the amplitude is smooth; empty for a formula."""
         if self.written == "load-unload":
             return (0.0, 0.5, 1.0)
         rows = self.rows if self.source else self.written
@@ -107,14 +107,14 @@ class Amplitude:
 
     @property
     def is_formula(self) -> bool:
-        """It may have turned around between any two times: a formula."""
+        """It is a formula in t, which may oscillate between any two times."""
         return self.formula is not None and self.formula.names == frozenset({"t"})
 
     def with_rows(self, rows: Any) -> Amplitude:
-        """The same with what its file says.
+        """The same amplitude with the rows of its file.
 
         Raises:
-            InputError: That is no table of a curve.
+            InputError: The rows are no table of a curve.
         """
         return replace(self, rows=_table(rows))
 

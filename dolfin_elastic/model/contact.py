@@ -1,4 +1,4 @@
-"""Contact: rigid obstacles that surfaces of a body may touch and press, but not pass.
+"""Contact: frictionless unilateral contact of surfaces with rigid obstacles.
 
 The gap g of a point is its signed distance to the obstacle, positive outside, and n the obstacle's
 outward normal there.  One formula serves UFL expressions and arrays alike.
@@ -33,7 +33,7 @@ class Obstacle(Record):
 
     @property
     def thickness(self) -> float:
-        """Depth up to which it can be told on which side of it a point is [m]."""
+        """Depth below the surface down to which the signed distance is unique [m]."""
         return math.inf
 
     @abstractmethod
@@ -55,9 +55,10 @@ class Obstacle(Record):
         """Signed distance and outward normal at points.
 
         Args:
-            x: Components of places, the obstacle's motion taken off: UFL scalars or arrays [m].
-            number: What stands for a number of the obstacle in formulas of `x`.
-            root: Square root of such formulas.
+            x: Components of current points minus the obstacle's displacement [m]: UFL scalars, or
+                arrays of one shape.
+            number: Turns a number of the obstacle into an operand for `x`, such as a UFL constant.
+            root: Square root for operands of this kind.
         """
 
 
@@ -125,7 +126,7 @@ class SphereObstacle(Obstacle):
     Attributes:
         center: Its middle [m].
         radius: Its radius [m].
-        inside: The body is inside: the obstacle is a hollow.
+        inside: The body is inside: the obstacle is a spherical cavity.
     """
 
     center: Place
@@ -215,8 +216,8 @@ class CylinderObstacle(Obstacle):
 
 
 def _round(arm: list[Any], radius: Any, root: Callable[[Any], Any], inside: bool) -> Gap:
-    # On the axis or in the centre no direction leads outward; there the normal vanishes, and with
-    # it all derivatives are finite.  Elsewhere this is below round-off.
+    # On the axis or in the centre the normal is not defined.  The small term makes it 0 there and
+    # keeps derivatives finite; elsewhere it is below round-off.
     length = root(sum(item * item for item in arm) + 1e-16 * radius * radius)
     sign = -1.0 if inside else 1.0
     return sign * (length - radius), [sign * item / length for item in arm]
@@ -237,12 +238,12 @@ def _check_length(vector: Sequence[float] | None, dim: int, where: str) -> None:
 
 
 class Contact(OnSurfaces):
-    """Surfaces of the body that a rigid obstacle keeps out, without friction.
+    """Surfaces of the body that cannot penetrate a rigid obstacle, without friction.
 
     Attributes:
         on: Name of a surface that may touch it, or several.
         plane: A half space; exactly one of the three shapes is given.
-        sphere: A ball, or the hollow in which the body lies.
+        sphere: A ball, or the spherical cavity in which the body lies.
         cylinder: A cylinder, or the bore in which the body lies.
         motion: Displacement of the obstacle [m]: numbers, texts with units, or formulas in t.
         curve: Amplitude of the motion over time, as that of a support.
@@ -262,11 +263,8 @@ class Contact(OnSurfaces):
     def _one_shape(self) -> Contact:
         given = [key for key in SHAPES if getattr(self, key) is not None]
         if len(given) != 1:
-            said = f"{' and '.join(given)} are given" if given else "the obstacle has no shape"
-            raise InputError(
-                said,
-                expected=f"exactly one of {', '.join(SHAPES)}",
-            )
+            what = f"{' and '.join(given)} are given" if given else "the obstacle has no shape"
+            raise InputError(what, expected=f"exactly one of {', '.join(SHAPES)}")
         for index, value in enumerate(self.values):
             if isinstance(value, Formula) and value.names - {"t"}:
                 raise InputError(
@@ -288,17 +286,17 @@ class Contact(OnSurfaces):
 
     @property
     def obstacle(self) -> Obstacle:
-        """What the body may touch."""
+        """The rigid obstacle, of any shape."""
         found: Obstacle = getattr(self, self.shape)
         return found
 
     def displacement_at(self, t: float, default: Amplitude, dim: int) -> list[float]:
-        """Displacement of the obstacle at time t [m].
+        """Displacement of the obstacle at time t [m], `dim` components.
 
         Args:
             t: Time [s], or load parameter.
-            default: Amplitude if it names none.
-            dim: Components.
+            default: Amplitude where the contact has no curve.
+            dim: Dimension of the body.
         """
         if not self.values:
             return [0.0] * dim
@@ -309,7 +307,11 @@ class Contact(OnSurfaces):
         ]
 
     def check(self, dim: int, *, axisymmetric: bool) -> None:
-        """Raises where the obstacle or its motion does not fit the body, see `Obstacle.check`.
+        """Raises where the obstacle or its motion does not fit the body.
+
+        Args:
+            dim: Dimension of the body.
+            axisymmetric: The body is axisymmetric about y.
 
         Raises:
             InputError: With the key inside the contact's table.

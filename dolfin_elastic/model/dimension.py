@@ -1,4 +1,4 @@
-"""Two-dimensional bodies as parts of three-dimensional ones: deformation gradient and measure."""
+"""Plane strain, plane stress and axisymmetry: 3x3 deformation gradients and measures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GEOMETRIES: tuple[str, ...] = get_args(Geometry)
 
 @dataclass(frozen=True)
 class Weighted:
-    """A measure that also counts what the mesh does not show: thickness or circumference.
+    """A measure of a plane mesh times thickness or circumference.
 
     Attributes:
         weight: Factor of every integrand; None: 1.
@@ -40,7 +40,7 @@ class Weighted:
 
 
 def weight(geometry: Geometry, x: Expr, thickness: Expr | None) -> Expr | None:
-    """What a plane body's integrals are multiplied by.
+    """Thickness or circumference by which integrals over a plane mesh are multiplied.
 
     Args:
         geometry: Kind of body.
@@ -73,7 +73,17 @@ def full_gradient(geometry: Geometry, u: Expr, x: Expr, stretch: Expr | None) ->
 
 
 def gradient_variation(geometry: Geometry, v: Expr, x: Expr, stretch: Expr | None) -> Expr:
-    """What a virtual displacement, and a virtual stretch, do to `full_gradient`."""
+    """Variation of `full_gradient`, linear in v and the virtual stretch.
+
+    Args:
+        geometry: Kind of body, if it is two-dimensional.
+        v: Virtual displacement, 2 or 3 components.
+        x: Reference coordinates.
+        stretch: Variation of F33 in plane stress.
+
+    Returns:
+        UFL tensor of shape (3, 3).
+    """
     if len(v) == 3:
         return ufl.grad(v)
     if geometry == "axisymmetric":

@@ -1,4 +1,4 @@
-"""`OnSurfaces`: what acts on named surfaces, and what results call it."""
+"""`OnSurfaces`: base of supports and contacts, which act on named surfaces."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from dolfin_elastic.core.schema import Record
 
 
 class OnSurfaces(Record):
-    """Something on surfaces.
+    """A record that acts on surfaces.
 
     Attributes:
         on: Name of a surface, or several.
-        name: What results call it; the surfaces' names by default.
+        name: Its name in results; the surfaces' names by default.
     """
 
     on: str | list[str]
@@ -34,5 +34,5 @@ class OnSurfaces(Record):
 
     @property
     def label(self) -> str:
-        """What results call it."""
+        """Its name in results."""
         return self.name or "+".join(self.surfaces)

@@ -1,4 +1,4 @@
-"""Periodic faces: what the cell of a repeated structure is told of the whole."""
+"""Periodic unit cells: pairs of faces and the macroscopic deformation or stress."""
 
 from __future__ import annotations
 
@@ -47,23 +47,25 @@ class Periodic(Record):
         return self
 
     @cached_property
-    def stretches(self) -> Matrix:
+    def gradient_components(self) -> Matrix:
         """Components of F; None where they are free."""
         return _matrix(self.gradient, "", "gradient")
 
     @cached_property
-    def stresses(self) -> Matrix:
+    def stress_components(self) -> Matrix:
         """Components of the stress; None where they are not prescribed."""
         if self.stress is None:
-            return tuple(tuple(0.0 if s is None else None for s in row) for row in self.stretches)
+            return tuple(
+                tuple(0.0 if s is None else None for s in row) for row in self.gradient_components
+            )
         return _matrix(self.stress, "Pa", "stress")
 
     @cached_property
     def free(self) -> tuple[tuple[int, int], ...]:
-        """Places of the free components of F."""
+        """Indices (i, j) of the free components of F."""
         return tuple(
             (i, j)
-            for i, row in enumerate(self.stretches)
+            for i, row in enumerate(self.gradient_components)
             for j, value in enumerate(row)
             if value is None
         )
@@ -71,16 +73,16 @@ class Periodic(Record):
     @property
     def dim(self) -> int:
         """Rows of the gradient."""
-        return len(self.stretches)
+        return len(self.gradient_components)
 
     def _check_stresses(self) -> None:
-        if len(self.stresses) != self.dim:
+        if len(self.stress_components) != self.dim:
             raise InputError(
-                f"{len(self.stresses)} rows",
+                f"{len(self.stress_components)} rows",
                 where="stress",
                 expected=f"as many as gradient has: {self.dim}",
             )
-        for i, row in enumerate(self.stresses):
+        for i, row in enumerate(self.stress_components):
             for j, value in enumerate(row):
                 if (i, j) not in self.free and value not in (None, 0.0):
                     raise InputError(
@@ -96,7 +98,7 @@ class Periodic(Record):
                     )
 
     def _check_turns(self) -> None:
-        """At rest the cell turns in a plane by the two shears of that plane and nothing else."""
+        """Refuses rigid rotations: to first order F12 and F21 free together let the cell rotate."""
         for i, j in self.free:
             if i < j and (j, i) in self.free:
                 one, two = f"{i + 1}{j + 1}", f"{j + 1}{i + 1}"
@@ -107,13 +109,29 @@ class Periodic(Record):
                 )
 
     def gradient_at(self, t: float, default: Amplitude) -> FloatArray:
-        """F at time t, NaN where it is free."""
+        """Macroscopic deformation gradient.
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude of numbers where the record has no curve.
+
+        Returns:
+            Shape (dim, dim); NaN where F is free.
+        """
         rest = np.eye(self.dim)
-        return rest + self._at(self.stretches, rest, t, default)
+        return rest + self._at(self.gradient_components, rest, t, default)
 
     def stress_at(self, t: float, default: Amplitude) -> FloatArray:
-        """Prescribed stress at time t [Pa], NaN where it is a result."""
-        found = self._at(self.stresses, np.zeros((self.dim, self.dim)), t, default)
+        """Prescribed macroscopic first Piola-Kirchhoff stress [Pa].
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude of numbers where the record has no curve.
+
+        Returns:
+            Shape (dim, dim); NaN where F is prescribed and the stress a result.
+        """
+        found = self._at(self.stress_components, np.zeros((self.dim, self.dim)), t, default)
         given = np.zeros((self.dim, self.dim), dtype=bool)
         for i, j in self.free:
             given[i, j] = True

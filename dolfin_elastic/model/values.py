@@ -10,7 +10,7 @@ import numpy as np
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import PLACED, is_quantity, to_si
+from dolfin_elastic.core.units import LOAD_EXAMPLES, is_quantity, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 
 COORDINATES = ("x", "y", "z", "t")
@@ -38,14 +38,19 @@ def component(written: Any, unit: str, *, may_be_free: bool = False) -> Componen
     try:
         return to_si(written, unit)
     except InputError as error:
-        if unit not in PLACED or '"' not in error.expected:
+        if unit not in LOAD_EXAMPLES or '"' not in error.expected:
             raise
-        example = f'expected a number in {unit}, for example "{PLACED[unit]}"'
+        example = f'expected a number in {unit}, for example "{LOAD_EXAMPLES[unit]}"'
         raise type(error)(error.what, where=error.where, expected=example) from None
 
 
 def misspelt_unit(text: str, names: Collection[str] = COORDINATES) -> bool:
-    """A number, a blank and a word, "2 mmm": meant as a unit, not as a formula."""
+    """Whether a text is a number and a word, as "2 mmm": meant as a unit, not as a formula.
+
+    Args:
+        text: As a user wrote it.
+        names: Names that a formula may use there, which are no units.
+    """
     number, _, word = text.strip().partition(" ")
     try:
         float(number)
@@ -90,24 +95,24 @@ def depends_on_time(vector: tuple[Component, ...]) -> bool:
 
 
 def amplitude_of(value: Component, curve: Amplitude | None) -> Amplitude | None:
-    """What a component is multiplied by over time, whatever stands beside it in its vector.
+    """Amplitude of one component of a vector; other components may have another.
 
     Args:
         value: The component.
         curve: What the user wrote.
 
     Returns:
-        The curve; constant where a formula in t already says how it changes; None: not said.
+        The curve; constant for a formula in t, which has its own time dependence; None: open.
     """
     return CONSTANT if curve is None and depends_on_time((value,)) else curve
 
 
 def vector_at(vector: tuple[Component, ...], X: FloatArray, t: float) -> FloatArray:
-    """The numbers of a vector at places of the undeformed body.
+    """Values of a vector at points of the reference configuration.
 
     Args:
         vector: Its components; free ones count as 0.
-        X: Places [m], shape (..., dim).
+        X: Points [m], shape (..., dim).
         t: Time [s], or load parameter.
 
     Returns:
@@ -120,7 +125,16 @@ def vector_at(vector: tuple[Component, ...], X: FloatArray, t: float) -> FloatAr
 
 
 def number_at(item: Component, X: FloatArray, t: float) -> FloatArray:
-    """The number that a component is at places of the undeformed body, see `vector_at`."""
+    """Values of a component at points of the reference configuration.
+
+    Args:
+        item: The component; a free one counts as 0.
+        X: Points [m], shape (..., dim).
+        t: Time [s], or load parameter.
+
+    Returns:
+        Shape (...).
+    """
     place = dict(zip(COORDINATES, np.moveaxis(X, -1, 0), strict=False))
     place.setdefault("z", np.zeros(X.shape[:-1]))
     if isinstance(item, Formula):

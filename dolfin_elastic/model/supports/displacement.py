@@ -1,4 +1,4 @@
-"""Supports: what holds named surfaces of a body, and their table."""
+"""Supports that prescribe displacements: components, normals, symmetry planes, rotations."""
 
 from __future__ import annotations
 
@@ -26,58 +26,58 @@ from dolfin_elastic.model.values import (
 )
 
 NORMAL = -1
-"""Stands for the direction of the surface's normal, where components have numbers from 0."""
+"""Index of the displacement component along the surface's normal; those along axes count from 0."""
 
 
 class Restraint(OnSurfaces):
-    """What all supports have."""
+    """Base of all supports."""
 
     kind: str = ""
 
     @property
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:
-        """Key to the vector that stands there, of as many components as the body has."""
+        """Keys of vectors that must have as many components as the body, with their values."""
         return {}
 
     @property
     def time_functions(self) -> tuple[tuple[Component, ...], ...]:
-        """All that may be formulas in t."""
+        """Values that may be formulas in t, vector by vector."""
         return tuple(self.vectors.values())
 
     @property
     def at_rest(self) -> bool:
-        """It moves nothing."""
+        """All that it prescribes is zero at all times."""
         return True
 
 
 class PrescribingSupport(Restraint):
     """A support that prescribes displacements.
 
-    Where it has a `curve`, that is the amplitude over time.  Without one, what is constant grows
-    with the load steps in statics and holds from the start in motion, and formulas in t are taken
-    as they are, component by component.
+    Its `curve` is the amplitude over time.  Without one, constants grow with the load steps in
+    statics and act from the start in motion; formulas in t are used as they are, component by
+    component.
     """
 
     needs_flat: ClassVar[bool] = False
     """Its surfaces must lie in a plane each."""
 
     def prescribed_components(self, dim: int) -> tuple[int, ...]:
-        """The components that are prescribed, or `NORMAL`, in a body of 2 or 3 dimensions."""
+        """Indices of the prescribed components, or `NORMAL`, in a body of 2 or 3 dimensions."""
         raise TypeError(f"{type(self).__name__} prescribes nothing")
 
     def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
-        """Prescribed displacement [m].
+        """Prescribed displacement [m], shape (n,) or one number for all points.
 
         Args:
             which: One of `prescribed_components`.
-            x: Reference places, of shape (n, 3).
+            x: Points of the reference configuration [m], shape (n, 3).
             t: Time [s], or load parameter.
-            default: Amplitude if none is named.
+            default: Amplitude where the support has no curve.
         """
         raise TypeError(f"{type(self).__name__} prescribes nothing")
 
     def _scale(self, value: Component, t: float, default: Amplitude) -> float:
-        """Its curve; 1 where a formula already says how it moves; the default elsewhere."""
+        """Amplitude at time t: of the curve, 1 for a formula in t, else of the default."""
         return float((amplitude_of(value, getattr(self, "curve", None)) or default).at(t))
 
 
@@ -93,7 +93,7 @@ class Support(PrescribingSupport):
     Attributes:
         displacement: One entry a component [m]: a number, a text with a unit ("2 mm"), a formula
             in the reference coordinates x, y, z [m] and in t, or "free".  None: all components
-            are held at 0.
+            are 0.
         curve: Its amplitude over time, see `PrescribingSupport`.
     """
 
@@ -108,7 +108,7 @@ class Support(PrescribingSupport):
 
     @cached_property
     def values(self) -> tuple[Component, ...]:
-        """The components as numbers, formulas or None (free); none when all are held at 0."""
+        """The components as numbers, formulas or None (free); empty if all are 0."""
         if self.displacement is None:
             return ()
         return components(self.displacement, "m", key="displacement", may_be_free=True)
@@ -130,9 +130,9 @@ class Support(PrescribingSupport):
 
     @property
     def amplitude(self) -> Amplitude | None:
-        """Its curve; constant where formulas already say how it moves; None: not said.
+        """Its curve; constant where a component is a formula in t; None: the solver's default.
 
-        Of one component: others beside it have their own, see `components.amplitude_of`.
+        For single components see `values.amplitude_of`.
         """
         timed = self.curve is None and depends_on_time(self.values)
         return CONSTANT if timed else self.curve
@@ -213,7 +213,7 @@ def _read_at(key: str, written: Any, unit: str) -> Component:
 
 
 class Symmetry(PrescribingSupport):
-    """A plane of symmetry: nothing leaves it.  Each of its surfaces must be flat."""
+    """A plane of symmetry: no displacement along its normal.  Its surfaces must be flat."""
 
     kind: Literal["symmetry"] = "symmetry"
 
@@ -338,13 +338,14 @@ class Rotation(PrescribingSupport):
         """See `PrescribingSupport`."""
         angle = self._scale(self.rotation_angle, t, default) * _at_time(self.rotation_angle, t)
         r = x - np.array([*map(float, self.centre), 0.0])[:3]  # type: ignore[arg-type]
-        once = np.cross(self.direction, r)
-        twice = np.cross(self.direction, once)
-        moved = np.sin(angle) * once + 2 * np.sin(angle / 2) ** 2 * twice
+        Kr = np.cross(self.direction, r)
+        KKr = np.cross(self.direction, Kr)
+        # 1 - cos(a) = 2 sin^2(a/2): small angles lose no digits.
+        rotated = np.sin(angle) * Kr + 2 * np.sin(angle / 2) ** 2 * KKr
         if not self.translation:
-            return np.asarray(moved[:, which])
-        shift = self.translation[which]
-        return np.asarray(moved[:, which] + self._scale(shift, t, default) * _at_time(shift, t))
+            return np.asarray(rotated[:, which])
+        d = self.translation[which]
+        return np.asarray(rotated[:, which] + self._scale(d, t, default) * _at_time(d, t))
 
 
 def _at_time(value: Component, t: float) -> float:

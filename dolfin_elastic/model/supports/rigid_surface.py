@@ -38,7 +38,7 @@ class Rigid(Restraint):
     Attributes:
         point: The reference point c [m]; the middle of the surface by default.
         displacement: One entry a component of d [m]: a number, a text with a unit, a formula in t,
-            or "free".  By default free where a force is given, and else held at 0.
+            or "free".  By default free where a force is given, else 0.
         rotation: The same for the rotation vector theta [rad]; in a plane one entry, about z.
         force: One entry a component [N]; where the displacement is free.
         moment: One entry a component of theta [N m]; where the rotation is free.
@@ -77,7 +77,7 @@ class Rigid(Restraint):
 
     @cached_property
     def centre(self) -> tuple[Component, ...]:
-        """The reference point as numbers; nothing: the middle of the surface."""
+        """The reference point [m]; empty: the centroid of the surface."""
         found = self._components("point", self.point, "m", free=False)
         if any(isinstance(item, Formula) for item in found):
             raise InputError("a point of reference does not move", where="point")
@@ -131,7 +131,7 @@ class Rigid(Restraint):
 
     @property
     def rotation_components(self) -> tuple[Component, ...]:
-        """The rotation vector's components [rad], None where free; nothing where none is given."""
+        """The rotation vector's components [rad], None where free; empty if it is not given."""
         return self._parsed["rotation"]
 
     @property
@@ -172,7 +172,16 @@ class Rigid(Restraint):
     def at_time(
         self, values: tuple[Component, ...], t: float, default: Amplitude
     ) -> tuple[float, ...]:
-        """Components at time t; 0 for what is free."""
+        """Components at a time, with their amplitudes.
+
+        Args:
+            values: Components, from `motion` or `action`.
+            t: Time [s], or load parameter.
+            default: Amplitude where the support has no curve.
+
+        Returns:
+            One number a component, 0 for free ones.
+        """
         return tuple(
             (amplitude_of(v, self.curve) or default).at(t)
             * (v.evaluate(t=t) if isinstance(v, Formula) else float(v or 0.0))

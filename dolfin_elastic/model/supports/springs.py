@@ -1,4 +1,4 @@
-"""Supports that hold by forces: springs and dashpots on surfaces, and the table of all supports."""
+"""Elastic foundations and dashpots on surfaces, and the table of all supports."""
 
 from __future__ import annotations
 
@@ -28,35 +28,40 @@ T = TypeVar("T")
 
 
 class SupportContext(Protocol):
-    """What a spring finds at the surface it acts on; see `context.FormContext`."""
+    """What forms of springs need of the problem; `problem.context.FormContext` gives it."""
 
     v: Expr
-    """Virtual displacement."""
+    """Virtual displacement: the test function."""
     u: Expr
-    """Displacement, of the unknowns: derivatives see it."""
+    """Displacement [m], a part of the unknowns, by which forms are differentiated."""
     velocity: Expr
     """Velocity [m/s]; zero in statics."""
     N: Expr
     """Outward unit normal of the reference surface."""
 
     def areas(self, surfaces: Sequence[str]) -> ufl.Measure:
-        """Reference area of surfaces."""
+        """Measure of the reference area of surfaces."""
 
     def area(self, surfaces: Sequence[str]) -> Any:
-        """The same as a number, a constant [m^2]. Collective."""
+        """Reference area of surfaces as a constant [m^2]. Collective."""
 
     def constant(self, value: float | Sequence[float]) -> Expr:
-        """A number that can change without compiling anything."""
+        """A number or vector whose value can change without a form being compiled again."""
 
     def vector(self, values: tuple[Component, ...], curve: Amplitude | None) -> Expr:
-        """The vector at a point of the body, each component times its amplitude."""
+        """A vector field, each component times its amplitude.
+
+        Args:
+            values: Components: numbers, or formulas in x, y, z and t.
+            curve: Amplitude that the user has given, if any.
+        """
 
     def value(self, value: Component) -> Expr:
-        """A number or formula at a point of the body."""
+        """A scalar field: a number, or a formula in x, y, z."""
 
 
 class ResistingSupport(Restraint):
-    """Holds a surface by a force that is linear in its displacement or in its velocity w.
+    """Base of springs and dashpots: a force linear in the displacement or velocity w of a surface.
 
     The force on the body per reference area is -(n (w . N) N + s (w - (w . N) N)) with the
     reference normal N, or -k_i w_i along each axis.
@@ -72,9 +77,9 @@ class ResistingSupport(Restraint):
     total: bool = False
 
     unit: ClassVar[str] = ""
-    """Of a coefficient, without the area."""
+    """SI unit of a coefficient of the whole surface; per area it is this over m^2."""
     axes: ClassVar[str] = ""
-    """Key of the coefficients along the axes."""
+    """Name of the field with the coefficients along the axes."""
 
     @model_validator(mode="after")
     def _read(self) -> Self:
@@ -142,7 +147,12 @@ class ResistingSupport(Restraint):
         return [value / area for value in values]
 
     def resistance(self, context: SupportContext, w: Expr) -> Expr:
-        """Force per reference area against w, as a UFL expression. Collective."""
+        """Force per reference area against w [N/m^2], a UFL vector. Collective.
+
+        Args:
+            context: The problem's side of the form.
+            w: Displacement [m] or velocity [m/s] of the surface.
+        """
         values = self._values(context)
         if not self.by_normal:
             if len(values) != len(w):
@@ -156,10 +166,13 @@ class ResistingSupport(Restraint):
 
     @abstractmethod
     def virtual_work(self, context: SupportContext) -> ufl.Form:
-        """Virtual work of its force on the body, linear in `context.v`. Collective."""
+        """Virtual work of the force on the body, linear in `context.v`. Collective."""
 
     def bound(self, context: SupportContext) -> ufl.Form:
-        """Largest coefficient times each component of `context.v`: a bound of its matrix's rows."""
+        """Form whose assembled vector bounds the absolute row sums of the support's matrix.
+
+        The largest coefficient times each component of `context.v`.
+        """
         values = self._values(context)
         most = values[0]
         for value in values[1:]:
@@ -168,7 +181,7 @@ class ResistingSupport(Restraint):
 
 
 def _located(key: str, read: Callable[[Any, str], T], written: Any, unit: str) -> T:
-    """What a key says; faults get its name."""
+    """Reads the value of a key; errors name the key."""
     try:
         return read(written, unit)
     except InputError as error:
@@ -196,7 +209,7 @@ class Spring(ResistingSupport):
 
     @cached_property
     def base(self) -> tuple[Component, ...]:
-        """Displacement of the base; nothing where it rests."""
+        """Displacement of the base [m]; empty if it is at rest."""
         if self.displacement is None:
             return ()
         return _located("displacement", components, self.displacement, "m")
@@ -254,7 +267,12 @@ class Dashpot(ResistingSupport):
         return self.work_at(context, context.velocity)
 
     def work_at(self, context: SupportContext, velocity: Expr) -> ufl.Form:
-        """Virtual work of its force at a velocity [m/s]."""
+        """Virtual work of the force at a given velocity. Collective.
+
+        Args:
+            context: The problem's side of the form.
+            velocity: Velocity of the surface [m/s], a UFL vector.
+        """
         return -ufl.inner(self.resistance(context, velocity), context.v) * context.areas(
             self.surfaces
         )
