@@ -13,7 +13,8 @@ from dolfinx import fem, la
 from petsc4py import PETSc
 
 from dolfin_elastic.core.compat import interpolation_matrix
-from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.problem.constraints.skew import SkewConstraints
 from dolfin_elastic.problem.problem import Problem
 
 VERTEX = 0.9
@@ -24,6 +25,11 @@ ZERO = 1e-10
 """Weight below which an entry of the interpolation is round-off."""
 
 
+SOFT = 1e-2
+"""Factor of skew directions of vertices in the interpolation.  The stiffness there, SOFT^2 of K's
+size, must not hinder the rigid-body modes of the coarser levels, which do not know of it."""
+
+
 class PMultigrid:
     """Two levels of PCMG: quadratic elements, below them linear ones, solved for by GAMG.
 
@@ -32,9 +38,9 @@ class PMultigrid:
 
         P = (1 - D) I (1 - C) + D V
 
-    where I interpolates and V copies vertices.  No coarse function moves a prescribed direction
-    of the fine level, and the coarse tangent has, along prescribed directions of vertices, what K
-    has there (ones, or the stiffness that stands for skew supports), so that it is regular.
+    where I interpolates and V copies vertices.  So a coarse free direction moves no prescribed
+    one, and along the prescribed directions of vertices the coarse tangent has what K has there:
+    ones, or the stiffness that stands for skew supports (times `SOFT` twice).
 
     Args:
         problem: With quadratic elements.  Collective.
@@ -108,14 +114,16 @@ def constrained_interpolation(
     D = _prescribed(problem, P, order)
     vertices = D.matMult(V)
     C = V.transposeMatMult(vertices)
+    softened = _softened(problem, P, order)
+    vertices.diagonalScale(softened)
     prescribed = D.matMult(P)
     _add(P, -1.0, prescribed)
     columns = P.matMult(C)
     _add(P, -1.0, columns)
     _add(P, 1.0, vertices)
     result = _rows(P, ZERO)
-    for matrix in (plain, P, V, D, vertices, C, prescribed, columns):
-        matrix.destroy()
+    for thing in (plain, P, V, D, vertices, C, prescribed, columns, softened):
+        thing.destroy()
     return result
 
 
@@ -142,7 +150,7 @@ def _prescribed(problem: Problem, like: PETSc.Mat, order: IndexArray | None) -> 
     skew = problem.dirichlet.skew
     if skew is not None:
         blocks, dim = skew.P[: skew.count], problem.body.dim
-        places = row[skew.nodes[: skew.count, None] * dim + np.arange(dim)]
+        places = _skew_rows(problem, skew, order)
         rows.append(np.repeat(places, dim, axis=1).reshape(-1))
         columns.append(np.tile(places, dim).reshape(-1))
         values.append(blocks.reshape(-1))
@@ -153,6 +161,22 @@ def _prescribed(problem: Problem, like: PETSc.Mat, order: IndexArray | None) -> 
         np.concatenate(values),
         square=True,
     )
+
+
+def _softened(problem: Problem, like: PETSc.Mat, order: IndexArray | None) -> PETSc.Vec:
+    """A factor for each row of a matrix: `SOFT` at nodes of skew supports, else 1. Collective."""
+    factors, skew = like.createVecLeft(), problem.dirichlet.tilted
+    factors.set(1.0)
+    if skew is not None:
+        factors.array_w[_skew_rows(problem, skew, order).reshape(-1)] = SOFT
+    return factors
+
+
+def _skew_rows(problem: Problem, skew: SkewConstraints, order: IndexArray | None) -> IntArray:
+    """Rows of owned nodes of skew supports, of shape (nodes, dim)."""
+    dim = problem.body.dim
+    entries = skew.nodes[: skew.count, None] * dim + np.arange(dim)
+    return np.asarray(entries if order is None else np.argsort(order)[entries])
 
 
 def _from_entries(
