@@ -20,8 +20,11 @@ from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
 from dolfin_elastic.model.values import depends_on_time
 from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
-from dolfin_elastic.problem.constraints.normals import check_facing
-from dolfin_elastic.problem.constraints.spring_directions import Projections, spring_directions
+from dolfin_elastic.problem.constraints.normals import (
+    Projections,
+    check_facing,
+    spring_directions,
+)
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.eigenstrain import eigenstrains
 from dolfin_elastic.problem.formulation import Formulation, shear_modulus

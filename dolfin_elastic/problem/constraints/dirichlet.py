@@ -1,10 +1,8 @@
-"""Displacements that supports prescribe, as one set of boundary values."""
+"""Dirichlet conditions: the prescribed displacements of a body, evaluated step by step."""
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,25 +12,19 @@ from dolfinx import fem
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import first_of, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
-from dolfin_elastic.mesh.body import Body, cell_size
+from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
-from dolfin_elastic.model.supports.displacement import NORMAL, PrescribingSupport, Restraint
-from dolfin_elastic.model.supports.rigid_surface import Rigid
-from dolfin_elastic.problem.constraints.normals import sheet, tidy
+from dolfin_elastic.model.supports.displacement import Restraint
+from dolfin_elastic.problem.constraints.prescribed import PrescribedComponents, PrescribedDofs
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
-from dolfin_elastic.problem.constraints.skew import SkewConstraints, SkewSupport
-
-log = logging.getLogger("dolfin_elastic")
-
-MIRRORED = 0.7
-"""Share of a normal that has to lie in a plane of symmetry for the surface to go on beyond it."""
+from dolfin_elastic.problem.constraints.skew import SkewConstraints, check_rigid_surfaces
 
 
 class DirichletConditions:
-    """All prescribed displacements of a body.
+    """All prescribed displacements of a body.  Collective to make.
 
-    Where supports meet, the later one holds.  Nodes that are held along axes only are constrained
-    entry by entry; all others are `skew`.
+    Where supports meet, the later one holds.  Nodes whose prescribed directions are along axes are
+    constrained entry by entry; all others are `skew`.
 
     Args:
         body: The mesh and its names.
@@ -43,13 +35,13 @@ class DirichletConditions:
             fixed vertex, and one of them for each such unknown that this rank owns.
 
     Attributes:
-        values: Function whose entries at the constrained dofs are the prescribed values.
+        values: Function whose entries at the constrained dofs are the prescribed values [m].
         bcs: One DOLFINx condition a component, ready for assembly.
         dofs: Constrained entries of the local vector, owned and ghost, sorted, unrolled.
         owned: Those of them that this rank owns.
         reaction_dofs: Support's label to its owned entries: its reaction is the sum of the forces
             there, and of those that `skew` has of it.
-        skew: Nodes held along other directions; None if no rank has any.
+        skew: Nodes with other directions; None if no rank has any.
         rigid_motions: Of rigid surfaces.
     """
 
@@ -63,182 +55,45 @@ class DirichletConditions:
         pinned: tuple[IndexArray, IndexArray] | None = None,
     ) -> None:
         self.values = fem.Function(V)
-        self._V = V
-        self._x = V.tabulate_dof_coordinates()
-        self._bs = V.dofmap.index_map_bs
-        self.rigid_motions: list[RigidMotion] = []
-        chosen = [s for s in supports if isinstance(s, PrescribingSupport | Rigid)]
-        holds = [
-            hold
-            for support in chosen
-            for hold in (
-                self._rigid(body, support, axis)
-                if isinstance(support, Rigid)
-                else self._of(body, support, axis)
-            )
-        ]
-        if axis:
-            holds.append(self._on_axis(body))
-        self.skew, holds = self._split(body, self._mirrored(holds))
-        self._entries = self._given_to_the_later(holds)
-        self._labels = list(dict.fromkeys(support.label for support in chosen))
-        dofs = [dofs for _, dofs, _ in self._entries]
-        self.dofs = np.unique(np.concatenate(dofs)) if dofs else np.empty(0, dtype=np.int32)
-        owned_size = V.dofmap.index_map.size_local * self._bs
-        self.owned = self.dofs[self.dofs < owned_size]
-        self.bcs = [self._condition(i) for i in range(self._bs)] if dofs else []
-        self.reaction_dofs = self._reactions_of(owned_size)
+        self._V, self._x, self._bs = V, V.tabulate_dof_coordinates(), V.dofmap.index_map_bs
+        found = PrescribedComponents(body, V, supports, axisymmetric=axis)
+        self.rigid_motions, off_axis = found.rigid_motions, found.off_axis
+        self.skew = self._skew(found, off_axis)
+        self._entries = found.along_axes(~off_axis)
+        dofs = np.concatenate([np.empty(0, np.int32), *(entry.dofs for entry in self._entries)])
+        self.dofs = np.unique(dofs).astype(np.int32)
+        size = V.dofmap.index_map.size_local * self._bs
+        self.owned = self.dofs[self.dofs < size]
+        self.bcs = [self._condition(i) for i in range(self._bs)] if self._entries else []
+        self.reaction_dofs = {label: self._dofs_of(label, size) for label in found.labels}
         if pinned is not None:
             self.dofs, self.owned = np.sort(pinned[0]), pinned[1]
         self._t, self._default = 0.0, CONSTANT
 
-    def _rigid(self, body: Body, support: Rigid, axis: bool) -> list[SkewSupport]:
-        """What a rigid surface holds. Collective."""
-        where = f"support '{support.label}'"
-        if axis:
-            raise InputError(
-                "an axisymmetric body has no rigid surface",
-                where=f"{where}.kind",
-                expected='"displacement"',
-            )
-        if any(motion.label == support.label for motion in self.rigid_motions):
-            raise InputError(
-                "another rigid surface has this name", where=f"{where}.name", expected="its own"
-            )
-        motion = RigidMotion(support, body)
-        self.rigid_motions.append(motion)
-        return [self._along(motion, i, self._nodes(body, support)) for i in range(self._bs)]
-
-    def _nodes(self, body: Body, support: Restraint) -> IndexArray:
-        """Nodes of its surfaces, owned and ghost, sorted. Collective."""
-        facets = np.unique(np.concatenate([body.surface(name) for name in support.surfaces]))
-        nodes = fem.locate_dofs_topological(self._V, body.mesh.topology.dim - 1, facets)
-        return np.sort(nodes).astype(np.int32)
-
-    def _of(self, body: Body, support: PrescribingSupport, axis: bool) -> list[SkewSupport]:
-        """What a support holds. Collective."""
-        which = support.prescribed_components(self._bs)
-        if which == (NORMAL,):
-            return [self._across(body, support, name) for name in support.surfaces]
-        if axis and support.kind == "rotation":
-            raise InputError(
-                "an axisymmetric body cannot be turned",
-                where=f"support '{support.label}'.kind",
-                expected='"displacement"',
-            )
-        nodes = self._nodes(body, support)
-        return [self._along(support, i, nodes) for i in which]
-
-    def _along(
-        self, support: PrescribingSupport | RigidMotion | None, i: int, nodes: IndexArray
-    ) -> SkewSupport:
-        return SkewSupport(support, i, nodes, np.tile(np.eye(self._bs)[i], (len(nodes), 1)))
-
-    def _across(self, body: Body, support: PrescribingSupport, name: str) -> SkewSupport:
-        """What is held along a surface's normal. Collective."""
-        found = sheet(body, self._V, name)
-        if support.needs_flat and not found.flat:
-            deviation = (
-                f"its nodes lie {found.unevenness:.3g} m apart across it"
-                if np.isfinite(found.unevenness)
-                else "it is closed"
-            )
-            raise InputError(
-                f"the surface '{name}' is not flat: {deviation}",
-                where=f"support '{support.label}'.on",
-                expected='a plane of symmetry is flat; kind = "normal" takes any surface',
-            )
-        return SkewSupport(support, NORMAL, found.nodes, found.normals, not found.flat)
-
-    def _on_axis(self, body: Body) -> SkewSupport:
-        """Radial entries on the axis of an axisymmetric body, which stay at zero."""
-        nodes = np.flatnonzero(self._x[:, 0] < 1e-9 * cell_size(body))
-        return self._along(None, 0, nodes.astype(np.int32))
-
-    def _mirrored(self, holds: list[SkewSupport]) -> list[SkewSupport]:
-        """Curved surfaces go on beyond planes of symmetry and the axis: their normals lie in them.
-
-        From the facets on this side alone the mean normal leans towards them.
-        """
-        planes = [h for h in holds if h.support is None or h.support.needs_flat]
-        for plane in planes:
-            across = np.zeros((len(self._x), self._bs))
-            across[plane.nodes] = plane.directions
-            for k, hold in enumerate(holds):
-                if hold.curved:
-                    n = hold.directions
-                    t = across[hold.nodes]
-                    n = n - np.einsum("ni,ni->n", n, t)[:, None] * t
-                    length = np.linalg.norm(n, axis=1, keepdims=True)
-                    n = np.where(
-                        length > MIRRORED, n / np.maximum(length, MIRRORED), hold.directions
-                    )
-                    holds[k] = replace(hold, directions=tidy(n))
-        return holds
-
-    def _split(
-        self, body: Body, holds: list[SkewSupport]
-    ) -> tuple[SkewConstraints | None, list[SkewSupport]]:
-        """Takes out all that happens at nodes with a direction that is no axis. Collective."""
-        is_skew = np.zeros(len(self._x), dtype=bool)
-        for hold in holds:
-            is_skew[hold.nodes[np.max(np.abs(hold.directions), axis=1, initial=0.0) < 1.0]] = True
-        if not total(body.comm, int(is_skew.sum())):
-            return None, holds
-        self._check_apart(holds, is_skew)
-        skew = SkewConstraints(
-            [hold.of(is_skew[hold.nodes]) for hold in holds],
+    def _skew(self, found: PrescribedComponents, off_axis: BoolArray) -> SkewConstraints | None:
+        """All components at nodes with a direction that is no axis. Collective."""
+        if not total(self._V.mesh.comm, int(off_axis.sum())):
+            return None
+        check_rigid_surfaces(found.components, off_axis, self._V.mesh.comm)
+        return SkewConstraints(
+            [component.at(off_axis[component.nodes]) for component in found.components],
             size=self._V.dofmap.index_map.size_local,
             x=self._x,
             dim=self._bs,
         )
-        return skew, [hold.of(~is_skew[hold.nodes]) for hold in holds]
-
-    def _check_apart(self, holds: list[SkewSupport], is_skew: BoolArray) -> None:
-        """A rigid surface with unknowns meets no node that is held across the axes. Collective."""
-        for hold in holds:
-            support = hold.support
-            free = isinstance(support, RigidMotion) and len(support.free) > 0
-            met = int(is_skew[hold.nodes].sum()) if free else 0
-            if total(self._V.mesh.comm, met):
-                assert support is not None
-                raise InputError(
-                    "a rigid surface with free motion meets another support whose direction is "
-                    "not along an axis",
-                    where=f"support '{support.label}'.on",
-                    expected="surfaces that share no edge with it",
-                )
-
-    def _given_to_the_later(
-        self, holds: list[SkewSupport]
-    ) -> list[tuple[SkewSupport, IndexArray, FloatArray]]:
-        """Holds with the dofs that no later one prescribes too, and the signs of the directions."""
-        entries = []
-        taken: IndexArray = np.empty(0, dtype=np.int32)
-        for hold in reversed(holds):
-            axis = np.argmax(np.abs(hold.directions), axis=1)
-            dofs = (hold.nodes * self._bs + axis).astype(np.int32)
-            kept = ~np.isin(dofs, taken)
-            taken = np.union1d(taken, dofs).astype(np.int32)
-            signs = hold.directions[np.flatnonzero(kept), axis[kept]]
-            entries.append((hold.of(kept), dofs[kept], signs))
-        return entries[::-1]
 
     def _condition(self, i: int) -> fem.DirichletBC:
         dofs = self.dofs[self.dofs % self._bs == i]
         return fem.dirichletbc(self.values, [dofs, dofs], self._V.sub(i))
 
-    def _reactions_of(self, owned_size: int) -> dict[str, IndexArray]:
-        held: dict[str, list[IndexArray]] = {label: [] for label in self._labels}
-        for hold, dofs, _ in self._entries:
-            if hold.support is not None:
-                held[hold.support.label].append(dofs)
-        empty = np.empty(0, dtype=np.int32)
-        return {
-            label: np.sort(dofs[dofs < owned_size])
-            for label, parts in held.items()
-            for dofs in [np.concatenate([empty, *parts])]
-        }
+    def _dofs_of(self, label: str, size: int) -> IndexArray:
+        """Owned entries of the supports with this label, sorted."""
+        found = [np.empty(0, np.int32)]
+        for entry in self._entries:
+            support = entry.component.support
+            if support is not None and support.label == label:
+                found.append(entry.dofs[entry.dofs < size])
+        return np.sort(np.concatenate(found))
 
     def set_time(self, t: float, default: Amplitude = CONSTANT) -> None:
         """Sets the values of time t. Not collective.
@@ -248,23 +103,25 @@ class DirichletConditions:
             default: Amplitude of supports that name none.
         """
         self._t, self._default = t, default
-        self._evaluate(t, default)
-
-    @np.errstate(all="ignore")  # what has no value is told by `check_finite`
-    def _evaluate(self, t: float, default: Amplitude, only: RigidMotion | None = None) -> None:
-        for hold, dofs, signs in self._entries:
-            if only is not None and hold.support is not only:
-                continue
-            if hold.support is not None:
-                self.values.x.array[dofs] = signs * hold.goals(self._x, t, default)
-        if self.skew is not None and only is None:
+        self._evaluate(self._entries)
+        if self.skew is not None:
             self.skew.set_time(t, default)
+
+    @np.errstate(all="ignore")  # `check_finite` raises where there is no value
+    def _evaluate(self, entries: Iterable[PrescribedDofs]) -> None:
+        for entry in entries:
+            if entry.component.support is not None:
+                values = entry.component.values(self._x, self._t, self._default)
+                self.values.x.array[entry.dofs] = entry.signs * values
 
     # --- rigid surfaces ---
 
     def update_motion(self, motion: RigidMotion) -> None:
         """Takes over changed degrees of freedom of a rigid surface. Not collective."""
-        self._evaluate(self._t, self._default, motion)
+        self._evaluate(self._of(motion))
+
+    def _of(self, motion: RigidMotion) -> list[PrescribedDofs]:
+        return [entry for entry in self._entries if entry.component.support is motion]
 
     def motion_forces(self, motion: RigidMotion) -> FloatArray:
         """Forces and moments on its free degrees of freedom at the present time [N, N m]."""
@@ -282,11 +139,11 @@ class DirichletConditions:
         """
         found_dofs: list[IndexArray] = [np.empty(0, np.int32)]
         found: list[FloatArray] = [np.empty((0, len(motion.names)))]
-        for hold, dofs, signs in self._entries:
-            if hold.support is motion:
-                D = motion.directions(self._x[hold.nodes], self._t, self._default)
-                found.append(signs[:, None] * D[:, hold.which])
-                found_dofs.append(dofs)
+        for entry in self._of(motion):
+            x = self._x[entry.component.nodes]
+            D = motion.directions(x, self._t, self._default)
+            found.append(entry.signs[:, None] * D[:, entry.component.which])
+            found_dofs.append(entry.dofs)
         return np.concatenate(found_dofs), np.concatenate(found)
 
     def moment(self, motion: RigidMotion, forces: FloatArray, u: FloatArray) -> FloatArray:
@@ -298,19 +155,18 @@ class DirichletConditions:
             u: The displacement's local array [m].
         """
         f = np.zeros((len(forces) // self._bs, 3))
-        for hold, dofs, _ in self._entries:
-            if hold.support is motion:
-                own = dofs < len(forces)
-                f[hold.nodes[own], hold.which] = forces[dofs[own]]
+        for entry in self._of(motion):
+            own = entry.dofs < len(forces)
+            f[entry.component.nodes[own], entry.component.which] = forces[entry.dofs[own]]
         if self.skew is not None:
             out = forces.reshape(-1, self._bs)[self.skew.nodes[: self.skew.count]]
-            for support, nodes, leaning in self.skew.reactions(out):
+            for support, nodes, along in self.skew.reactions(out):
                 if support is motion:
-                    f[nodes, : self._bs] += leaning
-        held = np.flatnonzero(np.any(f != 0.0, axis=1))
-        arms = self._x[held] - motion.place(self._t, self._default)
-        arms[:, : self._bs] += u.reshape(-1, self._bs)[held]
-        return total(self._V.mesh.comm, np.cross(arms, f[held]).sum(axis=0))
+                    f[nodes, : self._bs] += along
+        loaded = np.flatnonzero(np.any(f != 0.0, axis=1))
+        arms = self._x[loaded] - motion.place(self._t, self._default)
+        arms[:, : self._bs] += u.reshape(-1, self._bs)[loaded]
+        return total(self._V.mesh.comm, np.cross(arms, f[loaded]).sum(axis=0))
 
     def values_at(self, moments: Sequence[float], default: Amplitude) -> list[FloatArray]:
         """Values at some moments, owned and ghost; all is left as it was. Not collective.

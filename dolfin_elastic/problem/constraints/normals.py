@@ -1,9 +1,9 @@
-"""Normals of named surfaces at the nodes of a space."""
+"""Normals of named surfaces at the nodes of a space, and directions of springs there."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import basix
@@ -13,13 +13,14 @@ from dolfinx.mesh import exterior_facet_indices
 
 from dolfin_elastic.core.compat import integration_entities, interpolation_points
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.supports.displacement import Restraint
-from dolfin_elastic.model.supports.springs import ResistingSupport
+from dolfin_elastic.model.supports.springs import ResistingSupport, Spring
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -31,6 +32,10 @@ ROUND_OFF = 1e-10
 
 KINK = 0.8
 """Length of a mean of unit normals below which a surface has an edge: two faces at 74 degrees."""
+
+
+Projections = tuple[IndexArray, FloatArray]
+"""Owned nodes, and projections on the directions of springs, of shape (nodes, dim, dim)."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,7 @@ class SurfaceNormals:
     unevenness: float
 
 
-def sheet(body: Body, V: fem.FunctionSpace, name: str) -> SurfaceNormals:
+def surface_normals(body: Body, V: fem.FunctionSpace, name: str) -> SurfaceNormals:
     """The nodes of a surface and the normals there, by the areas of the facets around. Collective.
 
     A facet's share in the normal at its node is the Jacobian's cofactor times the reference
@@ -74,7 +79,7 @@ def sheet(body: Body, V: fem.FunctionSpace, name: str) -> SurfaceNormals:
     mean = total(body.comm, shares.sum(axis=0))
     length = float(np.linalg.norm(mean))
     whole = total(body.comm, float(np.linalg.norm(shares, axis=1).sum()))
-    mean = tidy(mean[None] / length)[0] if length > FLAT * whole else np.zeros(dim)
+    mean = unit_normals(mean[None] / length)[0] if length > FLAT * whole else np.zeros(dim)
     found = np.flatnonzero(rows[:, dim] > 0.0).astype(np.int32)
     spread = np.linalg.norm(shares, axis=1, keepdims=True) * mean - shares
     off = np.linalg.norm(spread, axis=1) / np.maximum(np.linalg.norm(shares, axis=1), 1e-300)
@@ -84,7 +89,9 @@ def sheet(body: Body, V: fem.FunctionSpace, name: str) -> SurfaceNormals:
     high = largest(body.comm, float(np.max(heights, initial=-np.inf)))
     flat = flat and high - low < FLAT * span(body)
     sharp = np.linalg.norm(rows[found, :dim], axis=1) / rows[found, dim]
-    normals = tidy(rows[found, :dim] / np.linalg.norm(rows[found, :dim], axis=1, keepdims=True))
+    normals = unit_normals(
+        rows[found, :dim] / np.linalg.norm(rows[found, :dim], axis=1, keepdims=True)
+    )
     if smallest(body.comm, float(np.min(sharp, initial=1.0))) < KINK:
         log.warning(
             "the surface '%s' has an edge, where its nodes are held along a mean normal only: "
@@ -145,7 +152,23 @@ def check_facing(
                 check_outside(body, name, where)
 
 
-def tidy(normals: FloatArray) -> FloatArray:
+def spring_directions(spring: Spring, body: Body, V: fem.FunctionSpace) -> Iterator[Projections]:
+    """The nodes at which a spring resists, surface by surface. Collective."""
+    dim, size = body.dim, V.dofmap.index_map.size_local
+    stiff = np.array([isinstance(k, Formula) or k != 0.0 for k in spring.coefficients], float)
+    for name in spring.surfaces:
+        found = surface_normals(body, V, name)
+        own = found.nodes < size
+        n = found.normals[own]
+        if spring.by_normal:
+            along = n[:, :, None] * n[:, None, :]
+            P = stiff[0] * along + stiff[1] * (np.eye(dim) - along)
+        else:
+            P = np.tile(np.diag(stiff), (len(n), 1, 1))
+        yield found.nodes[own], P
+
+
+def unit_normals(normals: FloatArray) -> FloatArray:
     """Unit vectors, exactly along an axis where they are so but for round-off."""
     nearest = np.round(normals)
     close = np.linalg.norm(normals - nearest, axis=1) < ROUND_OFF
