@@ -165,7 +165,7 @@ def _prescribed(problem: Problem, like: PETSc.Mat, order: IndexArray | None) -> 
 
 def _softened(problem: Problem, like: PETSc.Mat, order: IndexArray | None) -> PETSc.Vec:
     """A factor for each row of a matrix: `SOFT` at nodes of skew supports, else 1. Collective."""
-    factors, skew = like.createVecLeft(), problem.dirichlet.tilted
+    factors, skew = like.createVecLeft(), problem.dirichlet.skew
     factors.set(1.0)
     if skew is not None:
         factors.array_w[_skew_rows(problem, skew, order).reshape(-1)] = SOFT
