@@ -143,11 +143,10 @@ class Unknowns:
         size = self.U.dofmap.index_map.size_local * self.U.dofmap.index_map_bs
         return self.mixed_dofs(np.arange(size, dtype=np.int32))
 
-    def linear_space(self) -> tuple[fem.FunctionSpace, IndexArray]:
-        """U with linear elements, and its owned entries that are held. Collective."""
+    def linear_space(self) -> fem.FunctionSpace:
+        """U with linear elements. Collective."""
         mesh = self.V.mesh
-        space = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
-        return space, np.empty(0, dtype=np.int32)
+        return fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
 
     def w_to_u(self) -> None:
         """Copies the displacement out of all unknowns, after they were changed."""

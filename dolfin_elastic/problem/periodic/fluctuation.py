@@ -103,14 +103,10 @@ class Fluctuation(Unknowns):
         entries[self._unrolled(self._merged.new)] = self._dofs
         return entries[: imap.size_local * self._dim]
 
-    def linear_space(self) -> tuple[fem.FunctionSpace, IndexArray]:
-        """U with linear elements, and its owned entries that are held. Collective."""
-        pairing = self.cell.pairing
+    def linear_space(self) -> fem.FunctionSpace:
+        """U with linear elements. Collective."""
         plain = fem.functionspace(self.V.mesh, ("Lagrange", 1, (self._dim,)))
-        merged = pairing.merged(plain)
-        nodes = np.unique(merged.new[pairing.held(plain, merged)])
-        owned = nodes[nodes < merged.space.dofmap.index_map.size_local]
-        return merged.space, self._unrolled(owned.astype(np.int32))
+        return self.cell.pairing.merged(plain).space
 
     def w_to_u(self) -> None:
         """Makes the displacement of fluctuation and macroscopic displacement."""

@@ -51,7 +51,7 @@ class PMultigrid:
 
     def __init__(self, problem: Problem, pc: PETSc.PC, order: IndexArray | None = None) -> None:
         self._problem, self._pc = problem, pc
-        self._space = problem.unknowns.linear_space()[0]
+        self._space = problem.unknowns.linear_space()
         self._P = constrained_interpolation(problem, self._space, order)
         # GAMG takes the near null space from its matrix, which PCMG makes in the middle of its
         # set-up where nobody can reach it, or from the first field of its DM.
