@@ -1,4 +1,4 @@
-"""What every load is: one external virtual-work term, and the context where it acts."""
+"""Base of all loads: one external virtual-work term each, and what it needs of the problem."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
 from dolfin_elastic.model.values import Component, components, depends_on_time
 
 PLACE = frozenset("xyz")
-"""Names of the place in formulas."""
+"""Names of the coordinates in formulas."""
 
 
 class LoadContext(Protocol):
-    """What a load finds on the body it acts on; see `context.FormContext`."""
+    """What forms of loads need of the problem; `problem.context.FormContext` gives it."""
 
     v: Expr
-    """Virtual displacement."""
+    """Virtual displacement: the test function."""
     u: Expr
-    """Displacement, of the unknowns: derivatives see it."""
+    """Displacement [m], a part of the unknowns, by which forms are differentiated."""
 
     @property
     def F(self) -> Expr:
@@ -41,57 +41,72 @@ class LoadContext(Protocol):
 
     @property
     def axisymmetric(self) -> bool:
-        """A body of revolution about y: its first coordinate is the radius."""
+        """The body is axisymmetric about y: its first coordinate is the radius."""
 
     @property
     def linear(self) -> bool:
-        """All laws are linear: see `Load.linearises`."""
+        """All laws are linear, see `Load.linearises`."""
 
     def volumes(self, regions: Sequence[str]) -> ufl.Measure:
-        """Reference volume of regions, of the whole body if there are none."""
+        """Measure of the reference volume of regions; of the whole body if no name is given."""
 
     def areas(self, surfaces: Sequence[str]) -> ufl.Measure:
-        """Reference area of surfaces."""
+        """Measure of the reference area of surfaces."""
 
     def area(self, surfaces: Sequence[str]) -> Expr:
-        """Size of the reference area of surfaces [m^2]."""
+        """Reference area of surfaces as a constant [m^2]. Collective."""
 
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
-        """Density [kg/m^3] and reference volume, material by material."""
+        """Density [kg/m^3] and measure of the reference volume, material by material."""
 
     def constant(self, value: float | Sequence[float]) -> Expr:
-        """A number that can change without compiling anything."""
+        """A number or vector whose value can change without a form being compiled again."""
 
     def unknown(self, label: str) -> Expr:
-        """A number that is solved for."""
+        """A scalar unknown of the bordered system, such as the pressure of a cavity."""
 
     def vector(self, values: tuple[Component, ...], curve: Amplitude | None) -> Expr:
-        """The vector at a point of the body, each component times its amplitude."""
+        """A vector field, each component times its amplitude.
+
+        Args:
+            values: Components: numbers, or formulas in x, y, z and t.
+            curve: Amplitude that the user has given, if any.
+        """
 
     def factor(self, amplitude: Amplitude | None) -> Expr:
-        """A number that follows an amplitude (None: as the solver decides)."""
+        """A constant that has the value of an amplitude; None: of the solver's default."""
 
     def factors(self, values: tuple[Component, ...], curve: Amplitude | None) -> list[Expr]:
-        """What follows the amplitude of each component, see `components.amplitude_of`."""
+        """The amplitude of each component as a constant, see `values.amplitude_of`.
+
+        Args:
+            values: Components: numbers, or formulas in x, y, z and t.
+            curve: Amplitude that the user has given, if any.
+        """
 
     def value(self, value: Component) -> Expr:
-        """A number or formula at a point of the body."""
+        """A scalar field: a number, or a formula in x, y, z and t."""
 
     def scalar(self, value: Component, amplitude: Amplitude | None) -> Expr:
-        """A number or formula at a point of the body, times the amplitude."""
+        """A scalar field times an amplitude.
+
+        Args:
+            value: A number, or a formula in x, y, z and t.
+            amplitude: The amplitude; None: the solver's default.
+        """
 
 
 @dataclass(frozen=True)
 class LoadPoints:
-    """Points of the undeformed body at which a load is asked how strong it is.
+    """Points of the reference configuration at which the intensity of a load is evaluated.
 
     Attributes:
-        X: Places [m], shape (..., dim).
+        X: Points [m], shape (..., dim).
         t: Time [s], or load parameter.
         N: Outward unit normals, shape of X, on surfaces only.
         density: Mass density [kg/m^3], shape (...), for loads that need it.
-        size: Area or volume of all points' part [m^2, m^3].
-        axisymmetric: They are those of a body of revolution about y.
+        size: Area of all surfaces, or volume of all regions, of the load [m^2, m^3].
+        axisymmetric: The body is axisymmetric about y.
     """
 
     X: FloatArray
@@ -124,15 +139,15 @@ class Load(Record):
     along_normal: ClassVar[bool] = False
     """The load acts along the outward normal of its surfaces."""
     follower: ClassVar[bool] = False
-    """The load depends on the displacement."""
+    """The load depends on the displacement, so that it has a load stiffness."""
     linearises: ClassVar[bool] = False
-    """Of a load that follows: where all laws are linear it acts on the undeformed body."""
+    """Of a follower load: where all laws are linear, it acts on the undeformed body."""
     concentrated: ClassVar[bool] = False
-    """The load acts at points, not on volumes or surfaces: see `concentrated`."""
+    """The load acts at points, not on volumes or surfaces, see `point_loads`."""
     is_eigenstrain: ClassVar[bool] = False
-    """The load is no force but changes the rest state: see `growth`."""
+    """The load is no force but changes the natural state, see `eigenstrain`."""
     conservative: ClassVar[bool] = True
-    """The load has a potential, so its part of the tangent is symmetric."""
+    """The load has a potential, so that its load stiffness is symmetric."""
 
     @model_validator(mode="after")
     def _read_components(self) -> Load:
@@ -154,28 +169,28 @@ class Load(Record):
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:
-        """Key to the components of what must have as many of them as the body."""
+        """Keys of vectors that must have as many components as the body, with their values."""
         return {"value": self.values}
 
     @property
     def conservative_if_edge_fixed(self) -> bool:
-        """The load has a potential if the rim of its surfaces cannot move across them."""
+        """The load has a potential if the edge of its surfaces has no displacement across them."""
         return False
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Names of the surfaces or regions the load acts on, once where they overlap.
+        """Names of the surfaces or regions of the load; empty: the whole body.
 
-        None: the whole body.
+        Where they overlap the load acts once.
         """
         on = getattr(self, "on", None)
         return () if on is None else (on,) if isinstance(on, str) else tuple(on)
 
     @property
     def amplitude(self) -> Amplitude | None:
-        """Its curve; constant where a formula already says how it changes; None: not said.
+        """Its curve; constant for a formula in t; None: the solver's default.
 
-        Of loads with one value; components have one each, see `components.amplitude_of`.
+        Of loads with one value; components have one each, see `values.amplitude_of`.
         """
         timed = self.curve is None and depends_on_time(self.values)
         return CONSTANT if timed else self.curve
@@ -187,10 +202,11 @@ class Load(Record):
     def intensity(self, points: LoadPoints) -> FloatArray | None:
         """Force per reference area or volume on the undeformed body, without its amplitude.
 
-        A report integrates it before anything is compiled: the same as `virtual_work`, in numbers.
+        The integrand of `virtual_work` in numbers, which the check of a case integrates before
+        anything is compiled.
 
         Returns:
-            Shape of `points.X` [N/m^2 or N/m^3]; None: the load cannot be told so.
+            Shape of `points.X` [N/m^2 or N/m^3]; None: the load has no such density.
         """
         return None
 
@@ -201,7 +217,7 @@ class Load(Record):
 
 @contextmanager
 def keyed(key: str) -> Iterator[None]:
-    """Gives faults inside the key that they belong to."""
+    """Errors raised inside get a key in front of where they point."""
     try:
         yield
     except InputError as error:

@@ -1,4 +1,4 @@
-"""Cavities: hollow spaces with a pressure inside, which may be an unknown."""
+"""Surface-based fluid cavities: enclosed volumes whose pressure is given or unknown."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ UNITS = {"pressure": "Pa", "volume": "m^3", "volume_ratio": "", "added": "m^3"}
 
 
 class Cavity(Load):
-    """A hollow space: its pressure is given, or its volume, whose pressure is then an unknown.
+    """A cavity: its pressure is given, or its volume, and then the pressure is an unknown.
 
     The pressure pushes on the deformed surfaces, as `Pressure` does.  The enclosed volume is
     -1/d times the integral of (x - o) . (cof F N) over the reference surfaces with the outward
     normal N of the body, o the origin, and d = 3 dimensions (2 in plane strain, for the whole
-    thickness); flat walls through the origin have no share in it, so the body may be cut at planes
+    thickness); flat walls through the origin contribute nothing, so the body may be cut at planes
     of symmetry.  Its derivative is the pressure's virtual work, and the pressure the multiplier of
     the equation volume = given volume.
 
@@ -41,7 +41,7 @@ class Cavity(Load):
         added: The same, beside the initial volume.
         origin: A point in all planes of symmetry [m]; zero by default.
         curve: Amplitude over time of the pressure, or of the change of volume.
-        name: What results call it; the surfaces' names by default.
+        name: Its name in results; the surfaces' names by default.
     """
 
     kind: Literal["cavity"] = "cavity"
@@ -65,7 +65,7 @@ class Cavity(Load):
 
     @property
     def label(self) -> str:
-        """What results call it."""
+        """Its name in results."""
         return self.name or "+".join(self.parts)
 
     @property
@@ -92,7 +92,7 @@ class Cavity(Load):
 
     @cached_property
     def values(self) -> tuple[Component, ...]:
-        """What is prescribed, as one number or formula."""
+        """The prescribed pressure [Pa] or volume [m^3], a number or formula in t."""
         key = self.key
         try:
             found = component(getattr(self, key), UNITS[key])
@@ -108,7 +108,7 @@ class Cavity(Load):
 
     @cached_property
     def origin_components(self) -> tuple[Component, ...]:
-        """The origin as numbers; nothing where it is zero."""
+        """The origin [m]; empty if it is zero."""
         if self.origin is None:
             return ()
         found = components(self.origin, "m", key="origin")
@@ -131,7 +131,7 @@ class Cavity(Load):
 
         Args:
             t: Time [s], or load parameter.
-            default: Amplitude if none is named.
+            default: Amplitude where the cavity has no curve.
             initial: Volume of the undeformed cavity [m^3].
         """
         (value,) = self.values
@@ -152,14 +152,28 @@ class Cavity(Load):
         return self.work(context, p, linear=context.linear)
 
     def work(self, context: LoadContext, p: Expr, *, linear: bool) -> ufl.Form:
-        """Virtual work of a pressure p [Pa], on the undeformed surface if `linear`."""
+        """Virtual work of a pressure on the surfaces of the cavity.
+
+        Args:
+            context: The problem's side of the form.
+            p: Pressure [Pa], a UFL scalar.
+            linear: On the undeformed surfaces.
+        """
         return -p * ufl.inner(area_vector(context, linear), context.v) * context.areas(self.parts)
 
     def _given(self, context: LoadContext) -> Expr:
         return context.scalar(self.values[0], self.amplitude)
 
     def enclosed(self, context: LoadContext, linear: bool) -> ufl.Form:
-        """Its present volume [m^3]; to first order in u if `linear`."""
+        """Form of the enclosed volume in the current configuration [m^3].
+
+        Args:
+            context: The problem's side of the form.
+            linear: To first order in u.
+
+        Raises:
+            InputError: The origin does not fit the body.
+        """
         dim = len(context.v)
         if self.origin_components and len(self.origin_components) != dim:
             raise InputError(

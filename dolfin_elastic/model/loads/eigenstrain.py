@@ -1,4 +1,4 @@
-"""What changes the rest state of a material: warmth and growth."""
+"""Loads that change the natural state of a material: temperature and growth."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from dolfin_elastic.model.values import Component, component
 
 
 class Eigenstrain(Load):
-    """A load that has no virtual work but changes the rest state, see `model.growth`.
+    """A load without virtual work that changes the natural state, see `materials.growth`.
 
-    Several of them on one region multiply; where the law is linear, their strains add up.
+    Several on one region are multiplied; where the law is linear, their strains are added.
     """
 
     on: str | list[str] | None = None
@@ -30,12 +30,12 @@ class Eigenstrain(Load):
 
     @abstractmethod
     def growth(self, context: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
-        """Fg, shape (3, 3).
+        """Growth part Fg of the deformation gradient, a UFL tensor of shape (3, 3).
 
         Args:
-            context: Where numbers become constants.
-            expansion: The material's coefficient of expansion [1/K], if it has one.
-            share: 1 where the load acts and 0 elsewhere; None: everywhere.
+            context: The problem's side of the form.
+            expansion: The material's coefficient of thermal expansion [1/K], if it has one.
+            share: Indicator function of the load's regions; None: the whole body.
         """
 
 
@@ -59,7 +59,7 @@ class Thermal(Eigenstrain):
             return (component(self.value, self.unit),)
 
     def growth(self, context: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
-        """See the class."""
+        """See `Eigenstrain.growth`."""
         assert expansion is not None
         strain = expansion * context.scalar(self.values[0], self.amplitude)
         return (1 + (strain if share is None else share * strain)) * ufl.Identity(3)
@@ -98,7 +98,7 @@ class Growth(Eigenstrain):
         return [[stretches[i] if i == j else 0.0 for j in range(3)] for i in range(3)]
 
     def growth(self, context: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
-        """See the class."""
+        """See `Eigenstrain.growth`."""
         one, factors = ufl.Identity(3), context.factors(self.values, self.curve)
         items = [context.value(item) for item in self.values]
         if all(factor is factors[0] for factor in factors):

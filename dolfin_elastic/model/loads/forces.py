@@ -1,4 +1,4 @@
-"""Forces per reference area or volume, and those of weight and spin."""
+"""Tractions and body forces: dead loads, gravity, centrifugal force."""
 
 from __future__ import annotations
 

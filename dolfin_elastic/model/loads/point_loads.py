@@ -1,4 +1,4 @@
-"""Forces at points and along lines."""
+"""Concentrated loads: forces at points and along lines."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ConcentratedLoad(Load):
         raise TypeError(f"{type(self).__name__} has no points")
 
     def samples(self) -> tuple[FloatArray, FloatArray]:
-        """Points [m], shape (n, dim), and what the value there is multiplied by, shape (n,)."""
+        """Quadrature points [m], shape (n, dim), and weights [1 or m], shape (n,)."""
         return np.array([*self.points.values()]), np.ones(len(self.points))
 
     @property

@@ -1,4 +1,4 @@
-"""Pressure that follows the surface it acts on."""
+"""Follower pressure."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Pressure(Load):
     normal: n da = cof F N dA.  Where all laws are linear the surface counts as undeformed (F = I),
     so that the problem stays linear.
 
-    The tangent's skew part is the integral of p (v x du) . dx along the deformed rim of the
-    surface, and one of grad p over it.  So an even pressure has a potential where the surface is
-    closed, or its rim is held.
+    The skew part of the load stiffness is the integral of p (v x du) . dx along the deformed edge
+    of the surface, and one of grad p over it.  So a uniform pressure has a potential where the
+    surface is closed, or its edge fixed.
 
     Attributes:
         value: A number, a text with a unit, or a formula in x, y, z [m] (undeformed) and t.
@@ -56,7 +56,7 @@ class Pressure(Load):
 
     @property
     def conservative_if_edge_fixed(self) -> bool:
-        """It is even in space; only with the rim held it has a potential."""
+        """The pressure is uniform in space, so that a fixed edge gives it a potential."""
         (p,) = self.values
         return not isinstance(p, Formula) or not p.names & PLACE
 
@@ -77,7 +77,12 @@ class Pressure(Load):
 
 
 def area_vector(context: LoadContext, linear: bool) -> Expr:
-    """Current area vector over reference area, cof F N; N if `linear`."""
+    """Current area vector over reference area, cof F N (Nanson); as many components as the body.
+
+    Args:
+        context: The problem's side of the form.
+        linear: The surface counts as undeformed: N.
+    """
     if linear:
         return context.N
     dim = len(context.v)

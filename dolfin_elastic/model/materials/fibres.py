@@ -1,4 +1,4 @@
-"""Directions in the undeformed body, along which a law differs from across: fibres, axes.
+"""Material directions in the reference configuration: fibres and axes of anisotropic laws.
 
 In a record a direction is a list of three components (two in a plane).  A law reads it through
 `direction`, to which a list of numbers and a UFL vector are the same.
@@ -41,7 +41,12 @@ def direction(value: Any) -> Expr:
 
 
 def frame(axis1: Any, axis2: Any) -> tuple[Expr, Expr, Expr]:
-    """Three orthonormal UFL vectors: along axis1, across it towards axis2, and across both."""
+    """Orthonormal frame of an orthotropic material, three UFL vectors (Gram-Schmidt).
+
+    Args:
+        axis1: First direction, of any length: numbers or a UFL vector.
+        axis2: Direction in the plane of the first two axes, not parallel to axis1.
+    """
     first, towards = direction(axis1), direction(axis2)
     second = direction(towards - ufl.inner(towards, first) * first)
     return first, second, ufl.cross(first, second)

@@ -1,6 +1,6 @@
-"""Bodies that grow or warm up: a law about a rest state that is not the undeformed one.
+"""Growth and thermal expansion: laws about a natural state that is not the reference state.
 
-F = Fe Fg: growth Fg, then what the material feels.  Per reference volume
+F = Fe Fg with growth Fg and elastic part Fe, on which the stress depends.  Per reference volume
 psi(F) = Jg psi_law(F Fg^-1) and P = Jg P_law(F Fg^-1) Fg^-T.  Where the law is linear, strains
 add up: psi(F) = psi_law(F - (Fg - I)).
 
@@ -21,10 +21,10 @@ from dolfin_elastic.model.materials.mixed import Mixed
 
 @dataclass(frozen=True)
 class GrownLaw(ModifiedLaw):
-    """A law, with or without a pressure, whose material has grown.
+    """A law, with or without a pressure field, about a grown natural state.
 
     Attributes:
-        law: The law of the material as it is when nothing pulls at it.
+        law: The law about its own natural state.
         growth: Fg, a UFL tensor of shape (3, 3).
     """
 
@@ -32,14 +32,14 @@ class GrownLaw(ModifiedLaw):
     growth: Expr
 
     def elastic(self, F: Expr) -> Expr:
-        """What of the deformation gradient the material feels."""
+        """Elastic part Fe of a deformation gradient, shape (3, 3)."""
         if self.law.linear:
             return F - (self.growth - ufl.Identity(3))
         return F * ufl.inv(self.growth)
 
     @property
     def _volume(self) -> Expr:
-        """Grown over reference volume; small strains do not tell them apart."""
+        """Jg, grown over reference volume; 1 to the order of small strains."""
         return 1 if self.law.linear else ufl.det(self.growth)
 
     def energy(self, F: Expr) -> Expr:
@@ -52,5 +52,5 @@ class GrownLaw(ModifiedLaw):
         return P if self.law.linear else self._volume * P * ufl.inv(self.growth).T
 
     def gap(self, F: Expr) -> Expr:
-        """What the pressure's equation makes zero, see `Mixed.gap`."""
+        """Residual of the pressure's equation, see `Mixed.gap`."""
         return self._volume * self.law.gap(self.elastic(F))  # type: ignore[union-attr]

@@ -37,7 +37,8 @@ def simo_taylor(J: Expr) -> Expr:
     for n in reversed(range(TERMS)):
         series = series * t**2 + 1 / (2 * n + 3)
     near = ufl.lt(abs(t), NEAR)
-    away = ufl.conditional(near, 1.0, t)  # what is not chosen must not divide by zero either
+    # UFL evaluates both branches: the one that is not chosen must not divide by zero.
+    away = ufl.conditional(near, 1.0, t)
     s = ufl.conditional(near, series, (ufl.ln(J) / (2 * away) - 1) / away**2)
     return t * ufl.sqrt(2 * (2 - t) / (1 - t) ** 2 - 2 * t * s)
 
@@ -138,6 +139,10 @@ def isochoric_stress(psi: Callable[[Expr], Expr], F: Expr) -> Expr:
     from this compiles several times faster than one from derivatives through F.
 
     Source: G. A. Holzapfel, Nonlinear Solid Mechanics (2000), section 6.4.
+
+    Args:
+        psi: Energy [J/m^3] as a function of the isochoric C, shape (3, 3).
+        F: Deformation gradient, shape (3, 3).
     """
     C = ufl.variable(isochoric_part(F))
     S, J = 2 * ufl.sym(ufl.diff(psi(C), C)), ufl.det(F)

@@ -1,4 +1,4 @@
-"""What every material law is: a frozen record with `energy(F)` or `stress(F)`."""
+"""Base of all material laws: a frozen record with `energy(F)` or `stress(F)`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Law(Record):
     A subclass gives `energy(F)`, or `stress(F)` when it has no energy.  In both, F is the
     deformation gradient, a UFL tensor of shape (3, 3), also in plane strain, and the fields stand
     for numbers or UFL expressions alike: `self.mu` may be either.  Where a constant varies in space
-    (see `model.varying`) the law is only used after it has been bound to a body.
+    (see `materials.spatial`) the law is only used after it has been bound to a body.
 
     Attributes:
         law: The law's name in a case file.
@@ -54,9 +54,9 @@ class Law(Record):
     frame_indifferent: ClassVar[bool] = True
     """Rotating the body rotates its stress and leaves its energy."""
     warning: ClassVar[str] = ""
-    """Said once in every run that uses the law."""
+    """Logged once in every run that uses the law."""
     directions: ClassVar[tuple[str, ...]] = ()
-    """Fields that are vectors in the undeformed body; `model.directions.direction` reads them."""
+    """Fields that are vectors in the reference configuration; read them by `fibres.direction`."""
     example: ClassVar[Mapping[str, Any]] = {}
     """Constants as a case file gives them, for the law's page and for tests."""
 
@@ -85,7 +85,7 @@ class Law(Record):
         return ufl.diff(self.energy(F), F)
 
     def small_strain(self) -> moduli.Moduli | None:
-        """The constants of the isotropic solid that the law is at small strains; None: of none."""
+        """Constants of the isotropic solid to which the law reduces at small strains; else None."""
         return None
 
     def constants(self) -> dict[str, float | list[float]]:
@@ -107,16 +107,16 @@ class Law(Record):
         return {n: value for n, value in self.__dict__.items() if isinstance(value, SpatialValue)}
 
     def complete_constants(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Constants with those that follow from them; of numbers, arrays or UFL expressions."""
+        """Adds the constants that follow from given ones; numbers, arrays or UFL expressions."""
         return dict(values)
 
     @classmethod
     def ranges(cls) -> dict[str, spatial.Range]:
-        """The values that constants may have, for those that vary."""
+        """Admissible values of constants, for those that vary in space."""
         return {n: spatial.Range.of(info.metadata) for n, info in cls.model_fields.items()}
 
     def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
-        """A twin whose constants are UFL expressions, so that forms do not hold the numbers."""
+        """A copy whose constants are UFL expressions, so that forms do not depend on numbers."""
         return self.model_copy(update=dict(symbols))
 
     def quadrature_degree(self, degree: int) -> int:
@@ -214,7 +214,7 @@ class ModifiedLaw(ABC):
 
 
 def to_come() -> float:
-    """Stands for a constant until the given ones have been read."""
+    """Placeholder of a constant that is computed from the given ones."""
     return float("nan")
 
 

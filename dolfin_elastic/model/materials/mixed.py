@@ -1,4 +1,4 @@
-"""The perturbed Lagrangian: a law whose volumetric part is carried by a pressure of its own."""
+"""The perturbed Lagrangian: a law whose volumetric part is carried by a pressure field."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Mixed(ModifiedLaw):
     compliance: Expr
 
     def gap(self, F: Expr) -> Expr:
-        """What the pressure's equation makes zero: g - p/k."""
+        """Residual of the pressure's equation: g - p/k."""
         return self.law.volume_strain(F) - self.p * self.compliance
 
     def energy(self, F: Expr) -> Expr:
@@ -46,15 +46,15 @@ class Mixed(ModifiedLaw):
 
 
 def variance(p: Expr, q: Expr, J: Expr) -> Expr:
-    """Mean over a cell of the product of what two linear functions differ from their means.
+    """Covariance of two linear functions over a cell: mean of (p - mean p)(q - mean q).
 
     It is grad p . C grad q with the covariance C of a point anywhere in the cell, which for the
     reference simplex of d dimensions is (I - 1/(d + 1))/((d + 1)(d + 2)).
 
     Args:
-        p: One function.
-        q: The other.
-        J: Jacobian of the cell, dim x dim.
+        p: One function, a UFL scalar.
+        q: The other, a UFL scalar.
+        J: Jacobian dx/dX of the cell's map, shape (dim, dim).
     """
     d = J.ufl_shape[0]
     a, b = ufl.dot(J.T, ufl.grad(p)), ufl.dot(J.T, ufl.grad(q))

@@ -26,12 +26,12 @@ terms), and as long again for each further material.  Later runs find them in th
 constant compiles nothing, an `ogden` with another number of terms does."""
 _SECTION = re.compile(r"^Attributes:\n((?:    .*\n?|\n)+)", re.MULTILINE)
 _KEY = re.compile(r"^    (\w+): (.*(?:\n     .*)*)", re.MULTILINE)
-SPELT = {"lmbda": "lambda"}
+KEYS = {"lmbda": "lambda"}
 """Field to the key that case files prefer."""
 
 
 def descriptions(kind: type[Law]) -> dict[str, str]:
-    """Field to what the docstrings of a class and its bases say of it."""
+    """Field to its description in the docstring of a law's class or of a base."""
     found: dict[str, str] = {}
     for base in kind.__mro__:
         section = _SECTION.search(inspect.cleandoc(base.__doc__ or ""))
@@ -49,10 +49,10 @@ def page(kind: type[Law]) -> str:
 
 
 def _keys(kind: type[Law]) -> str:
-    said = descriptions(kind)
+    described = descriptions(kind)
     names = [name for name in kind.model_fields if name not in ("law", "density")]
     rows = [
-        f"| `{SPELT.get(name, name)}` | {said.get(name, '')} | {_default(kind, name)} |"
+        f"| `{KEYS.get(name, name)}` | {described.get(name, '')} | {_default(kind, name)} |"
         for name in [*names, "density"]
     ]
     return "\n".join(["| key | what | default |", "|---|---|---|", *rows])
@@ -69,7 +69,7 @@ def _default(kind: type[Law], name: str) -> str:
 
 def _properties(kind: type[Law]) -> str:
     law = kind(**kind.example)
-    said = {
+    properties = {
         "Linear: for small strains and rotations.": law.linear,
         "It has no strain energy.": not law.has_energy,
         "It resists inversion: the energy has no value where J <= 0.": law.barrier,
@@ -78,7 +78,7 @@ def _properties(kind: type[Law]) -> str:
         ),
         "Isotropic.": law.small_strain() is not None,
     }
-    return "\n".join(f"- {text}" for text, holds in said.items() if holds)
+    return "\n".join(f"- {text}" for text, holds in properties.items() if holds)
 
 
 def _example(kind: type[Law]) -> str:

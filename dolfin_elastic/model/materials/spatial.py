@@ -39,14 +39,14 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*", re.ASCII)
 
 
 def usable(names: Iterable[str]) -> list[str]:
-    """Those names that can stand in a formula."""
+    """Names that can be used in a formula: identifiers that are not taken."""
     taken = {*CONSTANTS, *FUNCTIONS, *PLACE}
     return [name for name in names if _NAME.fullmatch(name) and name not in taken]
 
 
 @dataclass(frozen=True)
 class SpatialFormula(SpatialValue):
-    """A formula whose names are not looked up yet.
+    """A formula in coordinates and mesh fields, to be evaluated on a mesh.
 
     Attributes:
         text: As it was written.
@@ -62,14 +62,14 @@ class SpatialFormula(SpatialValue):
         return self.text
 
     def known(self, fields: Iterable[str]) -> Formula:
-        """The formula over the fields there are.
+        """The formula parsed against the fields of a mesh.
 
         Raises:
             InputError: A name is neither a coordinate nor a field.
         """
         fields = [*fields]
         if not fields and _NAME.fullmatch(self.text) and self.text not in PLACE:
-            to_si(self.text, self.unit)  # says that this is no number: there is nothing else
+            to_si(self.text, self.unit)  # raises: without fields a single word is a bad number
         return Formula.parse(self.text, allowed=[*PLACE, *usable(fields)])
 
 
@@ -113,7 +113,7 @@ class _FieldTable(Record):
 
 
 def constant(value: Any, unit: str) -> Any:
-    """What varies as what it is; anything else is left for others to read.
+    """Reads a constant that may vary in space; any other value is returned unchanged.
 
     Args:
         value: As a user wrote it.
@@ -126,7 +126,7 @@ def constant(value: Any, unit: str) -> Any:
         return _field(value, unit)
     if not isinstance(value, str) or is_quantity(value) or misspelt_unit(value, PLACE):
         return value
-    # Every name may be a field's; what is wrong in any case is said now.
+    # Any name may be a field's: other errors of the formula are raised before a mesh is read.
     names = {*PLACE, *usable(_NAME.findall(value))}
     formula = Formula.parse(value, allowed=names)
     return SpatialFormula(value, unit) if formula.names else float(formula.evaluate())
@@ -142,7 +142,15 @@ def _field(value: Mapping[str, Any], unit: str) -> SpatialField:
 
 
 def constants(kind: type[BaseModel], table: Mapping[str, Any]) -> dict[str, Any]:
-    """A law's table with what varies read."""
+    """A law's table with its spatially varying constants read.
+
+    Args:
+        kind: Class of the law.
+        table: Keys and values as a user wrote them.
+
+    Raises:
+        InputError: See `constant`; the key is named.
+    """
     units, read = _units(kind), {}
     for key, value in table.items():
         try:
@@ -213,7 +221,7 @@ else:
 """A unit vector of three components; laws name such fields in `Law.directions`."""
 
 
-# --- what values are possible ---
+# --- admissible values ---
 
 
 @dataclass(frozen=True)
@@ -253,5 +261,5 @@ class Range:
     def __str__(self) -> str:
         low = f"{'at least' if self.low_too else 'above'} {self.low:g}"
         high = f"{'at most' if self.high_too else 'below'} {self.high:g}"
-        said = [low] * np.isfinite(self.low) + [high] * np.isfinite(self.high)
-        return " and ".join(said) or "a finite number"
+        bounds = [low] * np.isfinite(self.low) + [high] * np.isfinite(self.high)
+        return " and ".join(bounds) or "a finite number"

@@ -29,7 +29,7 @@ CRUSHED = 1e-6
 
 @dataclass(frozen=True)
 class Shape:
-    """What an isochoric energy of the stretches may be written in.
+    """Functions of F in which an isochoric energy of the stretches is written.
 
     Attributes:
         d: det C / q^3, q = tr C / 3; NaN where J < 0.
@@ -44,7 +44,12 @@ class Shape:
     close: Expr
 
     def total(self, f: Callable[[Expr], Expr], series: list[Any]) -> Expr:
-        """Sum of f(square) over the three; series: Taylor coefficients of f at 1."""
+        """Sum of f over the three squared stretches, a UFL scalar.
+
+        Args:
+            f: Function of one squared stretch over q.
+            series: Its Taylor coefficients at 1, of the powers 0 to `ORDER`.
+        """
         near = sum(c * s for c, s in zip(series, self.powers, strict=True))
         return ufl.conditional(self.close, near, sum(f(square) for square in self.squares))
 
@@ -114,7 +119,12 @@ def polar(F: Expr) -> tuple[Expr, Expr]:
 
 
 def isochoric_energy(psi: Callable[[Shape], Expr], F: Expr) -> Expr:
-    """An energy of the isochoric stretches, psi, at F."""
+    """An energy of the isochoric stretches [J/m^3].
+
+    Args:
+        psi: The energy as a function of a `Shape`.
+        F: Deformation gradient, shape (3, 3).
+    """
     _, _, j2, j3, d = _invariants(F)
     return psi(_shape(j2, j3, d, _cosine(j2, j3)))
 
@@ -123,6 +133,10 @@ def isochoric_stress(psi: Callable[[Shape], Expr], F: Expr) -> Expr:
     """First Piola-Kirchhoff stress of psi, by the chain rule on j2 and j3.
 
     dj2/dF = 2/q (F b - 2/3 j2 F) and dj3/dF = 2/q (F b^2 - (2/3 j2 + j3) F), from b = C/q - I.
+
+    Args:
+        psi: Energy [J/m^3] as a function of a `Shape`.
+        F: Deformation gradient, shape (3, 3).
     """
     b, q, *values = _invariants(F)
     j2, j3, d, r = (ufl.variable(value) for value in (*values, _cosine(values[0], values[1])))

@@ -59,11 +59,11 @@ class UserEnergy(Law):
 
     @property
     def checked(self) -> bool:
-        """The energy has been tried and found right (`material_point.checks.check_energy`)."""
+        """The energy has passed `material_point.checks.check_energy`."""
         return self._checked
 
     def mark_checked(self) -> None:
-        """Notes that the energy need not be tried again."""
+        """Records that the energy has passed the checks, which are made once."""
         self._checked = True
 
     def constants(self) -> dict[str, float | list[float]]:
@@ -166,7 +166,7 @@ class FormulaEnergy(UserEnergy):
         return ", ".join([*sorted(self.parameters), user_names.summary(**fibres)])
 
     def _shorter(self, error: InputError) -> InputError:
-        """A list of all 40 names, as it would stand in a book."""
+        """The error with a short list of names in place of all forty."""
         first, *picture = error.expected.split("\n")
         if not first.startswith("known: J") and not first.startswith("known: C11"):
             return error
@@ -174,7 +174,7 @@ class FormulaEnergy(UserEnergy):
         return type(error)(error.what, where=error.where, expected=text)
 
     def written_energy(self, F: Expr) -> Expr:
-        """The formula, with the names of `own_names`."""
+        """The formula with the expressions of `user_names` for its names."""
         read = self.parsed
         return read.ufl(**self._values(F, read.names), **self.parameters)
 

@@ -1,4 +1,4 @@
-"""The names that a user's energy may use, and what they stand for."""
+"""Names that a user's energy may use, and the UFL expressions behind them."""
 
 from __future__ import annotations
 
@@ -32,13 +32,23 @@ TENSORS = ("F", "C", "E")
 
 
 def known(*, fibre: bool = False, fibre2: bool = False) -> frozenset[str]:
-    """Names of the scalars that a formula may use."""
+    """Names of the scalars that a formula may use.
+
+    Args:
+        fibre: The material has a first fibre.
+        fibre2: It has a second one.
+    """
     more = (ALONG if fibre else ()) + (ACROSS if fibre and fibre2 else ())
     return COMPONENTS | {*PLAIN, *more}
 
 
 def summary(*, fibre: bool, fibre2: bool) -> str:
-    """The names in few words, for messages."""
+    """The names of `known` in short, for messages.
+
+    Args:
+        fibre: The material has a first fibre.
+        fibre2: It has a second one.
+    """
     text = f"F11..F33, C11..C33, E11..E33, {', '.join(PLAIN)}"
     text += f", {', '.join(ALONG)}" if fibre else ""
     return text + (f", {', '.join(ACROSS)}" if fibre and fibre2 else "")
@@ -91,7 +101,7 @@ def values(
 def _fibres(
     F: Expr, C: Expr, fibre: Sequence[Any] | None, fibre2: Sequence[Any] | None
 ) -> dict[str, Callable[[], Expr]]:
-    """Names along the fibres to what makes them."""
+    """Names of invariants of the fibres, with functions that build their expressions."""
     if fibre is None:
         return {}
     a = direction(fibre)
@@ -116,7 +126,7 @@ def _along(F: Expr, C: Expr, a: Expr, names: Sequence[str]) -> dict[str, Callabl
 
 
 _SHAPE, _ROOT = 1e-13, 1e-12
-"""What is added to the deviator's square and to 1 - r^2, so that neither root starts at 0."""
+"""Added to the square of the deviator and to 1 - r^2: both roots stay differentiable at 0."""
 
 
 def principal_stretches(F: Expr) -> tuple[Expr, Expr, Expr]:
