@@ -625,7 +625,7 @@ def test_labels_say_what_is_shown() -> None:
     )
     problem = make_problem(2)
     labels = [
-        pictures.Painter(problem, field)._coloured(surface)["label"]
+        pictures.Painter(problem, field)._colour_data(surface)["label"]
         for field in ("cauchy_stress", "von_mises", "jacobian", "displacement")
     ]
     assert labels == [

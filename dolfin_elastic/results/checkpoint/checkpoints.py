@@ -1,14 +1,14 @@
-"""Checkpoints: all that a run needs to go on, on any number of ranks.
+"""Checkpoints, from which a run is continued on any number of ranks.
 
-What is on disk, in the folder `checkpoints` of the results:
+Files in the folder `checkpoints` of the results:
 
-    case.toml           the case, with paths that hold from everywhere
-    step_000012.h5      the solver's fields after step 12, in the mesh's own order (order.py)
-    step_000012.json    everything else, and the sums of the fields
+    case.toml           the case, with absolute paths
+    step_000012.h5      the solver's fields after step 12, in the dof ordering of mesh_order.py
+    step_000012.json    all other restart data, and the checksums of the fields
 
-Each file is written under another name, brought to the disk, and renamed, the `.json` last: it
-makes the checkpoint.  An older one goes only after that.  So a kill at any moment, also in the
-midst of it, leaves a whole one behind if there has ever been one.
+Each file is written under another name, brought to the disk (fsync), and renamed.  A checkpoint
+exists once its `.json` has its name, which is last, and an older one is removed only after that.
+So a kill at any moment leaves a whole checkpoint behind, if there has been one before.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ _UNREADABLE = (OSError, KeyError, RuntimeError, TypeError, ValueError)
 
 
 class CheckpointSettings(Record):
-    """When checkpoints are written.  In a case file false, or a text with the time, stand for it.
+    """When checkpoints are written.  A case file may give false or a text with the time instead.
 
     Attributes:
-        time: Wall time from one to the next [s].
-        every: Also the first state at or after each n-th step.
-        keep: So many of them stay, the newest.
-        off: None are written.
+        time: Wall time from one checkpoint to the next [s].
+        every: If given, there is also one of the first state at or after each n-th step.
+        keep: Number of checkpoints that are kept, the newest.
+        off: No checkpoints are written.
     """
 
     time: Time = Field(default=900.0, gt=0)
@@ -74,7 +74,7 @@ class CheckpointSettings(Record):
 
     @model_validator(mode="before")
     @classmethod
-    def _short(cls, value: Any) -> Any:
+    def _from_short_form(cls, value: Any) -> Any:
         if isinstance(value, bool):
             return {"off": not value}
         if isinstance(value, int | float):
@@ -85,7 +85,7 @@ class CheckpointSettings(Record):
         return {"time": value} if isinstance(value, str) else value
 
     @model_validator(mode="after")
-    def _off(self) -> Self:
+    def _check_off(self) -> Self:
         if self.off:
             rule = Idle(["time", "every", "keep"], "there are no checkpoints with off = true")
             refuse_idle(self, [rule])
@@ -94,12 +94,12 @@ class CheckpointSettings(Record):
 
 @dataclass
 class RunDescription:
-    """What a run is, for its checkpoints.
+    """What a run computes, as its checkpoints record it.
 
     Attributes:
-        case: The case as text, which a run can be made from; empty if there is no such text.
-        file: Where the case came from.
-        mesh: See `sums.fingerprint`.
+        case: The case file's text; empty for a case with Python functions.
+        file: The case file it was read from; empty for one made in Python.
+        mesh: See `checksums.fingerprint`.
         petsc: PETSc options from outside the case.
     """
 
@@ -109,14 +109,14 @@ class RunDescription:
     petsc: Mapping[str, Any]
 
 
-class Spaces:
-    """Orders of the spaces that have been met."""
+class DofOrderings:
+    """The dof orderings of several spaces, each made once."""
 
     def __init__(self) -> None:
         self._known: list[tuple[fem.FunctionSpace, DofOrdering]] = []
 
     def order(self, V: fem.FunctionSpace) -> DofOrdering:
-        """The order of a space. Collective."""
+        """The ordering of a space. Collective."""
         for space, order in self._known:
             if space is V or space == V:
                 return order
@@ -130,13 +130,13 @@ class Checkpoints:
     Args:
         comm: The ranks that compute.
         folder: Of the results.
-        settings: When.
+        settings: When checkpoints are written.
         run: What is computed.
-        step: Of the checkpoint that the run goes on from, if it does.
+        step: Step of the checkpoint from which the run continues.
 
     Attributes:
-        saved: Step of the last one; 0 before, for of the initial state there is none.
-        off: None are written.
+        saved: Step of the last checkpoint; 0: none, for there is none of the initial state.
+        off: No checkpoints are written.
     """
 
     def __init__(
@@ -150,17 +150,17 @@ class Checkpoints:
     ) -> None:
         self._comm, self._folder, self._settings, self._run = comm, folder, settings, run
         self._path = folder / FOLDER
-        self._spaces, self._written = Spaces(), time.monotonic()
+        self._orderings, self._written = DofOrderings(), time.monotonic()
         self._every = StepInterval(settings.every or 1)
         self._every.takes(step)
         self.saved, self.off = step, settings.off
 
     def due(self, state: State, *, asked: bool = False) -> bool:
-        """Whether a checkpoint is to be written now.
+        """Whether a checkpoint of a state is due; call it once for each state.
 
         Args:
-            state: Where the run is; at its end there is nothing more to go on to.
-            asked: Somebody wants one.
+            state: The state that has been reached; of the last one there is no checkpoint.
+            asked: The user asks for one, on any rank.
         """
         if self.off:
             return False
@@ -173,10 +173,10 @@ class Checkpoints:
     def save(
         self, state: State, restart: RestartState, outputs: Sequence[Mapping[str, Any]]
     ) -> None:
-        """Writes a checkpoint, if there is none of this step.
+        """Writes a checkpoint, unless there is one of this step.
 
         Args:
-            state: The last step.
+            state: The last converged step.
             restart: Of the solver.
             outputs: Restart states of the writers, in their order.
 
@@ -188,7 +188,7 @@ class Checkpoints:
         with stage("output"):
             on_root(self._comm, self._begin)
             orders = {
-                name: self._spaces.order(f.function_space) for name, f in restart.fields.items()
+                name: self._orderings.order(f.function_space) for name, f in restart.fields.items()
             }
             rows = {name: orders[name].rows(f) for name, f in restart.fields.items()}
             draft = self._path / ".part.h5"
@@ -223,7 +223,7 @@ class Checkpoints:
             _replace(case, self._run.case)
 
     def _commit(self, step: int, draft: Path, content: Mapping[str, Any]) -> None:
-        """Makes what has been written a checkpoint. On rank 0."""
+        """Renames the files, which makes them a checkpoint, and removes old ones. On rank 0."""
         fields, manifest = _files(self._path, step)
         with writing(fields):
             sync(draft)
@@ -241,12 +241,12 @@ class Checkpoints:
         )
 
     def clear(self) -> int:
-        """Removes all checkpoints of any run into this folder, and says how many."""
+        """Removes all checkpoints in the folder, of earlier runs, too, and returns their number."""
         return on_root(self._comm, lambda: clear(self._folder))
 
 
 def clear(folder: Path) -> int:
-    """Removes all checkpoints in a folder of results, and says how many. Not collective."""
+    """Removes all checkpoints in a folder of results; returns their number. Not collective."""
     path = folder / FOLDER
     if not path.is_dir():
         return 0
@@ -263,12 +263,12 @@ def clear(folder: Path) -> int:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A checkpoint that is whole.
+    """A whole checkpoint; it is a `SavedState`.
 
     Attributes:
-        comm: The ranks that go on.
+        comm: The ranks that continue the run.
         path: File of its fields.
-        content: Everything else.
+        content: Everything else, from its `.json`.
     """
 
     comm: MPI.Comm
@@ -287,9 +287,9 @@ class Checkpoint:
             fields: Names to functions of any mesh with the same cells, on any ranks.
 
         Raises:
-            RestartError: The checkpoint is of another solver, or got damaged just now.
+            RestartError: The checkpoint has no such field, or its file cannot be read.
         """
-        spaces = Spaces()
+        spaces = DofOrderings()
         for name, function in fields.items():
             order = spaces.order(function.function_space)
             shape = [order.count, function.function_space.dofmap.index_map_bs]
@@ -310,9 +310,14 @@ class Checkpoint:
 
 
 def newest_checkpoint(comm: MPI.Comm, folder: Path) -> Checkpoint | None:
-    """The newest whole checkpoint in a folder of results; damaged ones are warned of. Collective.
+    """The newest whole checkpoint in a folder of results, if there is one. Collective.
 
-    Every number is read and compared with the sums, by all ranks together.
+    All values are read and compared with the checksums; damaged checkpoints are logged and passed
+    over.
+
+    Args:
+        comm: The ranks that continue the run.
+        folder: Of the results.
     """
     path = folder / FOLDER
     for step in on_root(comm, lambda: _steps(path)):
@@ -326,7 +331,7 @@ def newest_checkpoint(comm: MPI.Comm, folder: Path) -> Checkpoint | None:
 
 
 def _content(manifest: Path) -> tuple[dict[str, Any], str]:
-    """What a checkpoint says, or what is wrong with it. Not collective."""
+    """Content of a checkpoint's `.json`, or what is wrong with it. Not collective."""
     try:
         outer = json.loads(manifest.read_text(encoding="utf-8"))
         if outer["format"] != FORMAT:
@@ -339,7 +344,7 @@ def _content(manifest: Path) -> tuple[dict[str, Any], str]:
 
 
 def _damage(comm: MPI.Comm, fields: Path, arrays: Mapping[str, Any]) -> str:
-    """What is wrong with the fields of a checkpoint. Collective."""
+    """What is wrong with the fields of a checkpoint; empty if nothing is. Collective."""
     for name, known in arrays.items():
         count = known["shape"][0]
         first, last = (count * rank // comm.size for rank in (comm.rank, comm.rank + 1))
@@ -354,7 +359,7 @@ def _damage(comm: MPI.Comm, fields: Path, arrays: Mapping[str, Any]) -> str:
 
 
 def read_case_text(folder: Path) -> str:
-    """The case of a folder's checkpoints. Not collective.
+    """Text of the case file in a folder's checkpoints. Not collective.
 
     Raises:
         RestartError: It cannot be read.
@@ -367,17 +372,17 @@ def read_case_text(folder: Path) -> str:
 
 
 def last_step(folder: Path) -> int | None:
-    """Step of the newest checkpoint in a folder of results, if there is one. Not collective."""
+    """Step of the newest checkpoint in a folder, whole or not; None without. Not collective."""
     return next(iter(_steps(folder / FOLDER)), None)
 
 
 def _files(path: Path, step: int) -> tuple[Path, Path]:
-    """Fields and everything else of a checkpoint."""
+    """The `.h5` and the `.json` of a checkpoint."""
     return path / f"step_{step:06d}.h5", path / f"step_{step:06d}.json"
 
 
 def _steps(path: Path) -> list[int]:
-    """Steps of which there are checkpoints, the newest first. Not collective."""
+    """Steps of the checkpoints in a folder, the newest first. Not collective."""
     if not path.is_dir():
         return []
     found = [int(m[1]) for file in path.iterdir() if (m := _NAME.fullmatch(file.name))]
@@ -385,7 +390,7 @@ def _steps(path: Path) -> list[int]:
 
 
 def _remove(path: Path, steps: Sequence[int]) -> None:
-    """Removes checkpoints: first what makes them such. Not collective."""
+    """Removes checkpoints, the `.json` first, so that no part of one is left. Not collective."""
     for step in steps:
         fields, manifest = _files(path, step)
         with writing(manifest):
@@ -394,13 +399,13 @@ def _remove(path: Path, steps: Sequence[int]) -> None:
 
 
 def _replace(path: Path, text: str) -> None:
-    """As `replace_text`, and it is on the disk itself."""
+    """As `replace_text`; file and folder are brought to the disk (fsync)."""
     replace_text(path, text, durable=True)
     sync(path.parent)
 
 
 def _plain(value: Any) -> Any:
-    """What JSON does not know: numbers of numpy, and options that are anything."""
+    """Values without a JSON type: numpy's numbers become Python's, PETSc options text."""
     return value.item() if isinstance(value, np.generic) else str(value)
 
 

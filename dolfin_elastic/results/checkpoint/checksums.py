@@ -1,10 +1,11 @@
-"""Sums that tell whether numbers, or a mesh, are the same as before, on whatever ranks they are."""
+"""Checksums of arrays and meshes that do not depend on the number of ranks."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray
@@ -17,20 +18,20 @@ _GOLDEN, _FIRST, _SECOND = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133
 
 
 def checksum(values: AnyArray, places: AnyArray) -> int:
-    """Sum of the mixed bits of numbers and their places, modulo 2^64. Not collective.
+    """Sum over all entries of a hash of value and position, modulo 2^64. Not collective.
 
-    The sums of parts add up to that of the whole.  Mixing by splitmix64: G. L. Steele, D. Lea,
-    C. H. Flood, Fast splittable pseudorandom number generators, OOPSLA 2014.
+    The checksums of parts add up to that of the whole array.  The hash is splitmix64: G. L. Steele,
+    D. Lea, C. H. Flood, Fast splittable pseudorandom number generators, OOPSLA 2014.
 
     Args:
         values: Numbers of 8 bytes, shape (n, columns).
-        places: Number of each row in the whole.
+        places: Number of each row in the whole array, shape (n,).
     """
     cuts = range(0, len(values), _ROWS)
-    return sum(_mixed(values[i : i + _ROWS], places[i : i + _ROWS]) for i in cuts) & _ALL
+    return sum(_hash_sum(values[i : i + _ROWS], places[i : i + _ROWS]) for i in cuts) & _ALL
 
 
-def _mixed(values: AnyArray, places: AnyArray) -> int:
+def _hash_sum(values: AnyArray, places: AnyArray) -> int:
     bits = np.ascontiguousarray(values).view(np.uint64)
     columns = np.arange(bits.shape[1], dtype=np.uint64)
     place = places.astype(np.uint64)[:, None] * np.uint64(bits.shape[1]) + columns
@@ -40,17 +41,19 @@ def _mixed(values: AnyArray, places: AnyArray) -> int:
     return int(np.sum(z ^ (z >> np.uint64(31)), dtype=np.uint64))
 
 
-def array_checksum(comm: Any, rows: Rows) -> str:
-    """Checksum of a whole array. Collective."""
+def array_checksum(comm: MPI.Comm, rows: Rows) -> str:
+    """Checksum of an array as 16 hexadecimal digits. Collective.
+
+    Args:
+        comm: The ranks that hold its rows.
+        rows: This rank's rows.
+    """
     places = np.arange(rows.first, rows.first + len(rows.values))
     return _text(total(comm, checksum(rows.values, places)))
 
 
 def fingerprint(body: Body) -> dict[str, Any]:
-    """What tells a mesh from another one: its cells with their places, and its names. Collective.
-
-    It does not depend on the number of ranks.
-    """
+    """Numbers that identify a mesh with its regions and surfaces, as JSON data. Collective."""
     mesh, cells = body.mesh, body.owned_cells()
     original = np.asarray(mesh.topology.original_cell_index)
     x = mesh.geometry.x[mesh.geometry.dofmap[cells], : body.dim]

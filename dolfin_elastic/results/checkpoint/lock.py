@@ -1,8 +1,8 @@
-"""One run at a time writes into a folder of results.
+"""`FolderLock`: one run at a time writes into a folder of results.
 
-The file `.lock` in it is locked by rank 0 (flock, on network file systems too) and says who is at
-work.  The operating system lets go of the lock when the process ends, however it ends: what a
-killed run leaves behind keeps nobody out.
+Rank 0 locks the file `.lock` in it (flock, which network file systems know, too) and writes into it
+which process that is.  The operating system releases the lock when the process ends in any way, so
+the file of a killed run locks nothing.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ log = logging.getLogger("dolfin_elastic")
 
 LOCK = ".lock"
 PATIENCE = 2.0
-"""How long a lock may last that somebody holds [s], before it is refused."""
+"""Seconds to wait for a lock of another process."""
 _ATTEMPTS = 100
-"""Tries to lock a file that others remove at the same time."""
+"""Attempts to lock a file that other processes remove at the same time."""
 
 
 class FolderLock:
-    """The right to write into a folder, from `acquire` to `close` or the end of the process.
+    """Exclusive right to write into a folder, from `acquire` to `close` or the process's end.
 
     Args:
         comm: The ranks that compute.
@@ -45,20 +45,20 @@ class FolderLock:
     def __init__(self, comm: MPI.Comm, folder: Path) -> None:
         self._comm, self._folder = comm, folder
         self._descriptor: int | None = None
-        self._taken = False
+        self._locked = False
 
     def acquire(self, *, create: bool = False) -> None:
-        """Takes it, unless it is taken already, or there is no such folder. Collective.
+        """Locks the folder, unless it is locked by this run or does not exist. Collective.
 
         Args:
             create: Make the folder first.
 
         Raises:
-            RestartError: Another run is going there.
+            RestartError: Another run writes into it.
             OutputError: The folder cannot be made.
         """
-        if not self._taken:
-            self._taken = on_root(self._comm, lambda: self._acquire(create))
+        if not self._locked:
+            self._locked = on_root(self._comm, lambda: self._acquire(create))
 
     def _acquire(self, create: bool) -> bool:
         if create:
@@ -69,7 +69,7 @@ class FolderLock:
             self._descriptor = _locked(self._folder / LOCK)
         except OSError as error:
             if error.errno in (errno.EPERM, errno.EACCES, errno.EROFS) and not create:
-                return False  # whoever writes there says it better
+                return False  # the error of the first file that is written is clearer
             log.warning(
                 "%s cannot be locked (%s): nothing keeps a second run out of it",
                 self._folder,
@@ -78,28 +78,28 @@ class FolderLock:
         return True
 
     def close(self) -> None:
-        """Gives it back. Not collective."""
+        """Releases the lock. Not collective."""
         if self._descriptor is not None:
             with suppress(OSError):
                 (self._folder / LOCK).unlink()
             os.close(self._descriptor)
-        self._descriptor, self._taken = None, False
+        self._descriptor, self._locked = None, False
 
 
 def check_free(folder: Path) -> None:
-    """Whether no run is going there. Not collective.
+    """Checks that no run writes into a folder. Not collective.
 
     Raises:
-        RestartError: One is.
+        RestartError: One does.
     """
     try:
         descriptor = os.open(folder / LOCK, os.O_RDWR)
     except OSError:
-        return  # there is none, or whoever writes there says what is wrong
+        return  # no lock file; or it cannot be opened, which the first written file reports
     try:
         _lock(descriptor)
     except BlockingIOError:
-        raise _going(folder, descriptor) from None
+        raise _folder_in_use(folder, descriptor) from None
     except OSError:
         return
     finally:
@@ -107,24 +107,26 @@ def check_free(folder: Path) -> None:
 
 
 def _locked(path: Path) -> int:
-    """A descriptor of the file, which is locked as long as that is open.
+    """Descriptor of a lock file, which is locked as long as the descriptor is open.
 
     Raises:
-        RestartError: Somebody else has locked it.
+        RestartError: Another process has locked it.
         OSError: It cannot be locked.
     """
     for _ in range(_ATTEMPTS):
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             _lock(descriptor)
-            if _is_still(path, descriptor):
+            if _has_name(path, descriptor):
                 os.ftruncate(descriptor, 0)
-                os.pwrite(descriptor, json.dumps(_myself()).encode(), 0)
+                os.pwrite(descriptor, json.dumps(_owner()).encode(), 0)
                 return descriptor
         except OSError as error:
             busy = isinstance(error, BlockingIOError)
-            fault = _going(path.parent, descriptor) if busy else error
-            if not busy and not os.fstat(descriptor).st_size:  # ours: who locks one writes into it
+            fault = _folder_in_use(path.parent, descriptor) if busy else error
+            if (
+                not busy and not os.fstat(descriptor).st_size
+            ):  # empty: created above, for no process has written into it
                 with suppress(OSError):
                     path.unlink()
             os.close(descriptor)
@@ -134,10 +136,10 @@ def _locked(path: Path) -> int:
 
 
 def _lock(descriptor: int) -> None:
-    """Locks a file; what was killed just now gets a moment to be gone.
+    """Locks a file; waits a little, for a process that has just been killed may not be gone yet.
 
     Raises:
-        BlockingIOError: Somebody else has locked it.
+        BlockingIOError: Another process has locked it.
         OSError: It cannot be locked.
     """
     until = time.monotonic() + PATIENCE
@@ -152,24 +154,24 @@ def _lock(descriptor: int) -> None:
             return
 
 
-def _is_still(path: Path, descriptor: int) -> bool:
-    """The file that was locked is the one with this name: who held it before has removed it."""
+def _has_name(path: Path, descriptor: int) -> bool:
+    """Whether the locked file still has its name: its former owner may have removed it."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.stat())
     except FileNotFoundError:
         return False
 
 
-def _myself() -> dict[str, str | int]:
+def _owner() -> dict[str, str | int]:
     since = datetime.now(UTC).isoformat(timespec="seconds")
     return {"host": socket.gethostname(), "pid": os.getpid(), "since": since}
 
 
-def _going(folder: Path, descriptor: int) -> RestartError:
+def _folder_in_use(folder: Path, descriptor: int) -> RestartError:
     who = ""
     with suppress(OSError, ValueError, KeyError, TypeError):
-        told = json.loads(os.pread(descriptor, 4096, 0))
-        who = f" (process {told['pid']} on {told['host']}, since {told['since']})"
+        owner = json.loads(os.pread(descriptor, 4096, 0))
+        who = f" (process {owner['pid']} on {owner['host']}, since {owner['since']})"
     return RestartError(
         f"a run is still going in this folder{who}",
         where=str(folder),

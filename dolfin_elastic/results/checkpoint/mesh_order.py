@@ -1,9 +1,9 @@
-"""Values of a space in an order that is the mesh's own, on whatever ranks it is spread.
+"""A global ordering of degrees of freedom that does not depend on the number of ranks.
 
-A rank numbers its unknowns as it likes.  But cells keep the number that the mesh gave them, and
-within a cell the places of unknowns are in the element's order; so the first cell that knows an
-unknown, and its place there, name it for ever.  Sorted by these names, values can be written on
-some ranks and read on others.
+DOLFINx numbers dofs rank by rank.  But a cell keeps its number in the input mesh
+(`original_cell_index`), and the dofs of a cell stand in the element's order: so the smallest
+original number of a cell with the dof, and the dof's position in that cell, identify it.  Sorted by
+this key, values can be written on some ranks and read on others.
 """
 
 from __future__ import annotations
@@ -19,66 +19,66 @@ _NONE = np.iinfo(np.int64).max
 
 
 class RankExchange:
-    """Rows that go to other ranks, and the way back. Collective to make.
+    """Sends rows of an array to other ranks, and rows back.  All of it is collective.
 
     Args:
         comm: The ranks.
-        to: Rank that each row of this one goes to.
+        to: Destination rank of each of this rank's rows, shape (rows,).
     """
 
     def __init__(self, comm: MPI.Comm, to: AnyArray) -> None:
         self._comm = comm
         self._order = np.argsort(to, kind="stable")
         self._sent = np.bincount(to, minlength=comm.size).astype(np.int64)
-        self._got = np.empty_like(self._sent)
-        comm.Alltoall(self._sent, self._got)
+        self._received = np.empty_like(self._sent)
+        comm.Alltoall(self._sent, self._received)
 
     @property
-    def arriving(self) -> int:
-        """Rows that this rank gets."""
-        return int(self._got.sum())
+    def received(self) -> int:
+        """Number of rows that this rank receives."""
+        return int(self._received.sum())
 
-    def there(self, rows: AnyArray) -> AnyArray:
-        """The rows that arrive here, those of rank 0 first. Collective."""
-        return self._moved(np.ascontiguousarray(rows[self._order]), self._sent, self._got)
+    def send(self, rows: AnyArray) -> AnyArray:
+        """The rows that this rank receives, in the order of their ranks. Collective."""
+        return self._exchange(np.ascontiguousarray(rows[self._order]), self._sent, self._received)
 
-    def back(self, rows: AnyArray) -> AnyArray:
-        """What has arrived as it was before it was sent. Collective."""
-        found = self._moved(np.ascontiguousarray(rows), self._got, self._sent)
+    def send_back(self, rows: AnyArray) -> AnyArray:
+        """Sends received rows back, into their order before `send`. Collective."""
+        found = self._exchange(np.ascontiguousarray(rows), self._received, self._sent)
         put = np.empty_like(found)
         put[self._order] = found
         return put
 
-    def _moved(self, rows: AnyArray, sent: IntArray, got: IntArray) -> AnyArray:
+    def _exchange(self, rows: AnyArray, sent: IntArray, received: IntArray) -> AnyArray:
         columns = rows.shape[1]
-        found = np.empty((int(got.sum()), columns), dtype=rows.dtype)
+        found = np.empty((int(received.sum()), columns), dtype=rows.dtype)
         given = [rows, (sent * columns).tolist()]
-        self._comm.Alltoallv(given, [found, (got * columns).tolist()])
+        self._comm.Alltoallv(given, [found, (received * columns).tolist()])
         return found
 
 
 class DofOrdering:
-    """The unknowns of a space, one after the other as the mesh names them. Collective to make.
+    """The ordering of a space's nodes (blocks of dofs), in equal runs over the ranks.
 
-    Each rank keeps one run of them, whatever it owns of the mesh.
+    The constructor is collective.
 
     Args:
-        V: Space of Lagrange or piecewise constant elements, mixed or with merged nodes as well.
+        V: Space of Lagrange or piecewise constant elements, also mixed or periodic.
 
     Attributes:
-        first: Number of this rank's first one.
-        count: How many there are on all ranks.
-        mine: How many of them this rank keeps.
+        first: Number of the first node in this rank's run.
+        count: Number of nodes on all ranks.
+        mine: Number of nodes in this rank's run.
     """
 
     def __init__(self, V: fem.FunctionSpace) -> None:
         comm, dofmap, topology = V.mesh.comm, V.dofmap, V.mesh.topology
         cells = topology.index_map(topology.dim)
-        names = _names(V, dofmap.list[: cells.size_local])
+        keys = _dof_keys(V, dofmap.list[: cells.size_local])
         width = dofmap.list.shape[1]
         share = max(cells.size_global, 1)
-        self._post = RankExchange(comm, names // width * comm.size // share)
-        here = self._post.there(names[:, None])[:, 0]
+        self._exchange = RankExchange(comm, keys // width * comm.size // share)
+        here = self._exchange.send(keys[:, None])[:, 0]
         self._places = np.argsort(here)
         self.mine = len(here)
         self.first = int(comm.exscan(self.mine) or 0)
@@ -86,34 +86,41 @@ class DofOrdering:
         self._columns = int(dofmap.index_map_bs)
 
     def rows(self, function: fem.Function) -> Rows:
-        """This rank's run of a function's values. Collective."""
+        """Values of a function in this rank's run. Collective."""
         size = function.function_space.dofmap.index_map.size_local
         own = function.x.array.reshape(-1, self._columns)[:size]
-        return Rows(self._post.there(own)[self._places], self.first, self.count)
+        return Rows(self._exchange.send(own)[self._places], self.first, self.count)
 
     def fill(self, function: fem.Function, rows: AnyArray) -> None:
-        """Gives a function the values of such a run, ghosts too. Collective."""
+        """Sets the values of a function, ghosts too. Collective.
+
+        Args:
+            function: In this space.
+            rows: Values in this rank's run, shape (mine, block size).
+        """
         arrived = np.empty_like(rows)
         arrived[self._places] = rows
-        own = self._post.back(arrived)
+        own = self._exchange.send_back(arrived)
         function.x.array[: own.size] = own.reshape(-1)
         function.x.scatter_forward()
 
 
-def _names(V: fem.FunctionSpace, cells: AnyArray) -> IntArray:
-    """What each owned unknown (node, if several share it) is called. Collective.
+def _dof_keys(V: fem.FunctionSpace, cells: AnyArray) -> IntArray:
+    """Key of each owned node: original number of its first cell times width plus position.
+
+    Collective.
 
     Args:
         V: The space.
-        cells: Local unknowns of this rank's owned cells.
+        cells: Local nodes of this rank's owned cells, shape (cells, width).
     """
     imap, original = V.dofmap.index_map, V.mesh.topology.original_cell_index
     width = cells.shape[1]
-    names = np.full(imap.size_local + imap.num_ghosts, _NONE, dtype=np.int64)
+    keys = np.full(imap.size_local + imap.num_ghosts, _NONE, dtype=np.int64)
     first = np.asarray(original[: len(cells)], dtype=np.int64)[:, None] * width
-    np.minimum.at(names, cells, first + np.arange(width))
-    # Owners learn of cells on other ranks.
-    post = RankExchange(V.mesh.comm, np.asarray(imap.owners))
-    told = post.there(np.column_stack([imap.ghosts, names[imap.size_local :]]))
-    np.minimum.at(names, told[:, 0] - imap.local_range[0], told[:, 1])
-    return names[: imap.size_local]
+    np.minimum.at(keys, cells, first + np.arange(width))
+    # The first cell of a node may be on another rank, which has the node as a ghost.
+    exchange = RankExchange(V.mesh.comm, np.asarray(imap.owners))
+    found = exchange.send(np.column_stack([imap.ghosts, keys[imap.size_local :]]))
+    np.minimum.at(keys, found[:, 0] - imap.local_range[0], found[:, 1])
+    return keys[: imap.size_local]

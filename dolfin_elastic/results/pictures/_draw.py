@@ -1,6 +1,6 @@
-"""Draws pictures: reads lines "surface.npz<tab>picture.png", and says "drawn" after each.
+"""Draws pictures: reads lines "surface.npz<tab>picture.png" and writes "drawn" after each.
 
-A program of its own, started by `drawing.py`; it imports nothing of this package, so no MPI.
+A program of its own, started by `renderer.py`; it imports nothing of this package, hence no MPI.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def _surface(data: Any, *, deformed: bool) -> pv.PolyData:
 
 
 def _edges(reference: pv.PolyData, points: Any) -> pv.PolyData:
-    """Sharp edges of the undeformed body, carried to other places of its points."""
+    """Sharp edges of the undeformed body, drawn at other positions of its points."""
     reference = reference.copy()
     reference.point_data["number"] = np.arange(reference.n_points)
     edges = reference.extract_feature_edges(
@@ -54,23 +54,23 @@ def _edges(reference: pv.PolyData, points: Any) -> pv.PolyData:
     )
     if not edges.n_points:
         return edges
-    edges = _long(edges, _SHORT * reference.length)
+    edges = _without_short(edges, _SHORT * reference.length)
     if edges.n_points:
         edges.points = points[np.asarray(edges.point_data["number"])]
     return edges
 
 
-def _long(edges: pv.PolyData, least: float) -> pv.PolyData:
-    """Connected edges of some length: the scraps that a rounded body has are left out."""
+def _without_short(edges: pv.PolyData, least: float) -> pv.PolyData:
+    """Connected edges of at least this length: rounded bodies have short ones by chance."""
     edges = edges.connectivity()
     chains = np.asarray(edges.cell_data["RegionId"])
     lengths = np.asarray(edges.compute_cell_sizes(area=False, volume=False)["Length"])
-    kept = np.bincount(chains, lengths)[chains] >= least
-    return edges.extract_cells(np.flatnonzero(kept)).extract_geometry()
+    long = np.bincount(chains, lengths)[chains] >= least
+    return edges.extract_cells(np.flatnonzero(long)).extract_geometry()
 
 
 def _add_body(plot: pv.Plotter, data: Any) -> Any:
-    """Adds the body and its edges; returns what maps values to colours."""
+    """Adds the body and its edges; returns the mapper of values to colours."""
     reference, deformed = _surface(data, deformed=False), _surface(data, deformed=True)
     flat = bool(data["plane"])
     named = "names" in data
@@ -94,7 +94,7 @@ def _add_body(plot: pv.Plotter, data: Any) -> Any:
 
 
 def _add_outline(plot: pv.Plotter, reference: pv.PolyData) -> None:
-    """The undeformed body in lines only: a surface in front would change the other's colours."""
+    """Edges of the undeformed body; its surface would hide the deformed one or tint it."""
     edges = _edges(reference, reference.points)
     if edges.n_points:
         _add_lines(plot, edges, _GHOST, 2.5)
@@ -137,7 +137,7 @@ def _add_text(plot: pv.Plotter, data: Any, mapper: Any) -> None:
 
 
 def _plain(text: str) -> str:
-    """Text in which VTK finds no formulas."""
+    """Text with `$` escaped, which VTK would take for a formula."""
     return text.replace("$", "\\$")
 
 
@@ -161,7 +161,7 @@ def _add_bar(plot: pv.Plotter, data: Any, mapper: Any) -> None:
 
 
 def _add_legend(plot: pv.Plotter, data: Any) -> None:
-    """The names that are seen, each with its colour."""
+    """A legend of the names of visible cells with their colours."""
     top, left = 0.74, 0.84
     plot.add_text(
         str(data["label"]), position=(left, top + 0.05), viewport=True, color=_INK, font_size=13
@@ -203,7 +203,7 @@ def _aim(plot: pv.Plotter, data: Any) -> None:
 
 
 def _fill(plot: pv.Plotter, data: Any) -> None:
-    """Centres what is seen of the body and makes it as large as there is room."""
+    """Centres the visible body and scales it to the room left of the colour bar."""
     ahead = np.array(plot.camera.direction)
     right = np.cross(ahead, plot.camera.up)
     right /= np.linalg.norm(right)
@@ -221,10 +221,16 @@ def _fill(plot: pv.Plotter, data: Any) -> None:
 
 
 def draw(plot: pv.Plotter, source: str, target: str) -> None:
-    """Draws what is in the file `source` into the file `target`."""
+    """Draws one picture.
+
+    Args:
+        plot: The window.
+        source: File of arrays, as `pictures.Painter` writes it.
+        target: The PNG file.
+    """
     with np.load(source) as file:
         data = dict(file)
-    plot.suppress_rendering = True  # until all is there
+    plot.suppress_rendering = True  # until the scene is complete
     plot.clear()
     plot.enable_lightkit()
     mapper = _add_body(plot, data)
@@ -245,7 +251,7 @@ def plotter() -> pv.Plotter:
 
 def main() -> None:
     """Draws until its input ends."""
-    # Libraries may print what they like, but not between the answers.
+    # What libraries print goes to stderr: stdout carries the answers only.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     plot = plotter()

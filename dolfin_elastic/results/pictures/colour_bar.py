@@ -1,4 +1,4 @@
-"""From values to what a colour bar says: range, round ticks, unit.  Plain numbers only."""
+"""Range, round ticks and unit of a colour bar; plain numbers only."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 
 from dolfin_elastic.core.types import AnyArray
 
-ROUGHLY = 5
-"""Steps between ticks, or a few less."""
+INTERVALS = 5
+"""Number of intervals between ticks at the most."""
 EQUAL = 1e-9
-"""Values that differ by less than this share of the largest one are the same."""
+"""Relative difference below which values count as equal."""
 _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"))
 _PREFIXED = ("Pa", "J/m^3", "m", "N", "m/s", "m/s^2")
 
@@ -23,9 +23,9 @@ class ColourBar:
 
     Attributes:
         ticks: Round numbers; the first and the last are the ends.
-        factor: What the values are divided by.
-        unit: What remains, with its prefix.
-        form: How ticks are written, for printf.
+        factor: SI values over those on the bar.
+        unit: Unit on the bar, with a prefix.
+        form: Format of the ticks, for printf.
     """
 
     ticks: tuple[float, ...]
@@ -37,13 +37,13 @@ class ColourBar:
 def make_colour_bar(values: AnyArray, unit: str, noise: float = 0.0) -> ColourBar:
     """The colour bar of some values.
 
-    Rounding errors get no colours of their own: values that are zero but for them are shown
-    between 0 and `noise`, others that are all the same between 0 and themselves.
+    Round-off gets no colours: values that are zero but for round-off are shown between 0 and
+    `noise`, others that are equal between 0 and their value.
 
     Args:
-        values: In SI units; what is not finite does not count.
+        values: In SI units; those that are not finite are left out.
         unit: SI unit.
-        noise: Differences below this are rounding errors.
+        noise: Differences below this are round-off.
     """
     low, high = _range(values[np.isfinite(values)], noise)
     factor, unit = _prefix(max(abs(low), abs(high)), unit)
@@ -64,10 +64,10 @@ def _range(values: AnyArray, noise: float) -> tuple[float, float]:
 
 
 def _prefix(largest: float, unit: str) -> tuple[float, str]:
-    """A factor and a unit with which the largest value reads well."""
+    """Factor and prefixed unit in which the largest value is between 1 and 1000."""
     if unit not in _PREFIXED or not largest:
         return 1.0, unit
-    # A little slack, so that 1000 kPa but for rounding are 1 MPa.
+    # With a tolerance, so that 1000 kPa less round-off are 1 MPa.
     largest *= 1 + EQUAL
     factor, prefix = next(((f, p) for f, p in _PREFIXES if largest >= f), _PREFIXES[-1])
     return factor, prefix + unit
@@ -75,7 +75,7 @@ def _prefix(largest: float, unit: str) -> tuple[float, str]:
 
 def round_ticks(low: float, high: float) -> tuple[float, ...]:
     """Multiples of 1, 2, 2.5 or 5 times a power of ten, from `low` or below to `high` or above."""
-    rough = (high - low) / ROUGHLY
+    rough = (high - low) / INTERVALS
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(m * power for m in (1, 2, 2.5, 5, 10) if m * power >= rough * (1 - EQUAL))
     first = math.floor(low / step + EQUAL)
@@ -84,7 +84,7 @@ def round_ticks(low: float, high: float) -> tuple[float, ...]:
 
 
 def _form(ticks: tuple[float, ...]) -> str:
-    """As many digits as the ticks need, and the same for all."""
+    """Format with the digits that the ticks need, the same for all."""
     largest = max(map(abs, ticks))
     if not 1e-3 <= largest < 1e6:
         return "%.4g"

@@ -1,7 +1,7 @@
-"""Pictures of the deformed body, without a display.
+"""Pictures of the deformed body and of modes, without a display.
 
-The surface goes to rank 0, which has it drawn by another process (`drawing.py`): what VTK does
-wrong there, down to a crash, becomes an error message here and not the end of the run.
+The surface is gathered on rank 0 and drawn by another process (`renderer.py`): a fault of VTK,
+even a crash, becomes an `OutputError` and does not end the run.
 """
 
 from __future__ import annotations
@@ -39,8 +39,10 @@ if TYPE_CHECKING:
 
 View = Literal["isometric", "x", "y", "z", "-x", "-y", "-z"]
 
-_NAP = 0.02
-_NAMED = ("material", "region")
+_SLEEP = 0.02
+"""Seconds between two looks for the end of the drawing."""
+_CATEGORIES = ("material", "region")
+"""Fields of numbers that stand for names: drawn in distinct colours with a legend."""
 _LABELS = {
     "von_mises": "von Mises stress",
     "von_mises_nodal": "von Mises stress",
@@ -53,13 +55,13 @@ _LABELS = {
 
 
 def check_drawable(name: str) -> str:
-    """The name of a field, if a picture can show it.
+    """Checks that a picture can show a field, and returns its name.
 
     Raises:
-        InputError: There is no such field, or it is one of numbers without order or names.
+        InputError: There is no such field, or it is the same in all states and has no names.
     """
     allowed = [
-        name for name, row in FIELDS.items() if name in _NAMED or row.formula or not row.fixed
+        name for name, row in FIELDS.items() if name in _CATEGORIES or row.formula or not row.fixed
     ]
     if name not in FIELDS:
         raise InputError(f"there is no field '{name}'", expected=nearest(name, allowed))
@@ -84,11 +86,11 @@ def picture(
         problem: The problem that was solved.
         state: What is shown.
         file: The PNG file.
-        field: Name from `FIELDS`; of vectors and tensors the length is shown; values of cells are
+        field: Name from `FIELDS`; of vectors and tensors the norm is shown; values of cells are
             averaged at the nodes, but for materials and regions.
         scale: Magnification of the displacement.
-        view: Along which axis it is looked at; plane bodies are always seen from the front.
-        title: Stands above the body, before load or time.
+        view: Axis along which the body is seen; plane bodies are always seen from the front.
+        title: Text above the body, before load or time.
 
     Raises:
         InputError: The field cannot be shown.
@@ -104,13 +106,13 @@ def picture(
 class PictureWriter:
     """Draws pictures during a run, or of its last step.  All of it is collective.
 
-    A new run removes the pictures of an older one that carry its names.
+    A new run removes the pictures of an earlier one with the same names.
 
     Args:
         problem: The problem that is solved.
         path: The PNG file.
-        every: Each n-th step (see `StepInterval`) and the last one, with the step's number in the
-            file's name; None: the last only, without it.
+        every: Steps between drawn states, see `StepInterval`; the last state is always drawn.  The
+            step's number is added to the file's name.  None: only the last state, without number.
         field: See `picture`.
         saved: Its restart state: pictures of later steps are removed.
         options: `scale`, `view` and `title` of `picture`.
@@ -130,7 +132,7 @@ class PictureWriter:
         self._every = (
             None if every is None else StepInterval(every, -1 if saved is None else saved["taken"])
         )
-        self._drawn = -1 if saved is None else int(saved["drawn"])
+        self._last_drawn = -1 if saved is None else int(saved["drawn"])
         self._last_state = LastState()
         with stage("output"):
             on_root(problem.body.comm, self._clear)
@@ -140,15 +142,18 @@ class PictureWriter:
         make_folder(self.path.parent)
         with writing(self.path):
             for file in picture_files(self.path):
-                if file == self.path or _number(self.path, file) > self._drawn:
+                if file == self.path or _number(self.path, file) > self._last_drawn:
                     file.unlink()
 
     def restart_state(self) -> Numbers:
         """See `Writer`."""
-        return {"drawn": self._drawn, "taken": -1 if self._every is None else self._every.taken}
+        return {
+            "drawn": self._last_drawn,
+            "taken": -1 if self._every is None else self._every.taken,
+        }
 
     def write(self, state: State) -> None:
-        """Draws the step, or keeps it for the end."""
+        """Draws the state if it is due; else copies it, for it may be the last one."""
         with stage("output"):
             if self._every is None or not self._every.takes(state.step):
                 self._last_state.copy(state)
@@ -160,7 +165,7 @@ class PictureWriter:
         name = f"{self.path.stem}_{state.step:04d}{self.path.suffix}"
         file = self.path if self._every is None else self.path.with_name(name)
         self._painter.paint(state, file, **self.options)
-        self._drawn = state.step
+        self._last_drawn = state.step
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """Draws the last converged step if it has not been drawn."""
@@ -178,9 +183,9 @@ class ModePictureWriter:
     Args:
         problem: The problem that is solved.
         path: The PNG file; the mode's number goes into its name.
-        amplitude: Largest displacement, over the body's longest side.
-        title: Stands above the body, before the mode.
-        options: `scale` and `view` of `pictures.picture`.
+        amplitude: Largest displacement in the picture, over the body's longest side.
+        title: Text above the body, before that of the mode.
+        options: `scale` and `view` of `picture`.
     """
 
     def __init__(
@@ -200,15 +205,15 @@ class ModePictureWriter:
                 file.unlink()
 
     def write(self, state: State) -> None:
-        """Takes no notice of what is no mode."""
+        """Passes over a state: it is no mode."""
 
     def write_mode(self, mode: Mode) -> None:
-        """Draws one mode about the state that it belongs to."""
+        """Draws one mode, added to the displacement of its base state."""
         with stage("output"):
             self._u.x.array[:] = mode.base.x.array + self._size * mode.u.x.array
             state = State(mode.number, 0.0, self._u, w=self._w, load_factor=float("nan"))
             file = self.path.with_name(f"{self.path.stem}_{mode.number:04d}{self.path.suffix}")
-            title = "   |   ".join(filter(None, (self.title, _told(mode))))
+            title = "   |   ".join(filter(None, (self.title, _mode_title(mode))))
             self._painter.paint(state, file, title=title, **self.options)
 
     def restart_state(self) -> Numbers:
@@ -216,40 +221,53 @@ class ModePictureWriter:
         return {}
 
     def close(self, status: str = "completed", error: object = None) -> None:
-        """There is nothing more to draw."""
+        """Ends the drawing."""
         self._painter.close()
 
 
-def _told(mode: Mode) -> str:
+def _mode_title(mode: Mode) -> str:
     if mode.kind == "buckling":
         return f"mode {mode.number}: load factor {mode.load_factor:.5g}"
     return f"mode {mode.number}: {mode.name or f'{mode.frequency:.5g} Hz'}"
 
 
 def picture_files(path: Path) -> list[Path]:
-    """Pictures that a run has drawn as `path`, in their order. Not collective."""
+    """Existing pictures of an output with this file, in the order of steps. Not collective."""
     found = [(number, p) for p in path.parent.iterdir() if (number := _number(path, p)) >= 0]
     return [*([path] if path.is_file() else []), *(p for _, p in sorted(found))]
 
 
 def _number(path: Path, file: Path) -> int:
-    """Number of the step that a picture shows, -1 if the file is no such picture."""
+    """Number of the step in a picture's name; -1 if the file is no picture of this output.
+
+    Args:
+        path: The PNG file of the output, without number.
+        file: Any file in its folder.
+    """
     stem, suffix = re.escape(path.stem), re.escape(path.suffix)
     found = re.fullmatch(rf"{stem}_(\d{{4,}}){suffix}", file.name)
     return int(found[1]) if found else -1
 
 
 class Painter:
-    """A field of a problem, ready to be drawn again and again."""
+    """Draws states coloured by one field; compiles once.  All of it is collective but `close`.
+
+    Args:
+        problem: The problem that is solved.
+        field: Name from `FIELDS`.
+
+    Raises:
+        InputError: A picture cannot show the field.
+    """
 
     def __init__(self, problem: Problem, field: str) -> None:
         self.problem, self.comm, self.field = problem, problem.body.comm, check_drawable(field)
         self.dim = problem.body.dim
-        self._noise = _noise(problem, FIELDS[field].unit)
+        self._noise = _round_off(problem, FIELDS[field].unit)
         self._evaluate = Evaluator(problem, [field])
 
     def close(self) -> None:
-        """There is nothing more to draw."""
+        """Ends the drawing: the renderer stops when nobody else needs it. Not collective."""
         RENDERER.release(self)
 
     def paint(
@@ -261,12 +279,12 @@ class Painter:
         view: View = "isometric",
         title: str = "",
     ) -> None:
-        """Draws a state. Collective; see `picture`."""
+        """Draws a state; arguments as in `picture`. Collective."""
         values = self._evaluate(state)[self.field]
         grid = self._evaluate.grid
         u = state.u.x.array.reshape(-1, self.dim)
         fields, of_cells = {"u": np.pad(u, ((0, 0), (0, 3 - self.dim)))}, None
-        if self.field in _NAMED:
+        if self.field in _CATEGORIES:
             cells = grid.mesh.topology.index_map(grid.mesh.topology.dim)
             of_cells = _with_ghosts(cells, values)[:, 0].astype(np.int64)
         else:
@@ -297,7 +315,7 @@ class Painter:
                 points=surface.points,
                 triangles=surface.triangles,
                 u=surface.values["u"],
-                **self._coloured(surface),
+                **self._colour_data(surface),
                 **settings,
             )
             RENDERER.draw(self, data, drawn)
@@ -305,8 +323,8 @@ class Painter:
             draft.write_bytes(drawn.read_bytes())
             draft.replace(file)
 
-    def _coloured(self, surface: Surface) -> dict[str, Any]:
-        """Values with the colour bar's range, ticks and label, or with names."""
+    def _colour_data(self, surface: Surface) -> dict[str, Any]:
+        """Input of the drawing: values with ticks and label of the colour bar, or with names."""
         field, label = FIELDS[self.field], _LABELS.get(self.field, self.field.replace("_", " "))
         if surface.of_cells is not None:
             first, names = self._names()
@@ -324,14 +342,14 @@ class Painter:
         }
 
     def _names(self) -> tuple[int, list[str]]:
-        """The first number of a field of names, and the names."""
+        """Number of the first name of a field of names, and all names."""
         if self.field == "material":
             return 0, [part.name for part in self.problem.regions]
         return -1, ["no region", *sorted(self.problem.body.regions)]
 
 
 def _headline(state: State, title: str, scale: float) -> str:
-    """Title, load or time, and magnification, as far as there is something to say."""
+    """Title, load or time, and magnification, each if there is one."""
     moving = state.v is not None
     place = f"t = {state.t:.4g} s" if moving else f"load {100 * state.load_factor:.4g} %"
     if math.isnan(state.load_factor):  # a mode, which the title names
@@ -340,10 +358,10 @@ def _headline(state: State, title: str, scale: float) -> str:
     return "   |   ".join(filter(None, (title, place, larger)))
 
 
-def _noise(problem: Problem, unit: str) -> float:
-    """Values of a field below this are rounding errors. Collective.
+def _round_off(problem: Problem, unit: str) -> float:
+    """Values below this are round-off, in the unit of a field. Collective.
 
-    Stresses and strains are differences of displacements, and lose digits to them.
+    Stresses and strains follow from differences of displacements, which cancel leading digits.
     """
     stiff = min(float(part.shear.value) for part in problem.regions)
     scales = {
@@ -357,21 +375,29 @@ def _noise(problem: Problem, unit: str) -> float:
 
 
 def _on_root_alone(comm: MPI.Comm, action: Callable[[], None]) -> None:
-    """`on_root` for long work: the other ranks sleep, and leave it their processors. Collective."""
+    """`on_root` for long work: the other ranks sleep, which frees their cores. Collective."""
     error: Exception | None = None
     if comm.rank == 0:
         try:
             action()
-        except Exception as caught:  # told to all ranks just below
+        except Exception as caught:  # raised on all ranks below
             error = caught
     done = comm.Ibarrier()
     while not done.Test():
-        time.sleep(_NAP)
+        time.sleep(_SLEEP)
     agree(comm, error)
 
 
 def _with_ghosts(index_map: IndexMap, values: AnyArray) -> AnyArray:
-    """Values of what this rank owns, one each, completed by those of the ghosts. Collective."""
+    """Values of owned points or cells, completed by those of ghosts. Collective.
+
+    Args:
+        index_map: Of the points or cells.
+        values: Shape (owned, 1).
+
+    Returns:
+        Shape (owned and ghosts, 1).
+    """
     work = la.vector(index_map, 1)
     work.array[: len(values)] = values[:, 0]
     work.scatter_forward()

@@ -1,8 +1,8 @@
-"""The process that draws pictures (`_draw.py`), and the display it draws on.
+"""The process that draws pictures (`_draw.py`), and the X display it draws on.
 
-Starting both takes far longer than a picture: they are kept until nobody wants them any more.
-They end by themselves, should this program die: the one when its input ends, the other when
-nobody is connected to it.
+Starting both takes far longer than drawing: they are shared by all pictures of the program.  They
+end by themselves if the program dies: the process when its input ends, the display when its last
+client has gone.
 """
 
 from __future__ import annotations
@@ -21,31 +21,35 @@ from typing import IO, cast
 from dolfin_elastic.core.errors import OutputError
 
 _TIMEOUT = 300
+"""Seconds that one picture may take."""
 
 
 class Renderer:
-    """Draws one picture after the other.  Not collective: for rank 0."""
+    """The drawing process with its display.  Not collective: on rank 0."""
 
     def __init__(self) -> None:
         self._display, environment = _display()
-        self._said = cast(IO[str], tempfile.TemporaryFile("w+", encoding="utf-8"))  # noqa: SIM115
+        self._output = cast(IO[str], tempfile.TemporaryFile("w+", encoding="utf-8"))  # noqa: SIM115
         script = Path(__file__).with_name("_draw.py")
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(script)],
             env=environment,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._said,
+            stderr=self._output,
             text=True,
             start_new_session=True,  # Ctrl-C is for the run, which wants its last picture
         )
 
     def draw(self, data: Path, drawn: Path) -> None:
-        """Draws what is in the file `data` into the file `drawn`.
+        """Draws one picture.
+
+        Args:
+            data: File with a surface, see `_draw.py`.
+            drawn: The PNG file.
 
         Raises:
-            OutputError: It could not, with the last thing that was said; the drawer is of no use
-                any more.
+            OutputError: The process failed, with the last line of its output; it is of no use then.
         """
         into, back = self._process.stdin, self._process.stdout
         assert into is not None
@@ -62,11 +66,11 @@ class Renderer:
 
     def _fault(self) -> OutputError:
         code = self._process.wait()
-        self._said.seek(0)
-        said = (self._said.read().strip().splitlines() or [f"exit code {code}"])[-1]
-        # Faults of files, such as a full disk, have numbers.
-        needed = "" if "Errno" in said else "; pyvista and Xvfb are needed"
-        return OutputError(f"cannot draw a picture: {said}{needed}")
+        self._output.seek(0)
+        text = (self._output.read().strip().splitlines() or [f"exit code {code}"])[-1]
+        # Errors of files, such as a full disk, have a number.
+        needed = "" if "Errno" in text else "; pyvista and Xvfb are needed"
+        return OutputError(f"cannot draw a picture: {text}{needed}")
 
     def close(self) -> None:
         """Ends the process and the display."""
@@ -74,20 +78,29 @@ class Renderer:
             if process is not None:
                 process.terminate()
                 process.wait()
-        for stream in (self._process.stdin, self._process.stdout, self._said):
+        for stream in (self._process.stdin, self._process.stdout, self._output):
             if stream is not None:
                 _close_quietly(stream)
 
 
 class SharedRenderer:
-    """The one drawer of this program: started when it is needed, ended when nobody wants it."""
+    """The one renderer of this program: started at the first picture, ended with its last user."""
 
     def __init__(self) -> None:
         self._renderer: Renderer | None = None
         self._users: set[int] = set()
 
     def draw(self, user: object, data: Path, drawn: Path) -> None:
-        """Draws, and keeps the drawer until this user has called `release`. See `Renderer.draw`."""
+        """Draws one picture; the renderer runs until all its users have called `release`.
+
+        Args:
+            user: Who draws, compared by identity.
+            data: See `Renderer.draw`.
+            drawn: The PNG file.
+
+        Raises:
+            OutputError: See `Renderer.draw`; the next picture starts a new renderer.
+        """
         self._users.add(id(user))
         if self._renderer is None:
             self._renderer = Renderer()
@@ -98,7 +111,7 @@ class SharedRenderer:
             raise
 
     def release(self, user: object) -> None:
-        """This user has drawn its last picture."""
+        """Takes back a user, who has drawn its last picture."""
         self._users.discard(id(user))
         if not self._users:
             self._end()
@@ -110,13 +123,13 @@ class SharedRenderer:
 
 
 def _close_quietly(stream: IO[str]) -> None:
-    with suppress(BrokenPipeError):  # what was still to be said to a process that has died
+    with suppress(BrokenPipeError):  # unwritten input of a process that has died
         stream.close()
 
 
 def _display() -> tuple[subprocess.Popen[bytes] | None, dict[str, str]]:
-    """A display of our own, for a real one would flash windows, and an environment with it."""
-    # A child that believes to be an MPI rank may try to join the run.
+    """A virtual display, for windows would appear on a real one, and the child's environment."""
+    # With an MPI rank's variables the child might try to join the run.
     mine = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_", "PMI_"))}
     if not which("Xvfb"):
         return None, mine
@@ -125,7 +138,7 @@ def _display() -> tuple[subprocess.Popen[bytes] | None, dict[str, str]]:
 
 
 def _start_xvfb() -> tuple[subprocess.Popen[bytes], int]:
-    """Starts a server on a display number that it finds free itself."""
+    """Starts a server, which chooses a free display number."""
     read, write = os.pipe()
     size = ["-screen", "0", "1600x1200x24"]
     server = subprocess.Popen(

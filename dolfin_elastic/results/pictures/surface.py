@@ -1,4 +1,4 @@
-"""The surface of a body on rank 0, for pictures.  Only the surface travels, never the mesh."""
+"""The surface of a body, gathered on rank 0 for pictures; the mesh is not gathered."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class Surface:
     """Triangles and values at their corners.
 
     Attributes:
-        triangles: Rows of `points`, shape (n, 3), seen from outside counter-clockwise.
+        triangles: Numbers of `points`, shape (n, 3), counter-clockwise seen from outside.
         points: Reference configuration [m], shape (m, 3).
         values: Name to values at the points, shape (m, columns).
-        of_cells: Values of the cells that the triangles belong to, shape (n,), if asked for.
+        of_cells: Values of the cells behind the triangles, shape (n,), or None.
     """
 
     triangles: AnyArray
@@ -38,7 +38,9 @@ class Surface:
 def gather_surface(
     grid: Grid, values: dict[str, AnyArray], of_cells: AnyArray | None = None
 ) -> Surface | None:
-    """The body's surface on rank 0, None on the others; of a plane body all cells. Collective.
+    """The body's surface on rank 0, None on the others. Collective.
+
+    The surface of a plane body are all its cells.
 
     Args:
         grid: The body's points and cells.
@@ -60,7 +62,7 @@ def _to_root(comm: MPI.Comm, own: Any) -> list[Any]:
 
 
 def _joined(parts: list[Any]) -> Surface:
-    """One surface from the ranks' shares; points that several ranks have become one."""
+    """One surface from the parts of all ranks; points that several ranks have are merged."""
     numbers = np.concatenate([part[1] for part in parts])
     _, first, new = np.unique(numbers, return_index=True, return_inverse=True)
     starts = np.cumsum([0, *(len(part[1]) for part in parts)])
@@ -76,7 +78,7 @@ def _joined(parts: list[Any]) -> Surface:
 
 
 def _triangles(grid: Grid) -> tuple[AnyArray, AnyArray]:
-    """Local points of this rank's share of the surface, shape (n, 3), and the cell of each."""
+    """Local points of this rank's triangles, shape (n, 3), and the cell of each."""
     if grid.mesh.topology.dim == 2:
         own = np.arange(grid.own_cells)
         return _split(_upward(grid.V, grid.V.dofmap.list[own]), own)
@@ -93,14 +95,20 @@ def _split(faces: AnyArray, cells: AnyArray) -> tuple[AnyArray, AnyArray]:
 
 
 def _outward(V: fem.FunctionSpace, faces: AnyArray, opposite: AnyArray) -> AnyArray:
-    """Turns faces so that the corner of the cell that is not theirs lies behind them."""
+    """Orients faces outward.
+
+    Args:
+        V: The space whose nodes the faces have.
+        faces: Shape (n, 3 or 6).
+        opposite: The corner of each face's cell that is not on the face, shape (n,).
+    """
     x = V.tabulate_dof_coordinates()
     behind = x[faces[:, 0]] - x[opposite]
     return _turned(faces, np.einsum("ij,ij->i", _normals(x, faces), behind) < 0)
 
 
 def _upward(V: fem.FunctionSpace, faces: AnyArray) -> AnyArray:
-    """Turns the cells of a plane body so that they are seen from above."""
+    """Orients the cells of a plane body so that their normals are +z."""
     return _turned(faces, _normals(V.tabulate_dof_coordinates(), faces)[:, 2] < 0)
 
 
@@ -118,7 +126,7 @@ def _turned(faces: AnyArray, which: AnyArray) -> AnyArray:
 
 
 def _outer_sides(mesh: Mesh) -> tuple[AnyArray, AnyArray]:
-    """Owned boundary facets as cells and the facets' numbers in them. Collective."""
+    """Cells of the owned boundary facets, and the facets' local numbers in them. Collective."""
     mesh.topology.create_connectivity(2, 3)
     mesh.topology.create_connectivity(3, 2)
     facets = exterior_facet_indices(mesh.topology)
