@@ -36,21 +36,46 @@ class Options:
         refuse_case_keys(self.users, "solver.petsc")
         self._all = {**defaults, **self.users}
         self._reported = False
+        self._uses: list[dict[str, Any]] = []
         self._used: set[str] = set()
 
     @contextmanager
     def in_force(self, **more: Any) -> Iterator[None]:
-        """Puts the options, and more for this once, into PETSc's database and takes them out."""
+        """Puts the options into PETSc's database and takes them out again.
+
+        May be nested, as where a TS solves with the options of its Newton's method: the inner use
+        leaves in the database what the outer one has put there.
+
+        Args:
+            more: Further options for this once; the user's win.
+        """
         database = PETSc.Options()
         merged = {**self._all, **more, **self.users}
         for name, value in merged.items():
-            database[PREFIX + name] = "" if value is None or value is True else value
+            database[PREFIX + name] = _text(value)
+        self._uses.append(merged)
         try:
             yield
         finally:
+            self._uses.pop()
             self._used |= {name for name in self.users if _was_used(PREFIX + name)}
+            outer = self._uses[-1] if self._uses else {}
             for name in merged:
                 database.delValue(PREFIX + name)
+                if name in outer:
+                    database[PREFIX + name] = _text(outer[name])
+
+    def take(self, name: str) -> dict[str, Any]:
+        """Takes an option of the user out, for a solver that sees to it itself.
+
+        Args:
+            name: Without prefix.
+
+        Returns:
+            The option and its value; nothing where the user has not given it.
+        """
+        self._all.pop(name, None)
+        return {name: self.users.pop(name)} if name in self.users else {}
 
     def update(self, defaults: Mapping[str, Any]) -> None:
         """Changes defaults for all later uses."""
@@ -77,11 +102,20 @@ class Options:
             ) from None
 
     def report_unused(self) -> None:
-        """Warns once of options of the user that nothing asked for: mistyped ones. Inside."""
-        for name in () if self._reported else self.users:
+        """Warns once of options of the user that nothing asked for: mistyped ones.
+
+        To be called within `in_force`; in a nested use nothing is said, for the outer one may ask.
+        """
+        if self._reported or len(self._uses) > 1:
+            return
+        for name in self.users:
             if name not in self._used and not _was_used(PREFIX + name):
                 log.warning("PETSc option '-%s' was not used by any solver", name)
         self._reported = True
+
+
+def _text(value: Any) -> Any:
+    return "" if value is None or value is True else value
 
 
 def _was_used(name: str) -> bool:

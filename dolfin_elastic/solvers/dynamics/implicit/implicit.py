@@ -28,6 +28,7 @@ from dolfin_elastic.solvers.dynamics.implicit.step_control import (
     StepControl,
     warn_of_inexact_restart,
 )
+from dolfin_elastic.solvers.dynamics.implicit.ts_output import TSOutput
 from dolfin_elastic.solvers.dynamics.initial_conditions import jump
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 from dolfin_elastic.solvers.dynamics.schemes import ImplicitRow
@@ -157,6 +158,8 @@ class Implicit:
         ts.setMaxSteps(10**9)
         ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
         ts.setSolution2(self._U, self._V)
+        self._output = TSOutput(ts, self.options)
+        self._owned.callback(self._output.destroy)
         with self.options.in_force(), self.options.input_errors():
             ts.setFromOptions()
         ts.setErrorIfStepFails(False)
@@ -207,6 +210,7 @@ class Implicit:
             self._march()
             yield self._state()
             self._newton = self._krylov = 0
+        self._output.finish()
 
     def _begin(self) -> None:
         """Forces and acceleration of the initial state."""

@@ -643,6 +643,24 @@ def test_wrong_settings_are_named(settings, said):
         Dynamics(oscillator(), end=1.0, dt=0.1, **settings)
 
 
+@pytest.mark.parametrize("scheme", ["generalized-alpha", "alpha2"])
+def test_monitor_and_view_of_petsc(scheme, folder, caplog):
+    """Each step is one line, however many states are asked for; TS is viewed once, at the end."""
+    steps, view = folder / "steps.txt", folder / "ts.txt"
+    petsc = {"ts_monitor": f":{steps}", "-ts_view": f"ascii:{view}", "snes_view_nonsense": None}
+    for state in Dynamics(oscillator(), end=0.04, dt=0.01, scheme=scheme, petsc=petsc).steps():
+        assert state.step == 0 or not view.exists()
+    assert steps.read_text() == (
+        "0 TS dt 0.01 time 0.\n1 TS dt 0.01 time 0.01\n2 TS dt 0.01 time 0.02\n"
+        "3 TS dt 0.01 time 0.03\n4 TS dt 0.01 time 0.04\n"
+    )
+    assert view.read_text().count("TS Object") == 1
+    assert "SNES Object" in view.read_text()
+    assert [r.message for r in caplog.records if "not used" in r.message] == [
+        "PETSc option '-snes_view_nonsense' was not used by any solver"
+    ]
+
+
 @pytest.mark.parametrize("option", ["pc_type", "ts_adapt_type"])
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "alpha2"])
 def test_what_petsc_refuses_leaves_nothing_behind(scheme, option, monkeypatch):
