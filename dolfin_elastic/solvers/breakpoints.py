@@ -66,7 +66,7 @@ def _curves(problem: Problem) -> Iterator[Amplitude]:
             yield curve
 
 
-def gentle(problem: Problem, t: float, goal: float) -> float:
+def within_stride(problem: Problem, t: float, goal: float) -> float:
     """The load factor up to which no obstacle moves farther than it is thick.
 
     Args:

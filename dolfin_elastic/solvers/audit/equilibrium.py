@@ -85,7 +85,7 @@ class EquilibriumAuditor:
         self._warned: dict[str, str] = {}
         self._strains = SmallStrains(problem, watch)
 
-    def of(self, t: float, energy: float) -> Audit:
+    def audit(self, t: float, energy: float) -> Audit:
         """The audit of the step that the problem and the assembler are in. Collective.
 
         Args:

@@ -39,8 +39,11 @@ class PathEnergyCheck:
         self._before: tuple[float, FloatArray, FloatArray] | None = None
         self._now: tuple[float, FloatArray, FloatArray] | None = None
 
-    def look(self) -> None:
-        """Takes in the present equilibrium, whose forces are in the assembler. Collective."""
+    def evaluate(self) -> None:
+        """Evaluates energy and forces of the present equilibrium. Collective.
+
+        Its forces are in `Assembler.balance`.
+        """
         a = self._assembler
         forces = a.residual.owned + a.reactions.loads() + a.reactions.restraints()
         forces, moved = forces[a.displacement_dofs], a.problem.w.x.array[a.displacement_dofs].copy()
@@ -51,11 +54,11 @@ class PathEnergyCheck:
         self._now = self.strain.energy(), forces, moved
 
     def finite(self) -> bool:
-        """Whether the energy looked at last is finite, if there is one."""
+        """Whether the energy evaluated last is finite, if there is one."""
         return self.strain.none or self._now is None or bool(np.isfinite(self._now[0]))
 
     def accept(self) -> None:
-        """The state looked at last is where the next step begins."""
+        """Begins the next step at the state evaluated last."""
         self._before = self._now
 
     def jumped(self, unsure: float) -> bool:

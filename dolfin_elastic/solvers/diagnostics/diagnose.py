@@ -74,7 +74,7 @@ def diagnose(
     *,
     good: FloatArray,
     failed: FloatArray,
-    stable: bool = True,
+    judge_stability: bool = True,
     moving: bool = False,
 ) -> Diagnosis:
     """Finds out why a solve failed. Collective.
@@ -84,13 +84,13 @@ def diagnose(
         result: How Newton's method ended.
         good: All unknowns at the last equilibrium, local array with ghosts.
         failed: The same at the last iterate; the problem holds it afterwards.
-        stable: Whether an equilibrium of this kind has to be stable, and the tangent of the
-            fields tells: not along a path, nor beside scalar unknowns.
+        judge_stability: An equilibrium of this kind has to be stable, and the tangent of the
+            fields tells whether it is: not along a path, nor beside scalar unknowns.
         moving: In motion, where a body may be free or unstable.
     """
     with stage("diagnose"):
         doctor = _Doctor(assembler, result, good, failed)
-        doctor.stable, doctor.moving = stable and not moving, moving
+        doctor.stable, doctor.moving = judge_stability and not moving, moving
         try:
             return doctor.said()
         finally:

@@ -1,4 +1,4 @@
-"""Whether an equilibrium is stable: signs of the tangent's eigenvalues, and the weakest mode.
+"""Whether an equilibrium is stable: the inertia of the tangent, and the weakest mode.
 
 By Sylvester's law of inertia the factors L D L^T of a symmetric matrix have as many negative pivots
 as it has negative eigenvalues.  With a pressure beside the displacement the tangent is that of a
@@ -21,6 +21,7 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.nonlinear.newton import Newton
 
 LIMIT = {2: 200_000, 3: 40_000}
 """Unknowns up to which tangents are factorised here, by dimension.
@@ -28,8 +29,55 @@ LIMIT = {2: 200_000, 3: 40_000}
 At the limit a state takes about six seconds on one core, and up to four states are looked at.
 """
 
+NEGATIVE_PIVOTS = 12
+"""Index of their number in MUMPS's INFOG."""
+
 _DIGITS = 1e-3
 """Relative accuracy of the weakest mode's stiffness."""
+
+
+def negative_pivots(pc: PETSc.PC, assembler: Assembler) -> int | None:
+    """Negative eigenvalues of a factorised tangent that a stable body has not.
+
+    As many as negative pivots (Sylvester's law of inertia), less those of the pressures, which
+    belong to a saddle point.
+
+    Args:
+        pc: Its factorisation.
+        assembler: Of the tangent.
+
+    Returns:
+        Their number; None where it is not MUMPS's of a symmetric matrix.
+    """
+    if pc.getType() != "cholesky" or pc.getFactorSolverType() != "mumps":
+        return None
+    return int(pc.getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS)) - assembler.pressures
+
+
+def negative_eigenvalues(newton: Newton) -> int | None:
+    """Negative eigenvalues that a stable body has not, at the end of a Newton solve. Collective.
+
+    Those of the last tangent that Newton's method has factorised are counted, one small step
+    before the solution.  It is factorised anew only where there is none, or one with a shifted
+    diagonal, whose eigenvalues are larger.
+
+    Args:
+        newton: The solver; scalar unknowns beside its fields add theirs.
+
+    Returns:
+        Their number; None where no symmetric factorisation is at hand.
+    """
+    if not (newton.linear.direct and newton.assembler.problem.symmetric):
+        return None
+    pc = newton.ksp.getPC()
+    if pc.getType() != "cholesky" or pc.getFactorSolverType() != "mumps":
+        return None
+    if newton.shift > 0.0 or not (newton.result.newton or newton.factorised):
+        newton.factorise()
+    below = negative_pivots(pc, newton.assembler)
+    if below is None or newton.bordered is None:
+        return below
+    return below + newton.bordered.negative()
 
 
 @dataclass(frozen=True)
@@ -66,8 +114,7 @@ class Stability:
         self._ksp.setType("preonly")
         self.sound, self.negative = self._factorise(), None
         if self.sound and self._symmetric:
-            negative, _, _ = self._ksp.getPC().getFactorMatrix().getInertia()
-            self.negative = int(negative) - assembler.pressures
+            self.negative = negative_pivots(self._ksp.getPC(), assembler)
 
     def _factorise(self) -> bool:
         pc = self._ksp.getPC()
@@ -118,7 +165,7 @@ class Stability:
         eps.setWhichEigenpairs(which)
         eps.setDimensions(nev=1)
         start = self.assembler.create_vector()
-        start.array_w[self.assembler.displacement_dofs] = uneven(self.assembler)
+        start.array_w[self.assembler.displacement_dofs] = start_vector(self.assembler)
         self.assembler.remove_constrained(start)
         eps.setInitialSpace(start)
         eps.solve()
@@ -161,7 +208,7 @@ class _Compliance:
         self._f.destroy()
 
 
-def uneven(assembler: Assembler) -> FloatArray:
+def start_vector(assembler: Assembler) -> FloatArray:
     """Owned displacements that have a part in every mode, the same on any number of ranks."""
     problem = assembler.problem
     dim = problem.body.dim

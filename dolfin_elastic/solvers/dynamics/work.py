@@ -24,7 +24,7 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integ
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, LumpedMass, Strain
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
-from dolfin_elastic.solvers.nonlinear.contact import Measured
+from dolfin_elastic.solvers.nonlinear.contact import ContactResults
 
 Measures = tuple[dict[str, float], dict[str, FloatArray]]
 """Energies [J] by name, and momenta by name: "linear" [kg m/s], "angular" [kg m^2/s]."""
@@ -60,7 +60,7 @@ class EnergyBook:
 
     def __init__(self, problem: Problem, inertia: ConsistentMass | LumpedMass, work: Work) -> None:
         self._comm, self._inertia, self._work = problem.body.comm, inertia, work
-        self._strain, self._contacts = Strain(problem), Measured(problem, moving=True)
+        self._strain, self._contacts = Strain(problem), ContactResults(problem, moving=True)
 
     @np.errstate(all="ignore")  # whether the values are finite is asked by `finite`
     def measure(self) -> Measures:

@@ -93,8 +93,7 @@ class PreloadedAnalysis(ABC):
         of_statics, _ = shared(self.petsc)
         linear = self.linear.model_copy(update={"petsc": {}})
         state = None
-        way = Statics(self.problem, settings, linear=linear, petsc=of_statics)
-        way.alone = False
+        way = Statics(self.problem, settings, linear=linear, petsc=of_statics, preload=True)
         for state in way.steps():
             yield state
         if state is not None and state.done < 1.0 - 1e-9:

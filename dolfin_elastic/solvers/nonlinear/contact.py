@@ -96,7 +96,7 @@ def off_obstacle(touch: ContactPair) -> float:
     return largest(touch.comm, float(np.max(np.abs(gaps[touch.pressing | (gaps < 0)]), initial=0)))
 
 
-class Measured:
+class ContactResults:
     """Numbers of each contact for states. Collective to make.
 
     Args:

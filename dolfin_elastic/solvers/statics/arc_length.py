@@ -20,33 +20,32 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import RestartState
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.linear.choice import Choice
+from dolfin_elastic.solvers.diagnostics.stability import negative_eigenvalues
 from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars, ScalarUnknowns
-from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult, Tolerance
+from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.statics.inertia_count import negative_eigenvalues
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
 from dolfin_elastic.solvers.statics.step_size import StepSpeed
 
 log = logging.getLogger("dolfin_elastic")
 
-WANTED = 4
-"""Newton iterations of a step of the right length."""
+USUAL = 4
+"""Newton iterations of a step of the right length: more shorten the next one, fewer lengthen it."""
 
-GENTLE = 0.01
+FIRST_DISPLACEMENT = 0.01
 """Largest displacement of the first step over the size of the body."""
 
 LONGEST = 8.0
 """Longest step over the first one."""
 
-SHARPEST = 0.5
+STRAIGHT = 0.5
 """Cosine of the angle between two steps below which the second was too long."""
 
-LOOSE = 1e-6
+LENGTH_TOLERANCE = 1e-6
 """Error of the length of a step: it moves the step along the path, not off it."""
 
 
-class ArcLengthConstraint(ScalarUnknowns):
+class ArcLengthConstraint:
     """The load factor, and the length of the step as its equation.
 
     Args:
@@ -59,11 +58,28 @@ class ArcLengthConstraint(ScalarUnknowns):
         self._assembler, self._problem = assembler, assembler.problem
         self.steps, self.signs = np.array([1e-4]), np.zeros(1)
         self.prescribing = np.zeros(1, dtype=bool)
-        self.t, self.wanted = 0.0, 1.0
-        self.start = self.displacement().copy()
+        self.t, self._length = 0.0, 1.0
+        self._start = self.displacement().copy()
+
+    def begin(
+        self, start: FloatArray | None = None, *, length: float = 1.0, difference: float = 1e-4
+    ) -> None:
+        """Begins a step. Not collective.
+
+        Args:
+            start: Owned displacements at its beginning [m]; None: the present ones.
+            length: Its length [m].
+            difference: Step of the load factor by which derivatives are taken.
+        """
+        self._start = self.displacement().copy() if start is None else start
+        self._length, self.steps[0] = length, difference
+
+    def restore(self, t: float) -> None:
+        """Goes on at a load factor that the problem has already."""
+        self.t = t
 
     def displacement(self) -> FloatArray:
-        """Owned displacements."""
+        """Owned displacements [m]."""
         return np.asarray(self._problem.w.x.array[self._assembler.displacement_dofs])
 
     def get(self) -> FloatArray:
@@ -75,36 +91,41 @@ class ArcLengthConstraint(ScalarUnknowns):
         self.t = float(values[0])
         self._problem.set_time(self.t, default=PROPORTIONAL)
 
-    def gone(self) -> float:
-        """Length of the way from the start [m]. Collective."""
-        return float(np.sqrt(self.product(self.moved(), self.moved())))
+    def arc(self) -> float:
+        """Length of the increment since the beginning of the step [m]. Collective."""
+        return float(np.sqrt(self.product(self.increment(), self.increment())))
 
-    def moved(self) -> FloatArray:
-        """The way from the start at the owned displacements."""
-        return self.displacement() - self.start
+    def increment(self) -> FloatArray:
+        """Owned displacements since the beginning of the step [m]."""
+        return self.displacement() - self._start
 
     def product(self, a: FloatArray, b: FloatArray) -> float:
-        """Inner product of two ways. Collective."""
+        """Inner product of two increments. Collective.
+
+        Args:
+            a: Owned displacements [m].
+            b: Owned displacements [m].
+        """
         return float(total(self._assembler.comm, float(np.dot(a, b))))
 
     def residual(self) -> FloatArray:
         """(|du|^2 - dl^2)/dl [m]."""
-        return np.array([self.gone() ** 2 / self.wanted - self.wanted])
+        return np.array([self.arc() ** 2 / self._length - self._length])
 
     def rows(self) -> list[FloatArray]:
         """Its derivative."""
         row = np.zeros(self._assembler.size)
-        row[self._assembler.displacement_dofs] = 2.0 * self.moved() / self.wanted
+        row[self._assembler.displacement_dofs] = 2.0 * self.increment() / self._length
         return [row]
 
     def settled(self, residual: FloatArray, target: float) -> bool:
-        """The step has its length."""
-        return bool(abs(residual[0]) <= LOOSE * self.wanted)
+        """The step has its length, see `ScalarUnknowns`."""
+        return bool(abs(residual[0]) <= LENGTH_TOLERANCE * self._length)
 
 
 @dataclass
-class Found:
-    """A point of the path.
+class PathPoint:
+    """A point of the path, or the failure to find the next one.
 
     Attributes:
         t: Load factor.
@@ -122,10 +143,10 @@ class Found:
 
 
 class ArcLength:
-    """Follows a path from the unloaded state to the load factor `end`.
+    """Follows a path from the unloaded state to the load factor `end`. Collective to make.
 
     Args:
-        ladder: Of the solver for steps of the load: the first and the last.
+        retry: Of the solver for steps of the load: the first and the last.
         others: Further scalar unknowns, which that solver has, too.
         end: Load factor at which the path ends, when it is first reached.
 
@@ -134,38 +155,34 @@ class ArcLength:
     """
 
     def __init__(
-        self, ladder: RetryStrategy, others: Sequence[ScalarUnknowns], *, end: float
+        self, retry: RetryStrategy, others: Sequence[ScalarUnknowns], *, end: float
     ) -> None:
-        self._newton, self._ladder, self._end = ladder.newton, ladder, end
+        self._newton, self._retry, self._end = retry.newton, retry, end
         self._assembler = self._newton.assembler
         self._problem = self._assembler.problem
         self._length = ArcLengthConstraint(self._assembler)
         self._all = JoinedScalars([self._length, *others])
-        self._lead: FloatArray = np.zeros(self._all.size)
-        self._bordered: Newton | None = None
+        # Increments of the last step: of all scalars, and of the displacement.
+        self._scalar_increment: FloatArray = np.zeros(self._all.size)
+        self._increment: FloatArray | None = None
         self.limits: list[float] = []
         self._points: list[tuple[float, float]] = [(0.0, 0.0)]
-        self._way: FloatArray | None = None  # of the last step
         self._size = self._longest = 0.0
-
-    def prepare(self, choice: Choice, tolerance: Tolerance, users: Mapping[str, Any]) -> None:
-        """Makes the solver for displacement and load factor together. Collective."""
         guard = self._newton.guard
         self._bordered = Newton(
             self._assembler,
-            choice,
-            tolerance,
-            users=users,
+            self._newton.choice,
+            self._newton.tolerance,
+            users=self._newton.options.users,
             scalars=self._all,
             watch=None if guard is None else guard.watch,
         )
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""
-        if self._bordered is not None:
-            self._bordered.destroy()
+        self._bordered.destroy()
 
-    def path(self, first: float, smallest: float, *, chosen: bool) -> Iterator[Found]:
+    def path(self, first: float, smallest: float, *, chosen: bool) -> Iterator[PathPoint]:
         """Yields the points of the path; one that did not converge is the last. Collective.
 
         Args:
@@ -173,24 +190,24 @@ class ArcLength:
             smallest: Shortest step, as a share of the first.
             chosen: The user has chosen the first step; else it is made gentle.
         """
-        if self._way is None:
-            longest = np.inf if chosen else GENTLE * self._newton.span
+        if self._increment is None:
+            longest = np.inf if chosen else FIRST_DISPLACEMENT * self._newton.span
             found = self._first(first, smallest, longest)
             if not found.result.converged:
                 yield found
                 return
-            self._way, self._size = self._length.moved(), self._length.gone()
+            self._increment, self._size = self._length.increment(), self._length.arc()
             self._longest = LONGEST * self._size
             yield found
         while self._length.t < self._end * (1 - 1e-12):
             here, t = self._newton.unknowns(), self._length.t
-            point = self._next(self._way)
+            point = self._next(self._increment)
             if not point.result.converged:
                 failed = self._newton.unknowns()
                 self._back(here, t)
                 self._size /= 2
                 if self._size < smallest * self._longest / LONGEST:
-                    yield Found(t, point.result, good=here, failed=failed)
+                    yield PathPoint(t, point.result, good=here, failed=failed)
                     return
                 continue
             if point.t >= self._end:
@@ -198,29 +215,31 @@ class ArcLength:
                 return
             yield point
 
-    def _next(self, way: FloatArray) -> Found:
+    def _next(self, last: FloatArray) -> PathPoint:
         """The next point of the path, and how to go on from there; or a shorter step is due."""
-        assert self._bordered is not None
         before, size = self._all.get(), self._size
-        result = self._step(way, size)
-        if not result.converged or self._turned(way):
+        result = self._step(last, size)
+        if not result.converged or self._turned(last):
             log.debug("arc length %g m: %s, a shorter one", size / 2, result.reason)
-            return Found(self._length.t, result.refused(result.reason))
+            return PathPoint(self._length.t, result.refused(result.reason))
         if self._length.t < self._end:
-            self._way, self._lead = self._length.moved(), self._all.get() - before
+            self._increment, self._scalar_increment = (
+                self._length.increment(),
+                self._all.get() - before,
+            )
             self._note(self._length.t, self._points[-1][1] + size)
-            factor = np.sqrt(WANTED / max(result.newton, 1))
+            factor = np.sqrt(USUAL / max(result.newton, 1))
             self._size = min(self._longest, size * float(np.clip(factor, 0.5, 2.0)))
-        return Found(self._length.t, result, negative_eigenvalues(self._bordered))
+        return PathPoint(self._length.t, result, negative_eigenvalues(self._bordered))
 
     def restart_state(self) -> RestartState:
         """The last step at all unknowns, "way", and what else the next one depends on."""
-        if self._way is None or self._bordered is None:
+        if self._increment is None:
             return RestartState({})
         way = fem.Function(self._problem.W)
-        way.x.array[self._assembler.displacement_dofs] = self._way
+        way.x.array[self._assembler.displacement_dofs] = self._increment
         numbers = {
-            "lead": self._lead.tolist(),
+            "lead": self._scalar_increment.tolist(),
             "size": self._size,
             "longest": self._longest,
             "points": self._points,
@@ -230,87 +249,93 @@ class ArcLength:
         return RestartState({"way": way}, numbers)
 
     def restore(self, t: float, way: fem.Function | None, saved: Mapping[str, Any]) -> None:
-        """Sets what `restart_state` gave, after `prepare`. Collective.
+        """Sets what `restart_state` gave. Collective.
 
         Args:
             t: Load factor of the present point.
             way: The last step at all unknowns.
             saved: The numbers.
         """
-        if way is None or self._bordered is None:
+        if way is None:
             return
-        self._length.t = t
-        self._way = way.x.array[self._assembler.displacement_dofs].copy()
-        self._lead = np.array(saved["lead"])
+        self._length.restore(t)
+        self._increment = way.x.array[self._assembler.displacement_dofs].copy()
+        self._scalar_increment = np.array(saved["lead"])
         self._size, self._longest = saved["size"], saved["longest"]
         self._points = [(load, arc) for load, arc in saved["points"]]
         self.limits = list(saved["limits"])
         self._bordered.restore(saved["newton"])
 
-    def _first(self, t: float, smallest: float, longest: float) -> Found:
+    def _first(self, t: float, smallest: float, longest: float) -> PathPoint:
         """A step of the load, of at most so large displacements, which gives the path a direction.
 
         A load far above a limit point would find the body beyond it at once.
         """
         least = smallest * t
         while True:
-            self._length.start, before = self._length.displacement().copy(), self._all.get()
+            self._length.begin()
+            before = self._all.get()
             before[0] = 0.0
             here = self._newton.unknowns()
             self._length.put(np.array([t]))
-            result = self._ladder.solve([("", here)])
-            self._lead = self._all.get() - before
+            result = self._retry.solve([("", here)])
+            self._scalar_increment = self._all.get() - before
             hasty = StepSpeed(self._assembler).hasty(0.0, t, here, result)
             hasty = hasty or self._assembler.max_displacement() > longest
             if result.converged and not (hasty and t / 2 >= least):
-                self._points.append((t, self._length.gone()))
-                return Found(t, result, negative_eigenvalues(self._newton))
+                self._points.append((t, self._length.arc()))
+                return PathPoint(t, result, negative_eigenvalues(self._newton))
             if t / 2 < least:
-                return Found(0.0, result, good=here, failed=self._ladder.failed)
-            self._ladder.undo(here)
+                return PathPoint(0.0, result, good=here, failed=self._retry.failed)
+            self._retry.undo(here)
             t /= 2
 
-    def _step(self, way: FloatArray, size: float) -> NewtonResult:
-        """Goes on in the last step's direction and corrects from there."""
-        assert self._bordered is not None
+    def _step(self, last: FloatArray, size: float) -> NewtonResult:
+        """Goes on in the direction of the last step and corrects from there. Collective.
+
+        Args:
+            last: Increment of the displacement in the last step, owned entries [m].
+            size: Length of this one [m].
+        """
         length, w = self._length, self._problem.w
-        length.start, length.wanted = length.displacement().copy(), size
-        share = size / np.sqrt(length.product(way, way))
-        lead = share * self._lead
-        length.steps[0] = max(1e-4 * abs(lead[0]), 1e-7 * self._end)
+        share = size / np.sqrt(length.product(last, last))
+        scalars = share * self._scalar_increment
+        # The load factor comes first.  Around a limit point it hardly changes, and its difference
+        # must not vanish with it.
+        length.begin(length=size, difference=max(1e-4 * abs(scalars[0]), 1e-7 * self._end))
         moves = self._assembler.displacement_dofs
-        w.x.array[moves] += share * way
+        w.x.array[moves] += share * last
         w.x.scatter_forward()
-        self._all.put(self._all.get() + lead)
+        self._all.put(self._all.get() + scalars)
         self._problem.unknowns.w_to_u()
-        self._ladder.begin()
+        self._retry.begin()
         start = self._bordered.unknowns()
         self._bordered.linear.refresh()
         result = self._bordered.solve("basic")
         while "LINEAR_SOLVE" in result.reason and self._bordered.fall_back():
             self._bordered.put_back(start)
             result = self._bordered.solve("basic")
-        return self._ladder.settled(result, "basic", self._bordered.solve)
+        return self._retry.close_contacts(result, "basic", self._bordered.solve)
 
-    def _turned(self, way: FloatArray) -> bool:
+    def _turned(self, last: FloatArray) -> bool:
         """The path has turned so sharply that a part of it may have been left out. Collective."""
-        now = self._length.moved()
+        now = self._length.increment()
         product = self._length.product
-        return product(way, now) < SHARPEST * np.sqrt(product(way, way) * product(now, now))
+        return product(last, now) < STRAIGHT * np.sqrt(product(last, last) * product(now, now))
 
     def _back(self, here: FloatArray, t: float) -> None:
-        self._ladder.undo(here)
+        self._retry.undo(here)
         self._length.put(np.array([t]))
 
-    def _land(self, here: FloatArray, t: float) -> Found:
+    def _land(self, here: FloatArray, t: float) -> PathPoint:
         """Ends the path at its load factor, between the last two points."""
         beyond = self._newton.unknowns()
         share = (self._end - t) / (self._length.t - t)
         self._length.put(np.array([self._end]))
-        result = self._ladder.solve([("", here + share * (beyond - here)), ("", beyond)])
+        result = self._retry.solve([("", here + share * (beyond - here)), ("", beyond)])
         if not result.converged:
-            return Found(t, result, good=here, failed=self._ladder.failed)
-        return Found(self._end, result, negative_eigenvalues(self._newton))
+            return PathPoint(t, result, good=here, failed=self._retry.failed)
+        return PathPoint(self._end, result, negative_eigenvalues(self._newton))
 
     def _note(self, t: float, arc: float) -> None:
         """Keeps the last points and looks for a limit point between them."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -14,28 +15,25 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import RestartState, SavedState, State
-from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
 from dolfin_elastic.solvers.audit.path_energy import PathEnergyCheck
-from dolfin_elastic.solvers.breakpoints import corners, gentle
-from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
-from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation, Measured
+from dolfin_elastic.solvers.breakpoints import corners, within_stride
+from dolfin_elastic.solvers.diagnostics.stability import negative_eigenvalues
+from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
     BEYOND,
     UNSTABLE,
     NewtonResult,
 )
+from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.statics.arc_length import ArcLength
-from dolfin_elastic.solvers.statics.inertia_count import negative_eigenvalues
-from dolfin_elastic.solvers.statics.pseudo_transient import flow_away
+from dolfin_elastic.solvers.statics.pseudo_transient import flow_to_equilibrium
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
-from dolfin_elastic.solvers.statics.step_size import StepSpeed
-
-if TYPE_CHECKING:
-    from dolfin_elastic.solvers.statics.statics import Statics
+from dolfin_elastic.solvers.statics.settings import StaticsSettings
+from dolfin_elastic.solvers.statics.states import StaticStates
+from dolfin_elastic.solvers.statics.step_size import StepSizes, StepSpeed
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -44,74 +42,105 @@ JUMPS = 3
 body does not follow from its forces."""
 
 
-class LoadStepping:
-    """Load steps: tried, made smaller or larger, given up.
+@dataclass(frozen=True)
+class _Step:
+    """A load step.
 
-    Args:
-        statics: What is to be solved.
-        scalars: Scalar unknowns.
-        newton: The solver.
+    Attributes:
+        t: Load factor at its beginning.
+        goal: Load factor at its end.
+        start: All unknowns at its beginning, as `Newton.unknowns`.
     """
 
-    def __init__(self, statics: Statics, scalars: Scalars, newton: Newton) -> None:
-        self.statics, self.settings, self.problem = statics, statics.settings, statics.problem
-        self.assembler, self.newton, self._scalars = newton.assembler, newton, scalars
-        self.ladder = RetryStrategy(newton, ContactAugmentation(self.problem))
-        self._watch, self._measured = PathEnergyCheck(self.assembler), Measured(self.problem)
-        assert newton.guard is not None
-        self._auditor = EquilibriumAuditor(self.problem, self.assembler, newton.guard.watch)
-        self._count = 0
-        self._t, self._sizes = 0.0, statics.sizes()
+    t: float
+    goal: float
+    start: FloatArray
+
+
+class LoadStepping:
+    """Load steps of one run. Collective to make.
+
+    Args:
+        settings: Of statics.
+        sizes: Which load factor is tried next.
+        newton: The solver; its problem is at the starting point.
+        scalars: Scalar unknowns.
+        watch: Of det F.
+    """
+
+    def __init__(
+        self,
+        settings: StaticsSettings,
+        sizes: StepSizes,
+        *,
+        newton: Newton,
+        scalars: Scalars,
+        watch: JacobianWatch,
+    ) -> None:
+        self._settings, self._sizes, self._newton, self._scalars = settings, sizes, newton, scalars
+        self._assembler, self._problem = newton.assembler, newton.assembler.problem
+        self._retry = RetryStrategy(newton, ContactAugmentation(self._problem))
+        self._path_check = PathEnergyCheck(self._assembler)
+        self._states = StaticStates(
+            newton, scalars, strain=self._path_check.strain, watch=watch, end=settings.end
+        )
+        self._speed = StepSpeed(self._assembler, corners(self._problem))
+        self._t = 0.0
         self._arc: ArcLength | None = None
-        self._before: tuple[float, FloatArray] | None = None
-        self._fallback: tuple[float, FloatArray] | None = None  # where a step has jumped to
+        # Load factor and unknowns at the beginning of the last step: the path is extrapolated.
+        self._previous: tuple[float, FloatArray] | None = None
+        # Load factor and unknowns of an equilibrium on another path that a step has jumped to.
+        self._jumped_to: tuple[float, FloatArray] | None = None
         self._limits: tuple[float, ...] = ()
         self._jumps = 0
-        self._pace = StepSpeed(self.assembler, corners(self.problem))
 
     def run(self, saved: SavedState | None = None) -> Iterator[State]:
-        """Yields the states; see `Statics.steps`. Collective."""
+        """Yields the states; see `Statics.steps`. Collective.
+
+        Args:
+            saved: A `restart_state` from which the run continues.
+        """
         try:
-            if self.settings.method == "arc-length":
-                self._make_arc()
+            if self._settings.method == "arc-length":
+                self._arc = ArcLength(self._retry, self._scalars.parts, end=self._settings.end)
             if saved is None:
-                self.problem.set_time(0.0, default=PROPORTIONAL)
-                self._arrive()
-                yield self._state(0.0, NewtonResult(reason="initial state"))
+                self._problem.set_time(0.0, default=PROPORTIONAL)
+                self._evaluate_start()
+                yield self._states.state(0.0, NewtonResult(reason="initial state"))
             else:
                 self.restore(saved)
-            yield from self._load() if self._arc is None else self._path(self._arc)
+            yield from self._by_load() if self._arc is None else self._along_path(self._arc)
         finally:
             if self._arc is not None:
                 self._arc.destroy()
 
-    def _arrive(self) -> None:
+    def _evaluate_start(self) -> None:
         """Takes the present state as one where the next step begins. Collective."""
         with stage("assemble"):
-            self.assembler.residual.assemble()
-        self._watch.look()
-        self._watch.accept()
+            self._assembler.residual.assemble()
+        self._path_check.evaluate()
+        self._path_check.accept()
 
     # --- from one run to the next ---
 
     def restart_state(self) -> RestartState:
         """See `Restartable`. Collective."""
-        fields = {"unknowns": self.problem.w, **self._multipliers()}
+        fields = {"unknowns": self._problem.w, **self._multipliers()}
         numbers: dict[str, Any] = {
             "t": self._t,
             "scalars": self._scalars.get(),
-            "count": self._count,
             "sizes": self._sizes.restart_state(),
             "jumps": self._jumps,
-            "speed": self._pace.speed,
+            "speed": self._speed.speed,
             "limits": self._limits,
-            "audit": self._auditor.restart_state(),
-            "newton": self.newton.restart_state(),
+            "newton": self._newton.restart_state(),
+            **self._states.restart_state(),
         }
-        fallback = self._fallback if self._fallback and self._fallback[0] > self._t else None
-        for name, other in (("before", self._before), ("fallback", fallback)):
+        ahead = self._jumped_to is not None and self._jumped_to[0] > self._t
+        others = {"before": self._previous, "fallback": self._jumped_to if ahead else None}
+        for name, other in others.items():
             if other is not None:
-                fields[name], scalars = self._apart(other[1])
+                fields[name], scalars = self._split(other[1])
                 numbers[name] = {"t": other[0], "scalars": scalars}
         if self._arc is not None:
             arc = self._arc.restart_state()
@@ -121,148 +150,196 @@ class LoadStepping:
 
     def restore(self, saved: SavedState) -> None:
         """See `Restartable`; the problem is unloaded before. Collective."""
-        numbers, multipliers = saved.numbers, self._multipliers()
+        numbers = saved.numbers
         names = [name for name in ("before", "fallback") if name in numbers]
         names += ["way"] if numbers.get("arc") else []
-        others = {name: fem.Function(self.problem.W) for name in names}
-        saved.fill({"unknowns": self.problem.w, **multipliers, **others})
-        self._t, self._count = numbers["t"], numbers["count"]
-        self.problem.set_time(self._t, default=PROPORTIONAL)
+        others = {name: fem.Function(self._problem.W) for name in names}
+        saved.fill({"unknowns": self._problem.w, **self._multipliers(), **others})
+        self._t = numbers["t"]
+        self._problem.set_time(self._t, default=PROPORTIONAL)
         if self._scalars.joined is not None:
             self._scalars.joined.put(np.array(numbers["scalars"]))
-        self.problem.unknowns.w_to_u()
+        self._problem.unknowns.w_to_u()
         self._sizes.restore(numbers["sizes"])
         self._jumps, self._limits = numbers["jumps"], tuple(numbers["limits"])
-        self._pace.speed = numbers["speed"]
-        self._before, self._fallback = (
-            (numbers[name]["t"], self._together(others[name], numbers[name]["scalars"]))
+        self._speed.restore(numbers["speed"])
+        self._previous, self._jumped_to = (
+            (numbers[name]["t"], self._join(others[name], numbers[name]["scalars"]))
             if name in others
             else None
             for name in ("before", "fallback")
         )
-        self.ladder.restarted()
-        self._arrive_again(numbers)
+        self._retry.restarted()
+        self._newton.restore(numbers["newton"])
+        self._evaluate_start()
+        self._states.restore(numbers)
         if self._arc is not None:
             self._arc.restore(self._t, others.get("way"), numbers["arc"])
 
-    def _arrive_again(self, numbers: Mapping[str, Any]) -> None:
-        """Evaluates the state that was restored, as the last step has left it. Collective."""
-        self.newton.restore(numbers["newton"])
-        self._arrive()
-        self._auditor.restore(numbers["audit"])
-
     def _multipliers(self) -> dict[str, fem.Function]:
-        return {f"contact_{i}": touch.lam for i, touch in enumerate(self.problem.contact_pairs)}
+        return {f"contact_{i}": pair.lam for i, pair in enumerate(self._problem.contact_pairs)}
 
-    def _apart(self, unknowns: FloatArray) -> tuple[fem.Function, list[float]]:
+    def _split(self, unknowns: FloatArray) -> tuple[fem.Function, list[float]]:
         """Fields and scalars of unknowns as `Newton.unknowns` has them."""
-        w = fem.Function(self.problem.W)
+        w = fem.Function(self._problem.W)
         w.x.array[:] = unknowns[: len(w.x.array)]
         return w, [float(value) for value in unknowns[len(w.x.array) :]]
 
-    def _together(self, w: fem.Function, scalars: Sequence[float]) -> FloatArray:
+    def _join(self, w: fem.Function, scalars: Sequence[float]) -> FloatArray:
         return np.concatenate([w.x.array, np.array(scalars, dtype=np.float64)])
 
     # --- the load grows ---
 
-    def _load(self) -> Iterator[State]:
+    def _by_load(self) -> Iterator[State]:
         sizes = self._sizes
-        while not sizes.done(self._t) and not self._is_enough():
-            t = self._t
-            goal = gentle(self.problem, t, sizes.goal(t))
-            start = self.newton.unknowns()
-            result = self._attempt(t, goal)
-            crushed = result.rejected > 0 or "NAN" in result.reason
-            fault = self._fault() if result.converged else result.reason
-            if fault:
-                if fault == ANOTHER:
-                    self._fallback = goal, self.newton.unknowns()
-                if sizes.failed(t, goal, crushed=crushed and not result.converged):
-                    log.info("load factor %.6g: %s; a smaller step", goal, fault)
-                    self.ladder.undo(start)
+        while not sizes.done(self._t) and not self._ends_early():
+            goal = within_stride(self._problem, self._t, sizes.goal(self._t))
+            step = _Step(self._t, goal, self._newton.unknowns())
+            result = self._solve(step)
+            refusal = self._refusal() if result.converged else result.reason
+            if refusal:
+                if refusal == ANOTHER:
+                    self._jumped_to = goal, self._newton.unknowns()
+                crushed = not result.converged and (result.rejected > 0 or "NAN" in result.reason)
+                if sizes.failed(step.t, goal, crushed=crushed):
+                    log.info("load factor %.6g: %s; a smaller step", goal, refusal)
+                    self._retry.undo(step.start)
                     continue
-                goal, result = self._elsewhere(t, goal, result, fault, start)
-            if not fault and self._pace.hasty(t, goal, start, result) and sizes.closer(t, goal):
+                goal, result = self._leave_path(step, result, refusal)
+            elif self._speed.hasty(step.t, goal, step.start, result) and sizes.refine(step.t, goal):
                 log.debug("load factor %.6g: so far in one step; a closer look", goal)
-                self.ladder.undo(start)
+                self._retry.undo(step.start)
                 continue
-            self._watch.accept()
-            self._pace.accept(known=not fault)
-            self._before = t, start
-            sizes.succeeded(t, goal, result.newton)
-            if fault:
-                sizes.begin_anew()
-            self._t = goal
-            yield self._state(goal, result, negative_eigenvalues(self.newton))
+            self._accept(step, goal, result, left_path=bool(refusal))
+            yield self._states.state(
+                goal, result, negative=negative_eigenvalues(self._newton), limits=self._limits
+            )
 
-    def _fault(self) -> str:
-        """Why the equilibrium that was found is none that a body would come to. Collective."""
-        if self.problem.linear:
+    def _solve(self, step: _Step) -> NewtonResult:
+        """Tries to take a step; all unknowns are put back if that fails. Collective."""
+        self._problem.set_time(step.goal, default=PROPORTIONAL)
+        self._problem.dirichlet.check_finite()
+        now = self._newton.unknowns()
+        starts = [("", now)]
+        if self._previous is not None and step.t > self._previous[0]:
+            before, was = self._previous
+            further = now + (step.goal - step.t) / (step.t - before) * (now - was)
+            starts.append(("along the path", further))
+        return self._retry.solve(starts)
+
+    def _accept(self, step: _Step, goal: float, result: NewtonResult, *, left_path: bool) -> None:
+        """Takes the present equilibrium as the next point of the path.
+
+        Args:
+            step: What was tried.
+            goal: Load factor that was reached.
+            result: How.
+            left_path: It lies on another path, of which no speed and no step size is known.
+        """
+        self._path_check.accept()
+        self._speed.accept(known=not left_path)
+        self._previous = step.t, step.start
+        self._sizes.succeeded(step.t, goal, result.newton)
+        if left_path:
+            self._sizes.begin_anew()
+        self._t = goal
+
+    def _refusal(self) -> str:
+        """Why the body would not come to the equilibrium that was found; empty: it would.
+
+        Newton's method finds any equilibrium: one that is unstable, one of another path, or one
+        where a material's energy has no value any more.  Collective.
+        """
+        if self._problem.linear:
             return ""
-        self._watch.look()
-        if not self._watch.finite():
+        self._path_check.evaluate()
+        if not self._path_check.finite():
             return BEYOND
-        if (negative_eigenvalues(self.newton) or 0) > 0:
+        if (negative_eigenvalues(self._newton) or 0) > 0:
             return UNSTABLE
         if self._jumps >= JUMPS:
             return ""
-        jumped = self._watch.jumped(self.newton.result.target)
-        return ANOTHER if jumped else ""
+        return ANOTHER if self._path_check.jumped(self._newton.result.target) else ""
 
-    def _elsewhere(
-        self, t: float, goal: float, result: NewtonResult, fault: str, start: FloatArray
+    def _leave_path(
+        self, step: _Step, result: NewtonResult, refusal: str
     ) -> tuple[float, NewtonResult]:
-        """Goes on where no step is small enough, or gives up.
+        """Goes to an equilibrium off the path, where no step along it is small enough; or fails.
+
+        Three things can have stopped the smallest step:
+
+        - Nothing converged, or what did is unstable: a limit point or a bifurcation.  A real body
+          would move from there to a stable equilibrium, which pseudo-transient continuation
+          finds.  Where it does not, there may still be the equilibrium that a larger step has
+          jumped to: it was refused then only because a smaller step might have stayed on the path.
+        - A stable equilibrium of another path (`ANOTHER`) at every size of step: then the path
+          has ended, the jump is what the body does, and it is taken as it is.
+        - A material beyond its limit, or no equilibrium at all next to the unloaded body: no flow
+          leads out of the first, and the second is a fault of the input (loads, supports) that
+          must be reported rather than wandered away from.
+
+        Args:
+            step: The smallest step.
+            result: How it ended; if it converged, the problem holds what was refused.
+            refusal: Why it is not accepted.
 
         Returns:
             The load factor that was reached after all, and how.
+
+        Raises:
+            ConvergenceError: No other equilibrium was found, or none may be looked for.
         """
-        kept = self.newton.unknowns() if result.converged else self.ladder.failed
-        stuck = fault == BEYOND or (t == 0.0 and not result.converged)
-        if not self.settings.snap or self.problem.linear or stuck:
-            raise self._failure(t, goal, result.refused(fault), start, kept)
-        if not result.converged or fault == UNSTABLE:
-            found = flow_away(self.ladder, settled=result.converged)
-            if not found.converged and self._fallback is not None and self._fallback[0] > t:
-                goal, there = self._fallback
-                self.problem.set_time(goal, default=PROPORTIONAL)
-                found = self.ladder.solve([("", there)])
-                if found.converged and (negative_eigenvalues(self.newton) or 0) > 0:
-                    found = flow_away(self.ladder, settled=True)
-            self._watch.look()
-            if not found.converged or not self._watch.finite():
-                raise self._failure(t, goal, result.refused(fault), start, kept)
+        goal, newton = step.goal, self._newton
+        failed = newton.unknowns() if result.converged else self._retry.failed
+        hopeless = refusal == BEYOND or (step.t == 0.0 and not result.converged)
+        if not self._settings.snap or self._problem.linear or hopeless:
+            raise self._failure(step.t, goal, result.refused(refusal), step.start, failed)
+        if refusal != ANOTHER:
+            found = flow_to_equilibrium(self._retry, settled=result.converged)
+            if not found.converged and self._jumped_to is not None:
+                goal, found = self._follow_jump(step, found)
+            self._path_check.evaluate()
+            if not found.converged or not self._path_check.finite():
+                # The first failure is diagnosed: what stopped the path, not what stopped the flow.
+                raise self._failure(step.t, goal, result.refused(refusal), step.start, failed)
             result = found
-        self._jumps += fault == ANOTHER
-        what = "the body buckles" if fault == UNSTABLE else "the body has snapped"
+        self._jumps += refusal == ANOTHER
+        what = "the body buckles" if refusal == UNSTABLE else "the body has snapped"
         log.warning(
             "no stable equilibrium is near beyond load factor %.6g: %s to another one; "
             'statics.method = "arc-length" shows the path between',
-            t,
+            step.t,
             what,
         )
         return goal, result
 
-    def _is_enough(self) -> bool:
-        limit = self.settings.max_displacement
-        if limit is not None and self.assembler.max_displacement() >= limit:
+    def _follow_jump(self, step: _Step, found: NewtonResult) -> tuple[float, NewtonResult]:
+        """Goes where a larger step had jumped to, if that is still ahead. Collective.
+
+        Args:
+            step: The smallest step.
+            found: How the flow ended that did not find an equilibrium.
+        """
+        assert self._jumped_to is not None
+        goal, unknowns = self._jumped_to
+        if goal <= step.t:
+            return step.goal, found
+        self._problem.set_time(goal, default=PROPORTIONAL)
+        found = self._retry.solve([("", unknowns)])
+        if found.converged and (negative_eigenvalues(self._newton) or 0) > 0:
+            found = flow_to_equilibrium(self._retry, settled=True)
+        return goal, found
+
+    def _ends_early(self) -> bool:
+        limit = self._settings.max_displacement
+        if limit is not None and self._assembler.max_displacement() >= limit:
             log.info("a displacement has reached %g m: the run ends", limit)
             return True
-        if self._count > self.settings.max_steps:
-            log.warning("statics.max_steps = %d steps are done: the run ends", self._count - 1)
+        steps = self._states.count - 1
+        if steps >= self._settings.max_steps:
+            log.warning("statics.max_steps = %d steps are done: the run ends", steps)
             return True
         return False
-
-    def _attempt(self, t: float, goal: float) -> NewtonResult:
-        """Tries to go to a load factor; the displacement is put back if that fails."""
-        self.problem.set_time(goal, default=PROPORTIONAL)
-        self.problem.dirichlet.check_finite()
-        now = self.newton.unknowns()
-        starts = [("", now)]
-        if self._before is not None and t > self._before[0]:
-            before, was = self._before
-            starts.append(("along the path", now + (goal - t) / (t - before) * (now - was)))
-        return self.ladder.solve(starts)
 
     def _failure(
         self,
@@ -272,74 +349,32 @@ class LoadStepping:
         good: FloatArray,
         failed: FloatArray | None,
     ) -> ConvergenceError:
-        """The error, with why; the problem is left with the last iterate."""
-        last = good if failed is None else failed
-        self.newton.put_back(last)
-        fields = len(self.problem.w.x.array)
-        # Beyond a limit point the path is unstable, and so may be the fields beside scalars.
-        judged = self.settings.method == "load" and self._scalars.joined is None
-        found = diagnose(
-            self.assembler, result, good=good[:fields], failed=last[:fields], stable=judged
-        )
-        force, place = self.assembler.residual.largest()
-        return ConvergenceError(
-            f"no equilibrium beyond load factor {t:.6g}: {found.text}\n  at the end: "
-            f"{result.reason}, Newton iterations: {result.newton}; the largest force out of "
-            f"balance, {force:.3g} N, is at {coordinates(place)} m",
-            advice=found.advice,
-            state=self._state(goal, result),
-            diagnosis=found,
+        # Beyond a limit point the path is unstable: there it explains nothing.
+        return self._states.failure(
+            t,
+            goal,
+            result,
+            good=good,
+            failed=good if failed is None else failed,
+            judge_stability=self._settings.method == "load",
         )
 
-    # --- the path grows ---
+    # --- the path is followed by its length ---
 
-    def _make_arc(self) -> None:
-        statics = self.statics
-        self._arc = ArcLength(self.ladder, self._scalars.parts, end=self.settings.end)
-        self._arc.prepare(statics.choice, statics.tolerance, statics.petsc)
-
-    def _path(self, arc: ArcLength) -> Iterator[State]:
-        if self._t > 0.0 and self._is_enough():
+    def _along_path(self, arc: ArcLength) -> Iterator[State]:
+        if self._t > 0.0 and self._ends_early():
             return
-        s = self.settings
+        s = self._settings
         chosen = s.first_step is not None or s.steps is not None
-        for found in arc.path(self._sizes.goal(0.0), s.min_step, chosen=chosen):
-            self._watch.look()
-            result = found.result
-            if result.converged and not self._watch.finite():
+        for point in arc.path(self._sizes.goal(0.0), s.min_step, chosen=chosen):
+            self._path_check.evaluate()
+            result = point.result
+            if result.converged and not self._path_check.finite():
                 result = result.refused(BEYOND)
             if not result.converged:
-                good = self.newton.unknowns() if found.good is None else found.good
-                raise self._failure(found.t, found.t, result, good, found.failed)
-            self._t, self._limits = found.t, tuple(arc.limits)
-            yield self._state(found.t, result, found.negative)
-            if self._is_enough():
+                good = self._newton.unknowns() if point.good is None else point.good
+                raise self._failure(point.t, point.t, result, good, point.failed)
+            self._t, self._limits = point.t, tuple(arc.limits)
+            yield self._states.state(point.t, result, negative=point.negative, limits=self._limits)
+            if self._ends_early():
                 return
-
-    # --- what is yielded ---
-
-    def _state(self, t: float, result: NewtonResult, negative: int | None = None) -> State:
-        problem, assembler = self.problem, self.assembler
-        strain = self._watch.strain
-        energies = {"strain": strain.energy(), **strain.springs()}
-        judged = result.converged or t == 0.0
-        self._count += 1
-        return State(
-            step=self._count - 1,
-            t=t,
-            load_factor=t,
-            u=problem.u,
-            w=problem.w,
-            newton=result.newton,
-            krylov=result.krylov,
-            reason=result.reason,
-            residuals=result.residuals,
-            energies=energies,
-            reactions=assembler.reactions.by_support(assembler.residual.owned),
-            max_displacement=assembler.max_displacement(),
-            negative=negative,
-            limit_points=self._limits,
-            numbers={**self._measured.numbers(), **self._scalars.numbers()},
-            audit=self._auditor.of(t, energies["strain"]) if judged else None,
-            done=t / self.settings.end,
-        )

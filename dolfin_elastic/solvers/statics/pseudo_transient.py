@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import logging
 
+from petsc4py import PETSc
+
+from dolfin_elastic.solvers.diagnostics.stability import negative_eigenvalues, start_vector
 from dolfin_elastic.solvers.nonlinear.convergence import UNSTABLE, NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.statics.inertia_count import disturb, negative_eigenvalues
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
 
 log = logging.getLogger("dolfin_elastic")
@@ -19,65 +21,108 @@ log = logging.getLogger("dolfin_elastic")
 FIRST = 1.0
 """Shift of the first step, as a share of the tangent's diagonal."""
 
-ITERATIONS = 400
+LARGEST, SMALLEST = 1e3, 1e-6
+"""Largest shift, and the smallest one: below it the step is Newton's own."""
 
+ITERATIONS = 400
+"""Steps of one flow: far more than Newton's method would be given, for each goes a short way."""
 
 PUSHES = (1e-2, 1e-1)
 """Of the body's size: pushes off an unstable equilibrium, after a gentle one.  A slender body comes
 back from pushes that are small against what it bends."""
 
+INVERSE_ITERATIONS = 5
+"""For the weakest mode: enough for one that stands out."""
 
-def flow_away(ladder: RetryStrategy, *, settled: bool) -> NewtonResult:
+HALVINGS = 20
+"""Of a push that turns a cell inside out."""
+
+
+def flow_to_equilibrium(retry: RetryStrategy, *, settled: bool) -> NewtonResult:
     """Lets a body flow to a stable equilibrium. Collective.
 
+    A flow ends at unstable equilibria, too, where symmetry leads there: from each the body is
+    pushed along its weakest mode, farther each time, and flows again.
+
     Args:
-        ladder: Of the solver; its problem is at the load and in the state to start from.
+        retry: Of the solver; its problem is at the load and in the state to start from.
         settled: That state is an equilibrium, an unstable one.
 
     Returns:
         How it ended; never with an equilibrium that is known to be unstable.
     """
-    newton = ladder.newton
+    newton = retry.newton
     pushes = [1e-2 * newton.cell_size, *(share * newton.span for share in PUSHES)]
-    result = NewtonResult(converged=True) if settled else _flowed(ladder)
+    result = NewtonResult(converged=True) if settled else _flow(retry)
     while result.converged and (settled or (negative_eigenvalues(newton) or 0) > 0):
         if not pushes:
             return result.refused(UNSTABLE)
         settled = False
-        disturb(newton, pushes.pop(0))
-        result = _flowed(ladder)
+        push_along_weakest_mode(newton, pushes.pop(0))
+        result = _flow(retry)
     return result
 
 
-def _flowed(ladder: RetryStrategy) -> NewtonResult:
-    ladder.newton.linear.refresh()
-    result = ladder.settled(relax(ladder.newton), "basic")
+def _flow(retry: RetryStrategy) -> NewtonResult:
+    newton = retry.newton
+    newton.linear.refresh()
+    result = newton.solve("basic", shift=_Shift(), max_iterations=ITERATIONS)
+    result = retry.close_contacts(result, "basic")
     log.debug("flow to another equilibrium: %s", result.reason)
     return result
 
 
-def relax(newton: Newton) -> NewtonResult:
-    """Finds an equilibrium that the body flows to from where it is. Collective.
+class _Shift:
+    """Chooses the shift of each step: in proportion to the residual, within bounds.
 
-    Args:
-        newton: The solver; its problem is at the load and in the state to start from.
+    The first step is damped as much as the tangent is stiff.  The factor by which the shift falls
+    is bounded, lest one lucky step end the flow far from any equilibrium; it grows slowly, for the
+    residual rises for a while where a body snaps.
     """
-    return newton.solve("basic", shift=_Flow(newton), max_iterations=ITERATIONS)
 
-
-class _Flow:
-    """Chooses the shift of each step."""
-
-    def __init__(self, newton: Newton) -> None:
-        self._newton = newton
-        self._before = 0.0
-        self._shift = FIRST
+    def __init__(self) -> None:
+        self._last, self._shift = 0.0, FIRST
 
     def __call__(self, residual: float, target: float) -> float:
-        """The shift for a free residual [N], of which `target` would be small enough."""
-        if self._before > 0.0:
-            factor = residual / self._before
-            self._shift *= min(max(factor, 0.1), 1.5)
-        self._before = residual
-        self._shift = min(self._shift, 1e3)
-        return self._shift if self._shift > 1e-6 else 0.0
+        """The shift of the next step, as a share of the tangent's diagonal.
+
+        Args:
+            residual: Norm of the free residual [N].
+            target: Norm that would be small enough [N].
+        """
+        if self._last > 0.0:
+            self._shift *= min(max(residual / self._last, 0.1), 1.5)
+        self._last = residual
+        self._shift = min(self._shift, LARGEST)
+        return self._shift if self._shift > SMALLEST else 0.0
+
+
+def push_along_weakest_mode(newton: Newton, size: float) -> None:
+    """Pushes the body along the mode that resists least. Collective.
+
+    The mode is found by inverse iteration with the last tangent.
+
+    Args:
+        newton: The solver; its problem is where the push begins.
+        size: Largest displacement of the push [m]; less where a cell would turn inside out.
+    """
+    assembler = newton.assembler
+    x, b = assembler.create_vector(), assembler.create_vector()
+    moves = assembler.displacement_dofs
+    b.array_w[moves] = start_vector(assembler)
+    for _ in range(INVERSE_ITERATIONS):
+        assembler.remove_constrained(b)
+        newton.ksp.solve(b, x)
+        x.scale(1.0 / max(float(x.norm(PETSc.NormType.INFINITY)), 1e-300))
+        x.copy(b)
+    mode = x.array_r[moves].copy()
+    x.destroy()
+    b.destroy()
+    w, guard = assembler.problem.w.x, newton.guard
+    start = w.array[moves].copy()
+    for halving in range(HALVINGS):
+        w.array[moves] = start + size / 2**halving * mode
+        w.scatter_forward()
+        assembler.problem.unknowns.w_to_u()
+        if guard is None or guard.watch.smallest()[0] > 0.0:
+            break

@@ -1,11 +1,11 @@
-"""What is tried, in turn, to find an equilibrium at one load: the rungs below smaller steps.
+"""What is tried, in turn, to find an equilibrium at one load: before the step is made smaller.
 
 A step starts where the last one ended, or further along the path if the residual is smaller there:
 so stretching takes a third fewer iterations, and bending, where a straight continuation stretches
 what only bends, none more.  Full Newton steps come first: in bending the residual has to rise
 before it falls, and a line search that forbids it takes several times the iterations.  What full
 steps cannot do, backtracking may; then the other start.  A linear solver that fails gives way to
-one that stands more.
+a more robust one.
 """
 
 from __future__ import annotations
@@ -56,21 +56,21 @@ class RetryStrategy:
         newton, first = self.newton, starts[0][1]
         rejected, worst = 0, None
         self._augmentation.save()
-        if len(starts) > 1 and self._residual(starts[1][1]) < self._residual(first):
+        if len(starts) > 1 and self._residual_norm(starts[1][1]) < self._residual_norm(first):
             starts = [("", starts[1][1]), ("from where the last step ended", first)]
-        for said, start, line_search in self._rungs(starts):
+        for how, start, line_search in self._attempts(starts):
             if not self._first:
                 newton.linear.refresh()
             self._first = False
-            result = self._try(start, line_search)
+            result = self._attempt(start, line_search)
             rejected += result.rejected
             if result.worst is not None and (worst is None or result.worst[0] < worst[0]):
                 worst = result.worst
             if result.converged:
-                if said:
-                    log.info("found %s", said)
+                if how:
+                    log.info("found %s", how)
                 return result
-            log.debug("%s, line search '%s': %s", said or "start", line_search, result.reason)
+            log.debug("%s, line search '%s': %s", how or "start", line_search, result.reason)
         self.failed = newton.unknowns()
         self.undo(first)
         return replace(result, rejected=rejected, worst=worst)
@@ -80,52 +80,56 @@ class RetryStrategy:
         self.newton.put_back(start)
         self._augmentation.restore()
 
-    def _rungs(
+    def _attempts(
         self, starts: Sequence[tuple[str, FloatArray]]
     ) -> Iterator[tuple[str, FloatArray, str]]:
+        """In words, where to start, and by which line search."""
         searches = self.newton.line_searches()
         for line_search in searches:
-            said = "" if line_search == searches[0] else f"by line search '{line_search}'"
-            yield said, starts[0][1], line_search
-        for said, start in starts[1:]:
-            yield said, start, searches[0]
+            how = "" if line_search == searches[0] else f"by line search '{line_search}'"
+            yield how, starts[0][1], line_search
+        for how, start in starts[1:]:
+            yield how, start, searches[0]
 
-    def _residual(self, start: FloatArray) -> float:
-        """Norm of the residual at a start; infinite where a cell is inside out. Collective."""
+    def _residual_norm(self, start: FloatArray) -> float:
+        """Norm of the residual at a start [N]; infinite where a cell is inside out. Collective."""
         assembler, guard = self.newton.assembler, self.newton.guard
         self.newton.put_back(start)
         if guard is not None and guard.watch.smallest()[0] <= 0.0:
             return np.inf
         return assembler.residual.norm()
 
-    def _try(self, start: FloatArray, line_search: str) -> NewtonResult:
+    def _attempt(self, start: FloatArray, line_search: str) -> NewtonResult:
         self.newton.put_back(start)
         self._augmentation.restore()
         result = self.newton.solve(line_search)
         while "LINEAR_SOLVE" in result.reason and self.newton.fall_back():
             self.newton.put_back(start)
             result = self.newton.solve(line_search)
-        return self.settled(result, line_search)
+        return self.close_contacts(result, line_search)
 
-    def settled(
+    def close_contacts(
         self,
         result: NewtonResult,
         line_search: str,
         solve: Callable[[str], NewtonResult] | None = None,
     ) -> NewtonResult:
-        """What a solve has found, its contacts closed, if it may be accepted. Collective.
+        """Augments contacts until nothing penetrates, and refuses inverted cells. Collective.
 
         Args:
             result: Of the solve.
             line_search: PETSc's name of the line search for more of them.
-            solve: Finds equilibrium from where the problem is, if it is not the ladder's solver.
+            solve: Finds equilibrium from where the problem is, if it is not `newton`.
+
+        Returns:
+            How the last solve ended, with the iterations of all.
         """
         again = partial(solve or self.newton.solve, line_search)
         result = self._augmentation.settle(result, again)
         return self._refuse_inverted(result)
 
     def begin(self) -> None:
-        """Keeps what contacts know, for `undo`. Not collective."""
+        """Saves the multipliers of contacts, for `undo`. Not collective."""
         self._augmentation.save()
 
     def _refuse_inverted(self, result: NewtonResult) -> NewtonResult:

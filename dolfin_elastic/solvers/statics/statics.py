@@ -34,9 +34,8 @@ class Statics:
         settings: See `StaticsSettings`; keyword arguments are its fields.
         linear: How linear systems are solved.
         petsc: PETSc options, which win over everything.
-
-    Attributes:
-        alone: It is all that is done; else whoever goes on from here says what does nothing.
+        preload: It leads to the state of another analysis, which itself warns of what has no
+            effect.
     """
 
     def __init__(
@@ -46,9 +45,10 @@ class Statics:
         *,
         linear: LinearSettings | None = None,
         petsc: Mapping[str, Any] | None = None,
+        preload: bool = False,
         **fields: Any,
     ) -> None:
-        self.problem, self.alone = problem, True
+        self.problem, self._preload = problem, preload
         self.settings = settled(StaticsSettings, settings, fields)
         self.linear = linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
@@ -68,23 +68,25 @@ class Statics:
         """
         check_held(self.problem)
         self._check_path()
-        for dashpot in self.problem.dashpots if self.alone else ():
+        for dashpot in () if self._preload else self.problem.dashpots:
             log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
         with ExitStack() as owned:
             assembler = Assembler(self.problem)
             owned.callback(assembler.destroy)
-            scalars = Scalars(assembler)
+            scalars, watch = Scalars(assembler), JacobianWatch(self.problem)
             newton = Newton(
                 assembler,
                 self.choice,
                 self.tolerance,
                 users=self.petsc,
                 scalars=scalars.joined,
-                watch=JacobianWatch(self.problem),
+                watch=watch,
             )
             owned.callback(newton.destroy)
-            self._stepping = LoadStepping(self, scalars, newton)
+            self._stepping = LoadStepping(
+                self.settings, self._step_sizes(), newton=newton, scalars=scalars, watch=watch
+            )
             owned.callback(self._forget)
             yield from self._stepping.run(saved)
 
@@ -115,7 +117,7 @@ class Statics:
         s = self.settings
         return Tolerance(s.rtol, s.atol, s.max_iterations)
 
-    def sizes(self) -> StepSizes:
+    def _step_sizes(self) -> StepSizes:
         """The plan of load steps."""
         s = self.settings
         if s.steps is not None:

@@ -26,7 +26,7 @@ CALM = 3
 
 
 CLOSEST = 64
-"""Times that a step is smaller than the first one where the way is looked at closely."""
+"""First step over the smallest one that a step is refined to because the body moved fast."""
 
 
 class StepSizes:
@@ -57,9 +57,9 @@ class StepSizes:
         self._stops = sorted({s for s in stops if 0.0 < s < end} | {end})
 
     def goal(self, t: float) -> float:
-        """The load factor to go to from t."""
+        """The load factor that a step from t ends at."""
         stop = next(s for s in self._stops if s > t + 1e-12 * self.end)
-        # A last crumb of a step is not worth one of its own.
+        # The rest up to a stop is not left for a tiny step of its own.
         near = min(1.2 * self.size, max(self.size, self._largest))
         return stop if t + near >= stop * (1 - 1e-12) else t + self.size
 
@@ -68,7 +68,13 @@ class StepSizes:
         return t >= self.end * (1 - 1e-12)
 
     def succeeded(self, t: float, goal: float, newton: int) -> None:
-        """Takes note of a step from t to goal and of its Newton iterations."""
+        """Chooses the next size after a step that was taken.
+
+        Args:
+            t: Load factor where it began.
+            goal: Load factor where it ended.
+            newton: Its Newton iterations.
+        """
         self._calm += 1
         if newton <= QUICK and self._calm >= CALM:
             # A step that was cut short by a stop says nothing against a longer one.
@@ -85,14 +91,18 @@ class StepSizes:
         self.size, self._calm = saved["size"], saved["calm"]
 
     def begin_anew(self) -> None:
-        """After a jump: nothing is known of the path that has been reached."""
+        """Begins with the first size again: nothing is known of the path that was jumped to."""
         self.size, self._calm = self._first, CALM
 
-    def closer(self, t: float, goal: float) -> bool:
-        """Takes note of a step that may have missed something on its way.
+    def refine(self, t: float, goal: float) -> bool:
+        """Halves a step that may have jumped over something on its way.
+
+        Args:
+            t: Load factor where it began.
+            goal: Load factor where it ended.
 
         Returns:
-            False if it was small enough to see everything.
+            False if it was so small that it need not be taken again.
         """
         size = (goal - t) / 2
         if size < max(self._smallest, self._first / CLOSEST):
@@ -101,7 +111,7 @@ class StepSizes:
         return True
 
     def failed(self, t: float, goal: float, *, crushed: bool) -> bool:
-        """Takes note of a failure.
+        """Chooses a smaller size after a failure.
 
         Args:
             t: Where the step began.
@@ -157,5 +167,13 @@ class StepSpeed:
         return 0.0 < FASTER * known < self._now
 
     def accept(self, *, known: bool = True) -> None:
-        """The step looked at last is taken; its speed is the path's unless the body has jumped."""
+        """Takes the step that `hasty` was asked of last.
+
+        Args:
+            known: Its speed is that of the path: the body has not jumped.
+        """
         self.speed = self._now if known else 0.0
+
+    def restore(self, speed: float) -> None:
+        """Goes on with the speed of a run that was stopped [m]."""
+        self.speed = speed

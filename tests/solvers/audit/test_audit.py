@@ -304,7 +304,7 @@ def test_cell_inside_out():
         "Watch", (), {"extremes": lambda _: worst, "steepest": lambda _: (0.0, worst[1][1])}
     )()
     assembler.residual.assemble()
-    audit = EquilibriumAuditor(problem, assembler, watch).of(0.0, 0.0)
+    audit = EquilibriumAuditor(problem, assembler, watch).audit(0.0, 0.0)
     assert audit.reasons == ("a cell is inside out: det F = -0.1 at (0.5, 0.25, 0.125) m",)
     assert (audit.min_jacobian, audit.max_jacobian) == (-0.1, 2.0)
     assembler.destroy()

@@ -18,7 +18,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.diagnostics.stability import uneven
+from dolfin_elastic.solvers.diagnostics.stability import start_vector
 from dolfin_elastic.solvers.dynamics.explicit.frequency_bound import (
     FrequencyBound,
     extremes,
@@ -125,7 +125,7 @@ class StepSize:
             scale.array_w[self._problem.dirichlet.owned] = 0.0
             a.tangent.matrix.diagonalScale(scale, scale)
             a.tangent.invalidate()
-            x.array_w[a.displacement_dofs] = uneven(a)
+            x.array_w[a.displacement_dofs] = start_vector(a)
             square = _largest_eigenvalue(a.tangent.matrix, x, self._problem.symmetric)
             x.destroy()
             scale.destroy()

@@ -1,0 +1,138 @@
+"""What a static run yields: a `State` for each equilibrium, or the error where there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from dolfin_elastic.core.errors import ConvergenceError
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.solvers.assembly.energy_momentum import Strain
+from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
+from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
+from dolfin_elastic.solvers.messages import coordinates
+from dolfin_elastic.solvers.nonlinear.contact import ContactResults
+from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
+from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
+from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.nonlinear.scalars import Scalars
+
+
+class StaticStates:
+    """Measures and audits the equilibria of one run. Collective to make.
+
+    Args:
+        newton: The solver; its problem and its assembler are in the state to be measured.
+        scalars: Scalar unknowns.
+        strain: Measures the stored energy.
+        watch: Of det F.
+        end: Load factor at which the run ends.
+
+    Attributes:
+        count: States made so far, the initial one included.
+    """
+
+    def __init__(
+        self,
+        newton: Newton,
+        scalars: Scalars,
+        *,
+        strain: Strain,
+        watch: JacobianWatch,
+        end: float,
+    ) -> None:
+        self._newton, self._scalars, self._strain, self._end = newton, scalars, strain, end
+        self._assembler, self._problem = newton.assembler, newton.assembler.problem
+        self._contacts = ContactResults(self._problem)
+        self._auditor = EquilibriumAuditor(self._problem, self._assembler, watch)
+        self.count = 0
+
+    def state(
+        self,
+        t: float,
+        result: NewtonResult,
+        *,
+        negative: int | None = None,
+        limits: tuple[float, ...] = (),
+    ) -> State:
+        """The present state, audited if it is an equilibrium. Collective.
+
+        Args:
+            t: Load factor.
+            result: How it was found.
+            negative: Negative eigenvalues of its tangent, if they are known.
+            limits: Load factors of limit points passed so far.
+        """
+        problem, assembler = self._problem, self._assembler
+        energies = {"strain": self._strain.energy(), **self._strain.springs()}
+        equilibrium = result.converged or t == 0.0
+        self.count += 1
+        return State(
+            step=self.count - 1,
+            t=t,
+            load_factor=t,
+            u=problem.u,
+            w=problem.w,
+            newton=result.newton,
+            krylov=result.krylov,
+            reason=result.reason,
+            residuals=result.residuals,
+            energies=energies,
+            reactions=assembler.reactions.by_support(assembler.residual.owned),
+            max_displacement=assembler.max_displacement(),
+            negative=negative,
+            limit_points=limits,
+            numbers={**self._contacts.numbers(), **self._scalars.numbers()},
+            audit=self._auditor.audit(t, energies["strain"]) if equilibrium else None,
+            done=t / self._end,
+        )
+
+    def failure(
+        self,
+        t: float,
+        goal: float,
+        result: NewtonResult,
+        *,
+        good: FloatArray,
+        failed: FloatArray,
+        judge_stability: bool,
+    ) -> ConvergenceError:
+        """The error with its diagnosis; the problem is left with the last iterate. Collective.
+
+        Args:
+            t: Load factor of the last equilibrium.
+            goal: Load factor at which none was found.
+            result: How the search ended.
+            good: The last equilibrium, as `Newton.unknowns`.
+            failed: The last iterate.
+            judge_stability: An equilibrium would have to be stable, so a tangent that is not
+                positive definite explains the failure.
+        """
+        self._newton.put_back(failed)
+        fields = len(self._problem.w.x.array)
+        found = diagnose(
+            self._assembler,
+            result,
+            good=good[:fields],
+            failed=failed[:fields],
+            judge_stability=judge_stability and self._scalars.joined is None,
+        )
+        force, place = self._assembler.residual.largest()
+        return ConvergenceError(
+            f"no equilibrium beyond load factor {t:.6g}: {found.text}\n  at the end: "
+            f"{result.reason}, Newton iterations: {result.newton}; the largest force out of "
+            f"balance, {force:.3g} N, is at {coordinates(place)} m",
+            advice=found.advice,
+            state=self.state(goal, result),
+            diagnosis=found,
+        )
+
+    def restart_state(self) -> dict[str, Any]:
+        """See `Restartable`: number of states and history of the audit. Not collective."""
+        return {"count": self.count, "audit": self._auditor.restart_state()}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """See `Restartable`; the problem and the assembler are in the saved state. Collective."""
+        self.count = saved["count"]
+        self._auditor.restore(saved["audit"])
