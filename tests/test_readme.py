@@ -7,20 +7,23 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 from conftest import ROOT
 from mpi4py import MPI
 from pydantic import BaseModel
 
-from dolfin_elastic import Problem, Statics, box_body
+from dolfin_elastic import Dynamics, Gravity, LinearElastic, Problem, Statics, box_body
 from dolfin_elastic.case import tables
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.run import open_outputs
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula_functions import FUNCTIONS
 from dolfin_elastic.mesh import Cylinder, Selector, Sphere
 from dolfin_elastic.model.contact import (
@@ -36,6 +39,7 @@ from dolfin_elastic.model.supports.displacement import Support
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, Picture
+from dolfin_elastic.solvers.dynamics.schemes import SCHEMES
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.eigen.buckling import BucklingSettings
 from dolfin_elastic.solvers.eigen.modal import ModalSettings
@@ -156,14 +160,25 @@ def imported(name: str, code: str, folder: Path) -> ModuleType:
     return module
 
 
-def test_examples_for_contributors(folder: Path, comm: MPI.Comm) -> None:
-    """A law, a load and an output as CONTRIBUTING.md adds them."""
-    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+@pytest.fixture
+def contributed(folder: Path) -> Iterator[dict[str, Any]]:
+    """What the examples of CONTRIBUTING.md define; the table of schemes is put back."""
+    text, schemes = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), dict(SCHEMES)
     code = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    assert len(code) == 3
+    assert len(code) == 4
     names: dict[str, Any] = {}
     for number, part in enumerate(code):
         names |= vars(imported(f"contributed_{number}", part, folder))
+    yield names
+    SCHEMES.clear()
+    SCHEMES.update(schemes)
+
+
+def test_examples_for_contributors(
+    contributed: dict[str, Any], folder: Path, comm: MPI.Comm
+) -> None:
+    """A law, a load and an output as CONTRIBUTING.md adds them."""
+    names = contributed
     rod = box_body(size=[1, 0.1, 0.1], cells=[8, 1, 1], comm=comm)
     problem = Problem(
         rod,
@@ -189,3 +204,29 @@ def test_examples_for_contributors(folder: Path, comm: MPI.Comm) -> None:
             writer.write(state)
     assert len(energies.read_text().splitlines()) == 1
     assert len(history.read_text().splitlines()) == 4
+
+
+@pytest.mark.usefixtures("contributed")
+def test_scheme_of_a_contributor(comm: MPI.Comm) -> None:
+    """It moves on before it looks at forces: a body falls by n(n - 1)/2 g dt^2.
+
+    Of a linear body it conserves what it says, to round-off; the energy of states swings.
+    """
+    box, dt = box_body(size=[1, 1, 1], cells=[1, 1, 1], comm=comm), 1e-3
+    law = LinearElastic(E="1 MPa", nu=0.3, density=1000)
+    falling = Problem(box, law, loads=[Gravity(value=[0, 0, -10])])
+    for state in Dynamics(falling, scheme="drift-kick", end=10 * dt, dt=dt, every=1).steps():
+        n = state.step
+        assert state.max_displacement == pytest.approx(10 * dt**2 * n * (n - 1) / 2, abs=1e-12)
+        assert np.allclose(state.v.x.array.reshape(-1, 3), [0, 0, -10 * n * dt], atol=1e-11)
+    motion = Dynamics(
+        Problem(box, law), scheme="drift-kick", end=0.05, dt=dt, initial_velocity=["x", 0, 0]
+    )
+    found = []
+    for state in motion.steps():
+        excess = comm.allreduce(motion._motion.scheme.conserved_excess(dt))
+        found.append((state.energies["total"], state.energies["total"] + excess))
+    swings = np.ptp(found, axis=0) / found[0][0]
+    assert swings[1] < 1e-10 < 1e-3 < swings[0]
+    with pytest.raises(InputError, match="did you mean 'drift-kick'"):
+        Dynamics(falling, scheme="drift-kik", end=1.0)
