@@ -67,10 +67,10 @@ def finite_twin(law: Law) -> Law:
 
 
 class LawUnderTest:
-    """A law with the deformations at which it is tried.
+    """A law with the deformation gradients at which it is checked.
 
     Args:
-        law: Any law; an infinite modulus is tried as a large one.
+        law: Any law with numbers; an infinite modulus is replaced by a large one.
     """
 
     def __init__(self, law: Law) -> None:
@@ -80,27 +80,27 @@ class LawUnderTest:
         self.near = I + 0.03 * draw[:6]
         self._far = I + 0.2 * draw[6:]
         turned, _ = np.linalg.qr(np.random.default_rng(8).standard_normal((12, 3, 3)))
-        self.turns = turned * np.linalg.det(turned)[:, None, None]
+        self.rotations = turned * np.linalg.det(turned)[:, None, None]
 
     @cached_property
     def samples(self) -> AnyArray:
-        """Deformations of some per cent, and larger ones as far as the law is defined there."""
+        """Deformation gradients, shape (n, 3, 3): small, and larger ones with finite stress."""
         fine = np.isfinite(self.point.stress(self._far)).all(axis=(1, 2))
         return np.concatenate([self.near, self._far[fine]])
 
     @cached_property
     def rest(self) -> AnyArray:
-        """Tangent at rest [Pa]."""
+        """Tangent at F = I [Pa], shape (3, 3, 3, 3)."""
         return self.point.tangent(I[None])[0]
 
     @cached_property
     def scale(self) -> float:
-        """Stiffness that round-off is measured by [Pa]."""
+        """Stiffness by which errors are divided [Pa]."""
         sizes = [float(np.abs(a).max()) for a in (self.rest, self.point.tangent(self.near))]
         return next((s for s in sizes if np.isfinite(s) and s > 0), 1.0)
 
     @property
-    def turning(self) -> bool:
+    def frame_indifferent(self) -> bool:
         """The law claims to be frame-indifferent."""
         return self.law.frame_indifferent
 
@@ -136,7 +136,7 @@ def _balance(P: AnyArray) -> str:
 
 
 def finite(trial: LawUnderTest) -> Iterator[Finding]:
-    """No nan or inf near the rest."""
+    """No nan or inf near F = I."""
     parts: dict[str, Callable[[AnyArray], AnyArray]] = {"stress": trial.point.stress}
     parts["stiffness"] = trial.point.tangent
     if trial.law.has_energy:
@@ -169,16 +169,16 @@ def stable(trial: LawUnderTest) -> Iterator[Finding]:
 # --- symmetries ---
 
 
-def turned_body(trial: LawUnderTest) -> Iterator[Finding]:
+def objectivity(trial: LawUnderTest) -> Iterator[Finding]:
     """psi(QF) = psi(F), P(QF) = Q P(F) and P F^T = F P^T."""
     F, name = trial.samples, "frame indifference"
-    Q = trial.turns[: len(F)]
+    Q = trial.rotations[: len(F)]
     P, far = trial.point.stress(F), trial.point.stress(Q @ F)
     error = _relative(far, Q @ P, trial.scale)
     if trial.law.has_energy:
         first, second = trial.point.energy(F), trial.point.energy(Q @ F)
         error = max(error, _relative(first, second, 1e-3 * trial.scale))
-    if not trial.turning:
+    if not trial.frame_indifferent:
         yield _note(name, f"none, as the law says (error {error:.2g})", error=error)
         return
     good = error <= 1e3 * ROUND_OFF
@@ -204,9 +204,9 @@ def symmetric_tangent(trial: LawUnderTest) -> Iterator[Finding]:
     yield _found("symmetric tangent", good, f"asymmetry {skew:.2g}", error=skew)
 
 
-def turned_material(trial: LawUnderTest) -> Iterator[Finding]:
+def material_symmetry(trial: LawUnderTest) -> Iterator[Finding]:
     """P(FQ) = P(F) Q for all rotations Q, or for those about the fibre."""
-    error = _material_error(trial, trial.turns)
+    error = _material_error(trial, trial.rotations)
     if error <= 1e3 * ROUND_OFF:
         yield _found("isotropy", True, f"isotropic, to {error:.2g}", error=error)
         return
@@ -227,7 +227,7 @@ def turned_material(trial: LawUnderTest) -> Iterator[Finding]:
 
 
 def _material_error(trial: LawUnderTest, turns: AnyArray) -> float:
-    if not trial.turning:  # such a law knows no large rotations: its stiffness at rest
+    if not trial.frame_indifferent:  # laws for small rotations: compare the stiffness at rest
         A = trial.rest
         turned = np.einsum("nai,nbj,nck,ndl,abcd->nijkl", *[turns] * 4, A, optimize=True)
         return _relative(turned, np.broadcast_to(A, turned.shape), trial.scale)
@@ -244,7 +244,7 @@ def _about(a: AnyArray) -> AnyArray:
 
 
 def _relative(a: AnyArray, b: AnyArray, least: float) -> float:
-    """Largest difference over the largest size, but not over less than 1e-3 of `least`."""
+    """Largest difference over the largest entry of b, or over 1e-3 of `least` if that is more."""
     size = max(float(np.abs(b).max()), 1e-3 * least)
     return float(np.abs(a - b).max()) / size
 
@@ -264,7 +264,7 @@ def derivatives(trial: LawUnderTest) -> Iterator[Finding]:
         exact = derivative(F)
         size = np.abs(exact).max()
         near, far = (_differences(function, F, step) for step in (_STEP / 4, _STEP))
-        # Where fibres go slack there is no derivative, and two steps give two answers.
+        # Where fibres go slack there is no derivative: differences of two steps then disagree.
         axes = tuple(range(1, exact.ndim))
         smooth = np.abs(near - far).max(axis=axes) <= _DIFFERENCES * size
         if not smooth.any():
@@ -290,7 +290,7 @@ _VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 def voigt(A: AnyArray) -> AnyArray:
-    """The stiffness at rest as a 6x6 matrix, in the order 11 22 33 23 13 12."""
+    """A tangent at rest, shape (3, 3, 3, 3), as a 6x6 matrix in the order 11 22 33 23 13 12."""
     minor = (A + A.transpose(1, 0, 2, 3)) / 2
     minor = (minor + minor.transpose(0, 1, 3, 2)) / 2
     matrix = np.array([[minor[(*p, *q)] for q in _VOIGT] for p in _VOIGT])
@@ -298,7 +298,7 @@ def voigt(A: AnyArray) -> AnyArray:
 
 
 def small_strain(trial: LawUnderTest) -> Iterator[Finding]:
-    """Young's modulus and Poisson's ratio along x, against those the law states."""
+    """Young's modulus and Poisson's ratio along x, compared with the constants of the law."""
     try:
         soft = np.linalg.inv(voigt(trial.rest))
     except np.linalg.LinAlgError:
@@ -324,27 +324,27 @@ def small_strain(trial: LawUnderTest) -> Iterator[Finding]:
 
 @np.errstate(all="ignore")
 def checks(trial: LawUnderTest) -> list[Finding]:
-    """All checks but those along curves."""
+    """All checks at single deformation gradients; of a law that is not finite only the first."""
     found: list[Finding] = []
     for check in (finite, rest_energy, rest_stress):
         found += check(trial)
     if any(f.verdict == "fail" and f.check == "finite values" for f in found):
         return found
-    for check in (stable, turned_body, turned_material, derivatives, symmetric_tangent):
+    for check in (stable, objectivity, material_symmetry, derivatives, symmetric_tangent):
         found += check(trial)
     return found + list(small_strain(trial))
 
 
-_SHORT = (finite, rest_energy, rest_stress, turned_body, symmetric_tangent)
+_SHORT = (finite, rest_energy, rest_stress, objectivity, symmetric_tangent)
 
 
 def check_energy(law: Law) -> None:
-    """The short list, for an energy that a user wrote; nothing for other laws.
+    """Checks an energy that a user wrote; other laws are checked by the tests of this package.
 
-    Not collective: the same on every rank that calls it.
+    Not collective: the result is the same on every rank.
 
     Raises:
-        InputError: With the first reason why nothing can be computed with it.
+        InputError: The first check that it fails.
     """
     if not isinstance(law, UserEnergy) or law.checked:
         return
@@ -360,19 +360,19 @@ def check_energy(law: Law) -> None:
 
 
 def check_user_energies(laws: Mapping[str, Law], comm: MPI.Comm) -> None:
-    """Tries the energies that users wrote, each once; other laws are tried by our own tests.
+    """Checks the energies that users wrote, each once, before a run starts.
 
     Collective.
 
     Args:
         laws: Dotted key of a material to its law.
-        comm: The ranks that go on together.
+        comm: All ranks of the run.
 
     Raises:
-        InputError: On every rank, with the key and the reason.
+        InputError: On every rank, with the key and the first check that fails.
     """
     for key, law in laws.items():
-        # What varies in space is tried with its means, once it is bound to a body.
+        # Constants that vary in space have no values yet: after binding their means are checked.
         if not isinstance(law, UserEnergy) or law.checked or law.spatial_constants():
             continue
         try:

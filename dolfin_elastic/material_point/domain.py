@@ -1,4 +1,4 @@
-"""Where a law has no value, and which operation of its formula is to blame."""
+"""Which operation of a law's formula is undefined at given deformation gradients."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from dolfin_elastic.model.materials.law import Law
 
 
 def undefined_operation(law: Law, F: FloatArray) -> str:
-    """The operation that has no value, in words; empty if none is found.
+    """Describes the first operation that is undefined; empty if there is none.
 
     Args:
         law: A law with numbers, not with fields.
-        F: Deformation gradients at which it has none, of shape (n, 3, 3).
+        F: Deformation gradients at which energy or stress is not finite, shape (n, 3, 3).
 
     Returns:
-        For example "ln of a negative number, -0.2"; the innermost such operation, the number
-        farthest off.
+        For example "ln of a negative number, -0.2": the innermost such operation, and the operand
+        of the largest absolute value.
     """
     at = gradient_symbol()
     formula = law.energy(at) if law.has_energy else law.stress(at)
     for node in unique_post_traversal(expand_derivatives(ufl.as_ufl(formula))):
-        if (said := _fault(node, lambda e: NumpyProgram(e, at)(F))) is not None:
-            return said
+        if (fault := _fault(node, lambda e: NumpyProgram(e, at)(F))) is not None:
+            return fault
     return ""
 
 

@@ -1,4 +1,4 @@
-"""How far a material goes: growth of its energy, strong ellipticity."""
+"""Range of validity of a law: growth of its energy, strong ellipticity."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PATHS = ("uniaxial", "equibiaxial", "simple-shear")
 
 
 def energy_growth(trial: LawUnderTest) -> Iterator[Finding]:
-    """The energy as the volume falls to 0 and as it grows beyond all bounds."""
+    """The energy as J goes to 0 and to infinity."""
     if not trial.law.has_energy:
         return
     for name, J in (("energy as J -> 0", _CRUSHED), ("energy as J -> inf", _BLOWN)):
@@ -59,8 +59,8 @@ def acoustic_eigenvalues(point: LawAtPoints, F: AnyArray, *, flat: bool = False)
 
     Args:
         point: The law.
-        F: Deformation gradients, of shape (n, 3, 3).
-        flat: Directions and motions in the plane of x and y only.
+        F: Deformation gradients, shape (n, 3, 3).
+        flat: Directions and amplitudes in the plane of x and y only.
     """
     N, least, dim = directions(), [], 3
     if flat:
@@ -77,7 +77,12 @@ def acoustic_eigenvalues(point: LawAtPoints, F: AnyArray, *, flat: bool = False)
 
 
 def ellipticity(trial: LawUnderTest, curves: dict[str, ResponseCurve]) -> Iterator[Finding]:
-    """Where waves of every kind can pass: the interval about the rest."""
+    """Interval about the rest in which the law is strongly elliptic, one finding a path.
+
+    Args:
+        trial: The law.
+        curves: Name of a deformation mode to its response, for all of `PATHS`.
+    """
     for name in PATHS:
         curve = curves[name]
         least = acoustic_eigenvalues(trial.point, curve.F)
@@ -96,7 +101,7 @@ def ellipticity(trial: LawUnderTest, curves: dict[str, ResponseCurve]) -> Iterat
 
 
 def _interval(good: AnyArray, inside: int) -> tuple[int, int]:
-    """First and last of the true entries about one of them."""
+    """First and last index of the run of true entries that contains `inside`."""
     bad = np.flatnonzero(~good)
     low = int(bad[bad < inside].max(initial=-1)) + 1
     high = int(bad[bad > inside].min(initial=len(good))) - 1

@@ -1,4 +1,4 @@
-"""Homogeneous states of a material: curves that an experiment would give."""
+"""Homogeneous tests of a material: uniaxial, equibiaxial, planar, shear, volumetric."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ITERATIONS = 25
 _HALVINGS = 6
 _LARGEST_CHANGE = 0.5
 _LEAST_VOLUME = 0.2
-"""Of the step before: P = F S vanishes at F = 0 too, which is no state of equilibrium."""
+"""Least det F over that of the step before: P = F S also vanishes at F = 0, a spurious root."""
 _SMALL = 1e-3
 _EXACT, _GOOD = 1e-14, 1e-9
 """Stress over stiffness: good enough at once, and where it gets no better."""
@@ -27,14 +27,14 @@ Pairs = tuple[tuple[int, int], ...]
 class DeformationMode:
     """A kind of homogeneous deformation.
 
-    F is an upper triangle: that leaves out rotations and nothing else.
+    F is upper triangular, which excludes rotations and nothing else.
 
     Attributes:
         name: Its name.
-        symbol: Of what is prescribed.
+        symbol: Name of the prescribed quantity.
         place: F for a prescribed value.
-        rest: The value at rest.
-        free: Components of F that are found such that the same components of P vanish.
+        rest: The value at F = I.
+        free: Components of F that are unknowns: the same components of P vanish.
         shown: Component of the stress that is plotted.
     """
 
@@ -57,20 +57,20 @@ DEFORMATION_MODES = (
     DeformationMode("simple-shear", "shear", _shear, 0.0, shown=(0, 1)),
     DeformationMode("volumetric", "J", lambda J: np.cbrt(J) * np.eye(3), 1.0),
 )
-"""Planar tension, of a wide sheet, is what the rubber trade calls pure shear."""
+"""Planar tension of a wide sheet is called pure shear in the rubber industry."""
 
 
 @dataclass(frozen=True)
 class ResponseCurve:
-    """States along one mode, in ascending order of what is prescribed.
+    """States along one mode, in ascending order of the prescribed quantity.
 
     Attributes:
-        mode: Which kind of deformation.
-        values: What is prescribed, of shape (n,).
+        mode: Kind of deformation.
+        values: Prescribed quantity, shape (n,).
         F: Deformation gradients, (n, 3, 3).
         P: First Piola-Kirchhoff stresses [Pa].
         energy: Strain energy [J/m^3]; nan if the law has none.
-        ends: Where a branch ended before it was asked to, with the reason.
+        ends: Where a branch ended before its last target, with the reason.
     """
 
     mode: DeformationMode
@@ -87,17 +87,17 @@ class ResponseCurve:
 
     @property
     def J(self) -> AnyArray:
-        """Change of volume."""
+        """det F, shape (n,)."""
         return np.asarray(np.linalg.det(self.F))
 
 
 def response_curve(point: LawAtPoints, mode: DeformationMode, targets: AnyArray) -> ResponseCurve:
-    """Follows a mode from the rest to both ends of `targets`.
+    """Follows a deformation mode from rest to both ends of `targets`.
 
     Args:
         point: The law.
-        mode: Which kind of deformation.
-        targets: Ascending values of what is prescribed; the rest is among them.
+        mode: Kind of deformation.
+        targets: Ascending values of the prescribed quantity, shape (n,); rest is among them.
     """
     up = _branch(point, mode, targets[targets > mode.rest])
     down = _branch(point, mode, targets[targets < mode.rest][::-1])
@@ -117,7 +117,7 @@ class _Branch:
 
 
 def _branch(point: LawAtPoints, mode: DeformationMode, targets: AnyArray) -> _Branch:
-    """One way from the rest outwards; a step that fails is tried again in halves."""
+    """States from rest outwards; a step that fails is tried again with half its size."""
     if not mode.free:
         return _prescribed(point, mode, targets)
     branch = _Branch([])
@@ -165,7 +165,7 @@ def _balanced(
         residual = point.stress(G[None])[0][rows, columns]
         size = float(np.abs(residual).max())
         if size <= _EXACT * scale or (size <= _GOOD * scale and size > last / 4):
-            return G  # as small as round-off lets it be
+            return G  # converged, or stagnated at the level of round-off
         last = size
         change = _solved(point.tangent(G[None])[0], mode, residual)
         G[rows, columns] -= change

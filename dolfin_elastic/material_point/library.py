@@ -1,6 +1,6 @@
 """Typical constants of well-known materials, with where they are from.
 
-Ranges, for a first estimate: a particular steel, print or tissue wants its own measurement.
+Ranges for a first estimate; they do not replace a measurement.
 """
 
 from __future__ import annotations
@@ -10,15 +10,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class TypicalMaterial:
-    """What handbooks say of a material.
+    """Constants of a material from handbooks.
 
     Attributes:
         name: The material.
         E: Young's modulus.
         nu: Poisson's ratio.
         density: Mass per volume.
-        law: A law that suits it.
-        source: Where the numbers are from.
+        law: A suitable law.
+        source: Source of the numbers.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The whole bench of one material."""
+"""All checks and homogeneous tests of one material."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _POINTS = 30
 
 @dataclass(frozen=True)
 class MaterialReport:
-    """What the bench finds.
+    """Results of all checks and homogeneous tests of a material.
 
     Attributes:
         law: The material.
-        findings: One a check.
-        curves: Name of a mode to its curve; none if the law is not finite near the rest.
-        notes: What else a user should know.
+        findings: One for each check.
+        curves: Name of a mode to its response; empty if the law is not finite near F = I.
+        notes: Remarks: warnings, replaced constants, ends of curves.
     """
 
     law: Law
@@ -46,16 +46,17 @@ class MaterialReport:
 
 
 def material_report(law: Law, *, largest: float = LARGEST) -> MaterialReport:
-    """Tries a material at a point: checks, curves, and how far it goes.
+    """Checks a material at a point and computes its response curves and range of validity.
 
-    Not collective; a second or so.
+    Not collective; takes about a second.
 
     Args:
-        law: Any law.
-        largest: Curves go from 1/`largest` to `largest`, shears to `largest` - 1 both ways.
+        law: Any law whose constants are numbers.
+        largest: Stretches go from 1/`largest` to `largest`, shears to `largest` - 1 both ways.
 
     Raises:
-        InputError: The numbers make no material at all, or `largest` is not above 1.
+        InputError: Constants vary in space, the energy cannot be evaluated, or `largest` is not
+            above 1.
     """
     if not largest > 1:
         raise InputError(

@@ -1,7 +1,7 @@
-"""UFL expressions of F as numpy programs, for many F at once and without a compiler.
+"""UFL expressions of F evaluated by numpy, for many F at once and without a compiler.
 
-An expression is written out once as a list of steps, equal parts once only, each of which works on
-arrays whose axes are the free indices in ascending order, then the shape, then the points.
+An expression becomes a list of steps, common subexpressions once only.  Each step works on arrays
+whose axes are the free indices in ascending order, then the shape, then the points.
 """
 
 from __future__ import annotations
@@ -79,7 +79,13 @@ def _rank(e: Expr) -> tuple[tuple[int, ...], int]:
 
 
 def _aligned(e: Expr, free: Sequence[int], rank: int) -> Callable[[AnyArray], AnyArray]:
-    """Gives an operand's array the axes of the result: `free` indices, `rank` more, points."""
+    """Function that broadcasts an operand's array to the axes of the result.
+
+    Args:
+        e: The operand.
+        free: Free indices of the result, ascending.
+        rank: Number of axes of the result's shape.
+    """
     own, own_rank = _rank(e)
     index: list[Any] = [slice(None) if i in own else None for i in free]
     index += [None] * (rank - own_rank)
@@ -174,7 +180,7 @@ _MAKERS: dict[type[Expr], Callable[[Any], Step]] = {
 
 
 def _step(e: Expr) -> Step:
-    """What has to be done for one node of an expression."""
+    """The numpy operation of one node of an expression."""
     name = type(e).__name__
     if name in _BINARY:
         return _elementwise(e, _BINARY[name])
@@ -185,11 +191,11 @@ def _step(e: Expr) -> Step:
 
 
 class NumpyProgram:
-    """A UFL expression of one symbol, without derivatives, ready to be worked out.
+    """A UFL expression of one symbol as a function of numpy arrays.
 
     Args:
-        expression: What `expand_derivatives` returned.
-        symbol: The UFL constant that is given numbers.
+        expression: Without derivatives, as `expand_derivatives` returns it.
+        symbol: The UFL constant to be replaced by numbers, shape (3, 3).
     """
 
     def __init__(self, expression: Expr, symbol: Expr) -> None:
@@ -205,7 +211,7 @@ class NumpyProgram:
         ]
 
     def __call__(self, F: AnyArray) -> AnyArray:
-        """The values for points F of shape (n, 3, 3): shape (n, *shape)."""
+        """Values at F of shape (n, 3, 3): shape (n, *shape of the expression)."""
         at = np.moveaxis(np.asarray(F, dtype=np.float64), 0, -1)
         done: list[AnyArray] = []
         with np.errstate(all="ignore"):
@@ -216,7 +222,7 @@ class NumpyProgram:
 
 
 def gradient_symbol() -> Expr:
-    """A 3x3 tensor that stands for F in expressions of programs."""
+    """A 3x3 UFL constant that stands for F in expressions."""
     cell = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
     return ufl.Constant(cell, (3, 3))
 

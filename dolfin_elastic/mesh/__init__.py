@@ -1,4 +1,4 @@
-"""Meshes: reading, generating, naming, judging."""
+"""Meshes: reading, generating, naming of parts, checks of cells."""
 
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.generate import box_body, rectangle_body

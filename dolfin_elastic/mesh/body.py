@@ -26,8 +26,8 @@ class Body:
         regions: Name to the local cells of this rank (owned and ghost), sorted.
         surfaces: Name to the local facets of this rank (owned and ghost), sorted.
         source: Where the mesh came from, for messages.
-        fields: Name to numbers of cells or points that the mesh file carries.
-        notes: What was found and mended while reading (flipped cells, unused points ...).
+        fields: Name to values at cells or points from the mesh file.
+        notes: Remarks on faults found and corrected while reading (unused points ...).
     """
 
     mesh: Mesh
@@ -116,7 +116,12 @@ class Body:
         regions: Mapping[str, IndexArray] | None = None,
         surfaces: Mapping[str, IndexArray] | None = None,
     ) -> Body:
-        """The same body with further named parts."""
+        """The body with further named parts; those of the same name are replaced.
+
+        Args:
+            regions: Name to local cells, sorted.
+            surfaces: Name to local facets, sorted.
+        """
         return replace(
             self,
             regions={**self.regions, **(regions or {})},

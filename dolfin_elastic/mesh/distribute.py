@@ -31,7 +31,7 @@ def build_body(
     source: str,
     permutation: Permutation = cpp.io.perm_vtk,
 ) -> Body:
-    """Reads on rank 0, cleans, and distributes over all ranks.
+    """Reads a mesh on rank 0, cleans it, and distributes it over all ranks.
 
     Collective.
 
@@ -90,8 +90,8 @@ def _distribute(
 
 
 def before_partitioning(comm: MPI.Comm) -> None:
-    """What must be done before DOLFINx distributes a mesh. Collective."""
-    # PT-Scotch's threads race: the same body was parted in two ways, 10 of 1500 times.
+    """Makes the partitioning that follows reproducible. Collective."""
+    # PT-Scotch's threads race: 10 of 1500 times the same body was partitioned in another way.
     os.environ.setdefault("SCOTCH_PTHREAD_NUMBER", "1")
     # DOLFINx 0.9 may mix up messages of two meshes made in a row (fixed in 0.10, #3512).
     comm.barrier()
@@ -134,7 +134,7 @@ def _regions(mesh: Mesh, raw: RawMesh | None) -> dict[str, IndexArray]:
 
 
 def _surfaces(mesh: Mesh, raw: RawMesh | None) -> tuple[dict[str, IndexArray], list[str]]:
-    """Local facets of each surface (also those shared with other ranks), and what got lost."""
+    """Local facets of each surface, also shared ones, and notes on facets that do not exist."""
     comm = mesh.comm
     named = comm.bcast(raw.surfaces if raw else None)
     if not named:

@@ -1,4 +1,4 @@
-"""Fields that mesh files carry: numbers of cells or of points, on the ranks that need them."""
+"""Fields of mesh files: values at cells or points, distributed over the ranks."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ CHUNK = 1 << 20
 
 @dataclass(frozen=True)
 class MeshField:
-    """Numbers that the mesh came with.
+    """A field of a mesh file.
 
     Attributes:
-        centre: Where the values belong: constant in cells, or at the mesh's points.
+        centre: Whether values are constant in cells or belong to the mesh's points.
         values: Rows of this rank's local cells, or of the points of `mesh.geometry` (ghosts
             included), shape (rows, columns); 1 column is a scalar, 2 or 3 a vector.
     """
@@ -38,7 +38,7 @@ class MeshField:
     values: FloatArray
 
     def describe(self, comm: MPI.Comm) -> str:
-        """Where it belongs and what it is, for people. Collective."""
+        """Entity and range of values in words. Collective."""
         if self.columns > 1:
             return f"{self.centre}s, {self.columns} components"
         finite = self.values[np.isfinite(self.values)]
@@ -69,7 +69,15 @@ class MeshField:
 
 
 def as_columns(data: Any, rows: int, name: str) -> FloatArray:
-    """Data of a file as floating-point numbers, one row for each cell or point.
+    """Data of a file as an array with one row for each cell or point.
+
+    Args:
+        data: Anything numpy makes an array of.
+        rows: Number of cells or points.
+        name: Name of the field, for messages.
+
+    Returns:
+        Shape (rows, columns).
 
     Raises:
         MeshError: The number of rows is another, or they are no numbers.
@@ -85,7 +93,12 @@ def as_columns(data: Any, rows: int, name: str) -> FloatArray:
 
 
 def distribute_fields(mesh: Mesh, raw: RawMesh | None) -> dict[str, MeshField]:
-    """Each rank's rows of the fields that rank 0 has read. Collective."""
+    """Distributes the fields that rank 0 has read. Collective.
+
+    Args:
+        mesh: The distributed mesh.
+        raw: The mesh as it was read, on rank 0; None on all others.
+    """
     found: dict[str, MeshField] = {}
     for centre in ("cell", "point"):
         tables: Mapping[str, FloatArray] = getattr(raw, f"{centre}_data") if raw else {}

@@ -72,7 +72,18 @@ def rectangle_body(
     comm: MPI.Comm = MPI.COMM_WORLD,
     scale: float = 1.0,
 ) -> Body:
-    """A rectangle of triangles for plane strain: `box_body` with two sizes. Collective."""
+    """A rectangle of triangles for plane strain: `box_body` with two sizes. Collective.
+
+    Args:
+        size: Lengths of both edges, in units of `scale` metres.
+        cells: Number of squares along each edge, of two triangles each.
+        origin: The corner with the smallest coordinates.
+        comm: The ranks that share the mesh.
+        scale: Metres per unit of length.
+
+    Raises:
+        MeshError: The numbers make no rectangle.
+    """
     if len(size) != 2:
         raise MeshError(f"a rectangle has two sizes, not {len(size)}", where="size")
     return box_body(size=size, cells=cells, origin=origin, comm=comm, scale=scale)

@@ -98,13 +98,21 @@ class _Space:
 
 @dataclass(frozen=True)
 class _Test:
-    """How far each facet or cell is from what was asked, and how far it may be."""
+    """One criterion of a selector, evaluated for facets or cells.
 
-    said: str
+    Attributes:
+        label: The criterion in words.
+        distance: Of each facet or cell from fulfilling it [m, or degrees], shape (n,).
+        limit: Largest admissible distance.
+        unit: Unit of length in which distances are reported [m]; 1 for degrees.
+        key: Key of the selector that sets the limit.
+    """
+
+    label: str
     distance: FloatArray
     limit: float
     unit: float = 1.0
-    knob: str = "tolerance"
+    key: str = "tolerance"
 
 
 def bounding_box(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
@@ -167,18 +175,18 @@ def _nothing(
     owned: BoolArray,
     searched_in: str,
 ) -> MeshError:
-    """What was searched, how many held, and how near the nearest came. Collective."""
-    said = []
+    """Error of a selector that finds nothing: counts, and the smallest distances. Collective."""
+    findings = []
     for test in tests:
         count = int(total(comm, int(np.count_nonzero((test.distance <= test.limit) & owned))))
         near = smallest(comm, float(test.distance.min(initial=np.inf)))
-        text = f"{test.said}: {count}"
+        text = f"{test.label}: {count}"
         if count == 0:
             text += _how_near(test, near, space)
-        said.append(text)
+        findings.append(text)
     searched = int(total(comm, int(np.count_nonzero(owned))))
     return MeshError(
-        "; ".join([f"found 0 of {searched} {searched_in}", *said]), expected=str(space)
+        "; ".join([f"found 0 of {searched} {searched_in}", *findings]), expected=str(space)
     )
 
 
@@ -186,9 +194,9 @@ def _how_near(test: _Test, near: float, space: _Space) -> str:
     text = (
         f" (the nearest is off by {near / test.unit:.3g}, allowed is {test.limit / test.unit:.3g}"
     )
-    worth = near < (180 if test.knob == "angle" else 0.1 * space.diagonal)
+    worth = near < (180 if test.key == "angle" else 0.1 * space.diagonal)
     return text + (
-        f"; {test.knob} = {_rounded_up(near / test.unit):g} would find it)" if worth else ")"
+        f"; {test.key} = {_rounded_up(near / test.unit):g} would find it)" if worth else ")"
     )
 
 
@@ -212,19 +220,19 @@ def _surface_tests(
     corners = facet_corners(mesh, facets)
     limit = _limit(selector, space)
 
-    def test(said: str, apart: Callable[[FloatArray], FloatArray]) -> _Test:
-        flat = np.abs(apart(corners.reshape(-1, corners.shape[2])))
-        return _Test(said, flat.reshape(corners.shape[:2]).max(axis=1), limit, space.scale)
+    def test(label: str, distance: Callable[[FloatArray], FloatArray]) -> _Test:
+        flat = np.abs(distance(corners.reshape(-1, corners.shape[2])))
+        return _Test(label, flat.reshape(corners.shape[:2]).max(axis=1), limit, space.scale)
 
     tests = []
     if selector.plane is not None:
         axis, value = _plane(selector, space)
-        said = f"on the plane {selector.plane} = {value / space.scale:.6g}"
-        tests.append(test(said, lambda x: x[:, axis] - value))
+        label = f"on the plane {selector.plane} = {value / space.scale:.6g}"
+        tests.append(test(label, lambda x: x[:, axis] - value))
     if selector.box is not None:
         tests.append(test("in the box", _outside_box(selector, space)))
-    for said, apart in _round(selector, space):
-        tests.append(test(f"on the {said}", apart))
+    for label, distance in _round(selector, space):
+        tests.append(test(f"on the {label}", distance))
     if selector.normal is not None:
         tests.append(_normal(mesh, facets, selector, space))
     return tests
@@ -242,8 +250,8 @@ def _region_tests(mesh: Mesh, cells: IndexArray, selector: Selector, space: _Spa
     tests = []
     if selector.box is not None:
         tests.append(_Test("in the box", _outside_box(selector, space)(middle), limit, space.scale))
-    for said, apart in _round(selector, space):
-        tests.append(_Test(f"in the {said}", np.maximum(apart(middle), 0), limit, space.scale))
+    for label, distance in _round(selector, space):
+        tests.append(_Test(f"in the {label}", np.maximum(distance(middle), 0), limit, space.scale))
     return tests
 
 
@@ -290,12 +298,12 @@ def _off_cylinder(cylinder: Cylinder, space: _Space) -> Callable[[FloatArray], F
             "the body is plane: the axis of a cylinder must be z", where="cylinder.axis"
         )
 
-    def apart(x: FloatArray) -> FloatArray:
+    def distance(x: FloatArray) -> FloatArray:
         arm = x - point
         arm = arm - (arm @ along)[:, None] * along
         return np.asarray(np.linalg.norm(arm, axis=1) - radius)
 
-    return apart
+    return distance
 
 
 def _normal(mesh: Mesh, facets: IndexArray, selector: Selector, space: _Space) -> _Test:
@@ -309,4 +317,4 @@ def _normal(mesh: Mesh, facets: IndexArray, selector: Selector, space: _Space) -
     cosine = outward_normals(mesh, facets) @ (wanted / np.linalg.norm(wanted))
     angles = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     text = ", ".join(f"{n:g}" for n in wanted)
-    return _Test(f"facing ({text})", angles, selector.angle or _ANGLE, knob="angle")
+    return _Test(f"facing ({text})", angles, selector.angle or _ANGLE, key="angle")

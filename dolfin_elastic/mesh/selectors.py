@@ -22,7 +22,12 @@ from dolfin_elastic.core.schema import Record
 
 
 def metres(value: float | str, scale: float) -> float:
-    """A length of a selector in metres: a bare number times `scale`, a text as it says."""
+    """A length of a selector in metres.
+
+    Args:
+        value: A number in the mesh's unit, or a text with a unit.
+        scale: Metres per unit of length of the mesh.
+    """
     if isinstance(value, str):
         from dolfin_elastic.core.units import to_si
 

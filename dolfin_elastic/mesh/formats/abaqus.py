@@ -1,7 +1,7 @@
 """Abaqus input files (.inp), as CalculiX, Cubit, Salome and others write them too.
 
-Read here rather than through meshio, which loses sets spread over several *ELEMENT blocks, the
-sets of included files, and every *SURFACE.
+Read here rather than through meshio 5.3, which loses every *SURFACE, fails on *INCLUDE, ignores
+*NGEN, and ends the process at element types that it does not know.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class _Card:
 
 @dataclass
 class _Deck:
-    """What the file says, in the file's own numbers; keys of sets in capitals."""
+    """Content of the file in its own numbering; keys of sets are in capitals."""
 
     numbers: list[IntArray] = field(default_factory=list)
     points: list[FloatArray] = field(default_factory=list)

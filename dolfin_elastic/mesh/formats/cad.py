@@ -1,4 +1,4 @@
-"""Gmsh as a mesher: CAD files meshed on the fly, and old .msh files made new."""
+"""Gmsh as a mesher of CAD files, and as a converter of old .msh files."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def mesh_cad(path: Path, *, size: float | None, curved: bool, dim: int | None) -
         if curved:
             _bend(gmsh, dim)
         found = _saved(gmsh)
-    said = "size as in the file" if size is None else f"size {size:g} (mesh.unit)"
-    said += ", cells curved" if curved else ""
-    return MshFile(found.points, found.blocks, [*found.notes, f"meshed by Gmsh, {said}"])
+    how = "size as in the file" if size is None else f"size {size:g} (mesh.unit)"
+    how += ", cells curved" if curved else ""
+    return MshFile(found.points, found.blocks, [*found.notes, f"meshed by Gmsh, {how}"])
 
 
 def _bend(gmsh: Any, dim: int) -> None:
@@ -160,7 +160,7 @@ def _gmsh(path: Path) -> Iterator[Any]:
         if type(error) is not Exception:  # Gmsh raises this base class itself
             raise
         raise MeshError(
-            f"Gmsh cannot read or mesh it: {_said(gmsh, error)}", where=path.name
+            f"Gmsh cannot read or mesh it: {_errors(gmsh, error)}", where=path.name
         ) from None
     finally:
         gmsh.logger.stop()
@@ -170,7 +170,7 @@ def _gmsh(path: Path) -> Iterator[Any]:
             _forget(gmsh, before, options)
 
 
-def _said(gmsh: Any, error: Exception) -> str:
+def _errors(gmsh: Any, error: Exception) -> str:
     """Gmsh's own errors, the first three."""
     lines = [
         line.split(":", 1)[1].strip() for line in gmsh.logger.get() if line.startswith("Error:")

@@ -1,4 +1,4 @@
-"""Faults of a mesh: what is mended or refused on one rank, and what all ranks check in shares."""
+"""Faults of mesh files: corrected or refused on one rank, or checked by all ranks in shares."""
 
 from __future__ import annotations
 
@@ -16,19 +16,25 @@ from dolfin_elastic.mesh.formats.raw import RawMesh
 
 
 def format_points(points: npt.ArrayLike, count: int, what: str = "near") -> str:
-    """Says where things are: the first five coordinates."""
+    """The first five points as text, for messages.
+
+    Args:
+        points: Coordinates, shape (n, dim).
+        count: Number of all points; "..." is added if it exceeds those shown.
+        what: Word in front of them.
+    """
     rows = np.asarray(points, dtype=float)[:5]
     text = ", ".join("(" + ", ".join(f"{x:.4g}" for x in row) + ")" for row in rows)
     return f"{what} {text}{' ...' if count > len(rows) else ''}"
 
 
 def clean(raw: RawMesh) -> RawMesh:
-    """The mesh without what DOLFINx cannot digest; each mending leaves a note.
+    """Corrects what DOLFINx could not read, with a note for each correction.
 
-    Local: one rank cleans.
+    Local: called on one rank.
 
     Raises:
-        MeshError: Something cannot be mended.
+        MeshError: A fault that cannot be corrected.
     """
     steps: list[Callable[[RawMesh], RawMesh]] = [
         _indices,
@@ -74,7 +80,7 @@ def _duplicates(raw: RawMesh) -> RawMesh:
     new[1:] = (corners[order[1:]] != corners[order[:-1]]).any(axis=1)
     if new.all():
         return raw
-    # lexsort is stable: the first of equal cells is the one kept.
+    # lexsort is stable: of equal cells the first remains.
     keep = np.sort(order[new])
     first = np.empty(len(order), dtype=np.int64)
     first[order] = np.searchsorted(keep, order[new])[np.cumsum(new) - 1]
@@ -190,7 +196,7 @@ def _pieces(raw: RawMesh) -> RawMesh:
 
 
 def check_distributed(comm: MPI.Comm, cells: IntArray, points: int, dim: int) -> None:
-    """Refuses what would end DOLFINx's mesh creation in C++.
+    """Refuses faults at which DOLFINx's mesh creation would abort in C++.
 
     Collective.
 
@@ -228,7 +234,7 @@ def _out_of_range(cells: IntArray, points: int) -> MeshError | None:
 
 
 def _repeated(comm: MPI.Comm, rows: IntArray, most: int) -> int:
-    """How many rows, among those this rank is told to look at, stand more than `most` times.
+    """Number of different rows that occur more than `most` times, of those sent to this rank.
 
     Collective.  Equal rows are sent to the same rank.
     """

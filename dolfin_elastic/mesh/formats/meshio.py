@@ -65,7 +65,7 @@ def _is_number(data: AnyArray) -> bool:
 
 
 def _cell_data(mesh: Any, i: int) -> dict[str, FloatArray]:
-    """What is measured, not counted: integers that name parts are no fields."""
+    """Cell data that are fields; integers name parts instead, see `sets_by_value`."""
     found = {}
     for name, blocks in mesh.cell_data.items():
         if name in _IGNORED or name in _REFERENCES or i >= len(blocks):
@@ -79,14 +79,14 @@ def _cell_data(mesh: Any, i: int) -> dict[str, FloatArray]:
 def _read(path: Path) -> Any:
     import meshio
 
-    said = io.StringIO()
+    output = io.StringIO()
     try:
         # meshio prints its errors and ends the process.
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
             return meshio.read(path)
     except SystemExit:
         raise MeshError(
-            f"meshio cannot read it: {' '.join(said.getvalue().split())[:300]}", where=path.name
+            f"meshio cannot read it: {' '.join(output.getvalue().split())[:300]}", where=path.name
         ) from None
     except Exception as error:  # readers fail in any way on damaged files
         raise MeshError(
@@ -143,7 +143,17 @@ def _numbered(key: str, mesh: Any, dim: int) -> Mapping[int, Sequence[str]]:
 def sets_by_value(
     data: AnyArray, key: str, names: Mapping[int, Sequence[str]]
 ) -> dict[str, IntArray]:
-    """Splits integer cell data into named rows: "3" for references, else "key_3"."""
+    """Splits integer cell data into named sets of rows.
+
+    Args:
+        data: One number for each cell of a block.
+        key: Name of the data.
+        names: Names of values, where the format has them; others are called "3" in data that the
+            format uses as references, and else "key_3".
+
+    Returns:
+        Name to rows; empty for data that are no integers or have more than 200 values.
+    """
     whole = np.issubdtype(data.dtype, np.integer) or (
         key in _REFERENCES and bool(np.all(data == np.round(data)))
     )

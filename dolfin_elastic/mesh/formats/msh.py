@@ -1,7 +1,8 @@
 """Gmsh's .msh files, versions 2 and 4.1, ASCII and binary, with every physical name.
 
-Read here rather than through Gmsh because Gmsh gives elements of one entity one set of groups
-(files of version 2 may say otherwise), and ends the process on some damaged files.
+Read here rather than through Gmsh, which gives all elements of one entity the same groups (files
+of version 2 may differ) and ends the process on some damaged files; and rather than through meshio
+5.3, whose answers to damaged and partitioned files are IndexError, KeyError and ValueError.
 Format: https://gmsh.info/doc/texinfo/gmsh.html#MSH-file-format
 """
 

@@ -16,13 +16,13 @@ from dolfin_elastic.core.types import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class View:
-    """Numbers of elements or points, by their numbers in the file."""
+    """A post-processing view of Gmsh: values of elements or points, by their tags."""
 
     tags: IntArray
     values: FloatArray
 
     def rows(self, tags: IntArray) -> FloatArray | None:
-        """The values of these elements or points, NaN where there is none; None: of none."""
+        """Values of the given tags, NaN where there is none; None if there is none at all."""
         order = np.argsort(self.tags)
         at = np.minimum(np.searchsorted(self.tags, tags, sorter=order), len(order) - 1)
         hit = self.tags[order[at]] == tags
@@ -32,13 +32,27 @@ class View:
 
 
 def data_rows(views: Mapping[str, View], tags: IntArray) -> dict[str, FloatArray]:
-    """Name to the values of these elements or points, for the views that have some."""
+    """Values of elements or points, of the views that have some.
+
+    Args:
+        views: Name to view.
+        tags: Tags of elements or points, shape (n,).
+
+    Returns:
+        Name to values, shape (n, columns).
+    """
     found = {name: view.rows(tags) for name, view in views.items() if len(view.tags)}
     return {name: rows for name, rows in found.items() if rows is not None}
 
 
 def views(sections: Sequence[bytes], kind: str, *, binary: bool, swap: bool) -> dict[str, View]:
     """Reads all sections of a kind; of several time steps of one name the last.
+
+    Args:
+        sections: Texts of the sections.
+        kind: "ElementData" or "NodeData".
+        binary: The file is binary.
+        swap: Its bytes are big-endian.
 
     Raises:
         MeshError: A section is damaged.

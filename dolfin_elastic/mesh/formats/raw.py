@@ -1,4 +1,4 @@
-"""What a mesh file holds, before it is distributed: plain arrays on one rank."""
+"""The content of a mesh file before it is distributed: plain arrays on one rank."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _DIMS = {
     "polyhedron": 3,
 }
 _CELLS = {2: {"triangle": 1, "triangle6": 2}, 3: {"tetra": 1, "tetra10": 2}}
-_SAID = {
+_KIND_NAMES = {
     "tetra": "tetrahedra",
     "tetra10": "10-node tetrahedra",
     "triangle": "triangles",
@@ -70,7 +70,7 @@ class RawMesh:
         order: Geometric degree, 1 or 2.
         regions: Name to rows of `cells`.
         surfaces: Name to the facets' vertices (rows of `points`), shape (F, dim).
-        notes: What was found and mended.
+        notes: Remarks on faults found and corrected.
         cell_data: Name to numbers of each cell, shape (M, columns).
         point_data: Name to numbers of each point, shape (N, columns).
     """
@@ -111,7 +111,7 @@ def assemble(
         dim: 2 or 3 to choose the elements; by default the highest found.
         point_sets: Name to rows of `points`; each becomes the surface of the facets within it.
         point_data: Name to numbers of each point; left out where cells have data of that name.
-        notes: What is known already.
+        notes: Remarks of the reader of the file.
 
     Raises:
         MeshError: There are no triangles or tetrahedra, or others beside them.
@@ -188,7 +188,9 @@ def _found(blocks: Iterable[Block]) -> str:
     counts: Counter[str] = Counter()
     for block in blocks:
         counts[block.kind] += len(block.nodes)
-    return "found " + (", ".join(f"{n} {_SAID.get(k, k)}" for k, n in counts.items()) or "none")
+    return "found " + (
+        ", ".join(f"{n} {_KIND_NAMES.get(k, k)}" for k, n in counts.items()) or "none"
+    )
 
 
 def _gather(blocks: Sequence[Block], items: Sequence[IntArray]) -> dict[str, IntArray]:
@@ -231,7 +233,15 @@ def boundary(cells: Sequence[IntArray]) -> IntArray:
 
 
 def match_rows(table: IntArray, rows: IntArray) -> IntArray:
-    """For each of `rows` its place in `table` (whose rows are all different), or -1."""
+    """Index of each row in a table, or -1.
+
+    Args:
+        table: Rows that are all different, shape (n, k).
+        rows: Rows to look up, shape (m, k).
+
+    Returns:
+        Shape (m,).
+    """
     both = np.concatenate([table, rows])
     _, group = np.unique(both, axis=0, return_inverse=True)
     group = group.reshape(-1)

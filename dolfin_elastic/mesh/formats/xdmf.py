@@ -72,6 +72,12 @@ def read_xdmf(path: Path, *, comm: MPI.Comm, scale: float, dim: int | None) -> B
 
     Collective.
 
+    Args:
+        path: The .xdmf file, with its .h5 beside it.
+        comm: The ranks that share the mesh.
+        scale: Metres per unit of length of the file.
+        dim: 2 or 3 to choose the elements; by default the highest dimension.
+
     Raises:
         MeshError: The file cannot be read.
     """

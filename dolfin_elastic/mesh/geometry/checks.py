@@ -1,4 +1,4 @@
-"""What is said about a mesh once it is distributed: flat, folded, thin and reversed cells."""
+"""Checks of a distributed mesh: flat, folded, thin and inverted cells."""
 
 from __future__ import annotations
 
@@ -21,12 +21,16 @@ OVERLAP = 1e-3  # share of the body's volume that inside-out cells may have
 
 
 def check_cells(body: Body, *, scale: float = 1.0) -> list[str]:
-    """Looks for cells that make results wrong or solvers slow.
+    """Checks the shapes and orientations of all cells.
 
-    Collective.  Places are given in the file's unit (metres / scale).
+    Collective.
+
+    Args:
+        body: The body.
+        scale: Metres per unit of length of the file, in which messages give coordinates.
 
     Returns:
-        A sentence for each finding.
+        A sentence for each finding that is no error.
 
     Raises:
         MeshError: Cells without volume, cells inside out beyond tolerance, or cells so curved
@@ -82,7 +86,7 @@ def _curved(body: Body, middle: FloatArray) -> None:
 
 
 def _orientation(body: Body, volumes: FloatArray, middle: FloatArray) -> list[str]:
-    """Tells cells with reversed node order (harmless) from cells inside out (overlap)."""
+    """Distinguishes reversed node order (harmless) from inverted cells, which overlap others."""
     comm = body.comm
     folded = folded_facets(body.mesh)
     main = 1.0 if total(comm, float(np.sign(volumes).sum())) >= 0 else -1.0
@@ -112,22 +116,22 @@ def _orientation(body: Body, volumes: FloatArray, middle: FloatArray) -> list[st
     return notes
 
 
-def _inside_out(body: Body, volumes: FloatArray, bad: BoolArray, said: str) -> str:
+def _inside_out(body: Body, volumes: FloatArray, bad: BoolArray, finding: str) -> str:
     part = total(body.comm, float(volumes[bad].sum())) / total(body.comm, float(volumes.sum()))
     if part > OVERLAP:
         raise MeshError(
-            f"{said}, with {part:.2g} of the volume",
+            f"{finding}, with {part:.2g} of the volume",
             where=body.source,
             expected="remesh, or untangle the mesh, there",
         )
-    return f"warning: {said}; their volume, {part:.2g} of the body's, counts twice"
+    return f"warning: {finding}; their volume, {part:.2g} of the body's, counts twice"
 
 
 def folded_facets(mesh: Mesh) -> IntArray:
     """For each local cell the number of facets whose other cell lies on the same side.
 
     Collective.  Seen from a facet, whose vertices are taken in their global order, the opposite
-    vertices of its two cells lie on different sides of a sound mesh.
+    vertices of its two cells lie on different sides of it in a valid mesh.
     """
     d = mesh.topology.dim
     sides = _sides(mesh)

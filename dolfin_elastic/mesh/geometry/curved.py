@@ -21,7 +21,15 @@ def _element(dim: int, degree: int) -> basix.finite_element.FiniteElement:
 
 
 def quadrature_rule(dim: int, degree: int) -> tuple[FloatArray, FloatArray]:
-    """Points, shape (points, dim), and weights that are exact up to a degree on a simplex."""
+    """Quadrature rule on the reference simplex.
+
+    Args:
+        dim: 1, 2 or 3.
+        degree: Polynomials up to this degree are integrated exactly.
+
+    Returns:
+        Points, shape (points, dim), and weights, shape (points,).
+    """
     points, weights = basix.make_quadrature(_SHAPES[dim], degree)
     return (
         np.asarray(points, dtype=np.float64).reshape(-1, dim),
@@ -30,20 +38,42 @@ def quadrature_rule(dim: int, degree: int) -> tuple[FloatArray, FloatArray]:
 
 
 def cell_gradients(nodes: FloatArray, degree: int, points: FloatArray) -> FloatArray:
-    """dx/dX at points of the reference simplex; nodes (n, k, gdim) -> (n, points, gdim, tdim)."""
+    """Jacobian matrices dx/dX of isoparametric simplices.
+
+    Args:
+        nodes: Coordinates of their nodes [m], shape (n, k, gdim).
+        degree: Geometric degree.
+        points: Points of the reference simplex, shape (points, tdim).
+
+    Returns:
+        Shape (n, points, gdim, tdim).
+    """
     tdim = points.shape[1]
     table = np.asarray(_element(tdim, degree).tabulate(1, points), dtype=np.float64)
     return np.asarray(np.einsum("nkg,tpk->npgt", nodes, table[1 : tdim + 1, :, :, 0]))
 
 
 def shape_functions(mesh: Mesh, points: FloatArray) -> FloatArray:
-    """Shape functions of the mesh's cells at reference points, shape (points, nodes). Local."""
+    """Shape functions of the geometry of a mesh's cells. Local.
+
+    Args:
+        mesh: The mesh.
+        points: Points of the reference cell, shape (points, dim).
+
+    Returns:
+        Shape (points, nodes of a cell).
+    """
     element = _element(mesh.topology.dim, mesh.geometry.cmap.degree)
     return np.asarray(element.tabulate(0, points)[0, :, :, 0], dtype=np.float64)
 
 
 def cell_jacobians(mesh: Mesh, points: FloatArray, cells: IndexArray | None = None) -> FloatArray:
-    """det(dx/dX) of local cells (all of them by default) at reference points. Local.
+    """det(dx/dX) of local cells. Local.
+
+    Args:
+        mesh: The mesh.
+        points: Points of the reference cell, shape (points, dim).
+        cells: Local cells; by default all.
 
     Returns:
         Shape (cells, points).
@@ -74,9 +104,13 @@ def smallest_jacobians(mesh: Mesh) -> FloatArray:
 
 
 def facet_areas(mesh: Mesh, facets: IndexArray) -> FloatArray:
-    """Area (length in 2D) of local facets. Local, after `prepare_facets`.
+    """Area (length in 2D) of local facets [m^2]. Local, after `prepare_facets`.
 
     Exact for straight facets; by a rule of degree 8 for curved ones.
+
+    Args:
+        mesh: The mesh.
+        facets: Local facets, shape (n,).
     """
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
     points, weights = quadrature_rule(d - 1, 8 if degree > 1 else 0)
@@ -88,9 +122,12 @@ def facet_areas(mesh: Mesh, facets: IndexArray) -> FloatArray:
 def facet_points(
     mesh: Mesh, facets: IndexArray, points: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Places and slopes dx/dX of local facets at points of the reference facet.
+    """Points and tangents dx/dX of local facets. Local, after `prepare_facets`.
 
-    Local, after `prepare_facets`.
+    Args:
+        mesh: The mesh.
+        facets: Local facets, shape (facets,).
+        points: Points of the reference facet, shape (points, d - 1).
 
     Returns:
         Shapes (facets, points, d) and (facets, points, d, d - 1).
@@ -117,7 +154,7 @@ class QuadraturePoints:
 
     Attributes:
         X: Places [m], shape (entities, points, dim).
-        weights: Volumes, areas or lengths that the points stand for, shape (entities, points).
+        weights: Quadrature weight times volume, area or length element, shape (entities, points).
         cells: The cell of each entity, shape (entities,).
         local: For cells, the points in the reference cell, shape (points, dim); else None.
         N: For facets, outward unit normals, shape of X; else None.
@@ -133,7 +170,11 @@ class QuadraturePoints:
 def cell_quadrature(mesh: Mesh, cells: IndexArray, degree: int) -> QuadraturePoints:
     """Points that integrate polynomials of a degree over local cells. Local.
 
-    On curved cells the degree counts for the integrand times the determinant of the map.
+    Args:
+        mesh: The mesh.
+        cells: Local cells, shape (n,).
+        degree: Degree in X of polynomials that straight cells integrate exactly; on curved ones
+            the rule is raised by the degree of the determinant of the map.
     """
     d, curved = mesh.topology.dim, mesh.geometry.cmap.degree
     local, weights = quadrature_rule(d, degree + d * (curved - 1))
@@ -144,10 +185,15 @@ def cell_quadrature(mesh: Mesh, cells: IndexArray, degree: int) -> QuadraturePoi
 
 
 def facet_quadrature(mesh: Mesh, facets: IndexArray, degree: int) -> QuadraturePoints:
-    """The same over local facets, with normals that point out of the cell beside.
+    """Quadrature points over local facets, with normals outward of the cell beside.
 
-    Local, after `prepare_facets`.  On curved facets the rule's degree is 8 higher, where the
-    integrand is no polynomial any more.
+    Local, after `prepare_facets`.
+
+    Args:
+        mesh: The mesh.
+        facets: Local facets, shape (n,).
+        degree: Degree of polynomials that straight facets integrate exactly; on curved ones, where
+            the integrand is no polynomial, the rule is 8 degrees higher.
     """
     d, curved = mesh.topology.dim, mesh.geometry.cmap.degree
     local, weights = quadrature_rule(d - 1, degree + (8 if curved > 1 else 0))

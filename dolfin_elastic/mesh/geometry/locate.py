@@ -14,9 +14,9 @@ from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.mesh.geometry.curved import cell_gradients, shape_functions
 
 SLACK = 0.05
-"""Share of a cell by which a point may lie outside: round surfaces are flat between nodes."""
+"""Reference coordinate by which a point may lie outside: cells cut corners of round surfaces."""
 DIGITS = 1e-9
-"""What counts as the same: shares of a cell, and lengths over the body's diagonal."""
+"""Reference coordinates, and lengths over the body's diagonal, closer than this are equal."""
 _NEWTON = 20
 
 Key = tuple[float, ...]
@@ -24,7 +24,7 @@ Key = tuple[float, ...]
 
 @dataclass(frozen=True)
 class LocatedPoint:
-    """Where a point lies.
+    """A point and the cell that contains it.
 
     Attributes:
         point: The point [m], reference configuration, as many components as the body has.
@@ -50,7 +50,7 @@ def locate(
     Args:
         body: The body.
         points: Name to coordinates [m] in the reference configuration.
-        order: A number of each owned cell, for example of its material; none: all are alike.
+        order: Rank of each owned cell, for example the number of its material; None: all equal.
 
     Raises:
         MeshError: Points have the wrong number of coordinates or lie outside.
@@ -76,17 +76,20 @@ def locate(
 
 
 class _Ranking:
-    """By what cells are compared that share a point, free of round-off. Collective to make."""
+    """Keys by which cells that share a point are ordered, free of round-off.
+
+    The constructor is collective.
+    """
 
     def __init__(self, body: Body, order: IndexArray | None) -> None:
         self._order, self._step = order, DIGITS * span(body)
 
     def keys(self, off: FloatArray, cells: IndexArray, nodes: FloatArray) -> list[Key]:
-        """How far off the point is each cell, its number, and its midpoint.
+        """Key of each cell: distance of the point, rank of the cell, midpoint.
 
         Args:
-            off: Share of each cell by which the point lies outside.
-            cells: Local numbers.
+            off: Reference coordinate by which the point lies outside of each cell.
+            cells: Local cells.
             nodes: Their nodes [m], shape (cells, nodes, d).
         """
         numbers = np.zeros(len(cells)) if self._order is None else self._order[cells]

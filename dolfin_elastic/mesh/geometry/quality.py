@@ -1,4 +1,4 @@
-"""How large a body and its parts are, and how good its cells."""
+"""Sizes of a body and its parts, and quality of its cells."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from dolfin_elastic.mesh.selection import bounding_box
 
 @dataclass(frozen=True)
 class CellQuality:
-    """A cell worth looking at.
+    """Quality and place of one cell.
 
     Attributes:
         quality: 1 for a regular simplex, 0 for a flat one.
@@ -105,7 +105,12 @@ def mesh_statistics(body: Body, *, worst: int = 5) -> MeshStatistics:
 
 
 def worst_cells(body: Body, count: int) -> tuple[CellQuality, ...]:
-    """The cells of the lowest quality, the worst first. Collective."""
+    """The cells of the lowest quality, the worst first. Collective.
+
+    Args:
+        body: The body.
+        count: How many cells.
+    """
     owned = body.owned_cells()
     corners = cell_corners(body.mesh, owned)
     volumes = cell_volumes(body.mesh)[owned]

@@ -42,7 +42,12 @@ def qualities(corners: FloatArray) -> FloatArray:
 
 
 def cell_corners(mesh: Mesh, cells: IndexArray | None = None) -> FloatArray:
-    """Vertex coordinates of local cells (all of them by default), shape (n, d + 1, d)."""
+    """Vertex coordinates of local cells [m], shape (n, d + 1, d). Local.
+
+    Args:
+        mesh: The mesh.
+        cells: Local cells; by default all.
+    """
     d = mesh.topology.dim
     nodes = mesh.geometry.dofmap[:, : d + 1]
     return np.asarray(mesh.geometry.x[nodes if cells is None else nodes[cells], :d])
@@ -63,9 +68,16 @@ def boundary_facets(mesh: Mesh) -> IndexArray:
 
 
 def cells_beside_facets(mesh: Mesh, facets: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """One cell beside each local facet and the facet's number in it (= the opposite vertex).
+    """One cell beside each local facet, and the facet's local index in it.
 
-    Local, after `prepare_facets`.
+    The index is that of the opposite vertex, too.  Local, after `prepare_facets`.
+
+    Args:
+        mesh: The mesh.
+        facets: Local facets, shape (n,).
+
+    Returns:
+        Local cells and local indices, shape (n,) each.
     """
     d = mesh.topology.dim
     links = mesh.topology.connectivity(d - 1, d)
@@ -79,6 +91,10 @@ def facet_nodes(mesh: Mesh, facets: IndexArray) -> IndexArray:
     """Geometry nodes at the vertices of local facets, shape (n, d).
 
     Local, after `prepare_facets`.
+
+    Args:
+        mesh: The mesh.
+        facets: Local facets, shape (n,).
     """
     d = mesh.topology.dim
     cells, local = cells_beside_facets(mesh, facets)
@@ -88,12 +104,24 @@ def facet_nodes(mesh: Mesh, facets: IndexArray) -> IndexArray:
 
 
 def facet_corners(mesh: Mesh, facets: IndexArray) -> FloatArray:
-    """Vertex coordinates of local facets, shape (n, d, d)."""
+    """Vertex coordinates of local facets [m], shape (n, d, d). Local, after `prepare_facets`.
+
+    Args:
+        mesh: The mesh.
+        facets: Local facets, shape (n,).
+    """
     return np.asarray(mesh.geometry.x[facet_nodes(mesh, facets), : mesh.topology.dim])
 
 
 def outward_normals(mesh: Mesh, facets: IndexArray) -> FloatArray:
-    """Unit normals of local facets, pointing away from the cell beside them, shape (n, d)."""
+    """Unit normals of straight local facets, outward of the cell beside them, shape (n, d).
+
+    Local, after `prepare_facets`.
+
+    Args:
+        mesh: The mesh.
+        facets: Local facets, shape (n,).
+    """
     d = mesh.topology.dim
     corners = facet_corners(mesh, facets)
     if d == 2:

@@ -95,8 +95,9 @@ def overview() -> str:
     head = (
         "# Material laws",
         "Made by `python3 -m dolfin_elastic.model.materials.pages` from the classes in "
-        "`dolfin_elastic/model/laws/`.\nF is the deformation gradient, C = F^T F, J = det F, psi "
-        "the energy per undeformed volume;\nfor the three choices of K/2 g(J)^2 see `volumetric`.",
+        "`dolfin_elastic/model/materials/laws/`.\n"
+        "F is the deformation gradient, C = F^T F, J = det F, psi the energy "
+        "per undeformed volume;\nfor the three choices of K/2 g(J)^2 see `volumetric`.",
         COST,
     )
     return "\n\n".join([*head, "\n".join(["| law | what |", "|---|---|", *rows])]) + "\n"
