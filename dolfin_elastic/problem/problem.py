@@ -7,13 +7,14 @@ from functools import cached_property
 
 import ufl
 from dolfinx.fem import Constant
+from ufl.core.expr import Expr
 
 from dolfin_elastic.core import jit
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.dimension import Geometry, weight
-from dolfin_elastic.model.loads import Load
+from dolfin_elastic.model.loads import Cavity, ConcentratedLoad, Eigenstrain, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Restraint
@@ -22,14 +23,14 @@ from dolfin_elastic.model.values import depends_on_time
 from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
 from dolfin_elastic.problem.constraints.normals import (
     Projections,
-    check_facing,
+    check_outside,
     spring_directions,
 )
-from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.context import FormContext, Measures
 from dolfin_elastic.problem.eigenstrain import eigenstrains
 from dolfin_elastic.problem.formulation import Formulation, shear_modulus
-from dolfin_elastic.problem.loads.cavities import make_cavities
-from dolfin_elastic.problem.loads.contact import check_contacts, make_contacts
+from dolfin_elastic.problem.loads.cavities import BodyCavity, make_cavities
+from dolfin_elastic.problem.loads.contact import ContactPair, check_contacts, make_contacts
 from dolfin_elastic.problem.loads.point_loads import NodalLoads
 from dolfin_elastic.problem.loads.pressure_symmetry import rim_held
 from dolfin_elastic.problem.material_regions import (
@@ -37,9 +38,9 @@ from dolfin_elastic.problem.material_regions import (
     checked_geometry,
     make_material_regions,
 )
-from dolfin_elastic.problem.measures import Measures
-from dolfin_elastic.problem.periodic.fluctuation import Fluctuation, make_unknowns
+from dolfin_elastic.problem.periodic.fluctuation import Fluctuation
 from dolfin_elastic.problem.periodic.unit_cell import Cell, make_cell
+from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.weak_form import WeakForm
 
 
@@ -75,7 +76,7 @@ class Problem:
         contact_pairs: The contacts on this body.
         cell: The macroscopic deformation of a periodic cell, or None.
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
-        nodal_loads: Forces at points and along lines, which are in no form.
+        nodal_loads: Forces at points and along lines, which are in no form; None without any.
         constant: Makes a number that forms refer to by place, so that changing it compiles nothing.
         t: UFL constant with the time, used by formulas.
         X: Reference coordinates (UFL).
@@ -105,9 +106,13 @@ class Problem:
         self.supports, self.loads = tuple(supports), tuple(loads)
         self.geometry = checked_geometry(geometry, thickness, body)
         order = max(degree, int(body.mesh.geometry.cmap.degree))
-        turned = self.geometry == "axisymmetric"
-        check_contacts(contacts, body, turned=turned)
-        check_facing(body, supports, loads, contacts)
+        axisymmetric = self.geometry == "axisymmetric"
+        if contacts:
+            check_contacts(contacts, body, turned=axisymmetric)
+        for where, names in _surfaces_with_normals(self.supports, self.loads, contacts):
+            for name in names:
+                if name in body.surfaces:  # others are refused by those who use them
+                    check_outside(body, name, where)
         self.cell: Cell | None = None
         if periodic is not None:
             others = {"support": supports, "load": loads, "contact": contacts}
@@ -116,7 +121,12 @@ class Problem:
         self.regions, fields = make_material_regions(
             body, laws, formulation, degree=degree, order=order, geometry=self.geometry
         )
-        self.unknowns = make_unknowns(body.mesh, degree, fields.auxiliary_fields, self.cell)
+        pinned = None
+        if self.cell is None:
+            self.unknowns = Unknowns(body.mesh, degree, fields.auxiliary_fields)
+        else:
+            self.unknowns = Fluctuation(body.mesh, degree, fields.auxiliary_fields, self.cell)
+            pinned = self.unknowns.pinned
         self.V, self.u = self.unknowns.V, self.unknowns.u
         self.W, self.w, self.v = self.unknowns.W, self.unknowns.w, self.unknowns.v
         self._scale_unknowns()
@@ -134,16 +144,22 @@ class Problem:
         self.context = FormContext(body, self.unknowns, self.regions, self.measures, self.geometry)
         self.constant, self.t, self.X = self.context.constant, self.context.t, self.context.X
         self.dirichlet = DirichletConditions(
-            body,
-            self.V,
-            self.supports,
-            axis=turned,
-            pinned=self.unknowns.pinned if isinstance(self.unknowns, Fluctuation) else None,
+            body, self.V, self.supports, axis=axisymmetric, pinned=pinned
         )
-        self.cavities = list(make_cavities(self.loads, self.context))
-        self.contact_pairs = make_contacts(contacts, self.context)
-        self.eigenstrains = eigenstrains(self.context, self.loads)
-        self.nodal_loads = NodalLoads(body, self.V, self.loads)
+        # Terms that few problems have; without them nothing of their modules is executed.
+        kinds = {type(load) for load in self.loads}
+        self.cavities: list[BodyCavity] = []
+        if any(issubclass(kind, Cavity) for kind in kinds):
+            self.cavities = list(make_cavities(self.loads, self.context))
+        self.contact_pairs: tuple[ContactPair, ...] = ()
+        if contacts:
+            self.contact_pairs = make_contacts(contacts, self.context)
+        self.eigenstrains: dict[str, Expr] = {}
+        if any(issubclass(kind, Eigenstrain) for kind in kinds):
+            self.eigenstrains = eigenstrains(self.context, self.loads)
+        self.nodal_loads: NodalLoads | None = None
+        if any(issubclass(kind, ConcentratedLoad) for kind in kinds):
+            self.nodal_loads = NodalLoads(body, self.V, self.loads)
         self.weak_form = WeakForm(
             self.context,
             self.loads,
@@ -228,7 +244,7 @@ class Problem:
         """The applied nodal forces change in motion: with time, or with the body's shape."""
         return (
             self.context.changes
-            or self.nodal_loads.change
+            or (self.nodal_loads is not None and self.nodal_loads.change)
             or any(self._follows(load) or depends_on_time(load.values) for load in self.loads)
         )
 
@@ -240,7 +256,8 @@ class Problem:
             default: Amplitude of all that name none.
         """
         self.context.set_time(t, default)
-        self.nodal_loads.set_time(t, default)
+        if self.nodal_loads is not None:
+            self.nodal_loads.set_time(t, default)
         self.dirichlet.set_time(t, default)
         if self.cell is not None:
             self.cell.set_time(t, default)
@@ -248,9 +265,23 @@ class Problem:
         for pair in self.contact_pairs:
             pair.set_time(t, default)
         for cavity in self.cavities:
-            cavity.t, cavity.default = t, default
+            cavity.set_time(t, default)
 
     @cached_property
     def stiffness(self) -> float:
         """Largest shear modulus of all materials at small strains [Pa]."""
         return max(shear_modulus(region.typical) for region in self.regions)
+
+
+def _surfaces_with_normals(
+    supports: Sequence[Restraint], loads: Sequence[Load], contacts: Sequence[Contact]
+) -> list[tuple[str, tuple[str, ...]]]:
+    """Key and names of surfaces whose outward normal a spring, load or contact needs."""
+    found = [
+        (f"support[{i}].on", s.surfaces)
+        for i, s in enumerate(supports)
+        if isinstance(s, ResistingSupport) and s.by_normal
+    ]
+    found += [(f"load[{i}].on", load.parts) for i, load in enumerate(loads) if load.along_normal]
+    found += [(f"contact[{i}].on", contact.surfaces) for i, contact in enumerate(contacts)]
+    return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import basix
@@ -17,10 +17,7 @@ from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, span
-from dolfin_elastic.model.contact import Contact
-from dolfin_elastic.model.loads import Load
-from dolfin_elastic.model.supports.displacement import Restraint
-from dolfin_elastic.model.supports.springs import ResistingSupport, Spring
+from dolfin_elastic.model.supports.springs import Spring
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -127,29 +124,6 @@ def check_outside(body: Body, name: str, where: str) -> None:
             where=where,
             expected="a part of the body's boundary",
         )
-
-
-def check_facing(
-    body: Body, supports: Sequence[Restraint], loads: Sequence[Load], contacts: Sequence[Contact]
-) -> None:
-    """All surfaces whose normal matters lie on the body's boundary. Collective.
-
-    Names that do not exist are left to those who use them.
-
-    Raises:
-        MeshError: One lies inside, with its key.
-    """
-    named = [
-        (f"support[{i}].on", s.surfaces)
-        for i, s in enumerate(supports)
-        if isinstance(s, ResistingSupport) and s.by_normal
-    ]
-    named += [(f"load[{i}].on", load.parts) for i, load in enumerate(loads) if load.along_normal]
-    named += [(f"contact[{i}].on", contact.surfaces) for i, contact in enumerate(contacts)]
-    for where, names in named:
-        for name in names:
-            if name in body.surfaces:
-                check_outside(body, name, where)
 
 
 def spring_directions(spring: Spring, body: Body, V: fem.FunctionSpace) -> Iterator[Projections]:

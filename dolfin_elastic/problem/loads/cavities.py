@@ -1,4 +1,4 @@
-"""Cavities of a body, as plain records for solvers."""
+"""Cavities of a body: enclosed volumes, whose pressure or volume is prescribed."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ class BodyCavity:
 
     Attributes:
         label: What results call it.
-        volume: Its present volume [m^3], a form without arguments.
-        exact: The same, though all laws may be linear.
-        push: Virtual work of a unit pressure, on the deformed surface, too [m^3].
+        volume: Its present volume [m^3], a form without arguments; linear in u if all laws are.
+        exact: Its present volume on the deformed surface, also of linear laws.
+        push: Virtual work of a unit pressure on the deformed surface [m^3].
         cavity: What is prescribed.
-        context: Where its unknown pressure is.
+        context: The body; it has the pressure where that is an unknown.
         where: Key of its surfaces in the case.
-        initial: Volume of the undeformed cavity [m^3], once a solver has found it.
+        initial: Volume of the undeformed cavity [m^3]; 0 before `set_initial_volume`.
         t: Time [s], or load parameter.
-        default: Amplitude where none is named.
+        default: Amplitude of a cavity that names none.
     """
 
     label: str
@@ -40,6 +40,19 @@ class BodyCavity:
     initial: float = 0.0
     t: float = 0.0
     default: Amplitude = CONSTANT
+
+    def set_time(self, t: float, default: Amplitude) -> None:
+        """Sets the time at which `goal` is taken. Not collective.
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude of a cavity that names none.
+        """
+        self.t, self.default = t, default
+
+    def set_initial_volume(self, volume: float) -> None:
+        """Takes over the volume of the undeformed cavity [m^3], once it is integrated."""
+        self.initial = volume
 
     @property
     def volume_controlled(self) -> bool:
@@ -65,6 +78,10 @@ class BodyCavity:
 
 def make_cavities(loads: Sequence[Load], context: FormContext) -> Iterator[BodyCavity]:
     """The cavities among the loads.
+
+    Args:
+        loads: All loads of the body.
+        context: The body.
 
     Raises:
         InputError: Two have the same name, or the body has none in three dimensions.

@@ -16,22 +16,6 @@ from dolfin_elastic.problem.periodic.unit_cell import Cell
 from dolfin_elastic.problem.spaces import AuxiliaryField, Element, Unknowns
 
 
-def make_unknowns(
-    mesh: Mesh, degree: int, auxiliary_fields: Sequence[AuxiliaryField], cell: Cell | None
-) -> Unknowns:
-    """What is solved for; see `Unknowns`. Collective.
-
-    Args:
-        mesh: The mesh.
-        degree: Degree of the displacement.
-        auxiliary_fields: Scalar fields beside it.
-        cell: Of a periodic body.
-    """
-    if cell is None:
-        return Unknowns(mesh, degree, auxiliary_fields)
-    return Fluctuation(mesh, degree, auxiliary_fields, cell)
-
-
 class Fluctuation(Unknowns):
     """Unknowns whose nodes on paired faces are merged; see `unknowns.Unknowns`. Collective.
 

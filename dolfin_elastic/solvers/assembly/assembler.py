@@ -76,8 +76,9 @@ class Reactions:
             forces: Entries of all unknowns, owned and ghost, before the ranks are summed [N].
             sign: 1 or -1.
         """
-        if self._dofs.problem.nodal_loads:
-            forces[self._entries] += sign * self._dofs.problem.nodal_loads.nodal()
+        loads = self._dofs.problem.nodal_loads
+        if loads is not None:
+            forces[self._entries] += sign * loads.nodal()
 
     def restraints(self, without: Collection[str] = ()) -> FloatArray:
         """Nodal forces of springs, dashpots and contact pairs, owned entries [N].

@@ -35,7 +35,8 @@ class Forces:
         self._problem, self._form, self._vector = problem, form, vector
         self._array = vector.array
         self.owned = self._array[: problem.u.x.index_map.size_local * problem.u.x.block_size]
-        self._points = points if problem.nodal_loads else 0.0
+        self._point_loads = problem.nodal_loads if points else None
+        self._points = points
         self._packed = pack_coefficients(form._cpp_object)
         self._reads = [
             read
@@ -49,8 +50,8 @@ class Forces:
     def renew(self) -> None:
         """Takes over the numbers of the present time. Not collective."""
         self._constants = pack_constants(self._form._cpp_object)
-        if self._points:
-            self._at_points = self._points * self._problem.nodal_loads.nodal()
+        if self._point_loads is not None:
+            self._at_points = self._points * self._point_loads.nodal()
 
     def assemble(self) -> None:
         """The forces at the present displacement, summed over the ranks. Collective."""
@@ -58,7 +59,7 @@ class Forces:
             read.again()
         self._array.fill(0.0)
         fem.assemble_vector(self._array, self._form, self._constants, self._packed)
-        if self._points:
+        if self._point_loads is not None:
             self._array += self._at_points
         self._vector.scatter_reverse(la.InsertMode.add)
 

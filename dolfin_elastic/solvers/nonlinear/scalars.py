@@ -116,7 +116,8 @@ class CavityScalars(ScalarUnknowns):
         # The residual is linear in the pressure: a large difference has no error but round-off.
         self.steps, self.signs = np.array([self._problem.stiffness]), np.array([-1.0])
         self.prescribing = np.zeros(1, dtype=bool)
-        cavity.initial, self.closed = self._undeformed()
+        initial, self.closed = self._undeformed()
+        cavity.set_initial_volume(initial)
         if not cavity.initial > 0.0 and (cavity.volume_controlled or self.closed):
             raise InputError(
                 f"the surfaces of the cavity '{cavity.label}' enclose {cavity.initial:.3g} m^3",
