@@ -10,7 +10,7 @@ from pydantic import model_validator
 from dolfin_elastic.case.model_tables import ModelTables
 from dolfin_elastic.case.tables import Output
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.schema import Idle, refuse_idle
+from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.outputs import Output as File
 from dolfin_elastic.solvers.dynamics.dynamics import Dynamics
@@ -159,13 +159,13 @@ def _check_contacts(case: AnalysisTables) -> None:
     Raises:
         InputError: There is one.
     """
-    rule = Idle(
+    rule = UnusedKeys(
         ["gap_tolerance"],
         "in motion the penalty decides how far a surface penetrates",
         "leave it out; a higher `stiffness` makes it less",
     )
     for index, contact in enumerate(case.contact if case.dynamics is not None else ()):
-        refuse_idle(contact, [rule], f"contact[{index}]")
+        refuse_unused_keys(contact, [rule], f"contact[{index}]")
 
 
 def _check_output(case: AnalysisTables) -> None:
@@ -174,14 +174,14 @@ def _check_output(case: AnalysisTables) -> None:
     Raises:
         InputError: There is one.
     """
-    rules = [Idle(["frames", "amplitude"], f"there are no modes in {case.analysis}")]
+    rules = [UnusedKeys(["frames", "amplitude"], f"there are no modes in {case.analysis}")]
     if case.gives_modes:
         rules = []
         if not case.output.checkpoint.off:
             what = f"a run of [{case.analysis}] has no checkpoints and is not gone on with"
-            rules.append(Idle(["checkpoint"], what))
+            rules.append(UnusedKeys(["checkpoint"], what))
         if not case.preloaded:
             what = "modes without a preload are drawn and listed, but there are no states beside"
             expected = f"leave it out, or write {case.analysis}.preload"
-            rules.append(Idle(["fields", "every", "probes"], what, expected))
-    refuse_idle(case.output, rules, "output")
+            rules.append(UnusedKeys(["fields", "every", "probes"], what, expected))
+    refuse_unused_keys(case.output, rules, "output")

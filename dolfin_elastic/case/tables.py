@@ -23,7 +23,7 @@ from dolfin_elastic.core.errors import (
 from dolfin_elastic.core.schema import (
     Record,
     known_keys,
-    shown,
+    quoted,
     within,
 )
 from dolfin_elastic.core.units import to_si
@@ -206,7 +206,7 @@ class Material(Record):
             return cls(law=table)
         if not isinstance(table, Mapping):
             raise InputError(
-                f"{shown(table)} is no material", expected="write its table as [materials.NAME]"
+                f"{quoted(table)} is no material", expected="write its table as [materials.NAME]"
             )
         if "energy" in table:
             own = read_energy({key: value for key, value in table.items() if key != "on"})
@@ -336,7 +336,7 @@ def as_table(value: Any) -> dict[str, Any]:
     if isinstance(value, Record):
         return written(value)
     if not isinstance(value, Mapping):
-        raise InputError(f"{shown(value)} is wrong", expected="expected a table")
+        raise InputError(f"{quoted(value)} is wrong", expected="expected a table")
     return dict(value)
 
 
@@ -350,7 +350,7 @@ def pick(kinds: Mapping[str, type[T]], table: Any, key: str) -> type[T]:
     if name is None:
         raise InputError("this key is missing", where=key, expected=f"known: {', '.join(kinds)}")
     if not isinstance(name, str):
-        raise InputError(f"{shown(name)} is wrong", where=key, expected="expected a text")
+        raise InputError(f"{quoted(name)} is wrong", where=key, expected="expected a text")
     if name not in kinds:
         raise InputError(f"unknown {key} '{name}'", where=key, expected=nearest(name, kinds))
     return kinds[name]

@@ -84,7 +84,7 @@ def _refuse_switch(kinds: Sequence[Any], where: str, value: Any) -> None:
     wanted = [numbers[kind] for kind in members if kind in numbers]
     if wanted and bool not in members and Any not in members:
         expected = "expected " + " or ".join(wanted)
-        raise InputError(f"{shown(value)} is wrong", where=where, expected=expected)
+        raise InputError(f"{quoted(value)} is wrong", where=where, expected=expected)
 
 
 def _refuse_word(kind: Any, where: str, value: Any) -> None:
@@ -94,7 +94,9 @@ def _refuse_word(kind: Any, where: str, value: Any) -> None:
         and not isinstance(value, bool)
         and isinstance(value, str | int | float)
     ):
-        raise InputError(f"{shown(value)} is wrong", where=where, expected="expected true or false")
+        raise InputError(
+            f"{quoted(value)} is wrong", where=where, expected="expected true or false"
+        )
 
 
 def _speaks(metadata: Iterable[Any]) -> bool:
@@ -109,7 +111,7 @@ def input_error(record: type[BaseModel], error: ValidationError) -> InputError:
         record: What was to be made.
         error: Why it could not be.
     """
-    faults = [(dotted(record, fault["loc"]), fault) for fault in error.errors()]
+    faults = [(dotted_path(record, fault["loc"]), fault) for fault in error.errors()]
     path, fault = min(faults, key=_rank)
     # Of the members of a union the one that has read furthest was meant.
     inside = [one for one in faults if path and one[0].startswith((f"{path}.", f"{path}["))]
@@ -123,7 +125,7 @@ def input_error(record: type[BaseModel], error: ValidationError) -> InputError:
     if fault["type"] == "value_error" and ours is None:
         return InputError(str(_inner(fault)), where=path)
     names_input = ours is not None and isinstance(fault["input"], str)
-    what = ours.what if ours is not None and names_input else f"{shown(fault['input'])} is wrong"
+    what = ours.what if ours is not None and names_input else f"{quoted(fault['input'])} is wrong"
     return InputError(what, where=path, expected=_wanted(same))
 
 
@@ -147,16 +149,16 @@ def _rank(found: tuple[str, Any]) -> int:
     return int(found[1]["type"] == "missing")
 
 
-LONGEST_SHOWN = 60
+LONGEST_QUOTED = 60
 
 
-def shown(value: Any) -> str:
+def quoted(value: Any) -> str:
     """A value as it stands in a case file, shortened."""
     try:
         text = json.dumps(value, ensure_ascii=False)
     except (TypeError, ValueError):
         text = repr(value)
-    return text if len(text) <= LONGEST_SHOWN else text[: LONGEST_SHOWN - 3] + "..."
+    return text if len(text) <= LONGEST_QUOTED else text[: LONGEST_QUOTED - 3] + "..."
 
 
 _WANTED = {
@@ -203,7 +205,7 @@ def _phrase(fault: Any) -> str:
     return str(fault["msg"]).removeprefix("Input should be ")
 
 
-def dotted(record: type[BaseModel], path: Iterable[str | int]) -> str:
+def dotted_path(record: type[BaseModel], path: Iterable[str | int]) -> str:
     """``("support", 0, "on")`` as ``support[0].on``.
 
     Pydantic adds names of union members and of validators to a location; they are no keys of the
@@ -265,7 +267,7 @@ def _names(name: str, field: FieldInfo) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Idle:
+class UnusedKeys:
     """Keys without effect as long as another key has its present value.
 
     Attributes:
@@ -279,7 +281,7 @@ class Idle:
     expected: str = "leave it out"
 
 
-def given(record: Record, key: str) -> bool:
+def is_given(record: Record, key: str) -> bool:
     """Whether the user has written a key, and not an empty value.
 
     Args:
@@ -291,7 +293,7 @@ def given(record: Record, key: str) -> bool:
     return key in record.model_fields_set and not empty
 
 
-def refuse_idle(record: Record, rules: Iterable[Idle], table: str = "") -> None:
+def refuse_unused_keys(record: Record, rules: Iterable[UnusedKeys], table: str = "") -> None:
     """Refuses keys that were written but have no effect beside others.
 
     Args:
@@ -304,7 +306,7 @@ def refuse_idle(record: Record, rules: Iterable[Idle], table: str = "") -> None:
     """
     for rule in rules:
         for key in rule.keys:
-            if given(record, key):
+            if is_given(record, key):
                 where = f"{table}.{key}" if table else key
                 raise InputError(rule.what, where=where, expected=rule.expected)
 
@@ -312,7 +314,7 @@ def refuse_idle(record: Record, rules: Iterable[Idle], table: str = "") -> None:
 R = TypeVar("R", bound=Record)
 
 
-def settled(kind: type[R], record: R | None, fields: Mapping[str, Any]) -> R:
+def settings_from(kind: type[R], record: R | None, fields: Mapping[str, Any]) -> R:
     """Settings given as a record or as keywords.
 
     Args:

@@ -13,7 +13,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import FormulaError, InputError, nearest
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
-from dolfin_elastic.core.schema import shown, within
+from dolfin_elastic.core.schema import quoted, within
 from dolfin_elastic.core.units import Stress, to_base
 from dolfin_elastic.model.materials import user_names
 from dolfin_elastic.model.materials.isochoric import Volumetric
@@ -42,7 +42,7 @@ class UserEnergy(Law):
     @classmethod
     def _numbers(cls, table: Any) -> dict[str, float]:
         if not isinstance(table, Mapping):
-            raise InputError(f"{shown(table)} is wrong", expected='expected {mu = "1 MPa", ...}')
+            raise InputError(f"{quoted(table)} is wrong", expected='expected {mu = "1 MPa", ...}')
         numbers = {}
         for name, value in table.items():
             try:
@@ -190,7 +190,7 @@ def _check_parameter(name: str, taken: frozenset[str]) -> None:
     where = f"parameters.{name}"
     if not (name.isascii() and name.isidentifier()):
         raise InputError(
-            f"{shown(name)} cannot be a name", where=where, expected="letters, digits and _"
+            f"{quoted(name)} cannot be a name", where=where, expected="letters, digits and _"
         )
     if name in taken or name in FUNCTIONS or name in user_names.TENSORS:
         raise InputError(f"the name '{name}' is taken", where=where, expected="choose another")

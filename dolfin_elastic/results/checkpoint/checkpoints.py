@@ -33,7 +33,7 @@ from pydantic import Field, model_validator
 from dolfin_elastic.core import __version__
 from dolfin_elastic.core.errors import InputError, RestartError
 from dolfin_elastic.core.parallel import agree, largest, on_root
-from dolfin_elastic.core.schema import Idle, Record, refuse_idle
+from dolfin_elastic.core.schema import Record, UnusedKeys, refuse_unused_keys
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.core.units import Time
@@ -87,8 +87,8 @@ class CheckpointSettings(Record):
     @model_validator(mode="after")
     def _check_off(self) -> Self:
         if self.off:
-            rule = Idle(["time", "every", "keep"], "there are no checkpoints with off = true")
-            refuse_idle(self, [rule])
+            rule = UnusedKeys(["time", "every", "keep"], "there are no checkpoints with off = true")
+            refuse_unused_keys(self, [rule])
         return self
 
 

@@ -10,7 +10,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.schema import Idle, refuse_idle, settled
+from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys, settings_from
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
@@ -46,7 +46,7 @@ class Dynamics:
     ) -> None:
         refuse_scalars(problem)
         self.problem = problem
-        self.settings = settled(DynamicsSettings, settings, fields)
+        self.settings = settings_from(DynamicsSettings, settings, fields)
         self.linear = linear or LinearSettings()
         if not self.settings.implicit:
             self._refuse_linear()
@@ -108,7 +108,7 @@ class Dynamics:
         """Keys of [solver], where there is nothing to solve."""
         what = f"the scheme '{self.settings.scheme}' solves no equations"
         keys = ["petsc"] if self.linear.method == "auto" else ["method", "petsc"]
-        refuse_idle(self.linear, [Idle(keys, what)], "solver")
+        refuse_unused_keys(self.linear, [UnusedKeys(keys, what)], "solver")
 
     def _make(self) -> Explicit | Implicit:
         s, problem, velocity = self.settings, self.problem, self.velocity

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, field_serializer, model_validator
 
 from dolfin_elastic.core.errors import InputError, nearest
-from dolfin_elastic.core.schema import Idle, Record, refuse_idle, shown
+from dolfin_elastic.core.schema import Record, UnusedKeys, quoted, refuse_unused_keys
 from dolfin_elastic.core.units import Force, Rate, Time
 from dolfin_elastic.model.values import Component, components, depends_on_time
 from dolfin_elastic.solvers.breakpoints import refuse_beyond
@@ -20,7 +20,7 @@ from dolfin_elastic.solvers.dynamics.schemes import DEFAULT, SCHEMES, ExplicitRo
 
 def _known(name: object) -> object:
     if name not in SCHEMES:
-        raise InputError(f"{shown(name)} is wrong", expected=nearest(str(name), SCHEMES))
+        raise InputError(f"{quoted(name)} is wrong", expected=nearest(str(name), SCHEMES))
     return name
 
 
@@ -112,7 +112,7 @@ class DynamicsSettings(Record):
     @model_validator(mode="after")
     def _read(self) -> DynamicsSettings:
         _ = self.displacement, self.velocity
-        refuse_idle(self, _idle(self))
+        refuse_unused_keys(self, _idle(self))
         if self.dt is None and self.implicit:
             raise InputError(
                 "this key is missing",
@@ -202,7 +202,7 @@ def _initial_values(key: str, written: list[Any], unit: str) -> tuple[Component,
     return found
 
 
-def _idle(s: DynamicsSettings) -> Iterator[Idle]:
+def _idle(s: DynamicsSettings) -> Iterator[UnusedKeys]:
     """Keys that have no meaning for the scheme, or for steps of this kind."""
     scheme, leave = f"the scheme '{s.scheme}'", "leave it out, or scheme = "
     knows: dict[str, str] = {}
@@ -211,42 +211,42 @@ def _idle(s: DynamicsSettings) -> Iterator[Idle]:
             knows.setdefault(key, name)
     for key, name in knows.items():
         if key not in s.row.keys:
-            yield Idle([key], f"{scheme} has no {key.replace('_', ' ')}", f'{leave}"{name}"')
+            yield UnusedKeys([key], f"{scheme} has no {key.replace('_', ' ')}", f'{leave}"{name}"')
     yield from _idle_implicit(s, scheme) if s.implicit else _idle_explicit(s, scheme, leave)
 
 
-def _idle_implicit(s: DynamicsSettings, scheme: str) -> Iterator[Idle]:
+def _idle_implicit(s: DynamicsSettings, scheme: str) -> Iterator[UnusedKeys]:
     names = (name for name, row in SCHEMES.items() if isinstance(row, ExplicitRow))
     explicit = " and ".join(f'"{name}"' for name in names)
-    yield Idle(
+    yield UnusedKeys(
         ["safety"],
         f"{scheme} takes no share of a stable step",
         f"leave it out; it is for {explicit}",
     )
     if not s.adaptive:
-        yield Idle(
+        yield UnusedKeys(
             ["tolerance"],
             "all steps are dt: their error is not judged",
             "leave it out, or adaptive = true; rtol is Newton's tolerance",
         )
 
 
-def _idle_explicit(s: DynamicsSettings, scheme: str, leave: str) -> Iterator[Idle]:
+def _idle_explicit(s: DynamicsSettings, scheme: str, leave: str) -> Iterator[UnusedKeys]:
     leave += f'"{DEFAULT}"'
     if s.adaptive:
-        yield Idle(
+        yield UnusedKeys(
             ["adaptive"],
             f"{scheme} has no estimate of its error",
             f"{leave}; without dt the stable step is followed",
         )
-    yield Idle(["tolerance"], f"{scheme} has no estimate of its error", "leave it out")
-    yield Idle(["rtol", "atol", "max_iterations"], f"{scheme} solves no equations", leave)
-    yield Idle(["rayleigh"], f"{scheme} has no rayleigh damping", leave)
-    yield Idle(["times"], f"{scheme} meets no times exactly", leave)
+    yield UnusedKeys(["tolerance"], f"{scheme} has no estimate of its error", "leave it out")
+    yield UnusedKeys(["rtol", "atol", "max_iterations"], f"{scheme} solves no equations", leave)
+    yield UnusedKeys(["rayleigh"], f"{scheme} has no rayleigh damping", leave)
+    yield UnusedKeys(["times"], f"{scheme} meets no times exactly", leave)
     if not isinstance(s.every, int):
-        yield Idle(["every"], f"{scheme} counts steps", "a whole number")
+        yield UnusedKeys(["every"], f"{scheme} counts steps", "a whole number")
     if s.dt is not None:
-        yield Idle(
+        yield UnusedKeys(
             ["safety"],
             f"all steps are dt = {s.dt:g} s, and no share of the stable one",
             "leave one of them out",

@@ -35,7 +35,7 @@ from pydantic import Field
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.parallel import largest
-from dolfin_elastic.core.schema import Record, settled
+from dolfin_elastic.core.schema import Record, settings_from
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
@@ -110,7 +110,7 @@ class Buckling(PreloadedAnalysis):
         **fields: Any,
     ) -> None:
         super().__init__(problem, statics, linear, petsc)
-        self.settings = settled(BucklingSettings, settings, fields)
+        self.settings = settings_from(BucklingSettings, settings, fields)
         self._check_way("buckling.preload", self.settings.preload)
         refuse(problem, "buckling", loaded=True)
         _check_laws(problem)

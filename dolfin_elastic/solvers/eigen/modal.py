@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.schema import Record, settled
+from dolfin_elastic.core.schema import Record, settings_from
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import Frequency
@@ -112,7 +112,7 @@ class Modal(PreloadedAnalysis):
         **fields: Any,
     ) -> None:
         super().__init__(problem, statics, linear, petsc)
-        self.settings = settled(ModalSettings, settings, fields)
+        self.settings = settings_from(ModalSettings, settings, fields)
         self._check_way("modal.preload", 1.0 if self.settings.preload else 0.0)
         refuse(problem, "modal", loaded=self.settings.preload)
         for part in problem.regions:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
-from dolfin_elastic.core.schema import Idle, refuse_idle, within
+from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys, within
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.breakpoints import refuse_beyond
@@ -54,10 +54,10 @@ class PreloadedAnalysis(ABC):
         if self._way is None or not share:
             return
         ends = f"the way to the preload ends where {key} says"
-        rules = [Idle(["max_displacement"], "a preload is reached in full or not at all")]
-        rules += [Idle(["end"], ends)] if key == "buckling.preload" else []
+        rules = [UnusedKeys(["max_displacement"], "a preload is reached in full or not at all")]
+        rules += [UnusedKeys(["end"], ends)] if key == "buckling.preload" else []
         try:
-            refuse_idle(self._way, rules)
+            refuse_unused_keys(self._way, rules)
             if rules[1:]:
                 refuse_beyond(self._way.times, share, key)
         except InputError as error:

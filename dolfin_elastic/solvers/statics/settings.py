@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.schema import Idle, Record, refuse_idle
+from dolfin_elastic.core.schema import Record, UnusedKeys, refuse_unused_keys
 from dolfin_elastic.core.units import Force, Length
 from dolfin_elastic.solvers.breakpoints import refuse_beyond
 
@@ -59,7 +59,7 @@ class StaticsSettings(Record):
                 "steps and first_step given together",
                 expected="steps are equal; leave one of them out",
             )
-        refuse_idle(self, _idle(self))
+        refuse_unused_keys(self, _idle(self))
         if (self.first_step or 0.0) > self.max_step:
             raise InputError(
                 f"{self.first_step:g} is more than any step may be",
@@ -70,18 +70,20 @@ class StaticsSettings(Record):
         return self
 
 
-def _idle(s: StaticsSettings) -> Iterator[Idle]:
+def _idle(s: StaticsSettings) -> Iterator[UnusedKeys]:
     """Keys that steps of this kind do not know."""
     if s.steps is not None:
-        yield Idle(["max_step"], "steps are equal where `steps` is given", "leave one of them out")
+        yield UnusedKeys(
+            ["max_step"], "steps are equal where `steps` is given", "leave one of them out"
+        )
     if s.method == "arc-length":
         by_load = 'leave it out, or method = "load"'
-        yield Idle(
+        yield UnusedKeys(
             ["times"], "a path that is followed by its length meets no load on purpose", by_load
         )
-        yield Idle(
+        yield UnusedKeys(
             ["steps", "max_step"],
             "steps along a path are measured by its length, not by the load",
             "leave it out; first_step is the share of the load in the first one",
         )
-        yield Idle(["snap"], "a path that is followed by its length is never left", by_load)
+        yield UnusedKeys(["snap"], "a path that is followed by its length is never left", by_load)

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from typing import Any
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.schema import settled
+from dolfin_elastic.core.schema import settings_from
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -49,7 +49,7 @@ class Statics:
         **fields: Any,
     ) -> None:
         self.problem, self._preload = problem, preload
-        self.settings = settled(StaticsSettings, settings, fields)
+        self.settings = settings_from(StaticsSettings, settings, fields)
         self.linear = linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
         self.choice = choose(problem, self.linear)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BeforeValidator
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.schema import shown
+from dolfin_elastic.core.schema import quoted
 from dolfin_elastic.core.units import Time
 
 SAME = 1e-9
@@ -29,7 +29,7 @@ def _not_bare(value: Any) -> Any:
             float(value)
             bare = True
     if bare:
-        raise InputError(f"{shown(value)} is wrong", expected=_EXPECTED)
+        raise InputError(f"{quoted(value)} is wrong", expected=_EXPECTED)
     return value
 
 
