@@ -49,6 +49,7 @@ class _Reporter:
 
     def __init__(self, config: pytest.Config, folder: Path) -> None:
         self.config = config
+        self.failed = False
         self.file = (folder / f"{MPI.COMM_WORLD.rank}.jsonl").open("w")
 
     def _write(self, kind: str, data: Any) -> None:
@@ -59,8 +60,22 @@ class _Reporter:
         self._write("tests", len(session.items))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self.failed |= report.failed
         serial = self.config.hook.pytest_report_to_serializable
         self._write("report", serial(config=self.config, report=report))
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        self._write("begin", nodeid)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        """Where a test fails on some ranks only, all of them stop: they are out of step."""
+        self.failed = False
+        done = yield
+        counts = MPI.COMM_WORLD.allgather(self.failed)
+        if any(counts) and not all(counts):
+            item.session.shouldstop = "a test failed on some of the ranks only"
+        return done
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         if report.failed:
@@ -101,6 +116,7 @@ class _Session:
         self.session, self.config, self.ranks = session, session.config, ranks
         self.folder = Path(tempfile.mkdtemp(prefix=f"ranks{ranks}_"))
         self.begin, self.failures, self.read, self.ends = time.monotonic(), 0, [0] * ranks, 0
+        self.test = ""
         with (self.folder / "out").open("w") as out:
             self.process = subprocess.Popen(
                 self._command(),
@@ -119,7 +135,9 @@ class _Session:
     def _command(self) -> list[str]:
         option = self.config.option
         words = ["mpirun", "-n", str(self.ranks), "--oversubscribe", sys.executable, "-m", "pytest"]
-        words += ["-q", "-x", "-n0", "-p", "no:cacheprovider", f"--reports-to={self.folder}"]
+        words += ["-q", "-p", "no:cacheprovider", f"--reports-to={self.folder}"]
+        # A rank that waits in MPI hears no signal; a thread ends it, and so all.
+        words += ["--timeout-method=thread"]
         words += [f"--{name}" for name in ("all", "rest") if self.config.getoption(name)]
         words += ["-k", option.keyword] if option.keyword else []
         words += ["-m", option.markexpr] if option.markexpr else []
@@ -138,6 +156,7 @@ class _Session:
         bad = late or self.process.returncode not in (0, pytest.ExitCode.NO_TESTS_COLLECTED)
         if (bad and not self.failures) or self.ends < self.ranks:
             why = f"did not end in {LIMIT:g} s" if late else f"ended with {self.process.returncode}"
+            why += f", the last test to begin was {self.test}"
             self._fail(why, (self.folder / "out").read_text(errors="replace")[-8000:])
         return False
 
@@ -156,9 +175,11 @@ class _Session:
         tests: int = 0,
         report: dict[str, Any] | None = None,
         broken: str = "",
+        begin: str = "",
         end: int | None = None,
     ) -> None:
         self.ends += end is not None
+        self.test = begin or self.test
         if rank == 0:
             self.session.testscollected += tests
         if broken:
