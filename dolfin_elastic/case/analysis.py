@@ -34,7 +34,7 @@ class AnalysisTables(ModelTables):
     """The body, what is computed of it, and what is written.
 
     Attributes:
-        statics: Equilibrium under growing load (what is done if nothing is said).
+        statics: Equilibrium under growing load; the analysis of a case without any of these tables.
         dynamics: Motion in time.
         modal: Natural frequencies and modes; with a preload [statics] says how that is found.
         buckling: Load factors at which it buckles; as above.
@@ -81,7 +81,7 @@ class AnalysisTables(ModelTables):
         return self.analysis in ("modal", "buckling")
 
     @property
-    def full(self) -> float:
+    def final_load(self) -> float:
         """Load parameter at which statics ends; 1 is the full load."""
         return self.statics.end if self.statics is not None and self.analysis == "statics" else 1.0
 

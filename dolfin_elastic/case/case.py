@@ -24,7 +24,7 @@ from pydantic import PrivateAttr
 from dolfin_elastic.case.analysis import ANALYSES, AnalysisTables, Solver
 from dolfin_elastic.case.curve_files import with_curves
 from dolfin_elastic.case.model_tables import read_material_tables
-from dolfin_elastic.case.tables import Material, written
+from dolfin_elastic.case.tables import Material, table_of
 from dolfin_elastic.case.toml import read_toml, toml_text
 from dolfin_elastic.core.errors import InputError, RestartError
 from dolfin_elastic.core.parallel import on_root
@@ -73,7 +73,7 @@ class Case(AnalysisTables):
         Raises:
             InputError: With the file's name and the dotted key.
         """
-        with located(file):
+        with locate_errors(file):
             case = with_curves(cls(**dict(tables)), Path(folder))
         case._file, case._folder = file, Path(folder)
         return case
@@ -85,7 +85,7 @@ class Case(AnalysisTables):
         tables = self.model_tables()
         for key in ("periodic", *ANALYSES, "solver", "output"):
             if key in self.model_fields_set and getattr(self, key) is not None:
-                tables[key] = written(getattr(self, key))
+                tables[key] = table_of(getattr(self, key))
         return {key: value for key, value in tables.items() if value or key in ANALYSES}
 
     def to_toml(self) -> str:
@@ -97,9 +97,9 @@ class Case(AnalysisTables):
     def read_body(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Body:
         """The mesh with all its names. Collective."""
         key = next(k for k in ("file", "box", "rectangle") if getattr(self.mesh, k) is not None)
-        with located(self.file, f"mesh.{key}", exact=False):
+        with locate_errors(self.file, f"mesh.{key}", exact=False):
             body = self.mesh.body(self.folder, comm)
-        with located(self.file):
+        with locate_errors(self.file):
             return name_parts(
                 body, surfaces=self.surfaces, regions=self.regions, scale=self.mesh.scale
             )
@@ -110,7 +110,7 @@ class Case(AnalysisTables):
         Raises:
             InputError: With the file's name and the dotted key.
         """
-        with located(self.file):
+        with locate_errors(self.file):
             return self.problem_on(body)
 
     def make_solver(self, problem: Problem, *, petsc: Mapping[str, Any] | None = None) -> Solver:
@@ -123,7 +123,7 @@ class Case(AnalysisTables):
         Raises:
             InputError: With the file's name and the dotted key.
         """
-        with located(self.file):
+        with locate_errors(self.file):
             return self.solver_for(problem, petsc)
 
     def listing(self, folder: Path) -> list[str]:
@@ -131,7 +131,7 @@ class Case(AnalysisTables):
         return sorted({name for file in self.files() for name in file.listing(folder)})
 
     def results_folder(self) -> Path:
-        """Where results go if nothing else is said."""
+        """Folder of the results, unless `run` is given another one."""
         if self.output.folder is not None:
             return self.folder / self.output.folder
         return Path(f"{self.name}_results")
@@ -154,25 +154,26 @@ def read_case(path: str | PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD) -> 
 
 
 def read_materials(path: str | PathLike[str]) -> dict[str, Material]:
-    """The materials of a case file, whatever else is in it or is not yet. Not collective.
+    """The materials of a case file; the rest of it may be missing or wrong. Not collective.
 
     Raises:
         InputError: With file, dotted key, and what is expected.
     """
     file = str(path)
     tables = read_toml(file)
-    with located(file, "materials"):
+    with locate_errors(file, "materials"):
         return read_material_tables(tables.get("materials", {}))
 
 
 @contextmanager
-def located(file: str, key: str = "", *, exact: bool = True) -> Iterator[None]:
-    """Puts the file's name and a key in front of where an error inside points.
+def locate_errors(file: str, key: str = "", *, exact: bool = True) -> Iterator[None]:
+    """Puts the file's name and a key in front of the place that an error inside names.
 
     Args:
         file: Name of the case file, or nothing.
         key: Dotted key.
-        exact: The error points into that key; otherwise it only comes from it.
+        exact: The place is inside of the table `key`, so both are joined; otherwise the key is
+            only where the error comes from.
     """
     try:
         yield

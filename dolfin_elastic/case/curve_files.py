@@ -1,4 +1,4 @@
-"""Curves in CSV files: times in one column, values in another."""
+"""Amplitudes in CSV files: times in one column, values in another."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dolfin_elastic.model.amplitude import Amplitude, CurveFile
 R = TypeVar("R", bound=Record)
 
 CURVED = ("support", "load", "contact", "periodic")
-"""Keys of tables, or of lists of tables, that may have a `curve`."""
+"""Keys of a case whose tables, or whose lists' tables, may have a `curve`."""
 
 
 def with_curves(case: R, folder: Path) -> R:
@@ -53,6 +53,11 @@ def _with_curve(row: R, where: str, folder: Path) -> R:
 
 
 def _columns(source: CurveFile, path: Path) -> list[list[str]]:
+    """Rows of time and value as texts, which may have units.
+
+    The separator is the first of ; tab and comma in the first line; a first line that does not
+    begin with a number holds headings.
+    """
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError:
@@ -67,7 +72,7 @@ def _columns(source: CurveFile, path: Path) -> list[list[str]]:
     if not table or len(table[0]) < 2:
         raise InputError("a curve needs two columns", expected="for example a line 0.1, 2.5")
     head = None if _number(table[0][0]) else table.pop(0)
-    at = [_place(source.time, head, 0), _place(source.value, head, 1)]
+    at = [_column_index(source.time, head, 0), _column_index(source.value, head, 1)]
     if short := [row for row in table if len(row) <= max(at)]:
         raise InputError(f"the line {mark.join(short[0])!r} ends too early")
     if not table:
@@ -79,6 +84,7 @@ def _columns(source: CurveFile, path: Path) -> list[list[str]]:
 
 
 def _check_numbers(table: list[list[str]], at: list[int], mark: str) -> None:
+    """Refuses cells that are no numbers, with advice where a decimal comma is the reason."""
     for row in table:
         for cell in (row[i] for i in at):
             if not is_quantity(cell):
@@ -90,7 +96,7 @@ def _check_numbers(table: list[list[str]], at: list[int], mark: str) -> None:
 
 
 def _refuse_commas(lines: list[str], head: list[str] | None) -> None:
-    """Four columns of whole numbers that no heading names look like two with decimal commas."""
+    """Refuses four unnamed columns of whole numbers: they may be two with decimal commas."""
     cells = [line.split(",") for line in lines]
     whole = all(cell.strip().lstrip("+-").isdigit() for row in cells for cell in row)
     if head is None and whole and all(len(row) == 4 for row in cells):
@@ -108,7 +114,8 @@ def _number(text: str) -> bool:
     return True
 
 
-def _place(name: str, head: list[str] | None, default: int) -> int:
+def _column_index(name: str, head: list[str] | None, default: int) -> int:
+    """Index of the column with a heading; without a name, of the default one."""
     if not name:
         return default
     if head is None:

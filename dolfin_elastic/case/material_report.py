@@ -1,4 +1,4 @@
-"""Materials of a case file or by name, and what their bench writes."""
+"""Materials of a case file or by name, and the files of their tests at a material point."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfin_elastic.case.case import located, read_materials
+from dolfin_elastic.case.case import locate_errors, read_materials
 from dolfin_elastic.core.errors import CaseError, nearest
 from dolfin_elastic.core.schema import known_keys
 from dolfin_elastic.material_point.homogeneous_tests import ResponseCurve
@@ -21,7 +21,7 @@ from dolfin_elastic.results.files import make_folder, replace_text, writing
 _PARTS = ("11", "22", "33", "12", "13", "23")
 
 
-def laws_of(what: str, constants: Mapping[str, Any], only: str | None = None) -> dict[str, Law]:
+def read_laws(what: str, constants: Mapping[str, Any], only: str | None = None) -> dict[str, Law]:
     """The materials of a case file, or one law with constants from the command line.
 
     Not collective.
@@ -35,7 +35,7 @@ def laws_of(what: str, constants: Mapping[str, Any], only: str | None = None) ->
         InputError: There is no such file, law or material, or a value is wrong.
     """
     if what in MATERIALS:
-        with located(what):
+        with locate_errors(what):
             return {what: MATERIALS[what](**constants)}
     if not what.endswith(".toml") and not Path(what).exists():
         raise CaseError(
@@ -51,7 +51,7 @@ def laws_of(what: str, constants: Mapping[str, Any], only: str | None = None) ->
     return laws if only is None else {only: laws[only]}
 
 
-def constants_of(words: Sequence[str]) -> dict[str, Any]:
+def read_constants(words: Sequence[str]) -> dict[str, Any]:
     """``["--E", "10 MPa", "--nu=0.3"]`` as a dictionary; a value in brackets is a list.
 
     Raises:
@@ -79,13 +79,13 @@ def _value(name: str, text: str) -> Any:
         raise CaseError(f"--{name}: {text} is no list", expected="for example [1, 0, 0]") from None
 
 
-def listed() -> list[dict[str, Any]]:
-    """Every law with its formula and parameters, as its class tells them."""
+def law_table() -> list[dict[str, Any]]:
+    """Every law with formula, parameters and source, from the docstring of its class."""
     return [
         {
             "law": name,
-            "what": _said(kind)[0],
-            "formula": _said(kind)[1],
+            "what": _summary_and_formula(kind)[0],
+            "formula": _summary_and_formula(kind)[1],
             "parameters": _parameters(kind),
             "source": _source(kind),
         }
@@ -98,8 +98,8 @@ def _paragraphs(kind: type[Law]) -> list[str]:
     return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
 
 
-def _said(kind: type[Law]) -> tuple[str, str]:
-    """First line of a class, and the first sentence with an equation in it."""
+def _summary_and_formula(kind: type[Law]) -> tuple[str, str]:
+    """First line of a class's docstring, and its first sentence with an equation."""
     first, *others = _paragraphs(kind) or [""]
     with_equation = [part for part in others if "=" in part and not part.startswith("Source")]
     formula = with_equation[0] if with_equation else ""
@@ -112,23 +112,31 @@ def _source(kind: type[Law]) -> str:
 
 
 def _parameters(kind: type[Law]) -> dict[str, str]:
-    """Name of each key to what the docstrings of the class and its bases say of it."""
-    said: dict[str, str] = {}
+    """Name of each key to its text under `Attributes:` in the class or its bases."""
+    texts: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         _, _, attributes = (base.__dict__.get("__doc__") or "").partition("Attributes:")
         for line in attributes.splitlines():
             name, colon, text = line.strip().partition(": ")
             if colon and name.isidentifier():
-                said[name] = text
+                texts[name] = text
     names = [name for name in kind.model_fields if name not in ("law", "density")]
-    return {name: said.get(name, "") for name in names if name in known_keys(kind)}
+    return {name: texts.get(name, "") for name in names if name in known_keys(kind)}
 
 
 # --- what is written ---
 
 
 def write(name: str, found: MaterialReport, folder: Path) -> list[Path]:
-    """A CSV file a curve and one picture. Not collective.
+    """Writes a CSV file for each curve, and one picture of all. Not collective.
+
+    Args:
+        name: Of the material; begins the files' names.
+        found: Its tests.
+        folder: Where the files go; made if missing.
+
+    Returns:
+        The files.
 
     Raises:
         OutputError: Something cannot be written.
@@ -136,20 +144,21 @@ def write(name: str, found: MaterialReport, folder: Path) -> list[Path]:
     make_folder(folder)
     paths = []
     for mode, curve in found.curves.items():
-        paths.append(folder / f"{_plain(name)}_{mode}.csv")
+        paths.append(folder / f"{_file_name(name)}_{mode}.csv")
         replace_text(paths[-1], table(curve))
     if found.curves:
-        paths.append(folder / f"{_plain(name)}.png")
+        paths.append(folder / f"{_file_name(name)}.png")
         _draw(name, found, paths[-1])
     return paths
 
 
-def _plain(name: str) -> str:
+def _file_name(name: str) -> str:
+    """A name with everything but letters, digits, - and _ replaced."""
     return "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
 
 
 def table(curve: ResponseCurve) -> str:
-    """A curve as CSV: what is prescribed, F, J, P and Cauchy stress [Pa], energy [J/m^3]."""
+    """A curve as CSV: stretch or shear, F, J, P and Cauchy stress [Pa], energy [J/m^3]."""
     heads = [curve.mode.symbol, *(f"F{p}" for p in _PARTS), "J"]
     heads += [*(f"P{p}" for p in _PARTS), *(f"sigma{p}" for p in _PARTS), "energy"]
     rows, columns = np.array([[int(c) - 1 for c in p] for p in _PARTS]).T
@@ -167,7 +176,7 @@ def table(curve: ResponseCurve) -> str:
     return "\n".join([",".join(heads), *lines]) + "\n"
 
 
-_UNITS = ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"), (1.0, "Pa"))
+_STRESS_UNITS = ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"), (1.0, "Pa"))
 
 
 def _draw(name: str, found: MaterialReport, path: Path) -> None:
@@ -191,7 +200,7 @@ def _panel(axis: Any, curve: ResponseCurve) -> None:
     i, j = curve.mode.shown
     nominal, true = curve.P[:, i, j], curve.cauchy[:, i, j]
     top = float(np.abs(nominal).max()) or 1.0
-    size, unit = next((u for u in _UNITS if top >= u[0]), _UNITS[-1])
+    size, unit = next((u for u in _STRESS_UNITS if top >= u[0]), _STRESS_UNITS[-1])
     axis.plot(curve.values, nominal / size, label=f"nominal P{i + 1}{j + 1}", color="#1f5f8b")
     axis.plot(curve.values, true / size, "--", label=f"Cauchy {i + 1}{j + 1}", color="#b0562f")
     axis.plot([curve.mode.rest], [0], "o", color="#303840", markersize=3)

@@ -16,11 +16,11 @@ from dolfin_elastic.case.tables import (
     Material,
     MeshTable,
     as_table,
-    listed,
-    named,
-    pick,
+    class_named,
+    read_list,
+    read_named,
     selectors,
-    written,
+    table_of,
 )
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record
@@ -62,7 +62,7 @@ class ModelTables(Record):
     @field_validator("surfaces", "regions", mode="before")
     @classmethod
     def _selectors(cls, tables: Any) -> dict[str, list[Selector]]:
-        return named(tables, selectors)
+        return read_named(tables, selectors)
 
     @field_validator("materials", mode="before")
     @classmethod
@@ -78,19 +78,19 @@ class ModelTables(Record):
                 f"a single table cannot be a {key}",
                 expected=f"write [[{key}]] with double brackets",
             )
-        return listed(rows, _ROWS[key])
+        return read_list(rows, _ROWS[key])
 
     def model_tables(self) -> dict[str, Any]:
         """Nested dictionaries that are read back to equal tables; without [periodic]."""
         tables: dict[str, Any] = {"title": self.title} if self.title else {}
-        tables["mesh"] = written(self.mesh)
+        tables["mesh"] = table_of(self.mesh)
         for key in ("surfaces", "regions"):
-            named = {n: [written(s) for s in rows] for n, rows in getattr(self, key).items()}
+            named = {n: [table_of(s) for s in rows] for n, rows in getattr(self, key).items()}
             tables[key] = {n: rows[0] if len(rows) == 1 else rows for n, rows in named.items()}
         tables["materials"] = {name: item.table() for name, item in self.materials.items()}
         tables["support"] = [_support_table(item) for item in self.support]
-        tables["load"] = [{"kind": item.kind, **written(item)} for item in self.load]
-        tables["contact"] = [written(item) for item in self.contact]
+        tables["load"] = [{"kind": item.kind, **table_of(item)} for item in self.load]
+        tables["contact"] = [table_of(item) for item in self.contact]
         return tables
 
     def problem_on(self, body: Body) -> Problem:
@@ -121,7 +121,7 @@ def read_material_tables(tables: Any) -> dict[str, Material]:
     Raises:
         InputError: It is empty, or a material is wrong.
     """
-    read = named(tables, Material.read)
+    read = read_named(tables, Material.read)
     if not read:
         raise InputError("there is no material", expected="write [materials.NAME]")
     return read
@@ -135,11 +135,11 @@ def _support(row: Any) -> Restraint:
         return row
     table = {"kind": "displacement", **as_table(row)}
     with _vector("displacement"):
-        return pick(SUPPORTS, table, "kind")(**table)
+        return class_named(SUPPORTS, table, "kind")(**table)
 
 
 def _support_table(support: Restraint) -> dict[str, Any]:
-    table = written(support)
+    table = table_of(support)
     return table if support.kind == "displacement" else {"kind": support.kind, **table}
 
 
@@ -147,7 +147,7 @@ def _load(row: Any) -> Load:
     if isinstance(row, Load):
         return row
     with _vector("value"):
-        return pick(LOADS, row, "kind")(**row)
+        return class_named(LOADS, row, "kind")(**row)
 
 
 def _contact(row: Any) -> Contact:

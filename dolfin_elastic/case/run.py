@@ -14,7 +14,7 @@ from typing import Any, cast
 from mpi4py import MPI
 
 from dolfin_elastic.case.analysis import Solver
-from dolfin_elastic.case.case import Case, located
+from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.check import check
 from dolfin_elastic.case.check.initial_state import contact_notes
 from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished
@@ -145,7 +145,7 @@ class _Run:
         step, settings = 0 if before is None else before.step, self.case.output.checkpoint
         checkpoints = Checkpoints(self.comm, self.folder, settings, description, step=step)
         run_checkpoints = _RunCheckpoints(checkpoints, solver, self.asked)
-        with located(self.case.file), closing(steps):
+        with locate_errors(self.case.file), closing(steps):
             yield from self._write_all(problem, steps, run_checkpoints, before, lock)
         checkpoints.clear()
 
@@ -158,7 +158,7 @@ class _Run:
         lock: FolderLock,
     ) -> States:
         """Yields what the solver yields, after it is written to all outputs. Collective."""
-        probe = self.case.output.probe(problem, self.case.mesh.scale)
+        probe = self.case.output.make_probe(problem, self.case.mesh.scale)
         probed = (probe.add_to(step) if isinstance(step, State) else step for step in steps)
         # The first state is computed before the folder is made: an error in it leaves none behind.
         first = [] if before else list(islice(probed, 1))

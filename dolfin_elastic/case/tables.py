@@ -1,7 +1,6 @@
-"""The tables of a case file, and how they are read.
+"""The tables [mesh], [materials.NAME] and [output] of a case file, and how tables are read.
 
-`Case` (case/case.py) puts them together.  A fault found here says where it is inside its table;
-whoever reads the table puts its own key in front.
+An error names the key inside its table; the caller that reads the table puts its own key in front.
 """
 
 from __future__ import annotations
@@ -163,7 +162,15 @@ class MeshTable(Record):
         return to_si(length, "m") / self.scale if isinstance(length, str) else float(length)
 
     def body(self, folder: Path, comm: MPI.Comm) -> Body:
-        """Reads or makes the mesh. Collective."""
+        """Reads or generates the mesh. Collective.
+
+        Args:
+            folder: Folder that `file` is relative to.
+            comm: The ranks that share the mesh.
+
+        Raises:
+            MeshError: The file cannot be read, or is no mesh of triangles or tetrahedra.
+        """
         if self.file is not None:
             size = None if self.size is None else self._in_unit(self.size)
             return read_body(
@@ -211,7 +218,7 @@ class Material(Record):
         if "energy" in table:
             own = read_energy({key: value for key, value in table.items() if key != "on"})
             return cls(law=own, on=table.get("on"))
-        law = pick(MATERIALS, table, "law")
+        law = class_named(MATERIALS, table, "law")
         known = {*known_keys(law), "on"}
         for key in table:
             if key not in known:
@@ -224,7 +231,7 @@ class Material(Record):
     def table(self) -> dict[str, Any]:
         """Back to a case file's table."""
         named = {} if isinstance(self.law, UserEnergy) else {"law": self.law.name()}
-        law = {**named, **written(self.law)}
+        law = {**named, **table_of(self.law)}
         return law if self.on is None else {**law, "on": self.on}
 
 
@@ -240,8 +247,8 @@ class Output(Record):
         pictures: Pictures of the deformed body.
         probes: Name to a point or surface of the undeformed body, where fields are read off at
             every step.
-        checkpoint: When all is written that a run needs to go on; false: never.
-        frames: Of one period of a mode.
+        checkpoint: How often the data are written from which a run can restart; false: never.
+        frames: Frames of an animation of one period of a mode.
         amplitude: Largest displacement of a mode's animation, over the body's longest side.
     """
 
@@ -256,7 +263,7 @@ class Output(Record):
 
     @field_validator("fields")
     @classmethod
-    def _known(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
+    def _known_fields(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
         for index, name in enumerate(names or ()):
             if name not in FIELDS:
                 raise InputError(
@@ -266,7 +273,7 @@ class Output(Record):
 
     @field_validator("pictures")
     @classmethod
-    def _apart(cls, pictures: list[Picture]) -> list[Picture]:
+    def _distinct_files(cls, pictures: list[Picture]) -> list[Picture]:
         for index, picture in enumerate(pictures):
             if picture.file in [other.file for other in pictures[:index]]:
                 raise InputError(
@@ -277,7 +284,11 @@ class Output(Record):
         return pictures
 
     def check_probes(self, body: Body, scale: float) -> None:
-        """Finds the probes' points in the body. Collective.
+        """Checks that the probes' points lie in the body. Collective.
+
+        Args:
+            body: The mesh.
+            scale: Metres per unit of the mesh.
 
         Raises:
             MeshError: A point lies outside, or has too few coordinates.
@@ -287,8 +298,8 @@ class Output(Record):
         except MeshError as error:
             raise within("output.probes", error) from None
 
-    def probe(self, problem: Problem, scale: float) -> Probe:
-        """What reads the fields off. Collective.
+    def make_probe(self, problem: Problem, scale: float) -> Probe:
+        """The probe that evaluates the fields at its points and surfaces. Collective.
 
         Args:
             problem: The problem that is solved.
@@ -304,13 +315,13 @@ class Output(Record):
         states: bool = True,
         modes: bool = False,
     ) -> list[File]:
-        """Everything that is written.
+        """The outputs of a run.
 
         Args:
-            frames: Thins the fields unless `every` says how.
-            title: Of pictures that have none of their own.
-            states: There are states.
-            modes: There are modes.
+            frames: Number of states whose fields are written, if `every` is not given; None: all.
+            title: Title of pictures without one of their own.
+            states: The analysis yields states.
+            modes: The analysis yields modes.
         """
         every = {"frames": frames} if self.every is None else {"every": self.every}
         pictures = [
@@ -320,7 +331,7 @@ class Output(Record):
         found: list[File] = [Xdmf(fields=self.fields, **every), History()] if states else []
         if not modes:
             return [*found, *pictures, Summary()]
-        drawn = [ModePicture(**{**written(p), "amplitude": self.amplitude}) for p in pictures]
+        drawn = [ModePicture(**{**table_of(p), "amplitude": self.amplitude}) for p in pictures]
         return [*found, Modes(frames=self.frames, amplitude=self.amplitude), *drawn, Summary()]
 
 
@@ -334,14 +345,19 @@ def as_table(value: Any) -> dict[str, Any]:
         InputError: It is neither.
     """
     if isinstance(value, Record):
-        return written(value)
+        return table_of(value)
     if not isinstance(value, Mapping):
         raise InputError(f"{quoted(value)} is wrong", expected="expected a table")
     return dict(value)
 
 
-def pick(kinds: Mapping[str, type[T]], table: Any, key: str) -> type[T]:
+def class_named(kinds: Mapping[str, type[T]], table: Any, key: str) -> type[T]:
     """The class that a table's `law` or `kind` names.
+
+    Args:
+        kinds: Name to class.
+        table: The table.
+        key: Which of its keys holds the name.
 
     Raises:
         InputError: It names none, or an unknown one.
@@ -356,17 +372,28 @@ def pick(kinds: Mapping[str, type[T]], table: Any, key: str) -> type[T]:
     return kinds[name]
 
 
-def named(tables: Any, read: Callable[[Any], T]) -> dict[str, T]:
-    """Reads each entry of a table of tables; faults get its name."""
+def read_named(tables: Any, read: Callable[[Any], T]) -> dict[str, T]:
+    """Reads each entry of a table of tables.
+
+    Args:
+        tables: Name to entry.
+        read: Reads one entry; its errors get the name in front.
+    """
     return {name: _at(key_text(name), read, table) for name, table in as_table(tables).items()}
 
 
-def listed(rows: Any, read: Callable[[Any], T]) -> list[T]:
-    """Reads each entry of a list of tables; faults get its index."""
+def read_list(rows: Any, read: Callable[[Any], T]) -> list[T]:
+    """Reads each entry of a list of tables.
+
+    Args:
+        rows: The entries.
+        read: Reads one entry; its errors get the index in front.
+    """
     return [_at(f"[{index}]", read, row) for index, row in enumerate(rows)]
 
 
 def _at(key: str, read: Callable[[Any], T], table: Any) -> T:
+    """Reads a table, with its key in front of the key of an error."""
     try:
         return read(table)
     except InputError as error:
@@ -375,7 +402,7 @@ def _at(key: str, read: Callable[[Any], T], table: Any) -> T:
 
 def selectors(value: Any) -> list[Selector]:
     """One selector, or several whose parts are joined."""
-    return listed(value, selector) if isinstance(value, list | tuple) else [selector(value)]
+    return read_list(value, selector) if isinstance(value, list | tuple) else [selector(value)]
 
 
 def selector(value: Any) -> Selector:
@@ -383,6 +410,6 @@ def selector(value: Any) -> Selector:
     return value if isinstance(value, Selector) else Selector(**as_table(value))
 
 
-def written(record: Record) -> dict[str, Any]:
-    """A record as the table it was read from, without what was left out."""
+def table_of(record: Record) -> dict[str, Any]:
+    """A record as the table it was read from: without keys that were left out."""
     return record.model_dump(exclude_unset=True, exclude_none=True, by_alias=True)

@@ -1,4 +1,4 @@
-"""TOML: read with messages that show the line, and written, which Python itself cannot."""
+"""TOML: read with messages that show the line, and written in the layout of a case file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def toml_text(tables: Mapping[str, Any]) -> str:
-    """A TOML document.
+    """A TOML document in the layout of a case file, see Decisions in CONTRIBUTING.md.
 
     Args:
         tables: Top-level values; tables of tables become ``[a.b]``, lists of tables ``[[a]]``,
@@ -32,11 +32,13 @@ def toml_text(tables: Mapping[str, Any]) -> str:
 
 
 def _is_table(value: Any) -> bool:
+    """Whether a value is a table, or a list of tables only."""
     rows = value if isinstance(value, list | tuple) and value else [value]
     return all(isinstance(row, Mapping) for row in rows)
 
 
 def _blocks(key: str, table: Mapping[str, Any]) -> list[str]:
+    """The table ``[key]``, or ``[key.name]`` for each where all are materials."""
     named = table and all(isinstance(v, Mapping) and "law" in v for v in table.values())
     if not named:
         return [_block(f"[{key}]", table)]
@@ -93,14 +95,14 @@ def read_toml(file: str) -> dict[str, Any]:
         raise CaseError(f"cannot be read: {error.strerror}", where=file) from None
 
 
-_SAID = {
+_PLAINER = {
     "Illegal character '\\n'": "the closing quote is missing",
     "Cannot overwrite a value": "this key stands here for the second time",
 }
 
 
 def _syntax(message: str, text: str) -> str:
-    """TOML's complaint with the line it is about and a caret."""
+    """The message of a syntax error of `tomllib`, with the line and a caret under the column."""
     found = re.fullmatch(r"(.*?) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
     if not found:
         return message[:1].lower() + message[1:]
@@ -108,6 +110,6 @@ def _syntax(message: str, text: str) -> str:
     if twice := re.fullmatch(r"Cannot declare \((.*?),?\) twice", what):
         key = twice[1].replace("'", "").replace(", ", ".")
         what = f"[{key}] stands here for the second time"
-    what = _SAID.get(what, what[:1].lower() + what[1:])
+    what = _PLAINER.get(what, what[:1].lower() + what[1:])
     shown = text.splitlines()[line - 1].replace("\t", " ")
     return f"line {line}: {what}\n    {shown}\n    {' ' * (column - 1)}^"

@@ -18,7 +18,7 @@ import typer
 from click.exceptions import ClickException
 
 from dolfin_elastic.cli.materials import material, materials
-from dolfin_elastic.cli.pipes import go_on_without_readers
+from dolfin_elastic.cli.pipes import survive_closed_pipes
 from dolfin_elastic.cli.run import log_to_screen, restart, run
 from dolfin_elastic.core import __version__
 from dolfin_elastic.core.errors import CaseError, ElasticError
@@ -101,7 +101,7 @@ def check(
     from dolfin_elastic.case.check import report
 
     comm = MPI.COMM_WORLD
-    log_to_screen(comm.rank, logging.ERROR)  # what there is to say is in the report
+    log_to_screen(comm.rank, logging.ERROR)  # warnings are among the report's notes
     found = report(read_case(case, comm=comm), comm=comm)
     if comm.rank == 0 and json:
         from dataclasses import asdict
@@ -131,7 +131,7 @@ def new(
       dolfin-elastic new               writes case.toml
       dolfin-elastic new beam.toml
     """
-    from dolfin_elastic.cli.template import starter
+    from dolfin_elastic.cli.template import case_template
 
     if launched_rank() == 0:
         if file.exists() and not force:
@@ -141,7 +141,7 @@ def new(
                 expected="choose another name, or --force to overwrite it",
             )
         try:
-            file.write_text(starter(str(file)), encoding="utf-8")
+            file.write_text(case_template(str(file)), encoding="utf-8")
         except OSError as error:
             raise CaseError(f"cannot be written: {error.strerror}", where=str(file)) from None
     print(f"{file} written; compute it with: dolfin-elastic run {file}")
@@ -159,19 +159,19 @@ def info() -> None:
         print(f"warning: {line}", file=sys.stderr)
 
 
-# --- how it ends ---
+# --- errors and exit codes ---
 
 
 def main() -> None:
     """The console script."""
-    go_on_without_readers()
+    survive_closed_pipes()
     if launched_rank():
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.exit(guarded())
 
 
 def guarded() -> int:
-    """Runs the command line; returns its exit code, the same on every rank."""
+    """Runs the command line; returns its exit code, which is the same on every rank."""
     try:
         result = app(prog_name="dolfin-elastic", standalone_mode=False)
         return result if isinstance(result, int) else 0
@@ -181,19 +181,19 @@ def guarded() -> int:
             if "No such option" in error.format_message():
                 print("PETSc options stand after two dashes: ... -- -ksp_view", file=sys.stderr)
         else:
-            time.sleep(1.0)  # the launcher ends all when one leaves: rank 0 speaks first
+            time.sleep(1.0)  # the launcher ends all ranks when one leaves: rank 0 prints first
         return error.exit_code
     except ElasticError as error:
-        return _told(error)
+        return _show_error(error)
     except KeyboardInterrupt:
         return INTERRUPTED
     except Exception:
-        _crash()
+        _abort_all_ranks()
         raise
 
 
 def _comm() -> MPI.Comm | None:
-    """All ranks, if MPI runs."""
+    """All ranks, if MPI has started; it is not started to print an error."""
     if "mpi4py.MPI" not in sys.modules:
         return None
     from mpi4py import MPI
@@ -201,22 +201,31 @@ def _comm() -> MPI.Comm | None:
     return MPI.COMM_WORLD
 
 
-def _told(error: ElasticError) -> int:
-    """Shows an error once, before any rank leaves (the launcher ends all when one does)."""
+def _show_error(error: ElasticError) -> int:
+    """Prints an error once; returns its exit code. Called on every rank that has the error.
+
+    No rank leaves before rank 0 has printed: the launcher ends all ranks when one leaves. If the
+    others do not arrive, the error is this rank's alone, and all are aborted.
+    """
     comm = _comm()
     if (comm.rank if comm else launched_rank()) == 0:
         from dolfin_elastic.cli.console import error_text
 
         print(error_text(error), file=sys.stderr, flush=True)
-    if comm and comm.size > 1 and not _all_here(comm):
+    if comm and comm.size > 1 and not _all_ranks_arrive(comm):
         if comm.rank:
             print(f"error (rank {comm.rank} alone): {error}", file=sys.stderr, flush=True)
         comm.Abort(error.exit_code)
     return error.exit_code
 
 
-def _all_here(comm: MPI.Comm, patience: float = 10.0) -> bool:
-    """Waits for all ranks, but not for ever."""
+def _all_ranks_arrive(comm: MPI.Comm, patience: float = 10.0) -> bool:
+    """Whether all ranks arrive here in time. Collective, if they do.
+
+    Args:
+        comm: All ranks.
+        patience: How long to wait [s].
+    """
     request = comm.Ibarrier()
     until = time.monotonic() + patience
     while time.monotonic() < until:
@@ -226,12 +235,12 @@ def _all_here(comm: MPI.Comm, patience: float = 10.0) -> bool:
     return False
 
 
-def _crash() -> None:
-    """A fault of ours: one traceback, with the rank, and the end of all ranks."""
+def _abort_all_ranks() -> None:
+    """Prints the traceback of a fault of the program, with the rank, and aborts all ranks."""
     comm = _comm()
     if comm is None or comm.size == 1:
         return
-    time.sleep(min(0.5 * comm.rank, 5.0))  # rank 0 first; it ends the others before they speak
+    time.sleep(min(0.5 * comm.rank, 5.0))  # rank 0 first; it aborts the others before they print
     print(
         f"rank {comm.rank} of {comm.size}:\n{traceback.format_exc()}", file=sys.stderr, flush=True
     )

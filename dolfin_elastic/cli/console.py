@@ -49,57 +49,57 @@ def console(*, stderr: bool = False) -> Console:
 # --- progress ---
 
 
-class Meter(Protocol):
-    """Shows states as they come."""
+class ProgressDisplay(Protocol):
+    """Shows the progress of a run, state by state."""
 
     def show(self, state: State) -> None:
-        """Takes one step."""
+        """Shows one state."""
 
     def close(self) -> None:
         """Ends the display."""
 
 
-class Silent:
-    """Shows nothing: on other ranks, or when asked to be quiet."""
+class NoProgress:
+    """Shows nothing: on ranks other than 0, and with --quiet."""
 
     def show(self, state: State) -> None:
-        """Takes one step."""
+        """Shows one state."""
 
     def close(self) -> None:
         """Ends the display."""
 
 
 class Estimate:
-    """Time to the end, by the steps from the first state on.
+    """Estimates the remaining time from the time per share of the run since the first state.
 
-    What is done once counts for nothing: meshes, and forms that are compiled on the way.
+    Meshing and compiling are not counted: they are done once.
     """
 
     def __init__(self) -> None:
         self._first: tuple[float, float] | None = None
 
     def left(self, done: float) -> str:
-        """Rough time to the end in words, see `time_left`.
+        """The remaining time as text, see `time_left`.
 
         Args:
             done: Share of the run that is done.
         """
         seconds = timing.totals()
-        once = sum(seconds.get(name, 0.0) for name in ("mesh", "compile"))
-        spent = seconds.get("total", 0.0) - once
+        setup = sum(seconds.get(name, 0.0) for name in ("mesh", "compile"))
+        spent = seconds.get("total", 0.0) - setup
         if self._first is None:
             self._first = spent, done
         return time_left(spent - self._first[0], done, self._first[1])
 
 
-class Lines:
+class ProgressLines:
     """One line a step, for files and pipes."""
 
     def __init__(self, motion: bool) -> None:
         self.motion, self._estimate, self._shown, self._count = motion, Estimate(), 0.0, 0
 
     def show(self, state: State) -> None:
-        """Takes one step."""
+        """Shows one state."""
         now = time.monotonic()
         left = self._estimate.left(state.done)
         due = self._count < FIRST_LINES or now - self._shown > 1.0 or state.done >= 1.0
@@ -111,7 +111,7 @@ class Lines:
         """Ends the display."""
 
 
-class Bar:
+class ProgressBar:
     """A bar that moves, for terminals."""
 
     def __init__(self, motion: bool, screen: Console) -> None:
@@ -126,7 +126,7 @@ class Bar:
         self._progress.start()
 
     def show(self, state: State) -> None:
-        """Takes one step."""
+        """Shows one state."""
         left = self._estimate.left(state.done)
         text = re.sub("  +", "  ", f"{step_text(state, motion=self.motion)}  {left}")
         self._progress.update(self._task, completed=state.done, description=text)
@@ -137,25 +137,30 @@ class Bar:
 
 
 def step_text(state: State, *, motion: bool) -> str:
-    """Step, time or load factor, iterations, largest displacement."""
+    """Step, time or load factor, iterations, largest displacement.
+
+    Args:
+        state: A converged state.
+        motion: It has a time; otherwise a load factor.
+    """
     place = f"t {state.t:.5g} s" if motion else f"load {100 * state.load_factor:.4g} %"
     counts = {"Newton": state.newton, "linear": state.krylov}
-    still = not motion and state.step > 0  # a step that needed none has its count, too
+    equilibrium = not motion and state.step > 0  # its Newton iterations are shown even if 0
     work = ", ".join(
         f"{number} {name}"
         for name, number in counts.items()
-        if number or (still and name[0] == "N")
+        if number or (equilibrium and name == "Newton")
     )
     return f"step {state.step:>4}   {place:<15} {work:<20} max |u| {state.max_displacement:.4g} m"
 
 
 def time_left(spent: float, done: float, before: float = 0.0) -> str:
-    """Rough time to the end, nothing where it cannot be said.
+    """Estimate of the remaining time as text; empty before there is any.
 
     Args:
-        spent: Since the first state [s].
-        done: Share of the run that is done.
-        before: Share that was done then.
+        spent: Time since the first state [s].
+        done: Share of the run that is done now.
+        before: Share that was done at the first state.
     """
     if not before < done < 1.0:
         return ""
@@ -169,8 +174,8 @@ def time_left(spent: float, done: float, before: float = 0.0) -> str:
 # --- log ---
 
 
-class Handler(logging.Handler):
-    """Shows log records of rank 0; warnings are called so."""
+class LogHandler(logging.Handler):
+    """Prints log records of rank 0, warnings with the word in front."""
 
     def __init__(self, rank: int, screen: Console) -> None:
         super().__init__()
@@ -187,15 +192,15 @@ class Handler(logging.Handler):
 
 
 def error_text(error: ElasticError) -> str:
-    """An error with its notes; the long lines of a failed solve are folded."""
+    """An error with its notes; long lines of a `SolveError` are wrapped."""
     notes = "".join(f"\n  {note}" for note in getattr(error, "__notes__", ()))
     text = f"error: {error}{notes}"
-    return _folded(text) if isinstance(error, SolveError) else text
+    return _wrapped(text) if isinstance(error, SolveError) else text
 
 
-def _folded(text: str) -> str:
-    """Long lines in several, the later ones indented; words and paths stay whole."""
-    folded = (
+def _wrapped(text: str) -> str:
+    """Wraps long lines, with indented continuation; words and paths stay whole."""
+    wrapped = (
         textwrap.wrap(
             line,
             WIDTH,
@@ -205,14 +210,19 @@ def _folded(text: str) -> str:
         )
         for line in text.splitlines()
     )
-    return "\n".join(part for lines in folded for part in lines)
+    return "\n".join(part for lines in wrapped for part in lines)
 
 
 # --- tables ---
 
 
 def show_table(screen: Console, table: Table) -> None:
-    """A table, in files without blanks at the ends of its lines."""
+    """Prints a table, in files without trailing blanks.
+
+    Args:
+        screen: Where to.
+        table: The table.
+    """
     if screen.is_terminal:
         screen.print(table)
         return
@@ -225,14 +235,14 @@ def show_table(screen: Console, table: Table) -> None:
 def show_end(
     state: State, *, motion: bool, seconds: Mapping[str, float], newton: int, since: int = 0
 ) -> None:
-    """The run in a few lines.
+    """Prints a summary of a run.
 
     Args:
-        state: The last one.
-        motion: Whether it moves.
-        seconds: Where the time went.
-        newton: Newton iterations.
-        since: Step that it has gone on from.
+        state: The last state.
+        motion: It has a time; otherwise a load factor.
+        seconds: Time per stage, see `core/timing.py`.
+        newton: Newton iterations of all steps.
+        since: Step from which the run was restarted.
     """
     screen = console()
     table = Table(box=None, show_header=False, pad_edge=True)
@@ -242,12 +252,17 @@ def show_end(
     again = f" since step {since}" if since else ""
     screen.print(f"done: {count(state.step, 'step')}{iterations}{again}")
     show_table(screen, table)
-    # Longer than a column is wide.
+    # Not in the table: the line is longer than a column may be.
     screen.print(f" time: {_times(seconds)}", soft_wrap=True)
 
 
 def count(number: int, thing: str) -> str:
-    """A number of things."""
+    """A number with its noun in the singular or plural.
+
+    Args:
+        number: How many.
+        thing: The noun in the singular.
+    """
     return f"{number} {thing}" + ("" if number == 1 else "s")
 
 
@@ -284,7 +299,12 @@ def _times(seconds: Mapping[str, float]) -> str:
 
 
 def show_profile(rows: Sequence[tuple[str, float, float]], memory: Mapping[str, int]) -> None:
-    """Where the time went, with the fastest and the slowest rank, and the memory used."""
+    """Prints time per stage and peak memory.
+
+    Args:
+        rows: Stage, and its time on the fastest and on the slowest rank [s].
+        memory: "sum" over all ranks and "largest_rank" [byte].
+    """
     table = Table("stage", box=SIMPLE_HEAD, pad_edge=False)
     for head in ("fastest rank [s]", "slowest rank [s]", "share"):
         table.add_column(head, justify="right")
@@ -300,12 +320,17 @@ def show_profile(rows: Sequence[tuple[str, float, float]], memory: Mapping[str, 
 
 
 def show_files(folder: Path, names: Iterable[str]) -> None:
-    """What a run has written to its folder."""
+    """Prints what a run has written.
+
+    Args:
+        folder: Of the results.
+        names: Of the files in it.
+    """
     print(f"results in {folder}: {', '.join(names)}")
 
 
 def show_restart(folder: Path) -> None:
-    """How a run that was stopped can go on."""
+    """Prints how a stopped run can be restarted."""
     from dolfin_elastic.results.checkpoint.checkpoints import last_step
 
     if (step := last_step(folder)) is not None:
@@ -313,7 +338,7 @@ def show_restart(folder: Path) -> None:
 
 
 def show_versions(found: Mapping[str, Any]) -> None:
-    """Name and value, one a line."""
+    """Prints name and value, one a line."""
     width = max(map(len, found))
     for name, value in found.items():
         print(f"{name:<{width}}  {value}")

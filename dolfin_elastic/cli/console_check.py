@@ -17,11 +17,9 @@ if TYPE_CHECKING:
     from dolfin_elastic.case.check.loads import LoadSum
     from dolfin_elastic.solvers.diagnostics.rigid_body import FreeBody
 
-_GOOD = "nothing is wrong"
-
 
 def show_check(report: Report) -> None:
-    """The report of a check."""
+    """Prints the report of a check."""
     screen = console()
     screen.print(f"{report.case}: {report.title}" if report.title else report.case, style="bold")
     for name, text in _head(report):
@@ -71,22 +69,22 @@ def _body(body: FreeBody, bodies: int) -> str:
 
 
 def _place(point: Sequence[float], span: float) -> str:
-    """A place to four digits; what is tiny beside the body is 0."""
+    """A point with four digits; components that are tiny over the span of the body are 0."""
     return vector_text(float(f"{x:.4g}") if abs(x) > 1e-6 * span else 0.0 for x in point)
 
 
 def _parts(kind: str, unit: str, parts: Sequence[PartSize], span: float) -> Table:
     things = "facets" if kind == "surface" else "cells"
-    heavy = any(part.mass is not None for part in parts)
+    has_mass = any(part.mass is not None for part in parts)
     table = Table(kind, box=SIMPLE_HEAD, pad_edge=False)
     table.add_column(things, justify="right")
     table.add_column(f"[{unit}]", justify="right")
     table.add_column("centroid [m]")
-    if heavy:
+    if has_mass:
         table.add_column("mass [kg]", justify="right")
     table.add_column("law" if kind == "material" else "used by")
     for part in parts:
-        mass = ["" if part.mass is None else f"{part.mass:.4g}"] if heavy else []
+        mass = ["" if part.mass is None else f"{part.mass:.4g}"] if has_mass else []
         middle = _place(part.centroid, span) if part.centroid else ""
         table.add_row(part.name, str(part.count), f"{part.measure:.4g}", middle, *mass, part.use)
     return table
@@ -101,11 +99,11 @@ def _show_loads(screen: Console, report: Report) -> None:
         table.add_column("at t [s]", justify="right")
     for load in report.loads:
         time = [f"{load.time:.4g}"] if moving else []
-        table.add_row(load.load, load.on, _sum(load.force), _sum(load.moment), *time)
+        table.add_row(load.load, load.on, _resultant(load.force), _resultant(load.moment), *time)
     show_table(screen, table)
     at = f"at load parameter {max((load.time for load in report.loads), default=1.0):g}"
     when = "when it is largest in the motion" if moving else at
-    screen.print(_said(report.loads, when), soft_wrap=True)
+    screen.print(_loads_caption(report.loads, when), soft_wrap=True)
 
 
 def _contacts(contacts: Sequence[ContactGap]) -> Table:
@@ -117,14 +115,16 @@ def _contacts(contacts: Sequence[ContactGap]) -> Table:
     return table
 
 
-def _said(loads: Iterable[LoadSum], when: str) -> str:
+def _loads_caption(loads: Iterable[LoadSum], when: str) -> str:
+    """What the numbers in the table of loads are."""
     text = f"Loads are summed up on the undeformed body, each {when}."
     if any(load.force is None for load in loads):
         text += " Those without numbers depend on more than that body."
     return text
 
 
-def _sum(vector: Sequence[float] | None) -> str:
+def _resultant(vector: Sequence[float] | None) -> str:
+    """A force or moment; "?" of loads that depend on the deformation."""
     if vector is None:
         return "?"
     return f"{vector[0]:.5g}" if len(vector) == 1 else vector_text(vector) if vector else ""

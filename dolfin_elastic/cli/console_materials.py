@@ -1,4 +1,4 @@
-"""What the command line shows of materials and their bench."""
+"""What the command line shows of materials and of their tests at a material point."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def bench_table(found: MaterialReport) -> dict[str, Any]:
-    """A bench as plain values, for scripts."""
+def report_table(found: MaterialReport) -> dict[str, Any]:
+    """The tests of a material as plain values, for scripts."""
     return {
         "passed": not found.failed,
         "findings": [asdict(f) for f in found.findings],
@@ -53,8 +53,15 @@ def bench_table(found: MaterialReport) -> dict[str, Any]:
     }
 
 
-def show_bench(screen: Console, name: str, found: MaterialReport, files: Sequence[Path]) -> None:
-    """The bench of one material."""
+def show_report(screen: Console, name: str, found: MaterialReport, files: Sequence[Path]) -> None:
+    """Prints the tests of one material.
+
+    Args:
+        screen: Where to.
+        name: Of the material.
+        found: Its tests.
+        files: What was written, all in one folder.
+    """
     screen.print(name, style="bold")
     table = Table("check", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("")
@@ -71,7 +78,7 @@ def show_bench(screen: Console, name: str, found: MaterialReport, files: Sequenc
 
 
 def _curves(found: MaterialReport) -> Table:
-    """Nominal stress at the ends of each curve."""
+    """A table of the nominal stress at both ends of each curve."""
     table = Table("curve", box=SIMPLE_HEAD, pad_edge=False)
     for head in ("from", "stress [Pa]", "to", "stress [Pa]", "J there"):
         table.add_column(head, justify="right")
@@ -86,7 +93,13 @@ def _curves(found: MaterialReport) -> Table:
 def show_laws(
     screen: Console, laws: Sequence[Mapping[str, Any]], typical: Sequence[TypicalMaterial]
 ) -> None:
-    """The laws, and typical constants."""
+    """Prints the laws, and typical constants.
+
+    Args:
+        screen: Where to.
+        laws: See `case.material_report.law_table`.
+        typical: Typical constants.
+    """
     for law in laws:
         screen.print(law["law"], style="bold")
         screen.print(f"  {law['what']}")

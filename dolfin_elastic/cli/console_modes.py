@@ -14,14 +14,19 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.state import Mode
 
 THROUGH = " through "
-"""In the name of a turn before a point of its axis."""
+"""Separates a rotation from a point of its axis in the name of a rigid-body mode."""
 
 SHOWN = 40
-"""Modes that the table shows."""
+"""Largest number of modes in the table."""
 
 
 def show_modes(modes: Sequence[Mode], seconds: Mapping[str, float]) -> None:
-    """The modes of a run as a table, with the share of the body's mass that each carries."""
+    """Prints the modes of a run as a table, with their effective masses.
+
+    Args:
+        modes: At least one.
+        seconds: Time per stage, see `core/timing.py`.
+    """
     screen, buckling = console(), modes[0].kind == "buckling"
     directions = [name for name, mass in modes[0].whole.items() if mass > 0.0]
     table = Table("mode", box=SIMPLE_HEAD, pad_edge=False)
@@ -38,13 +43,13 @@ def show_modes(modes: Sequence[Mode], seconds: Mapping[str, float]) -> None:
         carried = ", ".join(f"{100 * share:.3g} % in {n}" for n, share in sums.items())
         if min(sums.values()) > 1 - 1e-6:
             carried = "all of it"
-        for line in _places(modes):
+        for line in _axis_points(modes):
             screen.print(line)
         screen.print(f"columns: effective mass in % of the whole body's; together {carried}")
 
 
-def _places(modes: Sequence[Mode]) -> list[str]:
-    """The points through which the axes of rigid turns go, which would widen the table."""
+def _axis_points(modes: Sequence[Mode]) -> list[str]:
+    """Points of the axes of rigid rotations, as lines of their own: too wide for the table."""
     found: dict[str, list[str]] = {}
     for mode in modes[:SHOWN]:
         _, through, place = mode.name.partition(THROUGH)

@@ -1,4 +1,4 @@
-"""What the numbers are computed with: versions, libraries, processors."""
+"""Versions, libraries and processors: what a result may depend on."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FAST = ("openblas", "mkl", "blis", "atlas", "accelerate")
 
 
 def describe() -> tuple[dict[str, str], list[str]]:
-    """Name to value of all that matters, and advice where something is slow."""
+    """Name to value, and advice where the installation is slow."""
     blas, advice = _blas()
     threads = os.environ.get("OMP_NUM_THREADS", "")
     if threads != "1" and MPI.COMM_WORLD.size > 1:
@@ -45,7 +45,7 @@ def _has_mumps() -> bool:
 
 
 def _blas() -> tuple[str, list[str]]:
-    """The BLAS library in this process, seen by its file."""
+    """The BLAS library loaded by this process, by its file, and advice if it is slow."""
     try:
         maps = Path("/proc/self/maps").read_text(encoding="utf-8")
     except OSError:

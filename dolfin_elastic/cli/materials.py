@@ -28,7 +28,7 @@ def material(
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
 ) -> None:
-    """Try a material on the bench, before there is any mesh.
+    """Test a material at a point, before there is any mesh.
 
     \b
       dolfin-elastic material case.toml
@@ -40,12 +40,12 @@ def material(
     """
     from mpi4py import MPI
 
-    # On all ranks: PETSc starts with it, which is collective.
-    from dolfin_elastic.case.material_report import constants_of
+    # Imported on all ranks: this starts PETSc, which is collective.
+    from dolfin_elastic.case.material_report import read_constants
     from dolfin_elastic.core.parallel import on_root
 
-    constants = constants_of(context.args)
-    on_root(MPI.COMM_WORLD, lambda: _bench(what, only, constants, stretch, output, json))
+    constants = read_constants(context.args)
+    on_root(MPI.COMM_WORLD, lambda: _test_materials(what, only, constants, stretch, output, json))
 
 
 def materials(
@@ -54,18 +54,20 @@ def materials(
     """List the material laws, and typical constants with their sources."""
     from dataclasses import asdict
 
-    from dolfin_elastic.case.material_report import listed
+    from dolfin_elastic.case.material_report import law_table
     from dolfin_elastic.cli.console import console
     from dolfin_elastic.cli.console_materials import as_json, show_laws
     from dolfin_elastic.material_point.library import TYPICAL_MATERIALS
 
     if json:
-        print(as_json({"laws": listed(), "typical": [asdict(item) for item in TYPICAL_MATERIALS]}))
+        print(
+            as_json({"laws": law_table(), "typical": [asdict(item) for item in TYPICAL_MATERIALS]})
+        )
     else:
-        show_laws(console(), listed(), TYPICAL_MATERIALS)
+        show_laws(console(), law_table(), TYPICAL_MATERIALS)
 
 
-def _bench(
+def _test_materials(
     what: str,
     only: str | None,
     constants: dict[str, Any],
@@ -73,21 +75,21 @@ def _bench(
     output: Path | None,
     json: bool,
 ) -> None:
-    """Tries materials and shows what was found; rank 0 only."""
-    from dolfin_elastic.case.case import located
-    from dolfin_elastic.case.material_report import laws_of, write
+    """Tests materials and prints the results. On rank 0."""
+    from dolfin_elastic.case.case import locate_errors
+    from dolfin_elastic.case.material_report import read_laws, write
     from dolfin_elastic.cli.console import console
-    from dolfin_elastic.cli.console_materials import as_json, bench_table, show_bench
+    from dolfin_elastic.cli.console_materials import as_json, report_table, show_report
     from dolfin_elastic.material_point.report import material_report
 
-    laws, tables, failed = laws_of(what, constants, only), {}, ""
+    laws, tables, failed = read_laws(what, constants, only), {}, ""
     for name, law in laws.items():
-        with located(what if name == what else f"{what}: materials.{name}"):
+        with locate_errors(what if name == what else f"{what}: materials.{name}"):
             found = material_report(law, largest=stretch)
         files = write(name, found, output) if output else []
-        tables[name] = bench_table(found)
+        tables[name] = report_table(found)
         if not json:
-            show_bench(console(), name, found, files)
+            show_report(console(), name, found, files)
         if found.failed:
             failed = failed or f"{name}: {found.failed[0].check}: {found.failed[0].text}"
     if json:

@@ -8,34 +8,34 @@ import signal
 import sys
 from typing import Any, TextIO
 
-_AT_ONCE = ("line_buffering", "write_through")
+_LINE_MODES = ("line_buffering", "write_through")
 
 
-def go_on_without_readers() -> None:
-    """From now on a run goes on to its end, silently, when nobody reads what it prints."""
-    # PETSc, when it starts, puts a handler in the place of Python's, which ends all ranks; what is
-    # blocked reaches none.
+def survive_closed_pipes() -> None:
+    """Lets the program run to its end, silently, if the reader of its output goes away."""
+    # Ignoring SIGPIPE is not enough: PETSc installs a handler of its own when it starts, which
+    # aborts all ranks. A blocked signal reaches no handler; `write` fails with EPIPE instead.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
-    sys.stdout, sys.stderr = _lasting(sys.stdout), _lasting(sys.stderr)
+    sys.stdout, sys.stderr = _surviving(sys.stdout), _surviving(sys.stderr)
 
 
-def _lasting(stream: TextIO) -> TextIO:
-    """The same stream, which nobody needs to read."""
+def _surviving(stream: TextIO) -> TextIO:
+    """The same stream, which discards what is written after its reader has gone."""
     try:
-        raw = _Lasting(stream.fileno(), "wb", closefd=False)
-    except (AttributeError, OSError):  # closed from the start, or no file at all
+        raw = _PipeOrNull(stream.fileno(), "wb", closefd=False)
+    except (AttributeError, OSError):  # the stream is closed, or is not a file
         return stream
     stream.flush()
     return io.TextIOWrapper(
         io.BufferedWriter(raw),
         encoding=stream.encoding,
         errors=stream.errors,
-        line_buffering=any(getattr(stream, name, False) for name in _AT_ONCE),
+        line_buffering=any(getattr(stream, name, False) for name in _LINE_MODES),
     )
 
 
-class _Lasting(io.FileIO):
-    """A file that leads nowhere from when its reader has gone."""
+class _PipeOrNull(io.FileIO):
+    """A pipe that becomes /dev/null when its reader has gone."""
 
     def write(self, data: Any, /) -> int:
         try:

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from click.exceptions import Exit
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mpi4py import MPI
 
     from dolfin_elastic.case.case import Case
+    from dolfin_elastic.cli.console import ProgressDisplay
     from dolfin_elastic.problem.state import Mode, State
 
 Petsc = Annotated[list[str] | None, typer.Argument(metavar="[-- PETSC...]", hidden=True)]
@@ -62,7 +63,7 @@ def run(
 
     stop = Stop(folder)
     states = run_case(read, output=folder, petsc=options, asked=stop.wants_checkpoint)
-    _compute(_Job(read, folder, states, stop, quiet=quiet, profile=profile), comm)
+    _compute(_DisplayedRun(read, folder, states, stop, quiet=quiet, profile=profile), comm)
 
 
 def restart(
@@ -92,8 +93,10 @@ def restart(
 
     stop = Stop(folder)
     states = restart_case(found, petsc=options, asked=stop.wants_checkpoint)
-    job = _Job(found.case, folder, states, stop, quiet=quiet, profile=profile, since=found.step)
-    _compute(job, comm)
+    displayed = _DisplayedRun(
+        found.case, folder, states, stop, quiet=quiet, profile=profile, since=found.step
+    )
+    _compute(displayed, comm)
 
 
 def _begin(quiet: bool) -> MPI.Comm:
@@ -104,17 +107,17 @@ def _begin(quiet: bool) -> MPI.Comm:
 
 
 @dataclass
-class _Job:
-    """A run as the command line shows it.
+class _DisplayedRun:
+    """A run and how the command line shows it.
 
     Attributes:
         case: What is computed.
         folder: Of the results.
-        states: What is yielded.
-        stop: Who may stop it.
-        quiet: Only problems are shown.
-        profile: Where the time went is shown.
-        since: Step that it goes on from.
+        states: The generator that computes it.
+        stop: Signals and files that stop it.
+        quiet: Show problems only.
+        profile: Show time and memory per stage.
+        since: Step from which it is restarted.
     """
 
     case: Case
@@ -126,24 +129,24 @@ class _Job:
     since: int = 0
 
 
-def _compute(job: _Job, comm: MPI.Comm) -> None:
-    """Runs a case, shows it, and ends with its exit code. Collective."""
-    loud = comm.rank == 0 and not job.quiet
-    code = _followed(job, comm, loud=loud)
-    if job.profile:
+def _compute(displayed: _DisplayedRun, comm: MPI.Comm) -> None:
+    """Computes and shows a run; leaves with its exit code if that is not 0. Collective."""
+    visible = comm.rank == 0 and not displayed.quiet
+    code = _follow(displayed, comm, visible=visible)
+    if displayed.profile:
         _show_profile(comm)
-    if loud:
+    if visible:
         from dolfin_elastic.cli.console import show_files, show_restart
 
-        show_files(job.folder, job.case.listing(job.folder))
+        show_files(displayed.folder, displayed.case.listing(displayed.folder))
         if code == INTERRUPTED:
-            show_restart(job.folder)
+            show_restart(displayed.folder)
     if code:
         raise Exit(code)
 
 
-def _followed(job: _Job, comm: MPI.Comm, *, loud: bool) -> int:
-    """Follows a run to its end, or until it is stopped; returns the exit code."""
+def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
+    """Computes a run to its end, or until it is stopped; returns the exit code. Collective."""
     from contextlib import closing
 
     from dolfin_elastic.cli import console
@@ -151,54 +154,55 @@ def _followed(job: _Job, comm: MPI.Comm, *, loud: bool) -> int:
     from dolfin_elastic.core import timing
     from dolfin_elastic.problem.state import Mode
 
-    motion = job.case.dynamics is not None
-    meter = _meter(motion, loud)
+    motion = displayed.case.dynamics is not None
+    progress = _progress_display(motion, visible)
     state, newton, modes = None, 0, []
     try:
-        with closing(job.states) as found:
-            for one in found:
-                if isinstance(one, Mode):
-                    modes.append(one)
+        with closing(displayed.states) as results:
+            for result in results:
+                if isinstance(result, Mode):
+                    modes.append(result)
                 else:
-                    state = one
+                    state = result
                     newton += state.newton
-                    meter.show(state)
-                if one.done < 1.0 and job.stop.agreed(comm):
+                    progress.show(state)
+                if result.done < 1.0 and displayed.stop.agreed(comm):
                     return INTERRUPTED
     except SolveError as error:
-        error.add_note(f"results so far are in {job.folder}")
+        error.add_note(f"results so far are in {displayed.folder}")
         raise
     finally:
-        meter.close()
-    if loud and modes:
+        progress.close()
+    if visible and modes:
         show_modes(modes, timing.totals())
-    elif loud and state is not None:
+    elif visible and state is not None:
         console.show_end(
-            state, motion=motion, seconds=timing.totals(), newton=newton, since=job.since
+            state, motion=motion, seconds=timing.totals(), newton=newton, since=displayed.since
         )
     return 0
 
 
-def _meter(motion: bool, loud: bool) -> Any:
+def _progress_display(motion: bool, visible: bool) -> ProgressDisplay:
+    """A bar on a terminal, lines in a file or pipe, nothing if not visible."""
     from dolfin_elastic.cli import console
 
-    if not loud:
-        return console.Silent()
-    shared = next(
+    if not visible:
+        return console.NoProgress()
+    screen = next(
         (
             handler.screen
             for handler in logging.getLogger("dolfin_elastic").handlers
-            if isinstance(handler, console.Handler)
+            if isinstance(handler, console.LogHandler)
         ),
         None,
     )
-    if shared is not None and shared.is_terminal and sys.stdout.isatty():
-        return console.Bar(motion, shared)
-    return console.Lines(motion)
+    if screen is not None and screen.is_terminal and sys.stdout.isatty():
+        return console.ProgressBar(motion, screen)
+    return console.ProgressLines(motion)
 
 
 def _show_profile(comm: MPI.Comm) -> None:
-    """Collective."""
+    """Prints time per stage and peak memory. Collective."""
     from dolfin_elastic.cli import console
     from dolfin_elastic.core import timing
     from dolfin_elastic.core.parallel import largest, smallest
@@ -215,10 +219,15 @@ def _show_profile(comm: MPI.Comm) -> None:
 
 
 def log_to_screen(rank: int, level: int) -> None:
-    """Shows what is logged, on rank 0."""
-    from dolfin_elastic.cli.console import Handler, console
+    """Prints what the package logs, on rank 0.
+
+    Args:
+        rank: Of this process.
+        level: Lowest level that is shown, of `logging`.
+    """
+    from dolfin_elastic.cli.console import LogHandler, console
 
     log = logging.getLogger("dolfin_elastic")
-    log.handlers = [Handler(rank, console(stderr=True))]
+    log.handlers = [LogHandler(rank, console(stderr=True))]
     log.setLevel(level)
     log.propagate = False

@@ -1,6 +1,6 @@
-"""The case that `dolfin-elastic new` writes: it runs as it is and says what to change."""
+"""The case that `dolfin-elastic new` writes: it runs as it is; comments say what to change."""
 
-STARTER = """\
+TEMPLATE = """\
 # A cantilever under its own weight and a load at its tip.
 #
 #   dolfin-elastic check {name}             what will be computed, and what is wrong
@@ -49,10 +49,10 @@ steps = 4                  # loads grow from nothing to all in so many steps
 """
 
 
-def starter(name: str) -> str:
+def case_template(name: str) -> str:
     """The text of a first case file.
 
     Args:
         name: What the file will be called.
     """
-    return STARTER.format(name=name)
+    return TEMPLATE.format(name=name)

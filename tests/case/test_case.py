@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, read_case
 from dolfin_elastic.case.check import check, report
-from dolfin_elastic.cli.template import starter
+from dolfin_elastic.cli.template import case_template
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.solvers.diagnostics.rigid_body import free_motions
@@ -730,7 +730,7 @@ def test_case_in_python() -> None:
 
 def test_starter(folder: Path) -> None:
     """The case that `new` writes has nothing wrong with it."""
-    found = report(case_of(folder, starter("case.toml")))
+    found = report(case_of(folder, case_template("case.toml")))
     assert found.notes == ()
 
 

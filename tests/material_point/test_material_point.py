@@ -26,9 +26,9 @@ from dolfin_elastic import (
     StVenantKirchhoff,
 )
 from dolfin_elastic.case.material_report import (
-    constants_of,
-    laws_of,
-    listed,
+    law_table,
+    read_constants,
+    read_laws,
     write,
 )
 from dolfin_elastic.core.errors import InputError
@@ -302,7 +302,7 @@ def test_growth_as_the_volume_grows(volumetric, text):
 
 
 def test_the_list_tells_every_law():
-    rows = {row["law"]: row for row in listed()}
+    rows = {row["law"]: row for row in law_table()}
     assert list(rows) == list(MATERIALS)
     for name, row in rows.items():
         assert row["what"]
@@ -314,12 +314,12 @@ def test_the_list_tells_every_law():
 
 
 def test_words_of_the_command_line():
-    assert constants_of(["--E", "10 MPa", "--nu=0.3"]) == {"E": "10 MPa", "nu": "0.3"}
-    assert constants_of(["--a=[1, 2]"]) == {"a": [1, 2]}
+    assert read_constants(["--E", "10 MPa", "--nu=0.3"]) == {"E": "10 MPa", "nu": "0.3"}
+    assert read_constants(["--a=[1, 2]"]) == {"a": [1, 2]}
     for words in (["E", "3"], ["--E"], ["--a=[1,"]):
         with pytest.raises(InputError):
-            constants_of(words)
-    (law,) = laws_of("neo-hookean", {"E": "10 MPa", "nu": "0.3"}).values()
+            read_constants(words)
+    (law,) = read_laws("neo-hookean", {"E": "10 MPa", "nu": "0.3"}).values()
     assert law == NeoHookean(E=1e7, nu=0.3)
 
 

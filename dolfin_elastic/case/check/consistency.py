@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from dolfin_elastic.case.case import Case, located
+from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.check.plausibility import plausibility_notes
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.case.toml import key_text
@@ -37,7 +37,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
     Raises:
         InputError: The first fault, with file and key, the same on every rank.
     """
-    with located(case.file):
+    with locate_errors(case.file):
         _check_names(case, body)
         _check_components(case, body)
         _check_materials(case.materials, body)

@@ -78,8 +78,8 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     diagonal = span(problem.body)
     gaps = first_gaps(problem, moving=case.dynamics is not None)
     for pair, (gap, _) in zip(problem.contact_pairs, gaps, strict=True):
-        moved = float(np.linalg.norm([_size(value) for value in pair.contact.values])) * case.full
-        if abs(gap) > diagonal + moved:
+        motion = float(np.linalg.norm([_size(value) for value in pair.contact.values]))
+        if abs(gap) > diagonal + motion * case.final_load:
             yield (
                 f"contact '{pair.label}': "
                 + (
@@ -128,7 +128,9 @@ def check_supports(case: Case, problem: Problem) -> None:
     """
     if all(support.at_rest for support in problem.supports):
         return
-    end, default = (case.dynamics.end, CONSTANT) if case.dynamics else (case.full, PROPORTIONAL)
+    end, default = case.final_load, PROPORTIONAL
+    if case.dynamics is not None:
+        end, default = case.dynamics.end, CONSTANT
     prescribed = problem.dirichlet
     for t in np.linspace(0.0, end, TIMES):
         prescribed.set_time(float(t), default)

@@ -138,7 +138,7 @@ def _rigid_resultant(motion: RigidMotion, t: float, case: Case, dim: int) -> Flo
 
 def _rigid_times(case: Case) -> list[float]:
     if case.dynamics is None:
-        return [case.full]
+        return [case.final_load]
     return [float(t) for t in np.linspace(0.0, case.dynamics.end, TIMES)]
 
 
@@ -161,7 +161,7 @@ def _strength(sums: FloatArray, dim: int) -> float:
 def _times(case: Case, load: Load) -> list[float]:
     """Times at which a load is evaluated: the end in statics, many in motion."""
     if case.dynamics is None:
-        return [case.full]
+        return [case.final_load]
     if load.amplitude in (None, CONSTANT) and not depends_on_time(load.values):
         return [0.0]
     end = case.dynamics.end

@@ -284,7 +284,7 @@ def _final_value(
 ) -> FloatArray:
     """Displacement that a support prescribes at the end of the analysis, shape (points,) [m]."""
     motion = case.dynamics
-    t, default = (case.full, PROPORTIONAL) if motion is None else (motion.end, CONSTANT)
+    t, default = (case.final_load, PROPORTIONAL) if motion is None else (motion.end, CONSTANT)
     return np.asarray(np.broadcast_to(support.at(component, x, t, default), len(x)))
 
 

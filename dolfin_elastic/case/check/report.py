@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from mpi4py import MPI
 
-from dolfin_elastic.case.case import Case, located
+from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.check.cavities import cavity_notes
 from dolfin_elastic.case.check.consistency import check, explicit, run_notes
 from dolfin_elastic.case.check.initial_state import (
@@ -103,7 +103,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     try:
         problem = case.make_problem(body)
         notes = (*notes, *contact_notes(case, problem))
-        with located(case.file):
+        with locate_errors(case.file):
             notes = (*notes, *_start(case, problem), *cavity_notes(case, problem))
             return _found(case, body, problem, notes)
     except InputError as error:
