@@ -21,15 +21,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfin_elastic.core.errors import BadCell, Diagnosis
-from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
 from dolfin_elastic.solvers import messages
-from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics import instability
-from dolfin_elastic.solvers.diagnostics.evidence import Cells, Fault, not_finite
-from dolfin_elastic.solvers.diagnostics.loose_parts import loose
+from dolfin_elastic.solvers.diagnostics.evidence import Cells, Fault, TrialStates, not_finite
+from dolfin_elastic.solvers.diagnostics.loose_parts import find_loose_part
 from dolfin_elastic.solvers.diagnostics.stability import LIMIT
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import none_touching, pulled_off
@@ -89,90 +88,88 @@ def diagnose(
         moving: In motion, where a body may be free or unstable.
     """
     with stage("diagnose"):
-        doctor = _Doctor(assembler, result, good, failed)
-        doctor.stable, doctor.moving = judge_stability and not moving, moving
+        search = _CauseSearch(
+            assembler,
+            result,
+            good,
+            failed,
+            judge_stability=judge_stability and not moving,
+            moving=moving,
+        )
         try:
-            return doctor.said()
+            return search.first_cause()
         finally:
-            doctor.put(failed)
+            search.states.put(failed)
             assembler.residual.assemble()
 
 
-class _Doctor:
-    """One diagnosis. Collective."""
+class _CauseSearch:
+    """Looks for the cause of one failure. Collective.
+
+    Args:
+        assembler: See `diagnose`.
+        result: See `diagnose`.
+        good: See `diagnose`.
+        failed: See `diagnose`.
+        judge_stability: See `diagnose`.
+        moving: See `diagnose`.
+    """
 
     def __init__(
-        self, assembler: Assembler, result: NewtonResult, good: FloatArray, failed: FloatArray
+        self,
+        assembler: Assembler,
+        result: NewtonResult,
+        good: FloatArray,
+        failed: FloatArray,
+        *,
+        judge_stability: bool,
+        moving: bool,
     ) -> None:
         self.assembler, self.result, self.problem = assembler, result, assembler.problem
         self.good, self.failed = good.copy(), failed.copy()
-        self.rejected, self.stable, self.moving = RejectedSteps.of(result), True, False
-        self.cells, self.unseen = Cells(assembler), ""
-        self.next: Fault | None = None
-        self.finite = self._residual(self.failed)
-        self.held = self.finite and assembler.residual.gap <= 1e-9 * span(self.problem.body)
+        self._judge_stability, self._moving = judge_stability, moving
+        self.rejected = RejectedSteps.of(result)
+        self.states, self.cells = TrialStates(assembler), Cells(assembler)
+        self._not_examined = ""  # in words, for every diagnosis after the look at stability
+        self._inverted_ahead: Fault | None = None
+        self._finite = self.states.residual(self.failed)
+        gap = assembler.residual.gap
+        self._prescribed = self._finite and gap <= 1e-9 * span(self.problem.body)
         self.worst: tuple[BadCell, ...] = self.cells.worst()
 
-    def said(self) -> Diagnosis:
+    def first_cause(self) -> Diagnosis:
         """The first cause for which there is evidence."""
         checks = (
-            self._loose,
+            self._loose_part,
             self._not_finite,
-            self._refused,
+            self._solution_inverted,
             self._round_off,
             self._unstable,
             self._linear_solver,
-            self._ahead,
-            self._piled_up,
-            self._inside_out,
+            self._next_step,
+            self._steps_shortened,
+            self._inverted_cells,
         )
         for check in checks:
             if (found := check()) is not None:
                 return found
-        return self._gave_up()
-
-    def put(self, values: FloatArray) -> None:
-        """Makes these the problem's unknowns."""
-        self.problem.w.x.array[:] = values
-        self.problem.unknowns.w_to_u()
+        return self._stopped()
 
     def _make(self, cause: str, text: str, advice: str, place: tuple[float, ...] = ()) -> Diagnosis:
-        if self.moving and cause in ("inverted", "stalled", "iterations"):
+        if self._moving and cause in ("inverted", "stalled", "iterations"):
             advice = messages.SMALLER_STEP
         place = place[: self.problem.body.dim]
-        return Diagnosis(cause, text + self.unseen, advice, place, self.worst)
-
-    # --- looking ---
-
-    def _residual(self, values: FloatArray) -> bool:
-        """Evaluates the residual; returns whether all of it is finite."""
-        self.put(values)
-        x, f = self.assembler.create_vector(), self.assembler.create_vector()
-        self.assembler.get(x)
-        self.assembler.residual.evaluate(x, f)
-        finite = bool(np.isfinite(f.array_r).all() and np.isfinite(x.array_r).all())
-        x.destroy()
-        f.destroy()
-        return largest(self.assembler.comm, float(not finite)) == 0.0
-
-    def _tangent(self, values: FloatArray) -> bool:
-        """Assembles the tangent; returns whether its diagonal is finite."""
-        return instability.tangent(self.assembler, self.put, values)
-
-    def _upside_down(self) -> int:
-        """Cells of the last iterate that have turned inside out."""
-        self.put(self.failed)
-        return sum(self.assembler.comm.allgather(int(np.sum(self.cells.jacobians() <= 0.0))))
+        return Diagnosis(cause, text + self._not_examined, advice, place, self.worst)
 
     # --- causes, in the order in which they are looked for ---
 
-    def _loose(self) -> Diagnosis | None:
-        if self.moving or not self._tangent(self.good):
+    def _loose_part(self) -> Diagnosis | None:
+        if self._moving or not self.states.tangent(self.good):
             return None
-        found, start, advice = loose(self.assembler), "", messages.HOLD
+        found, start, advice = find_loose_part(self.assembler), "", messages.HOLD
         if found is None and pulled_off(self.assembler):
             with none_touching(self.problem):
-                found = loose(self.assembler) if self._tangent(self.good) else None
+                found = find_loose_part(self.assembler) if self.states.tangent(self.good) else None
             start, advice = "the load pulls it off its obstacles, and then ", messages.LIFTED
         if found is None:
             return None
@@ -182,42 +179,41 @@ class _Doctor:
         return self._make("rigid-motion", text, advice, found.place)
 
     def _not_finite(self) -> Diagnosis | None:
-        self._residual(self.failed)
-        if self.finite and self._energy_is_finite():
+        self.states.residual(self.failed)
+        if self._finite and self.states.energy_is_finite():
             return None
         fault = not_finite(self.cells)
         if fault is None or fault.inverted:
             return self._inverted() if fault is not None else None
         return self._nan(fault.text, fault)
 
-    def _energy_is_finite(self) -> bool:
-        if self.problem.weak_form.strain_energy is None:
-            return True
-        form = compiled(self.problem, [self.problem.weak_form.strain_energy])[0]
-        return bool(np.isfinite(integral(self.problem, form)))
-
     def _nan(self, text: str, fault: Fault) -> Diagnosis:
         return self._make(
             "nan", text, messages.LOAD if fault.load else messages.DOMAIN, fault.place
         )
 
-    def _refused(self) -> Diagnosis | None:
+    def _solution_inverted(self) -> Diagnosis | None:
         """An equilibrium was found, but its cells are inside out."""
         return self._inverted() if "inside out" in self.result.reason else None
 
-    def _piled_up(self) -> Diagnosis | None:
+    def _steps_shortened(self) -> Diagnosis | None:
         """Step after step was shortened; a body that gives way does so too, so that comes first."""
         many = self.rejected.count > PATIENCE or "DOMAIN" in self.result.reason
         return self._inverted() if self.rejected.count and many else None
 
-    def _inside_out(self) -> Diagnosis | None:
-        if self.next is not None:
-            text = messages.ahead(self.next.text)
-            return self._make("inverted", text, messages.SMALLER, self.next.place)
-        return self._inverted() if self._upside_down() else None
+    def _inverted_cells(self) -> Diagnosis | None:
+        if self._inverted_ahead is not None:
+            text = messages.ahead(self._inverted_ahead.text)
+            return self._make("inverted", text, messages.SMALLER, self._inverted_ahead.place)
+        return self._inverted() if self._count_inverted() else None
+
+    def _count_inverted(self) -> int:
+        """Cells of the last iterate that have turned inside out."""
+        self.states.put(self.failed)
+        return sum(self.assembler.comm.allgather(int(np.sum(self.cells.jacobians() <= 0.0))))
 
     def _inverted(self) -> Diagnosis:
-        count, bad = self._upside_down(), self.rejected
+        count, bad = self._count_inverted(), self.rejected
         if "inside out" in self.result.reason:
             start = "the solution was refused: "
         else:
@@ -240,7 +236,7 @@ class _Doctor:
     def _round_off(self) -> Diagnosis | None:
         """The residual has stopped falling where round-off of the internal forces begins."""
         norms = self.result.residuals[-3:]
-        if self.moving or not (self.held and norms and np.isfinite(norms).all()):
+        if self._moving or not (self._prescribed and norms and np.isfinite(norms).all()):
             return None  # in motion inertia has a round-off of its own, which is not estimated
         refused = self.result.reason in (UNSTABLE, ANOTHER, BEYOND)
         best = min(norms)
@@ -270,7 +266,7 @@ class _Doctor:
         body's strains are less exact.  Source: N. Higham, Accuracy and Stability of Numerical
         Algorithms (2002), (3.5).
         """
-        if not self._tangent(self.failed):
+        if not self.states.tangent(self.failed):
             return 0.0
         diagonal = self.assembler.tangent.matrix.getDiagonal()
         rows = np.abs(diagonal.array_r.copy())
@@ -281,13 +277,11 @@ class _Doctor:
         return float(np.finfo(float).eps) * norm * size
 
     def _unstable(self) -> Diagnosis | None:
-        if not self.stable:
+        if not self._judge_stability:
             return None
         settled = self.result.reason == UNSTABLE
-        look = instability.unstable(
-            self.assembler, self.put, self.good, self.failed, settled=settled
-        )
-        self.unseen = look.unseen
+        look = instability.unstable(self.states, self.good, self.failed, settled=settled)
+        self._not_examined = look.not_examined
         if not look.text and self.result.reason == ANOTHER:
             text = "the equilibrium that was found lies on another path: the body has jumped to it"
             return self._make("unstable", text, messages.LIMIT_POINT, self.worst[0].place)
@@ -298,31 +292,35 @@ class _Doctor:
     def _linear_solver(self) -> Diagnosis | None:
         if "LINEAR_SOLVE" not in self.result.reason:
             return None
-        said, advice = messages.linear(self.result.reason)
-        return self._make("linear-solver", f"the linear solver failed: {said}", advice)
+        cause, advice = messages.linear(self.result.reason)
+        return self._make("linear-solver", f"the linear solver failed: {cause}", advice)
 
-    def _ahead(self) -> Diagnosis | None:
+    def _next_step(self) -> Diagnosis | None:
         """What Newton's next step would run into."""
-        if self.moving:  # its tangent has the mass in it, with the factor of a step that is over
+        if self._moving:  # its tangent has the mass in it, with the factor of a step that is over
             return None
         limit = LIMIT[self.problem.body.dim]
-        if not self.finite or self.problem.num_dofs > limit or not self._tangent(self.failed):
+        if (
+            not self._finite
+            or self.problem.num_dofs > limit
+            or not self.states.tangent(self.failed)
+        ):
             return None
         if not instability.take_newton_step(self.assembler):
             return None
-        self._residual(self.problem.w.x.array.copy())
+        self.states.residual(self.problem.w.x.array.copy())
         fault = not_finite(self.cells)
-        self._residual(self.failed)
+        self.states.residual(self.failed)
         if fault is None:
             return None
         if fault.inverted:
-            self.next = fault
+            self._inverted_ahead = fault
             return None
         before = "; the last iterate stands just before that, and Newton's step leads there"
         return self._nan(fault.text + before, fault)
 
-    def _gave_up(self) -> Diagnosis:
-        self._residual(self.failed)
+    def _stopped(self) -> Diagnosis:
+        self.states.residual(self.failed)
         _, node = self.assembler.residual.largest()
         where = tuple(float(x) for x in node)
         p = self.result

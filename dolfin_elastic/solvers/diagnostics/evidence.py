@@ -22,7 +22,7 @@ from dolfin_elastic.material_point.checks import finite_twin
 from dolfin_elastic.material_point.domain import undefined_operation
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.messages import coordinates, count
 
 WORST = 10
@@ -118,6 +118,56 @@ class Cells:
     def first(self, where: BoolArray) -> tuple[float, ...]:
         """Middle of a marked cell, on any number of ranks the same one. Collective."""
         return first_of(self.comm, map(plain, self.middles[where])) or ()
+
+
+class TrialStates:
+    """Residual and tangent of a problem at states that it was or might be in.
+
+    Args:
+        assembler: Of the problem.
+    """
+
+    def __init__(self, assembler: Assembler) -> None:
+        self.assembler, self.problem = assembler, assembler.problem
+
+    def put(self, values: FloatArray) -> None:
+        """Changes the problem's unknowns. Not collective.
+
+        Args:
+            values: All unknowns, local array with ghosts.
+        """
+        self.problem.w.x.array[:] = values
+        self.problem.unknowns.w_to_u()
+
+    def residual(self, values: FloatArray) -> bool:
+        """Evaluates the residual of a state; whether all of it is finite. Collective."""
+        self.put(values)
+        x, f = self.assembler.create_vector(), self.assembler.create_vector()
+        self.assembler.get(x)
+        self.assembler.residual.evaluate(x, f)
+        finite = bool(np.isfinite(f.array_r).all() and np.isfinite(x.array_r).all())
+        x.destroy()
+        f.destroy()
+        return largest(self.assembler.comm, float(not finite)) == 0.0
+
+    def tangent(self, values: FloatArray) -> bool:
+        """Assembles the tangent of a state; whether its diagonal is finite. Collective."""
+        self.put(values)
+        x = self.assembler.create_vector()
+        self.assembler.get(x)
+        self.assembler.tangent.assemble(x)
+        x.destroy()
+        diagonal = self.assembler.tangent.matrix.getDiagonal()
+        bad = not np.isfinite(diagonal.array_r).all()
+        diagonal.destroy()
+        return largest(self.assembler.comm, float(bad)) == 0.0
+
+    def energy_is_finite(self) -> bool:
+        """Whether the strain energy of the present state is finite, if there is one. Collective."""
+        energy = self.problem.weak_form.strain_energy
+        if energy is None:
+            return True
+        return bool(np.isfinite(integral(self.problem, compiled(self.problem, [energy])[0])))
 
 
 # --- terms without a finite value ---

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +14,7 @@ from dolfin_elastic.material_point.ufl_to_numpy import LawAtPoints
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.diagnostics.evidence import Cells
+from dolfin_elastic.solvers.diagnostics.evidence import Cells, TrialStates
 from dolfin_elastic.solvers.diagnostics.stability import (
     LIMIT,
     Mode,
@@ -23,8 +22,6 @@ from dolfin_elastic.solvers.diagnostics.stability import (
     curvature,
 )
 from dolfin_elastic.solvers.messages import coordinates
-
-Put = Callable[[FloatArray], None]
 
 SOFT = 0.5
 """Share of its stiffness at rest that a motion may keep where the last iterate is unstable."""
@@ -40,7 +37,7 @@ HUGE = 1.0
 
 
 @dataclass(frozen=True)
-class Look:
+class Spectrum:
     """A tangent's signs and weakest mode.
 
     Attributes:
@@ -67,88 +64,75 @@ class Finding:
         text: In words; empty if there is no evidence of an instability.
         advice: What to try.
         place: Where the motion or the material's instability is [m].
-        unseen: What was not looked at, for other diagnoses.
+        not_examined: What was not looked at, for other diagnoses.
     """
 
     text: str = ""
     advice: str = ""
     place: tuple[float, ...] = ()
-    unseen: str = ""
+    not_examined: str = ""
 
 
 def unstable(
-    assembler: Assembler, put: Put, good: FloatArray, failed: FloatArray, *, settled: bool = False
+    states: TrialStates, good: FloatArray, failed: FloatArray, *, settled: bool = False
 ) -> Finding:
     """Looks for an instability. Collective.
 
     Args:
-        assembler: Residual and tangent.
-        put: Makes an array the problem's unknowns.
+        states: Of the problem.
         good: The last equilibrium.
         failed: The last iterate.
         settled: That is an equilibrium, too.
     """
-    problem = assembler.problem
+    problem = states.problem
     if problem.num_dofs > LIMIT[problem.body.dim]:
-        return _by_curvature(assembler, put, good, failed)
-    at_good = _look(assembler, put, good)
+        return _by_curvature(states, good, failed)
+    at_good = _spectrum(states, good)
     if at_good is None or at_good.unstable:
-        return Finding() if at_good is None else _told(assembler, put, good, at_good)
-    at_failed = _look(assembler, put, failed)
+        return Finding() if at_good is None else _finding(states, good, at_good)
+    at_failed = _spectrum(states, failed)
     lost = at_failed is not None and at_failed.unstable
     if settled and lost and at_failed is not None:
-        return _told(assembler, put, failed, at_failed, which="equilibrium that was found")
+        return _finding(states, failed, at_failed, which="equilibrium that was found")
     if at_good.mode is None or at_failed is None:
         return Finding()
-    left = _left(_look(assembler, put, np.zeros_like(good)), at_good.mode)
+    left = _stiffness_left(_spectrum(states, np.zeros_like(good)), at_good.mode)
     near = left <= (SOFT if lost else LOST)
-    return _told(assembler, put, good, at_good, left=left) if near else Finding()
+    return _finding(states, good, at_good, left=left) if near else Finding()
 
 
-def _left(at_rest: Look | None, mode: Mode) -> float:
+def _stiffness_left(at_rest: Spectrum | None, mode: Mode) -> float:
     """Share of the stiffness at rest that is left; 1 where that is not known."""
     if at_rest is None or at_rest.mode is None or at_rest.mode.stiffness <= 0.0:
         return 1.0
     return mode.stiffness / at_rest.mode.stiffness
 
 
-def _look(assembler: Assembler, put: Put, values: FloatArray) -> Look | None:
+def _spectrum(states: TrialStates, values: FloatArray) -> Spectrum | None:
     """Factorises the tangent of a state; None where it has none."""
-    if not tangent(assembler, put, values):
+    if not states.tangent(values):
         return None
-    stability = Stability(assembler)
+    stability = Stability(states.assembler)
     try:
-        return Look(stability.negative, stability.weakest()) if stability.sound else None
+        return Spectrum(stability.negative, stability.weakest()) if stability.sound else None
     finally:
         stability.destroy()
 
 
-def _by_curvature(assembler: Assembler, put: Put, good: FloatArray, failed: FloatArray) -> Finding:
+def _by_curvature(states: TrialStates, good: FloatArray, failed: FloatArray) -> Finding:
     """For large bodies: whether the way Newton's method went has a negative stiffness."""
-    unseen = "; the tangent's eigenvalues were not looked at, the body is too large for that"
+    not_examined = "; the tangent's eigenvalues were not looked at, the body is too large for that"
+    assembler = states.assembler
     way = (failed - good)[: assembler.size]
     motion = way[assembler.displacement_dofs]
     size = float(np.sqrt(total(assembler.comm, float(np.sum(motion**2)))))
     if not (np.isfinite(size) and size > 0.0):
-        return Finding(unseen=unseen)
+        return Finding(not_examined=not_examined)
     for state in (good, failed):
-        if tangent(assembler, put, state) and (k := curvature(assembler, way)) < 0.0:
-            look = Look(None, Mode(k, np.asarray(motion / size, dtype=np.float64)))
-            return replace(_told(assembler, put, good, look, way=True), unseen=unseen)
-    return Finding(unseen=unseen)
-
-
-def tangent(assembler: Assembler, put: Put, values: FloatArray) -> bool:
-    """Assembles the tangent of a state; whether its diagonal is finite. Collective."""
-    put(values)
-    x = assembler.create_vector()
-    assembler.get(x)
-    assembler.tangent.assemble(x)
-    x.destroy()
-    diagonal = assembler.tangent.matrix.getDiagonal()
-    bad = not np.isfinite(diagonal.array_r).all()
-    diagonal.destroy()
-    return largest(assembler.comm, float(bad)) == 0.0
+        if states.tangent(state) and (k := curvature(assembler, way)) < 0.0:
+            spectrum = Spectrum(None, Mode(k, np.asarray(motion / size, dtype=np.float64)))
+            return replace(_finding(states, good, spectrum, way=True), not_examined=not_examined)
+    return Finding(not_examined=not_examined)
 
 
 def take_newton_step(assembler: Assembler) -> bool:
@@ -170,35 +154,34 @@ def take_newton_step(assembler: Assembler) -> bool:
     return stability.sound
 
 
-# --- what it says ---
+# --- in words ---
 
 
-def _told(
-    assembler: Assembler,
-    put: Put,
+def _finding(
+    states: TrialStates,
     good: FloatArray,
-    look: Look,
+    spectrum: Spectrum,
     *,
     left: float = 0.0,
     way: bool = False,
     which: str = "last equilibrium",
 ) -> Finding:
-    """What to say.
+    """The finding in words, with advice. Collective.
 
     Args:
-        assembler: Residual and tangent.
-        put: Makes an array the problem's unknowns.
+        states: Of the problem.
         good: The last equilibrium.
-        look: What was seen of it.
+        spectrum: Of its tangent.
         left: Share of its stiffness at rest that the weakest mode has left.
         which: What the state is.
-        way: The mode is but the way from the last equilibrium to the last iterate.
+        way: The mode is only the difference from the last equilibrium to the last iterate.
     """
-    put(good)
-    mode = look.mode
+    states.put(good)
+    assembler = states.assembler
+    mode = spectrum.mode
     text = (
-        f"the {which} is unstable: its tangent has {_eigenvalues(look.negative)}"
-        if look.unstable
+        f"the {which} is unstable: its tangent has {_eigenvalues(spectrum.negative)}"
+        if spectrum.unstable
         else "near the last equilibrium stability is lost: the stiffness against one motion has "
         f"fallen to {100 * left:.2g} % of that at rest"
     )

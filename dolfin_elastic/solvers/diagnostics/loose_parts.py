@@ -1,4 +1,4 @@
-"""Pieces of a body that hang together, and the rigid motions that nothing resists."""
+"""Connected parts of a body, and the rigid motions that nothing resists."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FREE = 1e-10
 
 
 @dataclass(frozen=True)
-class Loose:
+class LoosePart:
     """A piece that can move as a rigid body.
 
     Attributes:
@@ -38,7 +38,7 @@ class Loose:
     whole: bool
 
 
-def pieces(problem: Problem) -> IntArray:
+def connected_parts(problem: Problem) -> IntArray:
     """Number of the piece each local node (ghosts included) belongs to. Collective.
 
     A rank finds the pieces of its own cells; the nodes it shares with others say which of them
@@ -64,12 +64,12 @@ def pieces(problem: Problem) -> IntArray:
     return np.asarray(joined[before], dtype=np.int64)
 
 
-def loose(assembler: Assembler) -> Loose | None:
+def find_loose_part(assembler: Assembler) -> LoosePart | None:
     """A piece that the tangent, as it is assembled, does not hold. Collective."""
     problem = assembler.problem
     if problem.cell is not None:  # its neighbours hold it
         return None
-    number = pieces(problem)
+    number = connected_parts(problem)
     count = int(largest(problem.body.comm, float(number.max(initial=-1)))) + 1
     if count > 50:  # dust of a broken mesh; each costs six products
         return None
@@ -77,7 +77,7 @@ def loose(assembler: Assembler) -> Loose | None:
         if (found := _motions(assembler, number == piece)) is not None:
             words, place = found
             name = _name(problem, number == piece)
-            return Loose(tuple(words), place, name, count == 1)
+            return LoosePart(tuple(words), place, name, count == 1)
     return None
 
 

@@ -12,7 +12,7 @@ a rigid surface.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from mpi4py import MPI
@@ -22,37 +22,44 @@ from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 
 
-class ScalarUnknowns:
-    """Scalar unknowns s and their equations g(u, s) = 0; all ranks know both.
+class ScalarUnknowns(Protocol):
+    """Scalar unknowns s and their equations g(u, s) = 0; all ranks know both."""
 
-    Attributes:
-        size: How many there are.
-        steps: Differences of s by which derivatives with respect to it are taken.
-        signs: What each scalar is in the whole system's energy: 1 a coordinate, whose equation is
-            a force; -1 a multiplier, whose equation is a constraint; 0 neither.
-        prescribing: Whether each scalar changes prescribed displacements only, and no force.
-    """
+    @property
+    def size(self) -> int:
+        """How many there are."""
 
-    size: int
-    steps: FloatArray
-    signs: FloatArray
-    prescribing: BoolArray
+    @property
+    def steps(self) -> FloatArray:
+        """Differences of s by which derivatives with respect to it are taken, shape (size,)."""
+
+    @property
+    def signs(self) -> FloatArray:
+        """What each scalar is in the energy of the whole system, shape (size,).
+
+        1: a coordinate, whose equation is a force; -1: a multiplier, whose equation is a
+        constraint; 0: neither.
+        """
+
+    @property
+    def prescribing(self) -> BoolArray:
+        """Whether each scalar changes prescribed displacements only, and no force."""
 
     def get(self) -> FloatArray:
         """The present scalars."""
-        raise TypeError(f"{type(self).__name__} has no scalars")
 
     def put(self, values: FloatArray) -> None:
-        """Changes the scalars and what depends on them in the problem. Not collective."""
-        raise TypeError(f"{type(self).__name__} has no scalars")
+        """Changes the scalars and what depends on them in the problem. Not collective.
+
+        Args:
+            values: The scalars, shape (size,).
+        """
 
     def residual(self) -> FloatArray:
-        """g at the present state; the assembler's `balance` is up to date. Collective."""
-        raise TypeError(f"{type(self).__name__} has no equations")
+        """g at the present state, for which the residual is assembled. Collective."""
 
     def rows(self) -> list[FloatArray]:
         """dg/du at the owned entries, one array a scalar. Collective."""
-        raise TypeError(f"{type(self).__name__} has no equations")
 
     def settled(self, residual: FloatArray, target: float) -> bool:
         """Whether the equations hold well enough.
@@ -61,10 +68,9 @@ class ScalarUnknowns:
             residual: g.
             target: Norm of nodal forces out of balance that counts as none [N].
         """
-        raise TypeError(f"{type(self).__name__} has no equations")
 
 
-class JoinedScalars(ScalarUnknowns):
+class JoinedScalars:
     """Several groups of scalar unknowns as one, one after the other.
 
     Args:
@@ -78,17 +84,17 @@ class JoinedScalars(ScalarUnknowns):
         self._cuts = np.cumsum([part.size for part in parts])[:-1]
 
     @property
-    def steps(self) -> FloatArray:  # type: ignore[override]
+    def steps(self) -> FloatArray:
         """See `ScalarUnknowns`."""
         return np.concatenate([part.steps for part in self.parts])
 
     @property
-    def signs(self) -> FloatArray:  # type: ignore[override]
+    def signs(self) -> FloatArray:
         """See `ScalarUnknowns`."""
         return np.concatenate([part.signs for part in self.parts])
 
     @property
-    def prescribing(self) -> BoolArray:  # type: ignore[override]
+    def prescribing(self) -> BoolArray:
         """See `ScalarUnknowns`."""
         return np.concatenate([part.prescribing for part in self.parts])
 
@@ -110,7 +116,7 @@ class JoinedScalars(ScalarUnknowns):
         return [row for part in self.parts for row in part.rows()]
 
     def settled(self, residual: FloatArray, target: float) -> bool:
-        """All equations hold well enough."""
+        """All equations hold well enough, see `ScalarUnknowns`."""
         owns = np.split(residual, self._cuts)
         return all(part.settled(own, target) for part, own in zip(self.parts, owns, strict=True))
 
@@ -159,7 +165,13 @@ class Bordered:
         return np.asarray(self._comm.bcast(own))
 
     def fill(self, x: PETSc.Vec, fields: FloatArray, scalars: FloatArray) -> None:
-        """Writes fields and scalars into a vector."""
+        """Writes fields and scalars into a vector.
+
+        Args:
+            x: The vector.
+            fields: Owned entries of the fields.
+            scalars: The scalars, the same on all ranks.
+        """
         x.array_w[: self._size] = fields
         if self._comm.rank == 0:
             x.array_w[self._size :] = scalars
@@ -194,28 +206,41 @@ class Bordered:
         self._solved = None
 
     def _differences(self, values: FloatArray) -> tuple[list[FloatArray], FloatArray]:
-        """Derivatives of the fields' and the scalars' residuals with respect to the scalars."""
-        steps, mild = self.scalars.steps, self.scalars.prescribing
-        found = {j: self._difference(values, j, steps[j]) for j in np.flatnonzero(~mild)}
+        """Derivatives of the fields' and the scalars' residuals with respect to the scalars.
+
+        Scalars that only prescribe displacements change no force where the fields are: for them
+        the nodal forces stand, and nothing is assembled.
+        """
+        steps, only_prescribing = self.scalars.steps, self.scalars.prescribing
+        found = {
+            j: self._difference(values, j, steps[j]) for j in np.flatnonzero(~only_prescribing)
+        }
         self.scalars.put(values)
         self.assembler.residual.evaluate(self._x, self._b)  # back to where we are
-        for j in np.flatnonzero(mild):
-            found[j] = self._difference(values, j, steps[j], moving=True)
+        for j in np.flatnonzero(only_prescribing):
+            found[j] = self._difference(values, j, steps[j], constrained_only=True)
         self.scalars.put(values)
         self.assembler.residual.constrain(self._b)
         columns, corner = zip(*(found[j] for j in range(len(steps))), strict=True)
         return list(columns), np.column_stack(corner)
 
     def _difference(
-        self, values: FloatArray, j: int, h: float, *, moving: bool = False
+        self, values: FloatArray, j: int, h: float, *, constrained_only: bool = False
     ) -> tuple[FloatArray, FloatArray]:
-        """The same with respect to one scalar, which only moves what is prescribed or not."""
+        """The same with respect to one scalar.
+
+        Args:
+            values: All scalars, around which the difference is central.
+            j: Number of this one.
+            h: Half the difference.
+            constrained_only: It changes prescribed displacements only.
+        """
         sides = []
         for sign in (1.0, -1.0):
             changed = values.copy()
             changed[j] += sign * h
             self.scalars.put(changed)
-            if moving:
+            if constrained_only:
                 self.assembler.residual.constrain(self._b)
             else:
                 self.assembler.residual.evaluate(self._x, self._b)
@@ -271,16 +296,16 @@ class Bordered:
         By Haynsworth's formula for the Schur complement; a constraint has one of its own.
         """
         signs = self.scalars.signs
-        kept = np.flatnonzero(signs)
-        S = (signs[:, None] * self._schur)[np.ix_(kept, kept)]
-        below = int(np.sum(np.linalg.eigvalsh((S + S.T) / 2) < 0.0)) if len(kept) else 0
+        counted = np.flatnonzero(signs)
+        S = (signs[:, None] * self._schur)[np.ix_(counted, counted)]
+        below = int(np.sum(np.linalg.eigvalsh((S + S.T) / 2) < 0.0)) if len(counted) else 0
         return below - int(np.sum(signs < 0.0))
 
     def _inverse(self, right: FloatArray) -> FloatArray:
         self._b.array_w[:] = right
         self.ksp.solve(self._b, self._x)
         self.iterations += self.ksp.getIterationNumber()
-        if not self._reason:  # the first failure is the one to tell
+        if not self._reason:  # the first failure is the one to report
             self._reason = min(int(self.ksp.getConvergedReason()), 0)
         return np.asarray(self._x.array_r.copy())
 
@@ -294,7 +319,13 @@ class Bordered:
 
 
 def python_solver(snes: PETSc.SNES, context: Any, prefix: str) -> None:
-    """Makes a python context the linear solver of a SNES."""
+    """Makes a python context the linear solver of a SNES.
+
+    Args:
+        snes: The solver.
+        context: Has `solve`, as PETSc's KSPPYTHON asks for.
+        prefix: Of the options of that linear solver.
+    """
     ksp = snes.getKSP()
     ksp.setOptionsPrefix(prefix)
     ksp.setType("python")

@@ -8,13 +8,12 @@ from dolfinx import fem, la
 
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
-from dolfin_elastic.solvers.nonlinear.bordered import ScalarUnknowns
 
 ROUND_OFF = 1e-14
 """Error of the mean stress over the cell's stiffness, of which strains are computed."""
 
 
-class FreeStrains(ScalarUnknowns):
+class FreeStrains:
     """Free components of the macroscopic gradient; their stress is prescribed.
 
     As unknown each is multiplied by the length of the cell, and its equation V (P - P*) divided by

@@ -90,7 +90,7 @@ class Scalars:
         return found
 
 
-class CavityScalars(ScalarUnknowns):
+class CavityScalars:
     """A cavity: its pressure, and volume = given volume as its equation. Collective to make.
 
     Args:
@@ -187,7 +187,7 @@ class CavityScalars(ScalarUnknowns):
         return bool(abs(residual[0]) <= VOLUME * max(self.cavity.initial, abs(self.cavity.goal)))
 
 
-class RigidSurface(ScalarUnknowns):
+class RigidSurface:
     """A rigid surface: its free degrees of freedom, with equilibrium of forces and moments.
 
     The forces are virtual work, the sum over its nodes of (du/dq) . (force on the body).
