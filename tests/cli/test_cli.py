@@ -229,6 +229,7 @@ def test_no_place_for_results(folder: Path, ranks: int) -> None:
     assert err.count("error: cannot write case.toml/results") == 1
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(("ranks", "broken"), [(1, 0), (2, 1), (3, 2), (2, -1)])
 def test_fault_of_the_program(folder: Path, ranks: int, broken: int) -> None:
     """One traceback, and no rank waits for ever."""
@@ -270,6 +271,7 @@ def piped(end: str, folder: Path) -> tuple[str, str]:
     return out, err
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("redirect", ["", "2>&1"])
 def test_nobody_reads_on(folder: Path, redirect: str) -> None:
     """Where a pipe is closed, as `head` does, the run goes on to its own end, silently."""
@@ -282,6 +284,7 @@ def test_nobody_reads_on(folder: Path, redirect: str) -> None:
     assert float(rows[-1]["load_factor"]) == 1.0
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("redirect", ["", "2>&1"])
 def test_errors_that_nobody_reads(folder: Path, redirect: str) -> None:
     """The exit code is the run's own."""

@@ -135,6 +135,7 @@ def asymmetry(problem: Problem) -> float:
     return found
 
 
+@pytest.mark.sample(6)
 @pytest.mark.parametrize("case", RIMS)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_symmetric_where_it_says_so(monkeypatch, case, degree):
@@ -214,6 +215,7 @@ ANNULUS = {
 differential equation of the radius, solved by a spectral method; linear: Lame."""
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("name", ANNULUS)
 def test_ring_under_inner_pressure(comm, name):
     """Plane strain, P2 on curved triangles: displacements to 1e-4 on 20x20 squares of them,
@@ -235,6 +237,7 @@ def test_ring_under_inner_pressure(comm, name):
         assert 4 * state.energies["strain"] == pytest.approx(energy, rel=1e-4)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("name", ANNULUS)
 def test_tube_under_inner_pressure(comm, name):
     """The same in one dimension more, as a body of revolution: nodal values of P2 to 1e-6."""

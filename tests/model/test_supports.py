@@ -84,6 +84,7 @@ def alike(found: list[tuple[np.ndarray, np.ndarray]], tolerance: float) -> None:
 # --- rollers on flat surfaces ---
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("method", ["direct", "iterative"])
 @pytest.mark.parametrize(
     ("law", "degree", "formulation"),
@@ -263,6 +264,7 @@ def test_oblique_directions_at_one_node():
 # --- the tangent ---
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("degree", "formulation"), [(1, "displacement"), (2, "mixed")])
 def test_projected_tangent_is_the_residuals_derivative(degree, formulation):
     """Where the held directions are met, also with springs; the tangent stays symmetric."""

@@ -99,6 +99,7 @@ def force_of_plates(dim: int, stretch: float) -> float:
     return -(mu * (stretch - 1 / stretch) + lmbda * np.log(J) / stretch)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (3, 1), (3, 2)])
 def test_a_block_between_plates(dim, degree):
     """Uniform pressure: every rule is exact, and what penetrates only shortens the way."""

@@ -136,6 +136,7 @@ def test_thickness_and_plane_stress():
     assert abs(numbers["P33"]) < 1e-9 * E * 1e-3
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_mixed(degree):
     """A pressure beside the displacement is periodic, too."""

@@ -135,6 +135,7 @@ def waves(problem: Problem, seed: int) -> np.ndarray:
 SPLIT = [name for name, kind in MATERIALS.items() if issubclass(kind, SplitLaw)]
 
 
+@pytest.mark.sample(8)
 @pytest.mark.parametrize(
     ("name", "formulation"),
     [(name, "displacement") for name in MATERIALS] + [(name, "mixed") for name in SPLIT],
@@ -197,6 +198,7 @@ LOADS = {
 }
 
 
+@pytest.mark.sample(10)
 @pytest.mark.parametrize("load", [*LOADS, "all of them"])
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("materials", [1, 2])
@@ -239,6 +241,7 @@ def test_residual_is_the_sum_of_its_terms(materials, degree, load):
     assert dot(problem, difference, difference) < 1e-26 * scale
 
 
+@pytest.mark.sample(6)
 @pytest.mark.parametrize(
     "name", [n for n, kind in MATERIALS.items() if kind(**kind.example).has_energy]
 )

@@ -458,6 +458,7 @@ def test_unknown_fields_and_files_are_refused() -> None:
 # --- pictures ---
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("dim", "degree"), [(2, 1), (3, 1), (3, 2)])
 def test_pictures(folder: Path, dim: int, degree: int) -> None:
     problem = make_problem(dim, degree)
@@ -580,6 +581,7 @@ def test_rounding_errors_get_no_colours(folder: Path) -> None:
         assert np.ptp(middle, axis=0).max() < 3
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_pictures_of_materials(folder: Path, dim: int) -> None:
     """One colour for each, and its name."""

@@ -39,6 +39,7 @@ COOK: dict[str, tuple[dict[str, Any], float, float, float]] = {
 """Material, shear traction, and u_y at the middle and at the top of the loaded side."""
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", COOK)
 def test_cook_membrane(folder, name):
     """24 x 24 quadratic cells, finer towards the four sides, for the clamped corner is singular.
@@ -99,6 +100,7 @@ def strip(folder: Any, law: str, length: float, alpha: float) -> dict[str, Any]:
     return probing(case, tip=[length, 0])
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(("law", "alpha"), ELASTICA)
 def test_elastica_as_a_solid(folder, law, alpha):
     """60 x 6 quadratic cells, finer at the clamp; they leave 4e-5 of the length."""

@@ -13,6 +13,7 @@ from helpers.reference_meshes import FREE, patch, probing, solved, tables
 from dolfin_elastic import Case, run
 
 
+@pytest.mark.long
 def test_beam(folder):
     """Problem 1: a beam of 10 x 1 x 1 mm, half of it by symmetry; its tip rises to 4.168(2) mm.
 

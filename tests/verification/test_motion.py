@@ -79,6 +79,7 @@ def test_the_flag_swings():
     assert abs(state.energies["balance"]) < 1e-3 * abs(state.energies["external"])
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("law", "known"),
     [
@@ -128,6 +129,7 @@ def column(n: int, nu: float) -> Problem:
     )
 
 
+@pytest.mark.long
 def test_a_column_bends_in_space():
     """Thrown sideways: places of the top's middle [m], within 1 cm of 3 m as in a plane."""
     known = {0.1: (0.9925, -0.0605), 0.25: (2.421, -0.620), 0.5: (3.000, -0.940)}
@@ -141,6 +143,7 @@ def test_a_column_bends_in_space():
         assert abs(top[1]) < 0.01  # cells are cut along one diagonal
 
 
+@pytest.mark.long
 def test_a_column_twists():
     """At 105 rad/s (after Haider et al.): turn of the top [degrees], known to 0.5 %, to 1 %."""
     known = {0.02: 111.3, 0.05: 253.2}

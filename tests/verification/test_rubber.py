@@ -93,6 +93,7 @@ def test_curve_of_the_sphere():
     assert sphere_pressure(2, 0.4, 0.1) == pytest.approx(1.033830178250, rel=1e-11)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("material", "stretch"), [(RUBBER, 1.1), (RUBBER, 1.25), (RUBBER, 1.5), (MOONEY, 1.5)]
 )
@@ -176,6 +177,7 @@ TORSION = {
 """Material, axial stretch, axial force and torque, with 1 rad per deformed length and mu = 1."""
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", TORSION)
 def test_rivlin_torsion(folder, name):
     """T = pi mu psi/2, N = pi mu (l - l^-2) - pi mu psi^2/4; -pi psi^2 (c10 + 2 c01)/2 at l = 1.

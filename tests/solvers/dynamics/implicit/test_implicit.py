@@ -411,6 +411,7 @@ def record(state: Any) -> dict[str, Any]:
     }
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("scheme", "turns", "says"),
     [
