@@ -1,1 +1,1 @@
-"""What people look at: files, tables and pictures made from the states of a solver."""
+"""Files, tables, pictures and checkpoints of the states of a solver."""

@@ -5,22 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import ufl
 from dolfinx import fem, la
-from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.jit import compile_expression, compile_forms
-from dolfin_elastic.core.types import AnyArray, IntArray
+from dolfin_elastic.core.jit import compile_forms
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
 from dolfin_elastic.results.fields import FIELDS, check_field_names
 from dolfin_elastic.results.grid import Grid, to_nodes
 
 if TYPE_CHECKING:
-    from dolfin_elastic.model.materials.law import Law
     from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
@@ -28,8 +27,7 @@ if TYPE_CHECKING:
 class Evaluator:
     """Evaluates fields of a problem's states.  All of it is collective.
 
-    Everything is compiled by the constructor: one kernel per material that gives all fields of
-    cells in one pass, so that common subexpressions are computed once.
+    Everything is compiled by the constructor: one kernel of all fields of cells per material.
 
     Args:
         problem: The problem that is solved.
@@ -49,23 +47,10 @@ class Evaluator:
         if {"reaction", "residual"} & set(self.names):
             _ = self.residual
 
-    def _kernel(self, part: MaterialRegion) -> _Kernel | None:
-        law = cast("Law", self.problem.weak_form.response(part, self.w))
-        F = self.problem.weak_form.F(self.w)
-        if "energy_density" in self.cell_names and not law.has_energy:
-            raise InputError(
-                f"the law of '{part.name}' has no strain energy",
-                expected="leave the field 'energy_density' out",
-            )
-        tensors = [FIELDS[name].formula(law, F) for name in self.cell_names]  # type: ignore[misc]
-        has = np.repeat([t is not None for t in tensors], self._widths)
-        if not has.any():
-            return None
+    def _kernel(self, region: MaterialRegion) -> CellKernel | None:
         dim = self.problem.body.dim
         barycentre = np.full((1, dim), 1 / (dim + 1))
-        components = ufl.as_vector([c for t in tensors if t is not None for c in _components(t)])
-        comm, jit = self.problem.body.comm, self.problem.jit
-        return _Kernel(compile_expression(comm, components, barycentre, jit), np.flatnonzero(has))
+        return cell_kernel(self.problem, region, self.w, self.cell_names, barycentre)
 
     @property
     def _widths(self) -> list[int]:
@@ -100,25 +85,12 @@ class Evaluator:
         table = np.full((self.grid.own_cells, sum(widths)), np.nan)
         for kernel, part in zip(self._kernels, self.problem.regions, strict=False):
             if len(part.cells) and kernel is not None:
-                values = kernel.expression.eval(self.grid.mesh, part.cells)
-                table[part.cells[:, None], kernel.columns] = values
+                table[part.cells[:, None], kernel.columns] = kernel(part.cells)[:, 0]
         ends = np.cumsum(widths)
         return {
             name: table[:, end - width : end]
             for name, width, end in zip(self.cell_names, widths, ends, strict=True)
         }
-
-
-@dataclass(frozen=True)
-class _Kernel:
-    """Compiled fields of cells of one material, and the columns of the table that they fill."""
-
-    expression: fem.Expression
-    columns: IntArray
-
-
-def _components(tensor: Expr) -> list[Expr]:
-    return [tensor[i, j] for i in range(3) for j in range(3)] if tensor.ufl_shape else [tensor]
 
 
 @dataclass(frozen=True)

@@ -83,12 +83,27 @@ class Field:
 
     @property
     def columns(self) -> int:
-        """Numbers per node or cell."""
+        """Number of components."""
         return SHAPES[self.shape]
+
+    def of_cell(self, law: Law, F: Expr) -> Expr | None:
+        """Value of `formula`, which the field has.
+
+        Args:
+            law: Law of the cell's material.
+            F: Deformation gradient, 3x3.
+        """
+        assert self.formula is not None
+        return self.formula(law, F)
 
 
 def cauchy_stress(law: Law, F: Expr) -> Expr:
-    """Force over current area [Pa]; of a linear law its only stress."""
+    """Cauchy stress [Pa], 3x3; of a linear law its only stress.
+
+    Args:
+        law: Law of the material.
+        F: Deformation gradient, 3x3.
+    """
     P = law.stress(F)
     return P if law.linear else kinematics.cauchy_from_first(P, F)
 

@@ -1,6 +1,6 @@
 """Kinds of outputs: records with the settings of one file, which open its writer.
 
-Which of them a run writes, `Output.files` in `case/tables.py` says from the table [output].
+`Output.files` in `case/tables.py` decides which of them a run writes, from the table [output].
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.results.fields import check_field_names
 from dolfin_elastic.results.pictures.pictures import (
+    Appearance,
     ModePictureWriter,
     PictureWriter,
     View,
@@ -172,11 +173,14 @@ class Picture(Output):
             folder / self.file,
             field=self.field,
             saved=saved,
-            view=self.view,
-            scale=self.scale,
-            title=self.title or "",
+            appearance=self.appearance,
             every=None if self.every == "last" else self.every,
         )
+
+    @property
+    def appearance(self) -> Appearance:
+        """How the pictures show the body."""
+        return Appearance(self.scale, self.view, self.title or "")
 
     def listing(self, folder: Path) -> list[str]:
         """See `Output.listing`; of many pictures the first, the last and their number."""
@@ -202,9 +206,7 @@ class ModePicture(Picture):
             problem,
             folder / self.file,
             amplitude=self.amplitude,
-            title=self.title or "",
-            scale=self.scale,
-            view=self.view,
+            appearance=self.appearance,
         )
 
 

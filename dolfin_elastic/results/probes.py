@@ -4,37 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import basix
 import numpy as np
-import ufl
 from dolfinx import fem, la
 from pydantic import Field as Key
 from pydantic import field_validator, model_validator
-from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, nearest
-from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.timing import stage
-from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.mesh.geometry.locate import LocatedPoint, locate
 from dolfin_elastic.mesh.selectors import MeshLength, metres
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.surface_means import NODAL, SurfaceMean, check_surface
 from dolfin_elastic.results.writers.history import row
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
-    from dolfin_elastic.model.materials.law import Law
     from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
 _AXES = "xyz"
+_WHERE = "output.probes"
 
 
 class ProbePoint(Record):
@@ -199,7 +197,7 @@ class Probe:
         """A vector at a point, on the rank that owns its cell; zeros on the others."""
         function = getattr(state, NODAL[field])
         if function is None:
-            raise InputError(f"there is no '{field}' in statics", where="output.probes")
+            raise InputError(f"there is no '{field}' in statics", where=_WHERE)
         if place.cell < 0:
             return np.zeros(self.dim)
         shape = _shape_functions(self.problem.body.dim, self.problem.degree, place.local)
@@ -230,7 +228,7 @@ def duplicate_column(column: str) -> InputError:
     """The error of a probe whose column has the name of another one."""
     return InputError(
         f"there are two results called '{column}'",
-        where="output.probes",
+        where=_WHERE,
         expected="give the probe another name",
     )
 
@@ -276,14 +274,12 @@ class _RegionFields:
     Attributes:
         places: Name to place, of points on this rank.
         cells: Owned cells of the region that share a corner with the points' cells.
-        columns: Components that the region's material has.
-        kernel: Expression of these components at the sampling points; None without any.
+        kernel: The fields at the sampling points; None: the material has none of them.
     """
 
     places: Mapping[str, LocatedPoint]
     cells: IndexArray
-    columns: IntArray
-    kernel: Any
+    kernel: CellKernel | None
 
 
 class _CellFields:
@@ -322,23 +318,8 @@ class _CellFields:
         marks.scatter_reverse(la.InsertMode.add)
         marks.scatter_forward()
         near = (marks.array[self.corners.list[part.cells]] > 0).any(axis=1)
-        return _RegionFields(mine, part.cells[near], *self._kernel(part))
-
-    def _kernel(self, part: MaterialRegion) -> tuple[IntArray, Any]:
-        """`columns` and `kernel` of a region, see `_RegionFields`."""
-        law = cast("Law", self.problem.weak_form.response(part, self.w))
-        if "energy_density" in self.names and not law.has_energy:
-            raise InputError(
-                f"the law of '{part.name}' has no strain energy", where="output.probes"
-            )
-        F = self.problem.weak_form.F(self.w)
-        tensors = [FIELDS[name].formula(law, F) for name in self.names]  # type: ignore[misc]
-        columns = np.flatnonzero(np.repeat([t is not None for t in tensors], self.widths))
-        if not len(columns):
-            return columns, None
-        components = ufl.as_vector([c for t in tensors if t is not None for c in _flat(t)])
-        comm, jit = self.problem.body.comm, self.problem.jit
-        return columns, compile_expression(comm, components, self.samples, jit)
+        kernel = cell_kernel(self.problem, part, self.w, self.names, self.samples, _WHERE)
+        return _RegionFields(mine, part.cells[near], kernel)
 
     def __call__(self, state: State) -> dict[str, dict[str, FloatArray]]:
         """Point and field to components, on the rank that owns the cell; zeros on the others."""
@@ -350,24 +331,24 @@ class _CellFields:
         }
         for part in self._parts:
             if part is not None and part.kernel is not None:
-                corners = self._at_corners(part)
+                corners = self._at_corners(part.kernel, part.cells)
                 for name, place in part.places.items():
                     shape = _shape_functions(self.mesh.topology.dim, 1, place.local)
-                    values[name][part.columns] = shape @ corners[self.corners.list[place.cell]]
+                    found = shape @ corners[self.corners.list[place.cell]]
+                    values[name][part.kernel.columns] = found
         ends = np.cumsum(self.widths)[:-1]
         return {
             point: dict(zip(self.names, np.split(row, ends), strict=True))
             for point, row in values.items()
         }
 
-    def _at_corners(self, part: _RegionFields) -> FloatArray:
-        """Means at the local corners, shape (corners, columns); 0 away from the points."""
-        width, cells = len(part.columns), part.cells
+    def _at_corners(self, kernel: CellKernel, cells: IndexArray) -> FloatArray:
+        """Means at the local corners, shape (corners, columns); 0 away from these cells."""
+        width = len(kernel.columns)
         sums = la.vector(self.corners.index_map, width + 1)
         table = sums.array.reshape(-1, width + 1)
         if len(cells):
-            sampled = part.kernel.eval(self.mesh, cells).reshape(len(cells), -1, width)
-            fitted = np.einsum("cs,nsw->ncw", self.fit, sampled)
+            fitted = np.einsum("cs,nsw->ncw", self.fit, kernel(cells))
             ones = np.ones((*fitted.shape[:2], 1))
             weighted = np.concatenate([fitted, ones], axis=2) * self.volumes[cells, None, None]
             np.add.at(table, self.corners.list[cells], weighted)
@@ -375,10 +356,6 @@ class _CellFields:
         sums.scatter_forward()
         weights = table[:, -1:]
         return np.asarray(table[:, :-1] / np.where(weights > 0, weights, 1.0))
-
-
-def _flat(tensor: Expr) -> list[Expr]:
-    return [tensor[i, j] for i in range(3) for j in range(3)] if tensor.ufl_shape else [tensor]
 
 
 def _samples(dim: int, degree: int) -> FloatArray:

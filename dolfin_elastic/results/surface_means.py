@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import ufl
@@ -18,11 +18,11 @@ from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.dimension import weight
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.cell_fields import cell_components
 from dolfin_elastic.results.fields import FIELDS
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
-    from dolfin_elastic.model.materials.law import Law
     from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
@@ -100,20 +100,18 @@ class SurfaceMean:
         degree = {"quadrature_degree": 2 * self.problem.context.order}
         return ufl.Measure("ds", domain=mesh, subdomain_data=data, metadata=degree)
 
-    def _components(self, part: MaterialRegion) -> list[Expr]:
-        law = cast("Law", self.problem.weak_form.response(part, self._w))
-        F, found = self.problem.weak_form.F(self._w), []
+    def _components(self, region: MaterialRegion) -> list[Expr]:
+        """Components of all fields beside a region; nan for quantities that its law lacks."""
+        names = [name for name in self.fields if name not in NODAL]
+        components = cell_components(self.problem, region, self._w, names, "output.probes")
+        of_cells = dict(zip(names, components, strict=True))
+        found: list[Expr] = []
         for name in self.fields:
             if name in NODAL:
                 found += [*self._nodal[name]]
-                continue
-            if name == "energy_density" and not law.has_energy:
-                raise InputError(
-                    f"the law of '{part.name}' has no strain energy", where="output.probes"
-                )
-            tensor = FIELDS[name].formula(law, F)  # type: ignore[misc]
-            missing = [self.problem.constant(float("nan"))] * FIELDS[name].columns
-            found += missing if tensor is None else _flat(tensor)
+            else:
+                lacking = [self.problem.constant(float("nan"))] * FIELDS[name].columns
+                found += of_cells[name] or lacking
         return found
 
     def __call__(self, state: State) -> dict[str, FloatArray]:
@@ -129,7 +127,3 @@ class SurfaceMean:
         sums = np.asarray(total(self.problem.body.comm, self._sums.sum(axis=0)))
         parts = np.split(sums[1:] / sums[0], np.cumsum(self._widths)[:-1])
         return dict(zip(self.fields, parts, strict=True))
-
-
-def _flat(tensor: Expr) -> list[Expr]:
-    return [tensor[i, j] for i in range(3) for j in range(3)] if tensor.ufl_shape else [tensor]

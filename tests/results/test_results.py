@@ -44,7 +44,7 @@ from dolfin_elastic.results.outputs import (
 )
 from dolfin_elastic.results.pictures import colour_bar, pictures, renderer
 from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
-from dolfin_elastic.results.pictures.pictures import picture
+from dolfin_elastic.results.pictures.pictures import Appearance, picture
 from dolfin_elastic.results.pictures.surface import Surface, gather_surface
 
 
@@ -612,12 +612,12 @@ def assert_hue(pixel: AnyArray, hue: str) -> None:
 def test_the_line_above_a_picture() -> None:
     problem = make_problem(2)
     state = make_state(problem, load_factor=0.6)
-    assert pictures._headline(state, "", 1.0) == "load 60 %"
-    assert pictures._headline(state, "A beam", 10.0) == (
+    assert pictures._headline(state, Appearance()) == "load 60 %"
+    assert pictures._headline(state, Appearance(10.0, title="A beam")) == (
         "A beam   |   load 60 %   |   displacements \u00d7 10"
     )
     moving = make_state(problem, 3, 0.05, v=problem.u)
-    assert pictures._headline(moving, "", 1.0) == "t = 0.05 s"
+    assert pictures._headline(moving, Appearance()) == "t = 0.05 s"
 
 
 def test_labels_say_what_is_shown() -> None:

@@ -410,5 +410,5 @@ def _plain(value: Any) -> Any:
 
 
 def digest(text: str) -> str:
-    """What tells a text from another one."""
+    """Hash of a text, which identifies it."""
     return hashlib.sha256(text.encode()).hexdigest()

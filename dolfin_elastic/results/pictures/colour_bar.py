@@ -74,7 +74,12 @@ def _prefix(largest: float, unit: str) -> tuple[float, str]:
 
 
 def round_ticks(low: float, high: float) -> tuple[float, ...]:
-    """Multiples of 1, 2, 2.5 or 5 times a power of ten, from `low` or below to `high` or above."""
+    """Multiples of 1, 2, 2.5 or 5 times a power of ten that enclose a range.
+
+    Args:
+        low: Lower end; the first tick is at or below it.
+        high: Upper end, above `low`; the last tick is at or above it.
+    """
     rough = (high - low) / INTERVALS
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(m * power for m in (1, 2, 2.5, 5, 10) if m * power >= rough * (1 - EQUAL))

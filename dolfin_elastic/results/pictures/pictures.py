@@ -11,6 +11,7 @@ import re
 import tempfile
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -52,6 +53,21 @@ _LABELS = {
     "jacobian": "det F",
     "young_modulus": "Young's modulus",
 }
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """How a picture shows the body.
+
+    Attributes:
+        scale: Magnification of the displacement.
+        view: Axis along which the body is seen; plane bodies are always seen from the front.
+        title: Text above the body, before load or time.
+    """
+
+    scale: float = 1.0
+    view: View = "isometric"
+    title: str = ""
 
 
 def check_drawable(name: str) -> str:
@@ -98,7 +114,7 @@ def picture(
     """
     painter = Painter(problem, field)
     try:
-        painter.paint(state, Path(file), scale=scale, view=view, title=title)
+        painter.paint(state, Path(file), Appearance(scale, view, title))
     finally:
         painter.close()
 
@@ -115,7 +131,7 @@ class PictureWriter:
             step's number is added to the file's name.  None: only the last state, without number.
         field: See `picture`.
         saved: Its restart state: pictures of later steps are removed.
-        options: `scale`, `view` and `title` of `picture`.
+        appearance: Of all pictures.
     """
 
     def __init__(
@@ -126,9 +142,9 @@ class PictureWriter:
         every: int | None = None,
         field: str = "von_mises",
         saved: Numbers | None = None,
-        **options: Any,
+        appearance: Appearance = Appearance(),
     ) -> None:
-        self.path, self.options = path, options
+        self.path, self._appearance = path, appearance
         self._every = (
             None if every is None else StepInterval(every, -1 if saved is None else saved["taken"])
         )
@@ -164,11 +180,11 @@ class PictureWriter:
     def _paint(self, state: State) -> None:
         name = f"{self.path.stem}_{state.step:04d}{self.path.suffix}"
         file = self.path if self._every is None else self.path.with_name(name)
-        self._painter.paint(state, file, **self.options)
+        self._painter.paint(state, file, self._appearance)
         self._last_drawn = state.step
 
     def close(self, status: str = "completed", error: object = None) -> None:
-        """Draws the last converged step if it has not been drawn."""
+        """See `Writer`; draws the last converged step, if it has not been drawn."""
         try:
             if self._last_state.state:
                 with stage("output"):
@@ -184,14 +200,18 @@ class ModePictureWriter:
         problem: The problem that is solved.
         path: The PNG file; the mode's number goes into its name.
         amplitude: Largest displacement in the picture, over the body's longest side.
-        title: Text above the body, before that of the mode.
-        options: `scale` and `view` of `picture`.
+        appearance: Of all pictures; the mode's number follows the title.
     """
 
     def __init__(
-        self, problem: Problem, path: Path, *, amplitude: float, title: str, **options: Any
+        self,
+        problem: Problem,
+        path: Path,
+        *,
+        amplitude: float,
+        appearance: Appearance = Appearance(),
     ) -> None:
-        self.path, self.title, self.options = path, title, options
+        self.path, self._appearance = path, appearance
         self._u, self._w = fem.Function(problem.V), fem.Function(problem.W)
         self._size = amplitude * max(extent(problem.body))
         with stage("output"):
@@ -213,15 +233,15 @@ class ModePictureWriter:
             self._u.x.array[:] = mode.base.x.array + self._size * mode.u.x.array
             state = State(mode.number, 0.0, self._u, w=self._w, load_factor=float("nan"))
             file = self.path.with_name(f"{self.path.stem}_{mode.number:04d}{self.path.suffix}")
-            title = "   |   ".join(filter(None, (self.title, _mode_title(mode))))
-            self._painter.paint(state, file, title=title, **self.options)
+            title = "   |   ".join(filter(None, (self._appearance.title, _mode_title(mode))))
+            self._painter.paint(state, file, replace(self._appearance, title=title))
 
     def restart_state(self) -> Numbers:
         """See `Writer`; runs of modes have no checkpoints."""
         return {}
 
     def close(self, status: str = "completed", error: object = None) -> None:
-        """Ends the drawing."""
+        """See `Writer`; ends the drawing."""
         self._painter.close()
 
 
@@ -270,16 +290,17 @@ class Painter:
         """Ends the drawing: the renderer stops when nobody else needs it. Not collective."""
         RENDERER.release(self)
 
-    def paint(
-        self,
-        state: State,
-        file: Path,
-        *,
-        scale: float = 1.0,
-        view: View = "isometric",
-        title: str = "",
-    ) -> None:
-        """Draws a state; arguments as in `picture`. Collective."""
+    def paint(self, state: State, file: Path, appearance: Appearance) -> None:
+        """Draws a state. Collective.
+
+        Args:
+            state: What is shown.
+            file: The PNG file.
+            appearance: How it is shown.
+
+        Raises:
+            OutputError: The picture cannot be drawn or written.
+        """
         values = self._evaluate(state)[self.field]
         grid = self._evaluate.grid
         u = state.u.x.array.reshape(-1, self.dim)
@@ -291,9 +312,9 @@ class Painter:
             fields["value"] = self._at_local_nodes(values)
         surface = gather_surface(grid, fields, of_cells)
         settings = {
-            "scale": scale,
-            "view": "z" if self.dim == 2 else view,
-            "title": _headline(state, title, scale),
+            "scale": appearance.scale,
+            "view": "z" if self.dim == 2 else appearance.view,
+            "title": _headline(state, appearance),
             "plane": self.dim == 2,
         }
         _on_root_alone(self.comm, lambda: self._draw(surface, file, settings))
@@ -348,14 +369,15 @@ class Painter:
         return -1, ["no region", *sorted(self.problem.body.regions)]
 
 
-def _headline(state: State, title: str, scale: float) -> str:
+def _headline(state: State, appearance: Appearance) -> str:
     """Title, load or time, and magnification, each if there is one."""
     moving = state.v is not None
     place = f"t = {state.t:.4g} s" if moving else f"load {100 * state.load_factor:.4g} %"
     if math.isnan(state.load_factor):  # a mode, which the title names
         place = ""
+    scale = appearance.scale
     larger = "" if scale == 1.0 else f"displacements \u00d7 {scale:g}"
-    return "   |   ".join(filter(None, (title, place, larger)))
+    return "   |   ".join(filter(None, (appearance.title, place, larger)))
 
 
 def _round_off(problem: Problem, unit: str) -> float:

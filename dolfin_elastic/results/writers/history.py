@@ -103,7 +103,7 @@ class HistoryWriter:
                 raise OSError(errno.ENOSPC, "only a part was written")
 
     def close(self, status: str = "completed", error: object = None) -> None:
-        """Closes the file."""
+        """See `Writer`; closes the file."""
         if self._file is not None:
             self._file.close()
             self._file = None

@@ -120,7 +120,7 @@ class ModesWriter:
         return {}
 
     def close(self, status: str = "completed", error: object = None) -> None:
-        """All files are complete already."""
+        """See `Writer`; all files are complete already."""
 
 
 def clear(folder: Path) -> None:

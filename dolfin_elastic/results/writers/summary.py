@@ -120,7 +120,7 @@ class SummaryWriter:
         return self.comm.bcast(found)  # clocks differ
 
     def close(self, status: str = "completed", error: object = None) -> None:
-        """Writes the file for the last time, with the extremes of the last converged step."""
+        """See `Writer`; adds status, reason and the extremes of the last converged step."""
         with timing.stage("output"):
             state = self._last_state.state
             found = self._extremes.of(state) if state and self._extremes else {}

@@ -190,7 +190,7 @@ class XdmfWriter:
         )
 
     def close(self, status: str = "completed", error: object = None) -> None:
-        """Writes the last step, if it was not due."""
+        """See `Writer`; writes the last step, if it was not due."""
         if self._pending and self._last_state.state:
             with stage("output"):
                 self._write(self._last_state.state)

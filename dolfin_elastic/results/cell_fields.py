@@ -1,0 +1,120 @@
+"""Fields of cells in one material region: UFL components, and their compiled kernel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.jit import compile_expression
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.results.fields import FIELDS
+
+if TYPE_CHECKING:
+    from dolfin_elastic.model.materials.law import Law
+    from dolfin_elastic.problem.material_regions import MaterialRegion
+    from dolfin_elastic.problem.problem import Problem
+
+
+def cell_components(
+    problem: Problem, region: MaterialRegion, w: fem.Function, names: Sequence[str], where: str = ""
+) -> list[list[Expr] | None]:
+    """Components of fields of cells for the law of one region.
+
+    Args:
+        problem: The problem that is solved.
+        region: One of its material regions.
+        w: All unknowns of the state.
+        names: Fields of `FIELDS` that have a formula.
+        where: Key of the case file that asks for the fields, for the message.
+
+    Returns:
+        For each field its components, of tensors row by row; None: the law has no such quantity.
+
+    Raises:
+        InputError: An energy density of a law without a strain energy.
+    """
+    law = cast("Law", problem.weak_form.response(region, w))
+    if "energy_density" in names and not law.has_energy:
+        raise InputError(
+            f"the law of '{region.name}' has no strain energy",
+            where=where,
+            expected="leave the field 'energy_density' out",
+        )
+    F = problem.weak_form.F(w)
+    tensors = (FIELDS[name].of_cell(law, F) for name in names)
+    return [None if tensor is None else _components(tensor) for tensor in tensors]
+
+
+def _components(tensor: Expr) -> list[Expr]:
+    return [tensor[i, j] for i in range(3) for j in range(3)] if tensor.ufl_shape else [tensor]
+
+
+@dataclass(frozen=True)
+class CellKernel:
+    """Compiled fields of cells in one region; evaluating it is not collective.
+
+    Attributes:
+        mesh: The body's mesh.
+        expression: All components that the law has.
+        columns: Their columns in a table with the components of all fields.
+    """
+
+    mesh: Mesh
+    expression: fem.Expression
+    columns: IntArray
+
+    def __call__(self, cells: IndexArray) -> AnyArray:
+        """Values in cells of this rank.
+
+        Args:
+            cells: Local cells of the region.
+
+        Returns:
+            Shape (cells, points, columns).
+        """
+        values = self.expression.eval(self.mesh, cells)
+        return np.asarray(values).reshape(len(cells), -1, len(self.columns))
+
+
+def cell_kernel(
+    problem: Problem,
+    region: MaterialRegion,
+    w: fem.Function,
+    names: Sequence[str],
+    points: FloatArray,
+    where: str = "",
+) -> CellKernel | None:
+    """Compiles fields of cells at points of the reference cell. Collective.
+
+    One kernel gives all fields, so that common subexpressions are computed once.
+
+    Args:
+        problem: The problem that is solved.
+        region: One of its material regions.
+        w: All unknowns of the states that are to be evaluated.
+        names: Fields of `FIELDS` that have a formula.
+        points: Shape (points, dim).
+        where: See `cell_components`.
+
+    Returns:
+        None if the region's law has none of the fields.
+
+    Raises:
+        InputError: See `cell_components`.
+    """
+    found = cell_components(problem, region, w, names, where)
+    widths = [FIELDS[name].columns for name in names]
+    columns = np.flatnonzero(np.repeat([part is not None for part in found], widths))
+    if not len(columns):
+        return None
+    vector = ufl.as_vector([component for part in found if part for component in part])
+    expression = compile_expression(problem.body.comm, vector, points, problem.jit)
+    return CellKernel(problem.body.mesh, expression, columns)
