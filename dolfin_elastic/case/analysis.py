@@ -91,6 +91,11 @@ class AnalysisTables(ModelTables):
         settings = self.modal or self.buckling
         return settings is not None and bool(settings.preload)
 
+    @property
+    def explicit(self) -> bool:
+        """Motion by an explicit scheme, so that no equations are solved."""
+        return self.dynamics is not None and not self.dynamics.implicit
+
     def solver_for(self, problem: Problem, petsc: Mapping[str, Any] | None) -> Solver:
         """The solver of the analysis. Collective.
 
@@ -113,9 +118,8 @@ class AnalysisTables(ModelTables):
 
     def files(self) -> list[File]:
         """Everything that is written."""
-        explicit = self.dynamics is not None and not self.dynamics.implicit
         return self.output.files(
-            EXPLICIT_STATES if explicit else None,
+            EXPLICIT_STATES if self.explicit else None,
             self.title,
             states=not self.gives_modes or self.preloaded,
             modes=self.gives_modes,

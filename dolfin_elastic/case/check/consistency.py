@@ -48,14 +48,9 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_constants(case, body)
         _check_fields(case)
         case.output.check_probes(body, case.mesh.scale)
-        if explicit(case):
+        if case.explicit:
             _check_explicit(case)
     return (*_notes(case), *plausibility_notes(case, body))
-
-
-def explicit(case: Case) -> bool:
-    """Whether the time integration is explicit, so that no equations are solved."""
-    return case.dynamics is not None and not case.dynamics.implicit
 
 
 def _check_explicit(case: Case) -> None:

@@ -1,4 +1,4 @@
-"""What a check finds: how large everything is, what loads it, what holds it."""
+"""The report of a check: sizes, loads, free rigid-body motions, linear solver, memory."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.check.cavities import cavity_notes
-from dolfin_elastic.case.check.consistency import check, explicit, run_notes
+from dolfin_elastic.case.check.consistency import check, run_notes
 from dolfin_elastic.case.check.initial_state import (
     ContactGap,
     check_supports,
@@ -43,29 +43,29 @@ PLANE = ("plane-strain", "plane-stress")
 
 @dataclass(frozen=True)
 class Report:
-    """What a check finds.
+    """What `dolfin-elastic check` reports.
 
     Attributes:
         case: Name of the case file.
         title: The case's title.
         mesh: Where the mesh comes from.
-        dim: 3, or 2 for plane strain.
+        dim: 3, or 2 of a plane or axisymmetric mesh.
         extent: Sides of the body's bounding box [m].
         geometry: "solid", or what a plane mesh is.
         cells: Cells on all ranks.
-        unknowns: Displacement components on all ranks.
+        unknowns: Degrees of freedom on all ranks.
         analysis: "statics", "dynamics", "modal" or "buckling".
         linear_solver: Which linear solver, and why.
         surfaces: The named surfaces.
         regions: The named regions.
-        notes: What a user should know.
+        notes: What is allowed but probably not meant, and what a user should know.
         fields: Name, place and range of each field that the mesh carries.
-        materials: What each material fills.
-        loads: What each load sums up to, and all of them.
-        contacts: Where each contact begins.
-        thickness: Of a plane body [m]; None: it has none.
-        bodies: Connected bodies and the rigid motions that nothing prevents.
-        memory: What the solution will need.
+        materials: The cells of each material.
+        loads: Resultant of each load, and of all of them.
+        contacts: Initial gap of each contact.
+        thickness: Of a plane body [m]; None of others.
+        bodies: Connected bodies, with the rigid-body motions that no support prevents.
+        memory: Estimate of what the solution needs.
     """
 
     case: str
@@ -91,12 +91,17 @@ class Report:
 
 
 def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
-    """Checks a case against its mesh and says how large everything is.
+    """Checks a case against its mesh, without compiling a form or solving. Collective.
 
-    Collective.
+    Args:
+        case: The case.
+        comm: The ranks that share the mesh.
+
+    Returns:
+        The report, the same on every rank.
 
     Raises:
-        InputError: Something is wrong.
+        InputError: The first fault, on every rank; the notes so far are its notes.
     """
     body = case.read_body(comm)
     notes = (*run_notes(case), *check(case, body))
@@ -104,8 +109,8 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         problem = case.make_problem(body)
         notes = (*notes, *contact_notes(case, problem))
         with locate_errors(case.file):
-            notes = (*notes, *_start(case, problem), *cavity_notes(case, problem))
-            return _found(case, body, problem, notes)
+            notes = (*notes, *_solver_notes(case, problem), *cavity_notes(case, problem))
+            return _make_report(case, body, problem, notes)
     except InputError as error:
         for note in notes:
             error.add_note(f"note: {note}")
@@ -113,21 +118,29 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
 
 
 def check_probes(case: Case, problem: Problem) -> None:
-    """No probe has the column of a reaction or a momentum. Not collective.
+    """Checks that no probe has the column of a reaction or momentum in history.csv. Not collective.
+
+    Args:
+        case: Its probes.
+        problem: Made of the case.
 
     Raises:
-        InputError: One has.
+        InputError: A probe has.
     """
     taken = {f"reaction_{support.label}" for support in problem.supports}
-    taken |= {f"reaction_{touch.label}" for touch in problem.contact_pairs}
+    taken |= {f"reaction_{pair.label}" for pair in problem.contact_pairs}
     if case.dynamics is not None:
         taken |= {"momentum", "angular_momentum"}
     if twice := taken & case.output.probes.keys():
         raise duplicate_column(f"{min(twice)}_x")
 
 
-def _start(case: Case, problem: Problem) -> tuple[str, ...]:
-    """What the solver would refuse at its start, or warn of."""
+def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
+    """What the solver would warn of at its start. Collective.
+
+    Raises:
+        InputError: What it would refuse.
+    """
     refuse_case_keys(case.solver.petsc, "solver.petsc")
     check_probes(case, problem)
     if case.analysis in ("statics", "buckling") or case.preloaded:
@@ -144,7 +157,8 @@ def _start(case: Case, problem: Problem) -> tuple[str, ...]:
     return notes
 
 
-def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> Report:
+def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> Report:
+    """The report of a case without faults. Collective."""
     integrals = Integrals(problem, case.mesh.metres_thick)
     sums = load_sums(case, integrals)
     moving = case.dynamics is not None
@@ -152,7 +166,7 @@ def _found(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> 
     if isinstance(solver, Modal | Buckling):
         choice: Choice | None = solver.choice
     else:
-        choice = None if explicit(case) else choose(problem, case.solver, moving=moving)
+        choice = None if case.explicit else choose(problem, case.solver, moving=moving)
     return Report(
         case=case.file,
         title=case.title,
