@@ -28,21 +28,21 @@ from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrain
 
 log = logging.getLogger("dolfin_elastic")
 
-BALANCED = 1e-6
-"""Unbalanced share of the forces that is let pass: a hundred times what Newton's method leaves with
-its default tolerance."""
+FORCE_TOLERANCE = 1e-6
+"""Unbalanced share of the forces up to which they balance: a hundred times what Newton's method
+leaves with its default tolerance."""
 
-STORED = 1e-6
-"""Share of work and energy that is let pass beyond the bound of the trapezoidal rule."""
+ENERGY_TOLERANCE = 1e-6
+"""Share of work and energy by which they may differ beyond the bound of the trapezoidal rule."""
 
 
 @dataclass
-class _Last:
-    """What the step before left behind: owned entries of displacement and of forces from outside.
+class _Previous:
+    """The state before, at owned entries.
 
     Attributes:
         u: Displacement [m].
-        forces: Loads, springs and supports [N].
+        forces: External ones: of loads, springs and supports [N].
         energy: Stored energy [J].
         change: |change of forces . change of displacement| of the step that led there [J].
     """
@@ -54,7 +54,7 @@ class _Last:
 
 
 @dataclass
-class Found:
+class StepBalance:
     """What was measured of a step, see `Audit`."""
 
     force: float
@@ -68,7 +68,7 @@ class EquilibriumAuditor:
 
     Args:
         problem: What is solved.
-        assembler: Whose `balance` holds the step's nodal forces.
+        assembler: Whose residual holds the nodal forces of the step.
         watch: Of det F.
     """
 
@@ -78,10 +78,10 @@ class EquilibriumAuditor:
         self._X = problem.V.tabulate_dof_coordinates()[
             : len(assembler.displacement_dofs) // self._dim
         ]
-        self._places = _places(problem)
-        self._last: _Last | None = None
-        self._work = self._stored = self._blur = 0.0
-        self._unbalanced = False  # the last state was no equilibrium
+        self._moment_frame = _configuration_of_moments(problem)
+        self._previous: _Previous | None = None
+        self._work = self._stored = self._round_off_share = 0.0
+        self._out_of_balance = False  # the last state was no equilibrium
         self._warned: dict[str, str] = {}
         self._strains = SmallStrains(problem, watch)
 
@@ -93,31 +93,38 @@ class EquilibriumAuditor:
             energy: Stored energy [J]; nan where a law has none.
         """
         reasons: dict[str, str] = {}
-        self._blur = 0.0
+        self._round_off_share = 0.0
         noise, energy_noise = round_off(self._assembler)
-        outside, forces, u = self._present()
+        external, forces, u = self._present()
         force = moment = np.nan
-        if outside:
-            force = self._sum(outside, noise, reasons)
-            moment = self._moment(outside, noise, reasons)
-            if self._last is None and reasons:  # loads that are on before anything has moved
+        if external:
+            force = self._force_balance(external, noise, reasons)
+            moment = self._moment_balance(external, noise, reasons)
+            if self._previous is None and reasons:  # loads that are on before anything has moved
                 reasons.clear()
-                forces, self._unbalanced = self._inside(forces.shape), True
-        if self._last is not None:  # what begins in an obstacle has not been pushed out yet
-            self._touch(reasons)
+                forces, self._out_of_balance = self._internal_forces(forces.shape), True
+        if self._previous is not None:  # what begins in an obstacle has not been pushed out yet
+            self._check_contacts(reasons)
         if np.isfinite(energy) or self._problem.weak_form.strain_energy is None:
-            self._follow(forces, u, energy, energy_noise, reasons)
+            self._check_energy(forces, u, energy, energy_noise, reasons)
         else:
             reasons["energy"] = "the strain energy has no finite value"
         stored = self._stored if np.isfinite(energy) else np.nan
-        found = Found(force, moment, self._work, stored)
+        found = StepBalance(force, moment, self._work, stored)
         self._strains.look(self._when(t))
         return self._verdict(t, reasons, found, self._notes(energy))
 
     def _verdict(
-        self, t: float, reasons: dict[str, str], found: Found, notes: tuple[str, ...]
+        self, t: float, reasons: dict[str, str], found: StepBalance, notes: tuple[str, ...]
     ) -> Audit:
-        """The audit, once det F has been looked at and reasons have been told. Collective."""
+        """The audit, with what det F has to say. Collective.
+
+        Args:
+            t: Load parameter or time, for messages.
+            reasons: Why it warns, by kind; det F adds its own.
+            found: What was measured.
+            notes: What is not judged, and why.
+        """
         low, high = self._watch.extremes()
         if not low[0] > 0.0:
             reasons["jacobian"] = (
@@ -138,14 +145,14 @@ class EquilibriumAuditor:
 
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`; forces follow from the state itself. Not collective."""
-        last = self._last
+        last = self._previous
         return {
             "work": self._work,
             "stored": self._stored,
             "warned": dict(self._warned),
             "energy": last.energy if last else 0.0,
             "change": last.change if last else 0.0,
-            "unbalanced": self._unbalanced,
+            "unbalanced": self._out_of_balance,
             "far": self._strains.note,
         }
 
@@ -153,19 +160,20 @@ class EquilibriumAuditor:
         """See `Restartable`; the problem has the state of that time already. Collective."""
         _, forces, u = self._present()
         if saved["unbalanced"]:
-            forces = self._inside(forces.shape)
-        self._last = _Last(u, forces, saved["energy"], saved["change"])
+            forces = self._internal_forces(forces.shape)
+        self._previous = _Previous(u, forces, saved["energy"], saved["change"])
         self._work, self._stored = saved["work"], saved["stored"]
-        self._warned, self._strains.note = dict(saved["warned"]), saved["far"]
+        self._warned = dict(saved["warned"])
+        self._strains.restore(saved["far"])
 
     def _present(self) -> tuple[list[FloatArray], FloatArray, FloatArray]:
         """Nodal forces by origin (none of a cell), their sum, and what they move. Collective."""
         if self._assembler.cell is not None:
-            return [], *self._macroscopic(self._assembler.cell)
-        outside = self._outside()
-        forces = np.asarray(np.sum(outside, axis=0))
+            return [], *self._forces_on_cell(self._assembler.cell)
+        external = self._external_forces()
+        forces = np.asarray(np.sum(external, axis=0))
         u = self._problem.u.x.array[: forces.size].reshape(forces.shape).copy()
-        return outside, forces, u
+        return external, forces, u
 
     def _notes(self, energy: float) -> tuple[str, ...]:
         notes = [self._strains.note] if self._strains.note else []
@@ -173,15 +181,15 @@ class EquilibriumAuditor:
             notes.append("no balance of forces and moments: its neighbours hold a periodic cell")
         elif self._problem.geometry == "axisymmetric":
             notes.append("no balance of moments and radial forces: they cancel round the axis")
-        elif self._places == "none":
+        elif self._moment_frame == "none":
             notes.append(
                 "no balance of moments: the stress of linear laws is in balance on the undeformed "
                 "body, that of the others on the deformed one"
             )
-        if self._blur > 0.0:
+        if self._round_off_share > 0.0:
             notes.append(
-                f"forces balance to {self._blur:.1g} of their sum only: rounding errors of the "
-                "stiffest cells"
+                f"forces balance to {self._round_off_share:.1g} of their sum only: rounding errors "
+                "of the stiffest cells"
             )
         if self._problem.weak_form.strain_energy is None:
             notes.append("no balance of energy: a law has none")
@@ -202,8 +210,8 @@ class EquilibriumAuditor:
 
     # --- forces and moments ---
 
-    def _outside(self) -> list[FloatArray]:
-        """Nodal forces of loads, springs and supports, shape (nodes, dim) each [N]."""
+    def _external_forces(self) -> list[FloatArray]:
+        """Nodal forces of loads, supports and springs, shape (nodes, dim) each [N]. Collective."""
         a = self._assembler
         reactions = a.constrained_part(a.residual.owned)
         forces = [a.reactions.loads()[a.displacement_dofs], reactions[a.displacement_dofs]]
@@ -211,24 +219,24 @@ class EquilibriumAuditor:
             forces.append(a.reactions.restraints()[a.displacement_dofs])
         return [force.reshape(-1, self._dim) for force in forces]
 
-    def _inside(self, shape: tuple[int, ...]) -> FloatArray:
-        """Internal nodal forces, which are those from outside only in equilibrium [N]."""
+    def _internal_forces(self, shape: tuple[int, ...]) -> FloatArray:
+        """Internal nodal forces, equal to the external ones in equilibrium [N]. Collective."""
         a = self._assembler
         forces = a.residual.owned + a.reactions.loads() + a.reactions.restraints()
         return np.asarray(forces[a.displacement_dofs].reshape(shape))
 
-    def _touch(self, reasons: dict[str, str]) -> None:
-        """Nothing is deeper in an obstacle, or presses farther off it, than was promised."""
-        for touch in self._problem.contact_pairs:
-            if (off := off_obstacle(touch)) > touch.tolerance:
-                reasons[f"contact {touch.label}"] = (
-                    f"contact '{touch.label}': a node that presses is {off:.3g} m off the "
-                    f"obstacle, above gap_tolerance = {touch.tolerance:.3g} m; a larger stiffness "
+    def _check_contacts(self, reasons: dict[str, str]) -> None:
+        """No node that presses is farther off its obstacle than the tolerance. Collective."""
+        for pair in self._problem.contact_pairs:
+            if (off := off_obstacle(pair)) > pair.tolerance:
+                reasons[f"contact {pair.label}"] = (
+                    f"contact '{pair.label}': a node that presses is {off:.3g} m off the "
+                    f"obstacle, above gap_tolerance = {pair.tolerance:.3g} m; a larger stiffness "
                     "or more load steps help"
                 )
 
-    def _macroscopic(self, cell: CellStress) -> tuple[FloatArray, FloatArray]:
-        """What does work on a periodic cell, V P [N], on what, F [m], by its length. Collective.
+    def _forces_on_cell(self, cell: CellStress) -> tuple[FloatArray, FloatArray]:
+        """Force V P/L [N] that does work on a periodic cell, and displacement F L [m]. Collective.
 
         All of it is on one rank; the others have nothing.
         """
@@ -237,26 +245,30 @@ class EquilibriumAuditor:
         here = slice(None) if self._comm.rank == 0 else slice(0)
         return np.asarray(forces[here] / length), moved[here] * length
 
-    def _sum(self, outside: list[FloatArray], noise: float, reasons: dict[str, str]) -> float:
-        rows = outside
+    def _force_balance(
+        self, external: list[FloatArray], noise: float, reasons: dict[str, str]
+    ) -> float:
+        rows = external
         if self._problem.geometry == "axisymmetric":  # radial forces need not sum up to anything
-            rows = [force[:, 1:] for force in outside]
-        share, size, allowed = self._share(rows, noise)
+            rows = [force[:, 1:] for force in external]
+        share, size, allowed = self._imbalance(rows, noise)
         if share > allowed:
             reasons["force"] = (
                 f"loads and reactions do not balance: {share:.2g} of their {size:.3g} N is left"
             )
         return share
 
-    def _moment(self, outside: list[FloatArray], noise: float, reasons: dict[str, str]) -> float:
-        if self._places == "none":
+    def _moment_balance(
+        self, external: list[FloatArray], noise: float, reasons: dict[str, str]
+    ) -> float:
+        if self._moment_frame == "none":
             return float("nan")
         x = self._X[:, : self._dim]
-        if self._places == "current":
-            x = x + self._moved().reshape(x.shape)
-        rows = [_cross(x, force) for force in outside]
+        if self._moment_frame == "current":
+            x = x + self._displacement().reshape(x.shape)
+        rows = [_cross(x, force) for force in external]
         arm = float(self._comm.allreduce(float(np.max(np.abs(x), initial=0.0)), op=MPI.MAX))
-        share, size, allowed = self._share(rows, noise * arm)
+        share, size, allowed = self._imbalance(rows, noise * arm)
         if share > allowed:
             reasons["moment"] = (
                 f"the moments of loads and reactions about the origin do not balance: {share:.2g} "
@@ -264,28 +276,37 @@ class EquilibriumAuditor:
             )
         return share
 
-    def _moved(self) -> FloatArray:
-        """Displacement of the owned nodes, with which forces and moments balance [m]."""
+    def _displacement(self) -> FloatArray:
+        """Displacement of the owned nodes in the configuration in which moments balance [m]."""
         return np.asarray(self._problem.u.x.array[: self._dim * len(self._X)])
 
-    def _share(self, rows: list[FloatArray], noise: float) -> tuple[float, float, float]:
-        """What is left of a sum, over the sum of lengths; this sum; and the share that may be.
+    def _imbalance(self, rows: list[FloatArray], noise: float) -> tuple[float, float, float]:
+        """How far forces are from balance. Collective.
 
-        Where round-off is a large part of small loads it excuses what it is, but is not taken off.
+        Round-off is taken off what is left of the sum, unless it is a large part of small loads:
+        then the share that may be left is that of round-off, and a note says so.
+
+        Args:
+            rows: Forces or moments by origin, shape (nodes, components) each.
+            noise: Round-off of their sum, in the same unit.
+
+        Returns:
+            What is left of the sum over the sum of lengths; the sum of lengths; and the share
+            that may be left.
         """
         lengths = [float(np.linalg.norm(row, axis=1).sum()) for row in rows]
         sums = np.sum([row.sum(axis=0) for row in rows], axis=0)
         found = total(self._comm, np.array([*lengths, *sums]))
         size = float(np.max(found[: len(rows)]))
         left = float(np.linalg.norm(found[len(rows) :]))
-        if BALANCED * size < noise < size:
-            self._blur = max(self._blur, noise / size)
+        if FORCE_TOLERANCE * size < noise < size:
+            self._round_off_share = max(self._round_off_share, noise / size)
             return left / size, size, noise / size
-        return (max(left - noise, 0.0) / size if size > 0 else 0.0), size, BALANCED
+        return (max(left - noise, 0.0) / size if size > 0 else 0.0), size, FORCE_TOLERANCE
 
     # --- energy ---
 
-    def _follow(
+    def _check_energy(
         self,
         forces: FloatArray,
         u: FloatArray,
@@ -293,14 +314,21 @@ class EquilibriumAuditor:
         noise: float,
         reasons: dict[str, str],
     ) -> None:
-        """Adds the work of a step and compares it with what has been stored.
+        """Adds the work of a step and compares it with what has been stored. Collective.
 
         Where forces change steadily along a step, the trapezoidal rule is wrong by at most half
         the change of forces times the change of displacement.  Where they turn around within the
         step, this product is small and that of the step before says how they change.
+
+        Args:
+            forces: External ones, owned entries [N].
+            u: What they move, owned entries [m].
+            energy: Stored [J].
+            noise: Its round-off [J].
+            reasons: Why the audit warns: a difference is added.
         """
-        if (last := self._last) is None:
-            self._last = _Last(u, forces, energy, 0.0)
+        if (last := self._previous) is None:
+            self._previous = _Previous(u, forces, energy, 0.0)
             return
         du, df = u - last.u, forces - last.forces
         own = [np.sum((forces + last.forces) * du) / 2, np.sum(df * du), np.sum(du**2)]
@@ -309,7 +337,7 @@ class EquilibriumAuditor:
         self._work += work
         self._stored += stored
         bound = max(abs(change), last.change) / 2
-        allowed = bound + STORED * max(abs(work), abs(stored))
+        allowed = bound + ENERGY_TOLERANCE * max(abs(work), abs(stored))
         allowed += self._assembler.residual.free_norm * float(np.sqrt(moved)) + noise
         if self._problem.contact_pairs:
             allowed += SMALL * max(abs(energy), abs(last.energy))
@@ -320,11 +348,11 @@ class EquilibriumAuditor:
                 f"differ by more than a smooth path allows ({allowed:.2g} J): the body has jumped "
                 "to another equilibrium, or a force is not what it should be"
             )
-        self._last, self._unbalanced = _Last(u, forces, energy, abs(change)), False
+        self._previous, self._out_of_balance = _Previous(u, forces, energy, abs(change)), False
 
 
-def _places(problem: Problem) -> str:
-    """On which body moments balance: "reference", "current", or "none".
+def _configuration_of_moments(problem: Problem) -> str:
+    """In which configuration moments balance: "reference", "current", or "none".
 
     The stress P of a small-strain law is symmetric itself, that of all others is where it acts:
     P F^T is symmetric (Bonet & Wood (2008), section 5.2).

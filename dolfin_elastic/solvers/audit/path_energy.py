@@ -16,11 +16,11 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.energy_momentum import Strain
 
 SLACK = 0.02
-"""Share of the step's energy that is no sign of anything."""
+"""Share of the energy of a step by which it may miss the bounds."""
 
 SMALL = 2e-3
-"""Share of all stored energy that is none: where nodes touch an obstacle one after the other, the
-energy of a discrete body goes up and down a little."""
+"""Share of all stored energy by which it may miss them, too: where nodes come into contact one
+after the other, the energy of a discrete body goes up and down a little."""
 
 
 class PathEnergyCheck:
@@ -42,7 +42,7 @@ class PathEnergyCheck:
     def evaluate(self) -> None:
         """Evaluates energy and forces of the present equilibrium. Collective.
 
-        Its forces are in `Assembler.balance`.
+        Its nodal forces are assembled already, in `Assembler.residual`.
         """
         a = self._assembler
         forces = a.residual.owned + a.reactions.loads() + a.reactions.restraints()
@@ -61,15 +61,19 @@ class PathEnergyCheck:
         """Begins the next step at the state evaluated last."""
         self._before = self._now
 
-    def jumped(self, unsure: float) -> bool:
-        """Whether the energy between the last two states came from somewhere else. Collective.
+    def jumped(self, residual: float) -> bool:
+        """Whether the step took up another energy than its path would have given. Collective.
+
+        Along a path on which forces grow steadily, the energy taken up lies between the work of
+        the forces before and that of the forces after the step over the whole displacement.  The
+        bounds are widened by round-off and by the residual that is left, which does work, too.
 
         Args:
-            unsure: Norm of the forces that Newton's method leaves undetermined [N].
+            residual: Norm of the free residual that Newton's method may leave [N].
         """
         problem = self._assembler.problem
         if self.strain.none or problem.eigenstrains or problem.unknowns.stabilised:
-            return False  # what is stored does not tell what has been done
+            return False  # what is stored is not what the forces have done
         if self._before is None or self._now is None:
             return False
         (was, f, u), (now, g, v) = self._before, self._now
@@ -78,7 +82,7 @@ class PathEnergyCheck:
         before, after, square = total(self._assembler.comm, sums)
         gained = now - was
         slack = SLACK * max(abs(gained), abs(before), abs(after))
-        slack += SMALL * max(abs(was), abs(now)) + 2 * unsure * np.sqrt(square)
+        slack += SMALL * max(abs(was), abs(now)) + 2 * residual * np.sqrt(square)
         slack += round_off(self._assembler)[1]
         return bool(abs(gained - (before + after) / 2) > abs(after - before) / 2 + slack)
 

@@ -10,7 +10,7 @@ import numpy as np
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
-from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor, Found
+from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor, StepBalance
 from dolfin_elastic.solvers.audit.path_energy import round_off
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
@@ -72,20 +72,20 @@ class MotionAuditor(EquilibriumAuditor):
         """
         self._forces, self._du = forces, du
         noise, _ = round_off(self._assembler)
-        outside = self._outside()
+        external = self._external_forces()
         found = (
-            self._sum(outside, noise, self._reasons),
-            self._moment(outside, noise, self._reasons),
+            self._force_balance(external, noise, self._reasons),
+            self._moment_balance(external, noise, self._reasons),
         )
         self._worst = [max(pair) for pair in zip(self._worst, found, strict=True)]
 
-    def _outside(self) -> list[FloatArray]:
+    def _external_forces(self) -> list[FloatArray]:
         assert self._forces is not None
         f, moves = self._forces, self._moving.moves
         rows = [f.loads, f.reactions, f.holding, -f.inertia, -f.drag]
         return [row[moves].reshape(-1, self._dim) for row in rows]
 
-    def _moved(self) -> FloatArray:
+    def _displacement(self) -> FloatArray:
         assert self._forces is not None
         return self._forces.u
 
@@ -105,11 +105,11 @@ class MotionAuditor(EquilibriumAuditor):
         if self._forces is not None and (chords := self._chords.reason(self._du)):
             reasons["chords"] = chords
         force, moment = self._worst
-        if self._places == "none":  # not judged, as in statics
+        if self._moment_frame == "none":  # not judged, as in statics
             moment = np.nan
         self._reasons, self._worst = {}, [0.0, 0.0]
         strain = energies["strain"]
-        found = Found(force, moment, energies["external"], energies["total"])
+        found = StepBalance(force, moment, energies["external"], energies["total"])
         self._strains.look(self._when(t))
         return self._verdict(t, reasons, found, self._notes(strain))
 
@@ -160,6 +160,6 @@ class MotionAuditor(EquilibriumAuditor):
         """See `Restartable`. Not collective."""
         self._warned, self._reasons = dict(saved["warned"]), dict(saved["reasons"])
         self._worst = [float(value) for value in saved["worst"]]
-        self._strains.note = str(saved.get("far", ""))
+        self._strains.restore(str(saved.get("far", "")))
         self._off, self._scale = float(saved["off"]), float(saved["scale"])
         self._chords.restore(saved["chords"])

@@ -1,4 +1,4 @@
-"""det F, which no cell may lose, and grad u, which laws for small strains expect to be small."""
+"""det F, which must stay positive, and grad u, which must stay small for small-strain laws."""
 
 from __future__ import annotations
 
@@ -151,12 +151,16 @@ class InversionGuard:
         self.begin()
 
     def begin(self) -> None:
-        """Forgets what was refused."""
+        """Begins a new solve: nothing has been refused. Not collective."""
         self.rejected, self.stuck = 0, False
         self.worst: tuple[float, Any] = (np.inf, np.zeros(3))
 
     def shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Halves the step y until x - y has no inverted cell. Collective.
+
+        Args:
+            x: The present iterate.
+            y: The Newton step, which PETSc subtracts.
 
         Returns:
             Whether y was changed.
@@ -194,14 +198,14 @@ one percent."""
 
 
 class SmallStrains:
-    """Says once that a law for small strains sees large ones.  Collective to make.
+    """Warns once that a law for small strains is used for large ones.  Collective to make.
 
     Args:
         problem: Its laws.
         watch: Of its displacement gradient; made here if none is given and one is needed.
 
     Attributes:
-        note: What has been said; nothing at first.
+        note: The warning; empty before.
     """
 
     def __init__(self, problem: Problem, watch: JacobianWatch | None = None) -> None:
@@ -209,8 +213,12 @@ class SmallStrains:
         self._names = ", ".join(sorted({p.law.name() for p in problem.regions if p.law.linear}))
         self._watch = (watch or JacobianWatch(problem)) if self._names else None
 
+    def restore(self, note: str) -> None:
+        """Goes on with the note of a run that was stopped."""
+        self.note = note
+
     def look(self, when: str) -> None:
-        """Looks at the present displacement, unless all has been said. Collective.
+        """Evaluates the present displacement, unless there is a note already. Collective.
 
         Args:
             when: Load factor or time, for the message.
