@@ -230,6 +230,11 @@ class Problem:
         return int(self.W.dofmap.index_map.size_global * self.W.dofmap.index_map_bs)
 
     @property
+    def has_scalars(self) -> bool:
+        """There are cavities, rigid surfaces or a periodic cell, which may have scalar unknowns."""
+        return bool(self.cavities or self.dirichlet.rigid_motions or self.cell is not None)
+
+    @property
     def mixed(self) -> bool:
         """There is a pressure beside the displacement."""
         return self.unknowns.has("pressure")

@@ -22,7 +22,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
-from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words, planes
+from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 from dolfin_elastic.solvers.nonlinear.contact import (
     check_start,
     nearest_gap,
@@ -220,9 +220,16 @@ def _null(problem: Problem, matrix: FloatArray) -> FloatArray:
 
 
 def _motions(problem: Problem, null: FloatArray, centre: FloatArray, size: float) -> list[str]:
+    if not null.shape[1]:
+        return []
     if problem.geometry == "axisymmetric":
         return ["move along y"] * null.shape[1]
     return motions_in_words(null, centre, size)
+
+
+def planes(dim: int) -> list[tuple[int, int]]:
+    """The plane of each rotation: about x, y, z; in a plane about z."""
+    return [(1, 2), (2, 0), (0, 1)] if dim == 3 else [(0, 1)]
 
 
 def rigid_motions(x: FloatArray) -> FloatArray:

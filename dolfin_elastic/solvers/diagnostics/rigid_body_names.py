@@ -10,11 +10,6 @@ _SAME = 1e-6
 """Differences of directions and places, over the body's size, that nobody means."""
 
 
-def planes(dim: int) -> list[tuple[int, int]]:
-    """The plane of each rotation: about x, y, z; in a plane about z."""
-    return [(1, 2), (2, 0), (0, 1)] if dim == 3 else [(0, 1)]
-
-
 def motions_in_words(null: FloatArray, centre: FloatArray, size: float) -> list[str]:
     """Rigid motions in words.
 

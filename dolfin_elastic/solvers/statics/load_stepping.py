@@ -64,7 +64,7 @@ class LoadStepping:
         settings: Of statics.
         sizes: Which load factor is tried next.
         newton: The solver; its problem is at the starting point.
-        scalars: Scalar unknowns.
+        scalars: Scalar unknowns; None without any.
         watch: Of det F.
     """
 
@@ -74,12 +74,14 @@ class LoadStepping:
         sizes: StepSizes,
         *,
         newton: Newton,
-        scalars: Scalars,
+        scalars: Scalars | None,
         watch: JacobianWatch,
     ) -> None:
         self._settings, self._sizes, self._newton, self._scalars = settings, sizes, newton, scalars
         self._assembler, self._problem = newton.assembler, newton.assembler.problem
-        self._retry = RetryStrategy(newton, ContactAugmentation(self._problem))
+        self._retry = RetryStrategy(
+            newton, ContactAugmentation(self._problem) if self._problem.contact_pairs else None
+        )
         self._path_check = PathEnergyCheck(self._assembler)
         self._states = StaticStates(
             newton, scalars, strain=self._path_check.strain, watch=watch, end=settings.end
@@ -102,7 +104,8 @@ class LoadStepping:
         """
         try:
             if self._settings.method == "arc-length":
-                self._arc = ArcLength(self._retry, self._scalars.parts, end=self._settings.end)
+                others = [] if self._scalars is None else self._scalars.parts
+                self._arc = ArcLength(self._retry, others, end=self._settings.end)
             if saved is None:
                 self._problem.set_time(0.0, default=PROPORTIONAL)
                 self._evaluate_start()
@@ -128,7 +131,7 @@ class LoadStepping:
         fields = {"unknowns": self._problem.w, **self._multipliers()}
         numbers: dict[str, Any] = {
             "t": self._t,
-            "scalars": self._scalars.get(),
+            "scalars": [] if self._scalars is None else self._scalars.get(),
             "sizes": self._sizes.restart_state(),
             "jumps": self._jumps,
             "speed": self._speed.speed,
@@ -157,7 +160,7 @@ class LoadStepping:
         saved.fill({"unknowns": self._problem.w, **self._multipliers(), **others})
         self._t = numbers["t"]
         self._problem.set_time(self._t, default=PROPORTIONAL)
-        if self._scalars.joined is not None:
+        if self._scalars is not None and self._scalars.joined is not None:
             self._scalars.joined.put(np.array(numbers["scalars"]))
         self._problem.unknowns.w_to_u()
         self._sizes.restore(numbers["sizes"])

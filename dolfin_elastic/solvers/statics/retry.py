@@ -31,13 +31,13 @@ class RetryStrategy:
 
     Args:
         newton: The solver; its problem is at the load that is wanted.
-        augmentation: Of its contacts.
+        augmentation: Of its contacts; None without any.
 
     Attributes:
         failed: The last iterate of the last failure, as `Newton.unknowns`.
     """
 
-    def __init__(self, newton: Newton, augmentation: ContactAugmentation) -> None:
+    def __init__(self, newton: Newton, augmentation: ContactAugmentation | None) -> None:
         self.newton, self._augmentation = newton, augmentation
         self.failed: FloatArray | None = None
         self._first = True
@@ -55,7 +55,7 @@ class RetryStrategy:
         """
         newton, first = self.newton, starts[0][1]
         rejected, worst = 0, None
-        self._augmentation.save()
+        self.begin()
         if len(starts) > 1 and self._residual_norm(starts[1][1]) < self._residual_norm(first):
             starts = [("", starts[1][1]), ("from where the last step ended", first)]
         for how, start, line_search in self._attempts(starts):
@@ -78,7 +78,8 @@ class RetryStrategy:
     def undo(self, start: FloatArray) -> None:
         """Goes back to where the last solve began, its contacts too. Not collective."""
         self.newton.put_back(start)
-        self._augmentation.restore()
+        if self._augmentation is not None:
+            self._augmentation.restore()
 
     def _attempts(
         self, starts: Sequence[tuple[str, FloatArray]]
@@ -101,7 +102,8 @@ class RetryStrategy:
 
     def _attempt(self, start: FloatArray, line_search: str) -> NewtonResult:
         self.newton.put_back(start)
-        self._augmentation.restore()
+        if self._augmentation is not None:
+            self._augmentation.restore()
         result = self.newton.solve(line_search)
         while "LINEAR_SOLVE" in result.reason and self.newton.fall_back():
             self.newton.put_back(start)
@@ -124,13 +126,15 @@ class RetryStrategy:
         Returns:
             How the last solve ended, with the iterations of all.
         """
-        again = partial(solve or self.newton.solve, line_search)
-        result = self._augmentation.settle(result, again)
+        if self._augmentation is not None:
+            again = partial(solve or self.newton.solve, line_search)
+            result = self._augmentation.settle(result, again)
         return self._refuse_inverted(result)
 
     def begin(self) -> None:
         """Saves the multipliers of contacts, for `undo`. Not collective."""
-        self._augmentation.save()
+        if self._augmentation is not None:
+            self._augmentation.save()
 
     def _refuse_inverted(self, result: NewtonResult) -> NewtonResult:
         """No accepted state holds a cell that is inside out, also where none was on the way."""

@@ -24,7 +24,7 @@ class StaticStates:
 
     Args:
         newton: The solver; its problem and its assembler are in the state to be measured.
-        scalars: Scalar unknowns.
+        scalars: Scalar unknowns; None without any.
         strain: Measures the stored energy.
         watch: Of det F.
         end: Load factor at which the run ends.
@@ -36,7 +36,7 @@ class StaticStates:
     def __init__(
         self,
         newton: Newton,
-        scalars: Scalars,
+        scalars: Scalars | None,
         *,
         strain: Strain,
         watch: JacobianWatch,
@@ -44,9 +44,14 @@ class StaticStates:
     ) -> None:
         self._newton, self._scalars, self._strain, self._end = newton, scalars, strain, end
         self._assembler, self._problem = newton.assembler, newton.assembler.problem
-        self._contacts = ContactResults(self._problem)
+        self._contacts = ContactResults(self._problem) if self._problem.contact_pairs else None
         self._auditor = EquilibriumAuditor(self._problem, self._assembler, watch)
         self.count = 0
+
+    def _numbers(self) -> dict[str, float]:
+        """Results of contacts and scalar unknowns by name. Collective."""
+        contacts = {} if self._contacts is None else self._contacts.numbers()
+        return contacts if self._scalars is None else contacts | self._scalars.numbers()
 
     def state(
         self,
@@ -83,7 +88,7 @@ class StaticStates:
             max_displacement=assembler.max_displacement(),
             negative=negative,
             limit_points=limits,
-            numbers={**self._contacts.numbers(), **self._scalars.numbers()},
+            numbers=self._numbers(),
             audit=self._auditor.audit(t, energies["strain"]) if equilibrium else None,
             done=t / self._end,
         )
@@ -116,7 +121,7 @@ class StaticStates:
             result,
             good=good[:fields],
             failed=failed[:fields],
-            judge_stability=judge_stability and self._scalars.joined is None,
+            judge_stability=judge_stability and self._newton.bordered is None,
         )
         force, place = self._assembler.residual.largest()
         return ConvergenceError(

@@ -74,13 +74,14 @@ class Statics:
         with ExitStack() as owned:
             assembler = Assembler(self.problem)
             owned.callback(assembler.destroy)
-            scalars, watch = Scalars(assembler), JacobianWatch(self.problem)
+            scalars = Scalars(assembler) if self.problem.has_scalars else None
+            watch = JacobianWatch(self.problem)
             newton = Newton(
                 assembler,
                 self.choice,
                 self.tolerance,
                 users=self.petsc,
-                scalars=scalars.joined,
+                scalars=None if scalars is None else scalars.joined,
                 watch=watch,
             )
             owned.callback(newton.destroy)
