@@ -7,7 +7,6 @@ a PETSc AIJ matrix of the same pattern.
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,7 +18,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.assembly.skew_rows import SkewProjection
-from dolfin_elastic.solvers.petsc.c_api import check, library
+from dolfin_elastic.solvers.petsc.c_api import overwrite_aij
 
 
 class Tangent:
@@ -192,39 +191,8 @@ class TangentMatrix:
             self._projection.apply(self._native.data, self.unit)
         count = int(self._native.indptr[self._rows()])
         data = self._native.data[:count]
-        _fill(self.petsc, data[self._diagonal], data[self._others])
+        overwrite_aij(self.petsc, data[self._diagonal], data[self._others])
 
     def destroy(self) -> None:
         """Frees the PETSc matrix. Collective."""
         self.petsc.destroy()
-
-
-def _fill(matrix: PETSc.Mat, own: FloatArray, others: FloatArray) -> None:
-    """Overwrites all values of an AIJ matrix: the block of its own columns, then the rest."""
-    if matrix.getType() == "seqaij":
-        _write(matrix.handle, own)
-    else:
-        _write(matrix.getDiagonalBlock().handle, own)
-        _write(_off_diagonal(matrix), others)
-    matrix.stateIncrease()
-    matrix.assemble()
-
-
-def _off_diagonal(matrix: PETSc.Mat) -> int:
-    own, others = ctypes.c_void_p(), ctypes.c_void_p()
-    check(
-        library().MatMPIAIJGetSeqAIJ(
-            ctypes.c_void_p(matrix.handle), ctypes.byref(own), ctypes.byref(others), None
-        )
-    )
-    assert others.value is not None
-    return others.value
-
-
-def _write(handle: int, values: FloatArray) -> None:
-    """Copies contiguous values into a sequential AIJ matrix, through MatSeqAIJGetArray."""
-    matrix, pointer = ctypes.c_void_p(handle), ctypes.c_void_p()
-    check(library().MatSeqAIJGetArray(matrix, ctypes.byref(pointer)))
-    if len(values):
-        ctypes.memmove(pointer, values.ctypes.data, values.nbytes)
-    check(library().MatSeqAIJRestoreArray(matrix, ctypes.byref(pointer)))

@@ -1,4 +1,13 @@
-"""What of PETSc petsc4py does not hand on, called in the library petsc4py itself has loaded."""
+"""PETSc functions that petsc4py 3.22 does not wrap, called through ctypes.
+
+They are in the library that petsc4py itself has loaded:
+
+| function | for |
+|---|---|
+| PetscOptionsUsed | the report of options that nothing asked for |
+| MatMPIAIJGetSeqAIJ, MatSeqAIJGetArray, MatSeqAIJRestoreArray | assembly without MatSetValues |
+| TSGetAdapt, TSAdaptCandidatesClear, TSAdaptCandidateAdd, TSAdaptChoose | the next time step |
+"""
 
 from __future__ import annotations
 
@@ -7,24 +16,69 @@ from functools import lru_cache
 
 from petsc4py import PETSc
 
+from dolfin_elastic.core.types import FloatArray
+
 
 @lru_cache(maxsize=1)
-def library() -> ctypes.CDLL:
+def _library() -> ctypes.CDLL:
     """PETSc's functions, opened once: each opening makes types that only cycles hold."""
     return ctypes.CDLL(PETSc.__file__)
 
 
-def check(error: int) -> None:
-    """Raises what PETSc reports.
-
-    Args:
-        error: What one of its functions returned.
-
-    Raises:
-        PETSc.Error: It is not 0.
-    """
+def _check(error: int) -> None:
+    """Raises what a PETSc function returned unless it is 0."""
     if error:
         raise PETSc.Error(error)
+
+
+def option_used(name: str) -> bool:
+    """Whether an option in PETSc's database has been asked for; True where PETSc cannot tell.
+
+    Args:
+        name: With its prefix, without dash.
+    """
+    try:
+        ask = _library().PetscOptionsUsed
+    except (OSError, AttributeError):
+        return True
+    used = ctypes.c_int(1)
+    ask(None, ctypes.c_char_p(name.encode()), ctypes.byref(used))
+    return bool(used.value)
+
+
+def overwrite_aij(matrix: PETSc.Mat, own: FloatArray, others: FloatArray) -> None:
+    """Overwrites all values of an AIJ matrix, in the order in which PETSc stores them. Collective.
+
+    Args:
+        matrix: Assembled, so that its pattern is fixed.
+        own: Values in the columns that this rank owns, row by row.
+        others: Values in all other columns; empty on one rank.
+    """
+    if matrix.getType() == "seqaij":
+        _overwrite(matrix.handle, own)
+    else:
+        diagonal, off_diagonal = ctypes.c_void_p(), ctypes.c_void_p()
+        handle = ctypes.c_void_p(matrix.handle)
+        _check(
+            _library().MatMPIAIJGetSeqAIJ(
+                handle, ctypes.byref(diagonal), ctypes.byref(off_diagonal), None
+            )
+        )
+        assert diagonal.value is not None
+        assert off_diagonal.value is not None
+        _overwrite(diagonal.value, own)
+        _overwrite(off_diagonal.value, others)
+    matrix.stateIncrease()
+    matrix.assemble()
+
+
+def _overwrite(handle: int, values: FloatArray) -> None:
+    """Copies contiguous values into a sequential AIJ matrix. Not collective."""
+    matrix, pointer = ctypes.c_void_p(handle), ctypes.c_void_p()
+    _check(_library().MatSeqAIJGetArray(matrix, ctypes.byref(pointer)))
+    if len(values):
+        ctypes.memmove(pointer, values.ctypes.data, values.nbytes)
+    _check(_library().MatSeqAIJRestoreArray(matrix, ctypes.byref(pointer)))
 
 
 def choose_step(ts: PETSc.TS, order: int) -> tuple[float, bool]:
@@ -41,14 +95,14 @@ def choose_step(ts: PETSc.TS, order: int) -> tuple[float, bool]:
     Returns:
         The next step [s], and whether the present one is accepted.
     """
-    petsc, last = library(), ts.getMaxTime()
+    petsc, last = _library(), ts.getMaxTime()
     ts.setMaxTime(float("inf"))
     handle, adapt = ctypes.c_void_p(ts.handle), ctypes.c_void_p()
     integer = ctypes.c_int if PETSc.IntType().itemsize == 4 else ctypes.c_int64
     scheme, accepted, h = integer(), ctypes.c_int(1), ctypes.c_double()
-    check(petsc.TSGetAdapt(handle, ctypes.byref(adapt)))
-    check(petsc.TSAdaptCandidatesClear(adapt))
-    check(
+    _check(petsc.TSGetAdapt(handle, ctypes.byref(adapt)))
+    _check(petsc.TSAdaptCandidatesClear(adapt))
+    _check(
         petsc.TSAdaptCandidateAdd(
             adapt,
             b"",
@@ -59,7 +113,7 @@ def choose_step(ts: PETSc.TS, order: int) -> tuple[float, bool]:
             ctypes.c_int(1),
         )
     )
-    check(
+    _check(
         petsc.TSAdaptChoose(
             adapt,
             handle,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -12,7 +11,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.petsc_options import PREFIX, refuse_case_keys
-from dolfin_elastic.solvers.petsc.c_api import library
+from dolfin_elastic.solvers.petsc.c_api import option_used
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -20,15 +19,16 @@ log = logging.getLogger("dolfin_elastic")
 class Options:
     """PETSc options that are in the database only while a solver works.
 
-    Configure objects with `setOptionsPrefix(PREFIX)` and call `setFromOptions()` and everything
-    that sets solvers up inside `in_force`: multigrid reads its levels' options when it is set up.
+    Configure objects with `setOptionsPrefix(PREFIX)`, and call `setFromOptions()` and everything
+    that sets solvers up inside `in_force`: levels of multigrid and splits read their options (under
+    PREFIX + "mg_levels_", "fieldsplit_u_" and the like) when they are set up.
 
     Args:
         defaults: Option to value; True and None stand for options without a value.
         users: The same, from the user, with or without the prefix; they win.
 
     Raises:
-        InputError: One of the user's is for what the case says.
+        InputError: A key of the case stands for one of the user's.
     """
 
     def __init__(self, defaults: Mapping[str, Any], users: Mapping[str, Any]) -> None:
@@ -58,7 +58,7 @@ class Options:
             yield
         finally:
             self._uses.pop()
-            self._used |= {name for name in self.users if _was_used(PREFIX + name)}
+            self._used |= {name for name in self.users if option_used(PREFIX + name)}
             outer = self._uses[-1] if self._uses else {}
             for name in merged:
                 database.delValue(PREFIX + name)
@@ -66,7 +66,7 @@ class Options:
                     database[PREFIX + name] = _text(outer[name])
 
     def take(self, name: str) -> dict[str, Any]:
-        """Takes an option of the user out, for a solver that sees to it itself.
+        """Takes an option of the user out, for a caller that carries it out itself.
 
         Args:
             name: Without prefix.
@@ -78,7 +78,11 @@ class Options:
         return {name: self.users.pop(name)} if name in self.users else {}
 
     def update(self, defaults: Mapping[str, Any]) -> None:
-        """Changes defaults for all later uses."""
+        """Changes defaults for all later uses; the user's options still win.
+
+        Args:
+            defaults: Option, without prefix, to value.
+        """
         self._all = {**self._all, **defaults, **self.users}
 
     @contextmanager
@@ -94,9 +98,9 @@ class Options:
             if not self.users:
                 raise
             given = ", ".join(f"-{name} {value}" for name, value in self.users.items())
-            said = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
+            cause = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
             raise InputError(
-                f"PETSc refuses the options {given}: {said}",
+                f"PETSc refuses the options {given}: {cause}",
                 where="solver.petsc",
                 expected="see the manual pages of PETSc",
             ) from None
@@ -109,24 +113,13 @@ class Options:
         if self._reported or len(self._uses) > 1:
             return
         for name in self.users:
-            if name not in self._used and not _was_used(PREFIX + name):
+            if name not in self._used and not option_used(PREFIX + name):
                 log.warning("PETSc option '-%s' was not used by any solver", name)
         self._reported = True
 
 
 def _text(value: Any) -> Any:
     return "" if value is None or value is True else value
-
-
-def _was_used(name: str) -> bool:
-    """PetscOptionsUsed (name without dash), which petsc4py lacks; True where it cannot ask."""
-    try:
-        ask = library().PetscOptionsUsed
-    except (OSError, AttributeError):
-        return True
-    used = ctypes.c_int(1)
-    ask(None, ctypes.c_char_p(name.encode()), ctypes.byref(used))
-    return bool(used.value)
 
 
 def _names(enumeration: type) -> dict[int, str]:
@@ -138,15 +131,15 @@ def _names(enumeration: type) -> dict[int, str]:
 
 
 def snes_reason(number: int) -> str:
-    """Name of a SNESConvergedReason."""
+    """PETSc's name of a SNESConvergedReason; the number itself where it has none."""
     return _names(PETSc.SNES.ConvergedReason).get(number, str(number))
 
 
 def ksp_reason(number: int) -> str:
-    """Name of a KSPConvergedReason."""
+    """PETSc's name of a KSPConvergedReason; see `snes_reason`."""
     return _names(PETSc.KSP.ConvergedReason).get(number, str(number))
 
 
 def ts_reason(number: int) -> str:
-    """Name of a TSConvergedReason."""
+    """PETSc's name of a TSConvergedReason; see `snes_reason`."""
     return _names(PETSc.TS.ConvergedReason).get(number, str(number))
