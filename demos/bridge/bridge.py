@@ -45,18 +45,18 @@ def main():
     *_, state = run(case)
     size = mesh_statistics(case.read_body(comm))
     weight, wind = DENSITY * G * size.volume, WIND * size.surfaces["windward"]
-    held = sum(state.reactions.values())
+    total = sum(state.reactions.values())
     summary = json.loads((case.results_folder() / "summary.json").read_text())
     peak = summary["extremes"]["von_mises"]
     if comm.rank == 0:
         for name, force in state.reactions.items():
             print(f"reaction of {name:<5} {force[0]:14.3f} {force[1]:14.3f} {force[2]:14.3f} N")
-        print(f"both together     {held[0]:14.3f} {held[1]:14.3f} {held[2]:14.3f} N")
+        print(f"both together     {total[0]:14.3f} {total[1]:14.3f} {total[2]:14.3f} N")
         print(f"wind and weight   {0:14.3f} {wind:14.3f} {-weight:14.3f} N")
         print(f"largest deflection {1e3 * state.max_displacement:.2f} mm")
         place = ", ".join(f"{x:.2f}" for x in peak["place"])
         print(f"largest von Mises stress {peak['value'] / 1e6:.1f} MPa at ({place}) m")
-    error = np.abs(held - [0, -wind, weight]).max() / weight
+    error = np.abs(total - [0, -wind, weight]).max() / weight
     if comm.rank == 0:
         print(f"imbalance over weight: {error:.1e} (allowed {TOLERANCE:.0e})")
     assert error < TOLERANCE

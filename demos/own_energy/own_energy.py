@@ -1,4 +1,4 @@
-"""A strain energy typed into a case file: its bench, and a block made of it.
+"""A strain energy typed into a case file: its test at a point, and a block made of it.
 
 Problem
     A block of rubber on rollers is pulled to twice its length; its sides are free.
@@ -13,12 +13,12 @@ Equations
     O. Yeoh, Rubber Chem. Technol. 66 (1993) 754.
 
 Discretisation
-    None on the bench: a point at which Newton's method finds the lateral stretches.  The block has
+    None at the point: Newton's method finds its lateral stretches.  The block has
     2 x 2 x 2 cubes of six quadratic tetrahedra; ten load steps.
 
 Result
-    The block pulls back with the stress that the bench foretells, to 1e-7, and with that of the
-    closed form to 1e-3.  Curves and a plot are written into own_energy_bench.
+    The block pulls back with the stress that the test at a point predicts, to 1e-7, and with that
+    of the closed form to 1e-3.  Curves and a plot are written into own_energy_bench.
 
         python3 demos/own_energy/own_energy.py
         mpirun -n 2 python3 demos/own_energy/own_energy.py
@@ -65,15 +65,15 @@ def main():
         pull = state.reactions["right"][0] / AREA
 
     curve = found.curves["uniaxial"]
-    foretold = curve.P[-1, 0, 0]
+    predicted = curve.P[-1, 0, 0]
     book = closed_form(2.0, **rubber.parameters)
     assert np.isclose(curve.values[-1], 2.0)
-    difference = abs(pull / foretold - 1)
+    difference = abs(pull / predicted - 1)
     if comm.rank == 0:
         print(f"nominal stress at twice the length: {pull / 1e6:.6f} MPa")
-        print(f"on the bench {foretold / 1e6:.6f} MPa, closed form {book / 1e6:.6f} MPa")
+        print(f"at a point {predicted / 1e6:.6f} MPa, closed form {book / 1e6:.6f} MPa")
         print(f"block against bench: {difference:.1e} (allowed {TOLERANCE:.0e})")
-    assert abs(foretold / book - 1) < INCOMPRESSIBLE
+    assert abs(predicted / book - 1) < INCOMPRESSIBLE
     assert difference < TOLERANCE
 
 

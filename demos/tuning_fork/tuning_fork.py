@@ -6,7 +6,7 @@ Problem
     hand at the stem does not damp it.
 
 Equations
-    Small vibrations: K u = omega^2 M u.  How much a mode shakes what holds it is told by its
+    Small vibrations: K u = omega^2 M u.  The force of a mode on its support is measured by its
     effective masses: those of the tone are next to nothing in every direction.
 
 Discretisation

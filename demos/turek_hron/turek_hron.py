@@ -13,10 +13,10 @@ Discretisation
 Result
     The place of A, the middle of the free end, at 0.25, 0.5 and 1 s, against values that were
     computed for this project by an independent code of order 4 to 10 in space with ever smaller
-    steps; the error is told over the amplitude of the motion.  `--full` follows it over 10 s: what
-    S. Turek & J. Hron (2006) have published is the last period of that for this very step (their
-    page: mathematik.tu-dortmund.de/~featflow), -63.607 +- 65.160 mm, for the oscillation beats, and
-    other steps give other last periods.
+    steps; the error is relative to the amplitude of the motion.  `--full` computes 10 s: S. Turek &
+    J. Hron (2006) have published the last period of that for this very step (their page:
+    mathematik.tu-dortmund.de/~featflow), -63.607 +- 65.160 mm; the oscillation beats, so other
+    steps give other last periods.
 
         python3 demos/turek_hron/turek_hron.py
         mpirun -n 2 python3 demos/turek_hron/turek_hron.py --full
