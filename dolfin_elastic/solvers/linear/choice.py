@@ -1,9 +1,9 @@
-"""Which linear solver, and why.
+"""Which KSP and PC solve the linear systems, and why.
 
 Small systems are factorised (MUMPS).  Large ones are solved by conjugate gradients, or by GMRES
 when the tangent is not symmetric, with multigrid that knows the rigid-body modes: algebraic
 (GAMG) for linear elements; for quadratic ones a first coarsening from quadratic to linear
-elements, then the same.
+elements (PCMG), then the same.  A pressure is split off (PCFIELDSPLIT).
 """
 
 from __future__ import annotations
@@ -19,100 +19,14 @@ from dolfin_elastic.problem.problem import Problem
 DIRECT_LIMIT = {2: 150_000, 3: 20_000}
 """Largest number of unknowns that are factorised by default, by dimension."""
 
-
 MIXED_LIMIT = {2: 100_000, 3: 10_000}
 """The same with a pressure beside the displacement."""
-
 
 MIXED_MOVING = {2: 400_000, 3: 150_000}
 """The same in motion, where short steps make the pressure hard for iterations."""
 
-
 LAST_DIRECT = {2: 1_000_000, 3: 150_000}
 """Largest number of unknowns that are factorised when iterations have failed."""
-
-
-class LinearSettings(Record):
-    """How linear systems are solved; all of it is chosen by itself by default.
-
-    Attributes:
-        method: "auto", "direct" (MUMPS) or "iterative" (Krylov with multigrid).
-        petsc: PETSc options that override everything else, for example {ksp_type = "gmres"}.
-    """
-
-    method: Literal["auto", "direct", "iterative"] = "auto"
-    petsc: dict[str, bool | int | float | str] = Field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A linear solver.
-
-    Attributes:
-        direct: Factorisation, not iterations.
-        options: PETSc options without prefix.
-        why: For the log.
-    """
-
-    direct: bool
-    options: dict[str, Any]
-    why: str
-
-
-def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) -> Choice:
-    """Chooses a linear solver for a problem and says why."""
-    dofs, limit = problem.num_dofs, DIRECT_LIMIT[problem.body.dim]
-    several = bool(problem.unknowns.auxiliary_fields)
-    if several:
-        limit = (MIXED_MOVING if moving else MIXED_LIMIT)[problem.body.dim]
-    direct = settings.method == "direct" or (settings.method == "auto" and dofs <= limit)
-    direct = direct or problem.unknowns.has("stretch")  # only ever in a plane: cheap to factorise
-    symmetric = problem.symmetric
-    size = f"{dofs} unknowns"
-    if settings.method != "auto":
-        size += f", '{settings.method}' asked for"
-    if direct:
-        kind = "Cholesky-like LDL^T" if symmetric else "LU"
-        return Choice(True, factorising(symmetric), f"direct solver (MUMPS, {kind}): {size}")
-    krylov = "CG" if symmetric and not several else "GMRES"
-    grid = (
-        "GAMG with rigid-body modes"
-        if problem.degree == 1
-        else "multigrid from quadratic to linear elements, then GAMG with rigid-body modes"
-    )
-    if several:
-        grid = f"pressure by its mass matrix, displacement by {grid}"
-    options = _iterative(problem, symmetric and not several)
-    return Choice(False, options, f"iterative solver ({krylov}, {grid}): {size}")
-
-
-def factorising(symmetric: bool) -> dict[str, Any]:
-    """Options of a direct solver."""
-    return {
-        "ksp_type": "preonly",
-        "pc_type": "cholesky" if symmetric else "lu",
-        "pc_factor_mat_solver_type": "mumps",
-        "mat_mumps_icntl_14": 50,  # room for pivoting on indefinite tangents
-        "mat_mumps_icntl_13": 1,  # no ScaLAPACK at the root: it counts no negative pivots
-        "mat_mumps_icntl_24": 1,  # a singular tangent is Newton's affair, not MUMPS's error
-        "mat_mumps_icntl_20": 0,  # PETSc's distributed right-hand side can fail (dolfinx#4362)
-    }
-
-
-def _iterative(problem: Problem, symmetric: bool) -> dict[str, Any]:
-    krylov: dict[str, Any] = {
-        "ksp_type": "cg" if symmetric else "gmres",
-        "ksp_max_it": 500,
-        # Setting multigrid up costs as much as many iterations: once a load step is enough.
-        "snes_lag_preconditioner": 20,
-        "ksp_rtol": 1e-8,
-    }
-    if not symmetric:
-        krylov |= GMRES
-    inner = multigrid(problem.degree)
-    if problem.unknowns.auxiliary_fields:
-        return krylov | SCHUR | {f"fieldsplit_u_{name}": value for name, value in inner.items()}
-    return krylov | inner
 
 
 GMRES: dict[str, Any] = {"ksp_type": "gmres", "ksp_gmres_restart": 100, "ksp_pc_side": "right"}
@@ -148,6 +62,100 @@ SCHUR: dict[str, Any] = {
     "fieldsplit_p_pc_type": "jacobi",
 }
 """Displacement and pressure apart; see `PressureSplit`."""
+
+
+class LinearSettings(Record):
+    """How linear systems are solved; by default `choose` decides.
+
+    Attributes:
+        method: "auto", "direct" (MUMPS) or "iterative" (Krylov with multigrid).
+        petsc: PETSc options that override everything else, for example {ksp_type = "gmres"}.
+    """
+
+    method: Literal["auto", "direct", "iterative"] = "auto"
+    petsc: dict[str, bool | int | float | str] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A linear solver.
+
+    Attributes:
+        direct: Factorisation, not iterations.
+        options: PETSc options without prefix.
+        why: For the log.
+    """
+
+    direct: bool
+    options: dict[str, Any]
+    why: str
+
+
+def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) -> Choice:
+    """Chooses a linear solver for a problem and says why. Not collective.
+
+    Args:
+        problem: Its unknowns and the symmetry of its tangent decide.
+        settings: What the user asks for.
+        moving: The system is that of a time step.
+    """
+    dofs, limit = problem.num_dofs, DIRECT_LIMIT[problem.body.dim]
+    mixed = bool(problem.unknowns.auxiliary_fields)
+    if mixed:
+        limit = (MIXED_MOVING if moving else MIXED_LIMIT)[problem.body.dim]
+    direct = settings.method == "direct" or (settings.method == "auto" and dofs <= limit)
+    direct = direct or problem.unknowns.has("stretch")  # only ever in a plane: cheap to factorise
+    symmetric = problem.symmetric
+    size = f"{dofs} unknowns"
+    if settings.method != "auto":
+        size += f", '{settings.method}' asked for"
+    if direct:
+        kind = "Cholesky-like LDL^T" if symmetric else "LU"
+        return Choice(True, factorising(symmetric), f"direct solver (MUMPS, {kind}): {size}")
+    krylov = "CG" if symmetric and not mixed else "GMRES"
+    grid = (
+        "GAMG with rigid-body modes"
+        if problem.degree == 1
+        else "multigrid from quadratic to linear elements, then GAMG with rigid-body modes"
+    )
+    if mixed:
+        grid = f"pressure by its mass matrix, displacement by {grid}"
+    options = _iterative(problem, symmetric and not mixed)
+    return Choice(False, options, f"iterative solver ({krylov}, {grid}): {size}")
+
+
+def factorising(symmetric: bool) -> dict[str, Any]:
+    """Options of a direct solver.
+
+    Args:
+        symmetric: The tangent is symmetric, though it may be indefinite.
+    """
+    return {
+        "ksp_type": "preonly",
+        "pc_type": "cholesky" if symmetric else "lu",
+        "pc_factor_mat_solver_type": "mumps",
+        "mat_mumps_icntl_14": 50,  # room for pivoting on indefinite tangents
+        "mat_mumps_icntl_13": 1,  # no ScaLAPACK at the root: it counts no negative pivots
+        "mat_mumps_icntl_24": 1,  # a singular tangent is Newton's affair, not MUMPS's error
+        "mat_mumps_icntl_20": 0,  # PETSc's distributed right-hand side can fail (dolfinx#4362)
+    }
+
+
+def _iterative(problem: Problem, symmetric: bool) -> dict[str, Any]:
+    """Options of a Krylov method, by conjugate gradients where the whole system is symmetric."""
+    krylov: dict[str, Any] = {
+        "ksp_type": "cg" if symmetric else "gmres",
+        "ksp_max_it": 500,
+        # Setting multigrid up costs as much as many iterations: once a load step is enough.
+        "snes_lag_preconditioner": 20,
+        "ksp_rtol": 1e-8,
+    }
+    if not symmetric:
+        krylov |= GMRES
+    inner = multigrid(problem.degree)
+    if problem.unknowns.auxiliary_fields:
+        return krylov | SCHUR | {f"fieldsplit_u_{name}": value for name, value in inner.items()}
+    return krylov | inner
 
 
 def multigrid(degree: int) -> dict[str, Any]:
