@@ -22,7 +22,7 @@ import pytest
 from helpers.processes import clean_environment
 from mpi4py import MPI
 
-from suite.selection import TESTS, alone, whole
+from suite.selection import TESTS, alone, asked, whole
 
 RANKS = (2, 3)
 LIMIT = 3600.0
@@ -32,7 +32,6 @@ LIMIT = 3600.0
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Options of the sessions on several ranks."""
     group = parser.getgroup("suite")
-    group.addoption("--ranks", default="1,2,3", help="numbers of ranks to test on: 1,2,3")
     group.addoption("--reports-to", metavar="FOLDER", help="where a rank writes what it finds")
 
 
@@ -90,9 +89,7 @@ class _Sessions:
 
     def __init__(self, config: pytest.Config) -> None:
         self.config = config
-        asked = [int(word) for word in config.getoption("ranks").split(",")]
-        self.waiting = [ranks for ranks in RANKS if ranks in asked]
-        self.alone_too = 1 in asked
+        self.waiting = [ranks for ranks in RANKS if ranks in asked(config)]
         self.cores = len(os.sched_getaffinity(0))
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)

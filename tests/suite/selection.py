@@ -13,7 +13,7 @@ and the rest (--rest) is all but the quick set.
 from __future__ import annotations
 
 import os
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -97,11 +97,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("suite")
     group.addoption("--all", action="store_true", help="every test, not only the quick set")
     group.addoption("--rest", action="store_true", help="what the quick set leaves out")
+    group.addoption("--ranks", default="1,2,3", help="numbers of ranks to test on: 1,2,3")
     group.addoption(
         "--variants",
         type=int,
         metavar="N",
-        help="at most N of the parameters of each test, evenly chosen",
+        help="at most N of the parameters of each test",
     )
 
 
@@ -109,7 +110,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Markers of the quick set."""
     for line in (
         "long: takes long; it does not belong to the quick set",
-        "sample(k): of its parameters k belong to the quick set, evenly chosen",
+        "sample(k): of its parameters k belong to the quick set",
     ):
         config.addinivalue_line("markers", line)
 
@@ -117,6 +118,11 @@ def pytest_configure(config: pytest.Config) -> None:
 def whole(config: pytest.Config) -> bool:
     """Whether the command line names no files."""
     return config.args_source is pytest.Config.ArgsSource.TESTPATHS
+
+
+def asked(config: pytest.Config) -> list[int]:
+    """The numbers of ranks to test on."""
+    return [int(word) for word in config.getoption("ranks").split(",")]
 
 
 def alone(config: pytest.Config) -> bool:
@@ -127,7 +133,8 @@ def alone(config: pytest.Config) -> bool:
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config: pytest.Config) -> None:
     """Spreads the tests on one rank over the cores, unless the command line says how."""
-    if whole(config) and alone(config) and config.getoption("numprocesses", 0) is None:
+    many = whole(config) and alone(config) and 1 in asked(config)
+    if many and config.getoption("numprocesses", 0) is None:
         config.option.numprocesses = len(os.sched_getaffinity(0))
         config.option.dist = "worksteal"
 
@@ -137,13 +144,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: item.get_closest_marker("long") is None)
     mine, ranks = items, MPI.COMM_WORLD.size
     if whole(config):
-        mine = [item for item in mine if runs_on(_file(item), ranks)]
+        mine = [item for item in mine if ranks in asked(config) and runs_on(_file(item), ranks)]
         if not config.getoption("all"):
             quick = set(map(id, _quick(mine, ranks)))
             rest = config.getoption("rest")
             mine = [item for item in mine if (id(item) in quick) != rest]
     if most := config.getoption("variants"):
-        mine = [item for group in _alike(mine) for item in _evenly(group, most)]
+        mine = [item for group in _alike(mine) for item in _spread(group, most)]
     taken = set(map(id, mine))
     config.hook.pytest_deselected(items=[item for item in items if id(item) not in taken])
     items[:] = mine
@@ -157,7 +164,7 @@ def _quick(items: Iterable[pytest.Item], ranks: int) -> list[pytest.Item]:
     for group in _alike(short):
         sample = group[0].get_closest_marker("sample")
         most = 1 if ranks > 1 else sample.args[0] if sample else len(group)
-        found += _evenly(group, most)
+        found += _spread(group, most)
     return found
 
 
@@ -169,10 +176,24 @@ def _alike(items: Iterable[pytest.Item]) -> Iterable[list[pytest.Item]]:
     return groups.values()
 
 
-def _evenly(group: list[pytest.Item], most: int) -> list[pytest.Item]:
-    """At most so many of one test's parameters, the first always among them."""
-    count = min(most, len(group))
-    return [group[i * (len(group) - 1) // max(count - 1, 1)] for i in range(count)]
+def _spread(group: list[pytest.Item], most: int) -> list[pytest.Item]:
+    """So many of one test's parameters: each time the one whose values were taken least before.
+
+    So of laws in two and three dimensions both dimensions are among them.  The first always is.
+    """
+    taken: list[int] = []
+    times: Counter[tuple[str, str]] = Counter()
+    values = [_values(item) for item in group]
+    while len(taken) < min(most, len(group)):
+        left = [i for i in range(len(group)) if i not in taken]
+        taken.append(min(left, key=lambda i: sum(times[value] for value in values[i])))
+        times.update(values[taken[-1]])
+    return [group[i] for i in sorted(taken)]
+
+
+def _values(item: pytest.Item) -> list[tuple[str, str]]:
+    callspec = getattr(item, "callspec", None)
+    return [(name, repr(value)) for name, value in callspec.params.items()] if callspec else []
 
 
 def _file(item: pytest.Item) -> str:
