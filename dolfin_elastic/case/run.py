@@ -21,7 +21,7 @@ from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, OutputError, SolveError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.core.signals import forget
+from dolfin_elastic.core.signals import remove_stop_file
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, RestartableSolver, State
 from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
@@ -123,7 +123,7 @@ class _Run:
             if before is not None:
                 before.check_newest()
             if self.comm.rank == 0:  # not before the lock: the file may be for another run
-                forget(self.folder)
+                remove_stop_file(self.folder)
             yield from self._states(before, lock)
 
     def _states(self, before: Unfinished | None, lock: FolderLock) -> States:

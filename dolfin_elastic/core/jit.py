@@ -64,7 +64,7 @@ def options(comm: MPI.Comm) -> dict[str, Any]:
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def _locked_cache(folder: Path) -> Iterator[None]:
     """What is compiled into a part of the cache is compiled inside, by one run at a time.
 
     A compilation that was killed leaves a C file that makes every later run wait for its end in
@@ -79,7 +79,7 @@ def _alone(folder: Path) -> Iterator[None]:
             lock.close()
 
 
-def _part(jit_options: dict[str, Any], key: str) -> dict[str, Any]:
+def _cache_part(jit_options: dict[str, Any], key: str) -> dict[str, Any]:
     """The options with the part of the cache that a form belongs to."""
     return {**jit_options, "cache_dir": Path(jit_options["cache_dir"]) / key[0]}
 
@@ -118,12 +118,12 @@ def compile_forms(
     Raises:
         Exception: What the form compiler raised on any rank.
     """
-    parts = [_part(jit_options, form.signature()) for form in forms]
+    parts = [_cache_part(jit_options, form.signature()) for form in forms]
     with stage("compile"):
         if comm.size > 1:
-            _share_out(comm, forms, parts)
+            _compile_shares(comm, forms, parts)
         return [
-            _together(comm, part, lambda f=form, p=part: fem.form(f, jit_options=p))  # type: ignore[misc]
+            _on_all_ranks(comm, part, lambda f=form, p=part: fem.form(f, jit_options=p))  # type: ignore[misc]
             for form, part in zip(forms, parts, strict=True)
         ]
 
@@ -147,9 +147,11 @@ def compile_expression(
     """
     expression = _with_numbered_labels(expression)
     key = f"{expression.ufl_shape}{np.asarray(points).round(9).tolist()}"
-    part = _part(jit_options, hashlib.sha256(key.encode()).hexdigest())
+    part = _cache_part(jit_options, hashlib.sha256(key.encode()).hexdigest())
     with stage("compile"):
-        return _together(comm, part, lambda: fem.Expression(expression, points, jit_options=part))
+        return _on_all_ranks(
+            comm, part, lambda: fem.Expression(expression, points, jit_options=part)
+        )
 
 
 class _Relabelling(MultiFunction):
@@ -178,12 +180,12 @@ def _with_numbered_labels(expression: Any) -> Any:
     return map_expr_dag(_Relabelling(labels), expression) if labels else expression
 
 
-def _together(comm: MPI.Comm, part: dict[str, Any], make: Callable[[], T]) -> T:
+def _on_all_ranks(comm: MPI.Comm, part: dict[str, Any], make: Callable[[], T]) -> T:
     """What every rank makes, or the error that one of them met, for example in the cache."""
     error: Exception | None = None
     made: T | None = None
     # Rank 0 compiles what is not there yet, and the others wait for it.
-    with _alone(part["cache_dir"]) if comm.rank == 0 else nullcontext():
+    with _locked_cache(part["cache_dir"]) if comm.rank == 0 else nullcontext():
         try:
             made = make()
         except Exception as caught:  # told to all ranks just below
@@ -192,13 +194,15 @@ def _together(comm: MPI.Comm, part: dict[str, Any], make: Callable[[], T]) -> T:
     return cast("T", made)
 
 
-def _share_out(comm: MPI.Comm, forms: Sequence[ufl.Form], parts: Sequence[dict[str, Any]]) -> None:
+def _compile_shares(
+    comm: MPI.Comm, forms: Sequence[ufl.Form], parts: Sequence[dict[str, Any]]
+) -> None:
     """Each rank compiles its share into the cache; DOLFINx would let rank 0 do it all."""
     error: Exception | None = None
     mine = slice(comm.rank, None, comm.size)
     try:
         for form, part in zip(forms[mine], parts[mine], strict=True):
-            with _alone(part["cache_dir"]):
+            with _locked_cache(part["cache_dir"]):
                 jit.ffcx_jit(
                     MPI.COMM_SELF,
                     form,

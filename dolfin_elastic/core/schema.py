@@ -32,7 +32,7 @@ else:
     ModelMetaclass = type(BaseModel)  # which pydantic does not name in public
 
 
-class _Raising(ModelMetaclass):
+class _InputErrorMeta(ModelMetaclass):
     """Raises `InputError` in place of pydantic's error, at the outermost constructor only."""
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:  # noqa: N805  of a metaclass
@@ -42,7 +42,7 @@ class _Raising(ModelMetaclass):
             raise input_error(cast(type[BaseModel], cls), error) from None
 
 
-class Record(BaseModel, metaclass=_Raising):
+class Record(BaseModel, metaclass=_InputErrorMeta):
     """A frozen set of named values.
 
     Raises:
@@ -65,20 +65,20 @@ class Record(BaseModel, metaclass=_Raising):
             for name, value in data.items():
                 if name not in fields:
                     raise InputError(f"unknown key '{name}'", expected=nearest(str(name), fields))
-                if not _speaks(fields[name].metadata):
-                    _refuse_switch([fields[name].annotation], name, value)
-                _refuse_word(fields[name].annotation, name, value)
+                if not _validates_itself(fields[name].metadata):
+                    _refuse_boolean([fields[name].annotation], name, value)
+                _refuse_non_boolean(fields[name].annotation, name, value)
         return data
 
 
-def _refuse_switch(kinds: Sequence[Any], where: str, value: Any) -> None:
+def _refuse_boolean(kinds: Sequence[Any], where: str, value: Any) -> None:
     """Refuses booleans where numbers are expected: pydantic would read `steps = true` as 1."""
     members = [member for kind in kinds for member in _members(kind)]
     if isinstance(value, list | tuple):
         inside = [get_args(kind)[0] for kind in members if get_origin(kind) in (list, tuple)]
         for index, one in enumerate(value):
-            _refuse_switch(inside, f"{where}[{index}]", one)
-    if not isinstance(value, bool) or any(_speaks(get_args(kind)[1:]) for kind in kinds):
+            _refuse_boolean(inside, f"{where}[{index}]", one)
+    if not isinstance(value, bool) or any(_validates_itself(get_args(kind)[1:]) for kind in kinds):
         return
     numbers = {int: "a whole number", float: "a number"}
     wanted = [numbers[kind] for kind in members if kind in numbers]
@@ -87,7 +87,7 @@ def _refuse_switch(kinds: Sequence[Any], where: str, value: Any) -> None:
         raise InputError(f"{quoted(value)} is wrong", where=where, expected=expected)
 
 
-def _refuse_word(kind: Any, where: str, value: Any) -> None:
+def _refuse_non_boolean(kind: Any, where: str, value: Any) -> None:
     """Refuses "no", "off" and 0 for false, which pydantic would take."""
     if (
         _members(kind) == [bool]
@@ -99,7 +99,7 @@ def _refuse_word(kind: Any, where: str, value: Any) -> None:
         )
 
 
-def _speaks(metadata: Iterable[Any]) -> bool:
+def _validates_itself(metadata: Iterable[Any]) -> bool:
     """The type validates its own input and reports its own errors."""
     return any(isinstance(one, Quantity | BeforeValidator) for one in metadata)
 
@@ -126,7 +126,7 @@ def input_error(record: type[BaseModel], error: ValidationError) -> InputError:
         return InputError(str(_inner(fault)), where=path)
     names_input = ours is not None and isinstance(fault["input"], str)
     what = ours.what if ours is not None and names_input else f"{quoted(fault['input'])} is wrong"
-    return InputError(what, where=path, expected=_wanted(same))
+    return InputError(what, where=path, expected=_accepted(same))
 
 
 def _inner(fault: Any) -> Any:
@@ -161,7 +161,7 @@ def quoted(value: Any) -> str:
     return text if len(text) <= LONGEST_QUOTED else text[: LONGEST_QUOTED - 3] + "..."
 
 
-_WANTED = {
+_TYPE_NAMES = {
     "string_type": "a text",
     "list_type": "a list",
     "tuple_type": "a list",
@@ -184,7 +184,7 @@ _WANTED = {
 }
 
 
-def _wanted(faults: Sequence[Any]) -> str:
+def _accepted(faults: Sequence[Any]) -> str:
     """What would have been accepted, over all members of a union."""
     for fault in faults:
         choices = re.findall(r"'([^']*)'", str(fault.get("ctx", {}).get("expected", "")))
@@ -198,8 +198,8 @@ def _phrase(fault: Any) -> str:
     context = fault.get("ctx", {})
     if fault["type"] == "literal_error":
         return str(context["expected"])
-    if fault["type"] in _WANTED:
-        return _WANTED[fault["type"]].format(**context)
+    if fault["type"] in _TYPE_NAMES:
+        return _TYPE_NAMES[fault["type"]].format(**context)
     if isinstance(ours := _inner(fault), InputError):
         return ours.expected.removeprefix("expected ") or ours.what
     return str(fault["msg"]).removeprefix("Input should be ")
@@ -217,7 +217,7 @@ def dotted_path(record: type[BaseModel], path: Iterable[str | int]) -> str:
     """
     text, kinds = "", [record]
     for part in path:
-        below = [kind for one in kinds for kind in _below(one, part)]
+        below = [kind for one in kinds for kind in _part_types(one, part)]
         if isinstance(part, int):
             text += f"[{part}]"
         elif below:
@@ -226,7 +226,7 @@ def dotted_path(record: type[BaseModel], path: Iterable[str | int]) -> str:
     return text
 
 
-def _below(kind: Any, part: str | int) -> list[Any]:
+def _part_types(kind: Any, part: str | int) -> list[Any]:
     """Types of the values that a type holds under a key or index; empty if it has no such part."""
     origin, inside = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and origin is None and issubclass(kind, BaseModel):

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 INTERRUPTED = 130
 """Exit code of a run that was stopped."""
 
-FILE = "stop"
+STOP_FILE = "stop"
 """File in the folder of results that ends a run there."""
 
-SAME = 0.5
+SAME_SIGNAL = 0.5
 """Signals closer than this [s] count as one: a launcher forwards what the group got already."""
 
 
@@ -31,7 +31,7 @@ class Stop:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.asked, self._checkpoint, self._file = False, False, folder / FILE
+        self.asked, self._checkpoint, self._file = False, False, folder / STOP_FILE
         self._since = 0.0
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2):
             signal.signal(number, self._ask)
@@ -39,7 +39,7 @@ class Stop:
 
     def _ask(self, number: int, frame: FrameType | None) -> None:
         if self.asked:
-            if time.monotonic() - self._since > SAME:
+            if time.monotonic() - self._since > SAME_SIGNAL:
                 os._exit(INTERRUPTED)
             return
         self.asked, self._since = True, time.monotonic()
@@ -64,17 +64,17 @@ class Stop:
             self.asked = True
             with suppress(OSError):  # the terminal may be closed
                 os.write(2, f"stopping: there was a file {self._file}\n".encode())
-            forget(self._file.parent)  # or the next run would stop at once
+            remove_stop_file(self._file.parent)  # or the next run would stop at once
         return largest(comm, float(self.asked)) > 0
 
 
-def forget(folder: Path) -> None:
+def remove_stop_file(folder: Path) -> None:
     """Removes the file "stop" from a folder of results.
 
     It has stopped a run, or was to stop one that ended before.
     """
     with suppress(OSError):  # another user's file may not be removable
-        (folder / FILE).unlink(missing_ok=True)
+        (folder / STOP_FILE).unlink(missing_ok=True)
 
 
 def launched_rank() -> int:

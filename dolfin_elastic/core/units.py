@@ -32,10 +32,10 @@ _UNIT = re.compile(
 """Units handed to pint: names with one-digit powers, since it would evaluate 9^9^9 for hours."""
 
 
-LONGEST = 40
+MAX_UNIT_LENGTH = 40
 """Most characters of a unit."""
 
-COMMON = {
+COMMON_UNITS = {
     "m": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6},
     "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "N/m^2": 1.0, "N/mm^2": 1e6},
     "kg/m^3": {"kg/m^3": 1.0, "g/cm^3": 1e3},
@@ -51,7 +51,7 @@ COMMON = {
 }
 """Usual units, found without importing pint, which takes 0.3 s."""
 
-MEANT = {
+OWN_CONVERSIONS = {
     "Hz": {"rad/s": 1 / math.tau, "rpm": 1 / 60},
     "rad/s": {"Hz": math.tau},
     "K": {"degC": 1.0, "°C": 1.0},
@@ -79,9 +79,9 @@ def _split(text: str) -> tuple[float, str] | None:
 
 
 def _known(unit: str) -> bool:
-    if any(unit in units for units in COMMON.values()):
+    if any(unit in units for units in COMMON_UNITS.values()):
         return True
-    if len(unit) > LONGEST or not _UNIT.fullmatch(unit):
+    if len(unit) > MAX_UNIT_LENGTH or not _UNIT.fullmatch(unit):
         return False
     try:
         _registry().parse_units(unit)
@@ -119,7 +119,7 @@ def _from_text(text: str, unit: str) -> float:
     number, name = parts
     if not name:
         return number
-    for table in (COMMON, MEANT):
+    for table in (COMMON_UNITS, OWN_CONVERSIONS):
         if name in table.get(unit, ()):
             return number * table[unit][name]
     if not _known(name):
@@ -129,10 +129,10 @@ def _from_text(text: str, unit: str) -> float:
     zero, size = _scale(text, name, unit)
     if zero != 0.0 and unit != "K":  # a number in kelvin is a change of temperature throughout
         raise UnitError(f"'{text}' counts from a zero of its own", expected=_expected(unit))
-    return number * size * _turned(name, unit)
+    return number * size * _frequency_factor(name, unit)
 
 
-def _turned(name: str, unit: str) -> float:
+def _frequency_factor(name: str, unit: str) -> float:
     """Factor between frequency and angular frequency; to pint both are 1/s."""
     if unit == "Hz" and "radian" in str(_registry().Quantity(1.0, name).to_root_units().units):
         return 1 / math.tau
@@ -173,7 +173,7 @@ def to_base(value: float | str) -> float:
     if parts is None or not parts[1]:
         return to_si(value, "")
     number, name = parts
-    for units in COMMON.values():
+    for units in COMMON_UNITS.values():
         if name in units:
             return _finite(number * units[name], value)
     if not _known(name):

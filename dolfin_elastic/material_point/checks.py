@@ -56,7 +56,7 @@ def _note(check: str, text: str, **values: Any) -> Finding:
     return Finding(check, "note", text, values)
 
 
-def finite_twin(law: Law) -> Law:
+def with_finite_moduli(law: Law) -> Law:
     """The law itself, or with a large number in place of an infinite modulus."""
     endless = [name for name, value in law.constants().items() if np.any(np.isinf(value))]
     if not endless or not isinstance(law, SplitLaw):
@@ -74,7 +74,7 @@ class LawUnderTest:
     """
 
     def __init__(self, law: Law) -> None:
-        self.given, self.law = law, finite_twin(law)
+        self.given, self.law = law, with_finite_moduli(law)
         self.point = LawAtPoints(self.law)
         draw = np.random.default_rng(7).uniform(-1, 1, (12, 3, 3))
         self.near = I + 0.03 * draw[:6]
@@ -108,22 +108,22 @@ class LawUnderTest:
 # --- at rest ---
 
 
-def rest_energy(trial: LawUnderTest) -> Iterator[Finding]:
+def rest_energy(tested: LawUnderTest) -> Iterator[Finding]:
     """psi(I) = 0."""
-    if not trial.law.has_energy:
+    if not tested.law.has_energy:
         yield _note("no energy at rest", "the law has no energy")
         return
-    psi = float(trial.point.energy(I[None])[0])
-    good = abs(psi) <= ROUND_OFF * trial.scale
+    psi = float(tested.point.energy(I[None])[0])
+    good = abs(psi) <= ROUND_OFF * tested.scale
     hint = "" if good else f"; subtract {psi:.10g} from the energy"
     yield _found("no energy at rest", good, f"psi(I) = {psi:.3g} J/m^3{hint}", psi=psi)
 
 
-def rest_stress(trial: LawUnderTest) -> Iterator[Finding]:
+def rest_stress(tested: LawUnderTest) -> Iterator[Finding]:
     """P(I) = 0."""
-    P = trial.point.stress(I[None])[0]
+    P = tested.point.stress(I[None])[0]
     size = float(np.abs(P).max())
-    good = size <= ROUND_OFF * trial.scale
+    good = size <= ROUND_OFF * tested.scale
     hint = "" if good else _balance(P)
     yield _found("no stress at rest", good, f"largest of P(I) = {size:.3g} Pa{hint}", P=size)
 
@@ -135,13 +135,13 @@ def _balance(P: AnyArray) -> str:
     return f"; it is the pressure {-mean:.6g} Pa: subtract {mean:.10g}*ln(J) from the energy"
 
 
-def finite(trial: LawUnderTest) -> Iterator[Finding]:
+def finite(tested: LawUnderTest) -> Iterator[Finding]:
     """No nan or inf near F = I."""
-    parts: dict[str, Callable[[AnyArray], AnyArray]] = {"stress": trial.point.stress}
-    parts["stiffness"] = trial.point.tangent
-    if trial.law.has_energy:
-        parts = {"energy": trial.point.energy, **parts}
-    F = np.concatenate([I[None], trial.near])
+    parts: dict[str, Callable[[AnyArray], AnyArray]] = {"stress": tested.point.stress}
+    parts["stiffness"] = tested.point.tangent
+    if tested.law.has_energy:
+        parts = {"energy": tested.point.energy, **parts}
+    F = np.concatenate([I[None], tested.near])
     for name, program in parts.items():
         bad: AnyArray = np.asarray(~np.isfinite(program(F).reshape(len(F), -1)).all(axis=1))
         if bad.any():
@@ -151,9 +151,9 @@ def finite(trial: LawUnderTest) -> Iterator[Finding]:
     yield _found("finite values", True, "energy, stress and stiffness near the rest")
 
 
-def stable(trial: LawUnderTest) -> Iterator[Finding]:
+def stable(tested: LawUnderTest) -> Iterator[Finding]:
     """The stiffness at rest is positive."""
-    stiffness = voigt(trial.rest)
+    stiffness = voigt(tested.rest)
     values, vectors = np.linalg.eigh(stiffness)
     ratio = float(values[0] / values[-1])
     good = ratio > ROUND_OFF
@@ -169,16 +169,16 @@ def stable(trial: LawUnderTest) -> Iterator[Finding]:
 # --- symmetries ---
 
 
-def objectivity(trial: LawUnderTest) -> Iterator[Finding]:
+def objectivity(tested: LawUnderTest) -> Iterator[Finding]:
     """psi(QF) = psi(F), P(QF) = Q P(F) and P F^T = F P^T."""
-    F, name = trial.samples, "frame indifference"
-    Q = trial.rotations[: len(F)]
-    P, far = trial.point.stress(F), trial.point.stress(Q @ F)
-    error = _relative(far, Q @ P, trial.scale)
-    if trial.law.has_energy:
-        first, second = trial.point.energy(F), trial.point.energy(Q @ F)
-        error = max(error, _relative(first, second, 1e-3 * trial.scale))
-    if not trial.frame_indifferent:
+    F, name = tested.samples, "frame indifference"
+    Q = tested.rotations[: len(F)]
+    P, far = tested.point.stress(F), tested.point.stress(Q @ F)
+    error = _relative(far, Q @ P, tested.scale)
+    if tested.law.has_energy:
+        first, second = tested.point.energy(F), tested.point.energy(Q @ F)
+        error = max(error, _relative(first, second, 1e-3 * tested.scale))
+    if not tested.frame_indifferent:
         yield _note(name, f"none, as the law says (error {error:.2g})", error=error)
         return
     good = error <= 1e3 * ROUND_OFF
@@ -187,53 +187,53 @@ def objectivity(trial: LawUnderTest) -> Iterator[Finding]:
         text += "; write the energy in C, E or invariants: turning the body must not change it"
     yield _found(name, good, text, error=error)
     tau = P @ F.transpose(0, 2, 1)
-    skew = _relative(tau, tau.transpose(0, 2, 1), trial.scale)
+    skew = _relative(tau, tau.transpose(0, 2, 1), tested.scale)
     yield _found(
         "symmetric Cauchy stress", skew <= 1e3 * ROUND_OFF, f"asymmetry {skew:.2g}", error=skew
     )
 
 
-def symmetric_tangent(trial: LawUnderTest) -> Iterator[Finding]:
+def symmetric_tangent(tested: LawUnderTest) -> Iterator[Finding]:
     """A_ijkl = A_klij, if there is an energy."""
-    A = trial.point.tangent(trial.samples)
-    skew = _relative(A, A.transpose(0, 3, 4, 1, 2), trial.scale)
-    if not trial.law.has_energy:
+    A = tested.point.tangent(tested.samples)
+    skew = _relative(A, A.transpose(0, 3, 4, 1, 2), tested.scale)
+    if not tested.law.has_energy:
         yield _note("symmetric tangent", f"no energy: asymmetry {skew:.2g}", error=skew)
         return
     good = skew <= 1e3 * ROUND_OFF
     yield _found("symmetric tangent", good, f"asymmetry {skew:.2g}", error=skew)
 
 
-def material_symmetry(trial: LawUnderTest) -> Iterator[Finding]:
+def material_symmetry(tested: LawUnderTest) -> Iterator[Finding]:
     """P(FQ) = P(F) Q for all rotations Q, or for those about the fibre."""
-    error = _material_error(trial, trial.rotations)
+    error = _material_error(tested, tested.rotations)
     if error <= 1e3 * ROUND_OFF:
         yield _found("isotropy", True, f"isotropic, to {error:.2g}", error=error)
         return
-    fibre = getattr(trial.law, "fibre", None)
-    if isinstance(trial.law, Isotropic):
+    fibre = getattr(tested.law, "fibre", None)
+    if isinstance(tested.law, Isotropic):
         yield _found("isotropy", False, f"an isotropic law is not: {error:.2g}", error=error)
-    elif fibre is None or getattr(trial.law, "fibre2", None) is not None:
+    elif fibre is None or getattr(tested.law, "fibre2", None) is not None:
         yield _note("isotropy", f"anisotropic ({error:.2g})", error=error)
     else:
         axis = np.zeros(3)
         axis[: len(fibre)] = [float(part) for part in fibre]
         axis /= np.linalg.norm(axis)
-        about = _material_error(trial, _about(axis / np.linalg.norm(axis)))
+        about = _material_error(tested, _about(axis / np.linalg.norm(axis)))
         good = about <= 1e3 * ROUND_OFF
         text = f"the same all round the fibre, to {about:.2g}"
         other = f"anisotropic, also round its fibre ({about:.2g})"
         yield Finding("isotropy", "pass" if good else "note", text if good else other, {})
 
 
-def _material_error(trial: LawUnderTest, turns: AnyArray) -> float:
-    if not trial.frame_indifferent:  # laws for small rotations: compare the stiffness at rest
-        A = trial.rest
+def _material_error(tested: LawUnderTest, turns: AnyArray) -> float:
+    if not tested.frame_indifferent:  # laws for small rotations: compare the stiffness at rest
+        A = tested.rest
         turned = np.einsum("nai,nbj,nck,ndl,abcd->nijkl", *[turns] * 4, A, optimize=True)
-        return _relative(turned, np.broadcast_to(A, turned.shape), trial.scale)
-    F = trial.samples
+        return _relative(turned, np.broadcast_to(A, turned.shape), tested.scale)
+    F = tested.samples
     Q = turns[: len(F)]
-    return _relative(trial.point.stress(F @ Q), trial.point.stress(F) @ Q, trial.scale)
+    return _relative(tested.point.stress(F @ Q), tested.point.stress(F) @ Q, tested.scale)
 
 
 def _about(a: AnyArray) -> AnyArray:
@@ -252,14 +252,14 @@ def _relative(a: AnyArray, b: AnyArray, least: float) -> float:
 # --- derivatives ---
 
 
-def derivatives(trial: LawUnderTest) -> Iterator[Finding]:
+def derivatives(tested: LawUnderTest) -> Iterator[Finding]:
     """P = dpsi/dF and A = dP/dF, against central differences of fourth order."""
-    F = trial.samples[::2]
+    F = tested.samples[::2]
     pairs: list[tuple[str, Any, Any]] = [
-        ("tangent is dP/dF", trial.point.stress, trial.point.tangent)
+        ("tangent is dP/dF", tested.point.stress, tested.point.tangent)
     ]
-    if trial.law.has_energy:
-        pairs.insert(0, ("stress is dpsi/dF", trial.point.energy, trial.point.stress))
+    if tested.law.has_energy:
+        pairs.insert(0, ("stress is dpsi/dF", tested.point.energy, tested.point.stress))
     for name, function, derivative in pairs:
         exact = derivative(F)
         size = np.abs(exact).max()
@@ -297,10 +297,10 @@ def voigt(A: AnyArray) -> AnyArray:
     return np.asarray((matrix + matrix.T) / 2)
 
 
-def small_strain(trial: LawUnderTest) -> Iterator[Finding]:
+def small_strain(tested: LawUnderTest) -> Iterator[Finding]:
     """Young's modulus and Poisson's ratio along x, compared with the constants of the law."""
     try:
-        soft = np.linalg.inv(voigt(trial.rest))
+        soft = np.linalg.inv(voigt(tested.rest))
     except np.linalg.LinAlgError:
         return
     E, nu = 1 / soft[0, 0], -soft[0, 1] / soft[0, 0]
@@ -309,9 +309,9 @@ def small_strain(trial: LawUnderTest) -> Iterator[Finding]:
     sides = [1 / soft[k, k] for k in range(3)]
     if np.ptp(sides) > 1e-6 * max(sides):
         text = "E along x, y, z = " + ", ".join(f"{side:.4g}" for side in sides) + " Pa"
-    stated = [(name, getattr(trial.given, name, None)) for name in ("E", "nu")]
+    stated = [(name, getattr(tested.given, name, None)) for name in ("E", "nu")]
     known = [(n, v) for n, v in stated if isinstance(v, float) and np.isfinite(v)]
-    if trial.given is not trial.law or len(known) < 2:
+    if tested.given is not tested.law or len(known) < 2:
         yield _note("small strains", text, **values)
         return
     good = all(abs(values[n] - v) <= 1e-6 * max(abs(v), 1e-3) for n, v in known)
@@ -323,16 +323,16 @@ def small_strain(trial: LawUnderTest) -> Iterator[Finding]:
 
 
 @np.errstate(all="ignore")
-def checks(trial: LawUnderTest) -> list[Finding]:
+def checks(tested: LawUnderTest) -> list[Finding]:
     """All checks at single deformation gradients; of a law that is not finite only the first."""
     found: list[Finding] = []
     for check in (finite, rest_energy, rest_stress):
-        found += check(trial)
+        found += check(tested)
     if any(f.verdict == "fail" and f.check == "finite values" for f in found):
         return found
     for check in (stable, objectivity, material_symmetry, derivatives, symmetric_tangent):
-        found += check(trial)
-    return found + list(small_strain(trial))
+        found += check(tested)
+    return found + list(small_strain(tested))
 
 
 _SHORT = (finite, rest_energy, rest_stress, objectivity, symmetric_tangent)
@@ -348,10 +348,10 @@ def check_energy(law: Law) -> None:
     """
     if not isinstance(law, UserEnergy) or law.checked:
         return
-    trial = LawUnderTest(law)
+    tested = LawUnderTest(law)
     try:
         with np.errstate(all="ignore"):
-            found = [f for c in _SHORT for f in c(trial) if f.verdict == "fail"]
+            found = [f for c in _SHORT for f in c(tested) if f.verdict == "fail"]
     except FormulaError as error:
         raise within("energy", error) from None
     if found:

@@ -18,13 +18,13 @@ _CHUNK = 200
 PATHS = ("uniaxial", "equibiaxial", "simple-shear")
 
 
-def energy_growth(trial: LawUnderTest) -> Iterator[Finding]:
+def energy_growth(tested: LawUnderTest) -> Iterator[Finding]:
     """The energy as J goes to 0 and to infinity."""
-    if not trial.law.has_energy:
+    if not tested.law.has_energy:
         return
     for name, J in (("energy as J -> 0", _CRUSHED), ("energy as J -> inf", _BLOWN)):
-        psi = trial.point.energy(np.cbrt(J)[:, None, None] * np.eye(3))
-        yield Finding(name, "note", _trend(psi, J, trial.scale), {"psi": list(map(float, psi))})
+        psi = tested.point.energy(np.cbrt(J)[:, None, None] * np.eye(3))
+        yield Finding(name, "note", _trend(psi, J, tested.scale), {"psi": list(map(float, psi))})
 
 
 def _trend(psi: AnyArray, J: AnyArray, scale: float) -> str:
@@ -76,16 +76,16 @@ def acoustic_eigenvalues(point: LawAtPoints, F: AnyArray, *, flat: bool = False)
     return np.concatenate(least) if least else np.zeros(0)
 
 
-def ellipticity(trial: LawUnderTest, curves: dict[str, ResponseCurve]) -> Iterator[Finding]:
+def ellipticity(tested: LawUnderTest, curves: dict[str, ResponseCurve]) -> Iterator[Finding]:
     """Interval about the rest in which the law is strongly elliptic, one finding a path.
 
     Args:
-        trial: The law.
+        tested: The law.
         curves: Name of a deformation mode to its response, for all of `PATHS`.
     """
     for name in PATHS:
         curve = curves[name]
-        least = acoustic_eigenvalues(trial.point, curve.F)
+        least = acoustic_eigenvalues(tested.point, curve.F)
         good = least > 0
         rest = int(np.argmin(np.abs(curve.values - curve.mode.rest)))
         if not good[rest]:

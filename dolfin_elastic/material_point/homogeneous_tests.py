@@ -18,7 +18,7 @@ _LEAST_VOLUME = 0.2
 _SMALL = 1e-3
 _EXACT, _GOOD = 1e-14, 1e-9
 """Stress over stiffness: good enough at once, and where it gets no better."""
-_FREE_SIDES = ((1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_FREE_LATERAL = ((1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _FREE_THICKNESS = ((2, 2), (0, 2), (1, 2))
 Pairs = tuple[tuple[int, int], ...]
 
@@ -51,7 +51,7 @@ def _shear(g: float) -> AnyArray:
 
 
 DEFORMATION_MODES = (
-    DeformationMode("uniaxial", "stretch", lambda s: np.diag([s, 1.0, 1.0]), 1.0, _FREE_SIDES),
+    DeformationMode("uniaxial", "stretch", lambda s: np.diag([s, 1.0, 1.0]), 1.0, _FREE_LATERAL),
     DeformationMode("equibiaxial", "stretch", lambda s: np.diag([s, s, 1.0]), 1.0, _FREE_THICKNESS),
     DeformationMode("planar", "stretch", lambda s: np.diag([s, 1.0, 1.0]), 1.0, _FREE_THICKNESS),
     DeformationMode("simple-shear", "shear", _shear, 0.0, shown=(0, 1)),
@@ -127,7 +127,7 @@ def _branch(point: LawAtPoints, mode: DeformationMode, targets: AnyArray) -> _Br
         start = value
         while done < 1.0:
             trial = start + min(done + share, 1.0) * (target - start)
-            found = _balanced(point, mode, value, F, trial)
+            found = _equilibrium(point, mode, value, F, trial)
             if found is not None:
                 done, value, F = done + share, trial, found
             elif (share := share / 2) < 0.5**_HALVINGS:
@@ -152,14 +152,14 @@ def _prescribed(point: LawAtPoints, mode: DeformationMode, targets: AnyArray) ->
     return branch
 
 
-def _balanced(
+def _equilibrium(
     point: LawAtPoints, mode: DeformationMode, value: float, F: AnyArray, trial: float
 ) -> AnyArray | None:
     """The state at `trial` near F, by Newton's method with the tangent; None if there is none."""
     rows, columns = np.array(mode.free).T
     A, G = point.tangent(F[None])[0], mode.place(trial)
     before, scale = F[rows, columns], float(np.abs(A).max())
-    G[rows, columns] = before + _predicted(A, mode, trial - value)
+    G[rows, columns] = before + _predictor(A, mode, trial - value)
     last = np.inf
     for _ in range(_ITERATIONS):
         residual = point.stress(G[None])[0][rows, columns]
@@ -167,7 +167,7 @@ def _balanced(
         if size <= _EXACT * scale or (size <= _GOOD * scale and size > last / 4):
             return G  # converged, or stagnated at the level of round-off
         last = size
-        change = _solved(point.tangent(G[None])[0], mode, residual)
+        change = _solve_free(point.tangent(G[None])[0], mode, residual)
         G[rows, columns] -= change
         far = np.abs(G[rows, columns] - before).max() > _LARGEST_CHANGE
         crushed = np.linalg.det(G) < _LEAST_VOLUME * np.linalg.det(F)
@@ -176,16 +176,16 @@ def _balanced(
     return None
 
 
-def _predicted(A: AnyArray, mode: DeformationMode, step: float) -> AnyArray:
+def _predictor(A: AnyArray, mode: DeformationMode, step: float) -> AnyArray:
     """Change of the free components along the tangent of the path."""
     rows, columns = np.array(mode.free).T
     ahead = (mode.place(mode.rest + _SMALL) - mode.place(mode.rest)) / _SMALL
     driven = np.einsum("ijkl,kl->ij", A, ahead)[rows, columns]
-    change = -step * _solved(A, mode, driven)
+    change = -step * _solve_free(A, mode, driven)
     return np.where(np.isfinite(change), change, 0.0)
 
 
-def _solved(A: AnyArray, mode: DeformationMode, right: AnyArray) -> AnyArray:
+def _solve_free(A: AnyArray, mode: DeformationMode, right: AnyArray) -> AnyArray:
     """Solves with the part of the tangent that belongs to the free components; else nan."""
     rows, columns = np.array(mode.free).T
     matrix = A[rows[:, None], columns[:, None], rows, columns]

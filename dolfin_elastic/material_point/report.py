@@ -66,21 +66,21 @@ def material_report(law: Law, *, largest: float = LARGEST) -> MaterialReport:
         raise InputError(
             "this constant varies in space", where=name, expected="the bench tries numbers"
         )
-    trial = LawUnderTest(law)
+    tested = LawUnderTest(law)
     try:
-        findings = checks(trial)
+        findings = checks(tested)
     except FormulaError as error:
         raise within("energy", error) from None
     notes = [law.warning] if law.warning else []
-    if trial.law is not law:
+    if tested.law is not law:
         notes.append("an infinite modulus was tried as 10000 times the others")
     if any(f.verdict == "fail" and f.check == "finite values" for f in findings):
         return MaterialReport(law, tuple(findings), {}, tuple(notes))
     with np.errstate(all="ignore"):
         curves = {
-            m.name: response_curve(trial.point, m, _targets(m, largest)) for m in DEFORMATION_MODES
+            m.name: response_curve(tested.point, m, _targets(m, largest)) for m in DEFORMATION_MODES
         }
-        findings += [*energy_growth(trial), *ellipticity(trial, curves)]
+        findings += [*energy_growth(tested), *ellipticity(tested, curves)]
     notes += [end for found in curves.values() for end in found.ends]
     return MaterialReport(law, tuple(findings), curves, tuple(notes))
 

@@ -52,7 +52,7 @@ def name_parts(
     Raises:
         MeshError: A name exists already, or a selector finds nothing.
     """
-    space = _Space.of(body, scale)
+    space = _BoundingBox.of(body, scale)
     for kind, choices in (("surface", surfaces or {}), ("region", regions or {})):
         for name, choice in choices.items():
             found = _named(body, space, kind, name, choice)
@@ -61,7 +61,7 @@ def name_parts(
 
 
 @dataclass(frozen=True)
-class _Space:
+class _BoundingBox:
     """The box around the body, in metres, and the unit of bare numbers."""
 
     low: FloatArray
@@ -69,9 +69,9 @@ class _Space:
     scale: float
 
     @staticmethod
-    def of(body: Body, scale: float) -> _Space:
+    def of(body: Body, scale: float) -> _BoundingBox:
         low, high = bounding_box(body.mesh)
-        return _Space(low, high, scale)
+        return _BoundingBox(low, high, scale)
 
     @property
     def diagonal(self) -> float:
@@ -97,7 +97,7 @@ class _Space:
 
 
 @dataclass(frozen=True)
-class _Test:
+class _Criterion:
     """One criterion of a selector, evaluated for facets or cells.
 
     Attributes:
@@ -126,7 +126,7 @@ def bounding_box(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
     return lows, highs
 
 
-def _named(body: Body, space: _Space, kind: str, name: str, choice: Choice) -> IndexArray:
+def _named(body: Body, space: _BoundingBox, kind: str, name: str, choice: Choice) -> IndexArray:
     if name in (body.surfaces if kind == "surface" else body.regions):
         raise MeshError(
             f"the mesh has a {kind} '{name}' already",
@@ -146,17 +146,17 @@ def _named(body: Body, space: _Space, kind: str, name: str, choice: Choice) -> I
     return np.unique(np.concatenate(found)).astype(np.int32)
 
 
-def _pick(body: Body, space: _Space, kind: str, selector: Selector) -> IndexArray:
+def _pick(body: Body, space: _BoundingBox, kind: str, selector: Selector) -> IndexArray:
     mesh = body.mesh
     if kind == "surface":
         prepare_facets(mesh)
         parts = body.surface(selector.of) if selector.of else boundary_facets(mesh)
-        tests = _surface_tests(mesh, parts, selector, space)
+        tests = _surface_criteria(mesh, parts, selector, space)
         size = mesh.topology.index_map(mesh.topology.dim - 1).size_local
     else:
         size = mesh.topology.index_map(mesh.topology.dim).size_local
         parts = body.region(selector.of) if selector.of else np.arange(size, dtype=np.int32)
-        tests = _region_tests(mesh, parts, selector, space)
+        tests = _region_criteria(mesh, parts, selector, space)
     inside = np.ones(len(parts), dtype=bool)
     for test in tests:
         inside &= test.distance <= test.limit
@@ -164,14 +164,14 @@ def _pick(body: Body, space: _Space, kind: str, selector: Selector) -> IndexArra
         things = "facets of the boundary" if kind == "surface" else "cells"
         if selector.of:
             things = f"{things.split(maxsplit=1)[0]} of '{selector.of}'"
-        raise _nothing(body.comm, space, tests, parts < size, things)
+        raise _not_found(body.comm, space, tests, parts < size, things)
     return np.asarray(parts[inside])
 
 
-def _nothing(
+def _not_found(
     comm: MPI.Comm,
-    space: _Space,
-    tests: Sequence[_Test],
+    space: _BoundingBox,
+    tests: Sequence[_Criterion],
     owned: BoolArray,
     searched_in: str,
 ) -> MeshError:
@@ -182,7 +182,7 @@ def _nothing(
         near = smallest(comm, float(test.distance.min(initial=np.inf)))
         text = f"{test.label}: {count}"
         if count == 0:
-            text += _how_near(test, near, space)
+            text += _distance_text(test, near, space)
         findings.append(text)
     searched = int(total(comm, int(np.count_nonzero(owned))))
     return MeshError(
@@ -190,7 +190,7 @@ def _nothing(
     )
 
 
-def _how_near(test: _Test, near: float, space: _Space) -> str:
+def _distance_text(test: _Criterion, near: float, space: _BoundingBox) -> str:
     text = (
         f" (the nearest is off by {near / test.unit:.3g}, allowed is {test.limit / test.unit:.3g}"
     )
@@ -208,37 +208,39 @@ def _rounded_up(value: float) -> float:
     return float(np.ceil(value * 1.01 / step) * step)
 
 
-def _limit(selector: Selector, space: _Space) -> float:
+def _limit(selector: Selector, space: _BoundingBox) -> float:
     if selector.tolerance is None:
         return _TOLERANCE * space.diagonal
     return space.metres(selector.tolerance)
 
 
-def _surface_tests(
-    mesh: Mesh, facets: IndexArray, selector: Selector, space: _Space
-) -> list[_Test]:
+def _surface_criteria(
+    mesh: Mesh, facets: IndexArray, selector: Selector, space: _BoundingBox
+) -> list[_Criterion]:
     corners = facet_corners(mesh, facets)
     limit = _limit(selector, space)
 
-    def test(label: str, distance: Callable[[FloatArray], FloatArray]) -> _Test:
+    def test(label: str, distance: Callable[[FloatArray], FloatArray]) -> _Criterion:
         flat = np.abs(distance(corners.reshape(-1, corners.shape[2])))
-        return _Test(label, flat.reshape(corners.shape[:2]).max(axis=1), limit, space.scale)
+        return _Criterion(label, flat.reshape(corners.shape[:2]).max(axis=1), limit, space.scale)
 
     tests = []
     if selector.plane is not None:
-        axis, value = _plane(selector, space)
+        axis, value = _plane_position(selector, space)
         label = f"on the plane {selector.plane} = {value / space.scale:.6g}"
         tests.append(test(label, lambda x: x[:, axis] - value))
     if selector.box is not None:
-        tests.append(test("in the box", _outside_box(selector, space)))
-    for label, distance in _round(selector, space):
+        tests.append(test("in the box", _distance_from_box(selector, space)))
+    for label, distance in _curved_tests(selector, space):
         tests.append(test(f"on the {label}", distance))
     if selector.normal is not None:
-        tests.append(_normal(mesh, facets, selector, space))
+        tests.append(_normal_test(mesh, facets, selector, space))
     return tests
 
 
-def _region_tests(mesh: Mesh, cells: IndexArray, selector: Selector, space: _Space) -> list[_Test]:
+def _region_criteria(
+    mesh: Mesh, cells: IndexArray, selector: Selector, space: _BoundingBox
+) -> list[_Criterion]:
     wrong = [key for key in ("plane", "normal") if getattr(selector, key) is not None]
     if wrong:
         raise MeshError(
@@ -249,13 +251,19 @@ def _region_tests(mesh: Mesh, cells: IndexArray, selector: Selector, space: _Spa
     limit = _limit(selector, space)
     tests = []
     if selector.box is not None:
-        tests.append(_Test("in the box", _outside_box(selector, space)(middle), limit, space.scale))
-    for label, distance in _round(selector, space):
-        tests.append(_Test(f"in the {label}", np.maximum(distance(middle), 0), limit, space.scale))
+        tests.append(
+            _Criterion(
+                "in the box", _distance_from_box(selector, space)(middle), limit, space.scale
+            )
+        )
+    for label, distance in _curved_tests(selector, space):
+        tests.append(
+            _Criterion(f"in the {label}", np.maximum(distance(middle), 0), limit, space.scale)
+        )
     return tests
 
 
-def _plane(selector: Selector, space: _Space) -> tuple[int, float]:
+def _plane_position(selector: Selector, space: _BoundingBox) -> tuple[int, float]:
     axis = "xyz".index(selector.plane or "x")
     if axis >= len(space.low):
         raise MeshError(
@@ -268,15 +276,17 @@ def _plane(selector: Selector, space: _Space) -> tuple[int, float]:
     return axis, space.metres(selector.at or 0.0)
 
 
-def _outside_box(selector: Selector, space: _Space) -> Callable[[FloatArray], FloatArray]:
+def _distance_from_box(
+    selector: Selector, space: _BoundingBox
+) -> Callable[[FloatArray], FloatArray]:
     assert selector.box is not None
     one, two = (space.point(corner, "box") for corner in selector.box)
     low, high = np.minimum(one, two), np.maximum(one, two)
     return lambda x: np.maximum(np.maximum(low - x, x - high).max(axis=1), 0)
 
 
-def _round(
-    selector: Selector, space: _Space
+def _curved_tests(
+    selector: Selector, space: _BoundingBox
 ) -> list[tuple[str, Callable[[FloatArray], FloatArray]]]:
     """Signed distance from the sphere and the cylinder, negative inside."""
     found = []
@@ -284,11 +294,13 @@ def _round(
         center, radius = space.point(sphere.center, "sphere.center"), space.metres(sphere.radius)
         found.append(("sphere", lambda x: np.linalg.norm(x - center, axis=1) - radius))
     if (cylinder := selector.cylinder) is not None:
-        found.append(("cylinder", _off_cylinder(cylinder, space)))
+        found.append(("cylinder", _distance_from_cylinder(cylinder, space)))
     return found
 
 
-def _off_cylinder(cylinder: Cylinder, space: _Space) -> Callable[[FloatArray], FloatArray]:
+def _distance_from_cylinder(
+    cylinder: Cylinder, space: _BoundingBox
+) -> Callable[[FloatArray], FloatArray]:
     point, radius = space.point(cylinder.point, "cylinder.point"), space.metres(cylinder.radius)
     dim, axis = len(space.low), cylinder.axis
     along = np.eye(3)["xyz".index(axis)] if isinstance(axis, str) else np.array([*axis, 0.0][:3])
@@ -306,7 +318,9 @@ def _off_cylinder(cylinder: Cylinder, space: _Space) -> Callable[[FloatArray], F
     return distance
 
 
-def _normal(mesh: Mesh, facets: IndexArray, selector: Selector, space: _Space) -> _Test:
+def _normal_test(
+    mesh: Mesh, facets: IndexArray, selector: Selector, space: _BoundingBox
+) -> _Criterion:
     assert selector.normal is not None
     dim = len(space.low)
     wanted = np.array(selector.normal[:dim])
@@ -317,4 +331,4 @@ def _normal(mesh: Mesh, facets: IndexArray, selector: Selector, space: _Space) -
     cosine = outward_normals(mesh, facets) @ (wanted / np.linalg.norm(wanted))
     angles = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     text = ", ".join(f"{n:g}" for n in wanted)
-    return _Test(f"facing ({text})", angles, selector.angle or _ANGLE, key="angle")
+    return _Criterion(f"facing ({text})", angles, selector.angle or _ANGLE, key="angle")

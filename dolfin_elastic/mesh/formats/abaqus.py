@@ -115,8 +115,10 @@ def read_abaqus(path: Path) -> MeshioMesh:
     numbers, order = np.unique(np.concatenate(deck.numbers), return_index=True)
     points = np.concatenate(deck.points)[order]
     blocks = [*_blocks(deck, numbers), *_surfaces(deck, numbers)]
-    sets = {deck.names[key]: _at(numbers, np.concatenate(rows)) for key, rows in deck.nsets.items()}
-    return MeshioMesh(points, blocks, sets, _cautions(deck))
+    sets = {
+        deck.names[key]: _rows_of(numbers, np.concatenate(rows)) for key, rows in deck.nsets.items()
+    }
+    return MeshioMesh(points, blocks, sets, _notes(deck))
 
 
 def _cards(path: Path, depth: int) -> Iterator[_Card]:
@@ -238,7 +240,7 @@ _TAKE: dict[str, Callable[[_Deck, _Card], None]] = {
 }
 
 
-def _at(numbers: IntArray, wanted: IntArray) -> IntArray:
+def _rows_of(numbers: IntArray, wanted: IntArray) -> IntArray:
     """Where the points with these numbers stand."""
     rows = np.minimum(np.searchsorted(numbers, wanted), len(numbers) - 1)
     lost = np.unique(wanted[numbers[rows] != wanted])
@@ -253,7 +255,7 @@ def _blocks(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
     sets = {deck.names[key]: np.concatenate(rows) for key, rows in deck.elsets.items()}
     for kind, labels, nodes in deck.elements:
         parts = {name: np.flatnonzero(np.isin(labels, rows)) for name, rows in sets.items()}
-        yield Block(kind, _at(numbers, nodes), parts)
+        yield Block(kind, _rows_of(numbers, nodes), parts)
 
 
 def _surfaces(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
@@ -276,7 +278,7 @@ def _surfaces(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
 def _faces(
     deck: _Deck, numbers: IntArray, name: str, members: IntArray, face: list[str]
 ) -> Iterator[Block]:
-    free = None if face and face[0] else _free(deck)
+    free = None if face and face[0] else _boundary_faces(deck)
     for kind, labels, nodes in deck.elements:
         picked = nodes[np.isin(labels, members)]
         faces = _FACES.get(kind.rstrip("0123456789"), ())
@@ -289,13 +291,13 @@ def _faces(
             found = picked[:, list(corners)]
             if free is not None:
                 found = found[match_rows(free, np.sort(found, axis=1)) >= 0]
-            rows = _at(numbers, found)
+            rows = _rows_of(numbers, found)
             yield Block(
                 "triangle" if rows.shape[1] == 3 else "line", rows, {name: np.arange(len(rows))}
             )
 
 
-def _free(deck: _Deck) -> IntArray:
+def _boundary_faces(deck: _Deck) -> IntArray:
     """The faces on the boundary of the body, sorted: what a *SURFACE without faces means."""
     solid = any(kind.startswith("tetra") for kind, _, _ in deck.elements)
     start, width = ("tetra", 4) if solid else ("triangle", 3)
@@ -305,7 +307,7 @@ def _free(deck: _Deck) -> IntArray:
     )
 
 
-def _cautions(deck: _Deck) -> list[str]:
+def _notes(deck: _Deck) -> list[str]:
     empty = [
         deck.names[key]
         for sets in (deck.nsets, deck.elsets)

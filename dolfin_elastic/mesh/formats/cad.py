@@ -11,8 +11,8 @@ from typing import Any
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.mesh.formats.msh import MshFile, read_msh
 
-_SAVED = {"Mesh.MshFileVersion": 4.1, "Mesh.Binary": 1, "Mesh.SaveAll": 1}
-_OPTIONS = (*_SAVED, "Mesh.MeshSizeMax", "Mesh.MeshSizeMin", "General.Terminal")
+_SAVE_OPTIONS = {"Mesh.MshFileVersion": 4.1, "Mesh.Binary": 1, "Mesh.SaveAll": 1}
+_OPTIONS = (*_SAVE_OPTIONS, "Mesh.MeshSizeMax", "Mesh.MeshSizeMin", "General.Terminal")
 
 
 def mesh_cad(path: Path, *, size: float | None, curved: bool, dim: int | None) -> MshFile:
@@ -28,7 +28,7 @@ def mesh_cad(path: Path, *, size: float | None, curved: bool, dim: int | None) -
     Raises:
         MeshError: Gmsh cannot read or mesh the file.
     """
-    _check_end(path)
+    _check_last_line(path)
     with _gmsh(path) as gmsh:
         if size is not None:
             gmsh.model.mesh.clear()
@@ -49,14 +49,14 @@ def mesh_cad(path: Path, *, size: float | None, curved: bool, dim: int | None) -
         if not len(gmsh.model.mesh.getElements(dim)[0]):  # a .geo file may mesh by itself
             gmsh.model.mesh.generate(dim)
         if curved:
-            _bend(gmsh, dim)
-        found = _saved(gmsh)
+            _make_quadratic(gmsh, dim)
+        found = _save_and_read(gmsh)
     how = "size as in the file" if size is None else f"size {size:g} (mesh.unit)"
     how += ", cells curved" if curved else ""
     return MshFile(found.points, found.blocks, [*found.notes, f"meshed by Gmsh, {how}"])
 
 
-def _bend(gmsh: Any, dim: int) -> None:
+def _make_quadratic(gmsh: Any, dim: int) -> None:
     """Makes the cells quadratic, on the surfaces they are to mesh.
 
     Where one would fold over itself, in a thin wall or beside a tight fillet, Gmsh moves the nodes
@@ -69,7 +69,7 @@ def _bend(gmsh: Any, dim: int) -> None:
         gmsh.model.mesh.optimize("HighOrder")
 
 
-MOST = 5e7
+MAX_CELLS = 5e7
 """Cells that one rank can mesh."""
 
 
@@ -78,21 +78,25 @@ def _check_count(gmsh: Any, size: float, dim: int, name: str) -> None:
 
     A cell of edge h fills about h^3/8 (a tetrahedron) or h^2/2 (a triangle).
     """
-    amount = sum(gmsh.model.occ.getMass(*e) for e in _occ(gmsh, dim)) if _occ(gmsh, dim) else None
+    amount = (
+        sum(gmsh.model.occ.getMass(*e) for e in _occ_entities(gmsh, dim))
+        if _occ_entities(gmsh, dim)
+        else None
+    )
     if amount is None:
         return
     count = amount / size**dim * (8 if dim == 3 else 2)
-    if count > MOST:
+    if count > MAX_CELLS:
         box = gmsh.model.getBoundingBox(-1, -1)
         extent = " x ".join(f"{box[i + 3] - box[i]:.4g}" for i in range(3))
         raise MeshError(
             f"elements of size {size:g} in a body of {extent} would be about {count:.1g}",
             where=name,
-            expected=f"at most {MOST:.0g}: is mesh.unit right?",
+            expected=f"at most {MAX_CELLS:.0g}: is mesh.unit right?",
         )
 
 
-def _occ(gmsh: Any, dim: int) -> list[tuple[int, int]]:
+def _occ_entities(gmsh: Any, dim: int) -> list[tuple[int, int]]:
     """Solids (surfaces in 2D) whose volume OpenCASCADE knows."""
     return [
         entity
@@ -101,7 +105,7 @@ def _occ(gmsh: Any, dim: int) -> list[tuple[int, int]]:
     ]
 
 
-def _check_end(path: Path) -> None:
+def _check_last_line(path: Path) -> None:
     """Gmsh 4.13 drops statements of a last line that has several and does not end."""
     last = path.read_bytes().rpartition(b"\n")[2] if path.suffix.lower() == ".geo" else b""
     if last.count(b";") > 1:
@@ -123,13 +127,13 @@ def _has_sizes(gmsh: Any) -> bool:
 def convert_msh(path: Path) -> MshFile:
     """Reads a .msh file of an old version. Local: one rank reads."""
     with _gmsh(path) as gmsh:
-        return _saved(gmsh)
+        return _save_and_read(gmsh)
 
 
-def _saved(gmsh: Any) -> MshFile:
+def _save_and_read(gmsh: Any) -> MshFile:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "mesh.msh"
-        for name, value in _SAVED.items():
+        for name, value in _SAVE_OPTIONS.items():
             gmsh.option.setNumber(name, value)
         gmsh.write(str(target))
         return read_msh(target)
@@ -167,7 +171,7 @@ def _gmsh(path: Path) -> Iterator[Any]:
         if own:
             gmsh.finalize()
         else:
-            _forget(gmsh, before, options)
+            _restore_gmsh(gmsh, before, options)
 
 
 def _errors(gmsh: Any, error: Exception) -> str:
@@ -178,7 +182,7 @@ def _errors(gmsh: Any, error: Exception) -> str:
     return "; ".join(dict.fromkeys(lines[:3])) or str(error)
 
 
-def _forget(gmsh: Any, before: list[str], options: dict[str, float]) -> None:
+def _restore_gmsh(gmsh: Any, before: list[str], options: dict[str, float]) -> None:
     """Leaves Gmsh to the caller's own work as it was."""
     for name, value in options.items():
         gmsh.option.setNumber(name, value)

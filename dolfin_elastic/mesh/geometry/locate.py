@@ -13,9 +13,9 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.mesh.geometry.curved import cell_gradients, shape_functions
 
-SLACK = 0.05
+OUTSIDE_TOLERANCE = 0.05
 """Reference coordinate by which a point may lie outside: cells cut corners of round surfaces."""
-DIGITS = 1e-9
+ROUND_OFF = 1e-9
 """Reference coordinates, and lengths over the body's diagonal, closer than this are equal."""
 _NEWTON = 20
 
@@ -63,11 +63,11 @@ def locate(
                 expected=f"the body is {body.dim}-dimensional, expected {body.dim} numbers",
             )
     wanted = {name: np.asarray(point, dtype=np.float64) for name, point in points.items()}
-    ranking = _Ranking(body, order)
+    ranking = _CellOrder(body, order)
     found = {name: _in_own_cells(body.mesh, point, ranking) for name, point in wanted.items()}
     everywhere = body.comm.allgather([key for key, _, _ in found.values()])
     best = [min((keys[k], rank) for rank, keys in enumerate(everywhere)) for k in range(len(found))]
-    _refuse(body, wanted, [key[0] for key, _ in best])
+    _refuse_outside(body, wanted, [key[0] for key, _ in best])
     return {
         name: LocatedPoint(point, rank, found[name][1] if rank == body.comm.rank else -1, local)
         for (name, point), (_, rank) in zip(wanted.items(), best, strict=True)
@@ -75,14 +75,14 @@ def locate(
     }
 
 
-class _Ranking:
+class _CellOrder:
     """Keys by which cells that share a point are ordered, free of round-off.
 
     The constructor is collective.
     """
 
     def __init__(self, body: Body, order: IndexArray | None) -> None:
-        self._order, self._step = order, DIGITS * span(body)
+        self._order, self._step = order, ROUND_OFF * span(body)
 
     def keys(self, off: FloatArray, cells: IndexArray, nodes: FloatArray) -> list[Key]:
         """Key of each cell: distance of the point, rank of the cell, midpoint.
@@ -94,23 +94,25 @@ class _Ranking:
         """
         numbers = np.zeros(len(cells)) if self._order is None else self._order[cells]
         middles = np.round(nodes.mean(axis=1) / self._step)
-        rows = np.column_stack([np.round(off / DIGITS) * DIGITS, numbers, middles])
+        rows = np.column_stack([np.round(off / ROUND_OFF) * ROUND_OFF, numbers, middles])
         return [tuple(map(float, row)) for row in rows]
 
 
-def _in_own_cells(mesh: Mesh, point: FloatArray, ranking: _Ranking) -> tuple[Key, int, FloatArray]:
+def _in_own_cells(
+    mesh: Mesh, point: FloatArray, ranking: _CellOrder
+) -> tuple[Key, int, FloatArray]:
     """The key of the best owned cell, that cell, and the point's coordinates in it."""
     d = mesh.topology.dim
     own = mesh.topology.index_map(d).size_local
     nodes = mesh.geometry.x[mesh.geometry.dofmap[:own], :d]
     low, high = nodes.min(axis=1), nodes.max(axis=1)
     # Curved edges may bulge a little over their nodes.
-    margin = 4 * SLACK * (high - low).max(axis=1, initial=0.0)[:, None]
+    margin = 4 * OUTSIDE_TOLERANCE * (high - low).max(axis=1, initial=0.0)[:, None]
     inside = ((point >= low - margin) & (point <= high + margin)).all(axis=1)
     near = np.flatnonzero(inside).astype(np.int32)
     if not len(near):
         return (np.inf,), -1, np.zeros(d)
-    local = _pulled_back(mesh, nodes[near], point)
+    local = _reference_coordinates(mesh, nodes[near], point)
     off = np.maximum(-local.min(axis=1), local.sum(axis=1) - 1)
     off = np.where(np.isfinite(off), np.maximum(off, 0.0), np.inf)
     keys = ranking.keys(off, near, nodes[near])
@@ -118,7 +120,7 @@ def _in_own_cells(mesh: Mesh, point: FloatArray, ranking: _Ranking) -> tuple[Key
     return keys[best], int(near[best]), local[best]
 
 
-def _pulled_back(mesh: Mesh, nodes: FloatArray, point: FloatArray) -> FloatArray:
+def _reference_coordinates(mesh: Mesh, nodes: FloatArray, point: FloatArray) -> FloatArray:
     """Coordinates of a point in the reference cells of cells with these nodes, by Newton's method.
 
     One iteration where cells are straight.
@@ -143,12 +145,12 @@ def _pulled_back(mesh: Mesh, nodes: FloatArray, point: FloatArray) -> FloatArray
     return local
 
 
-def _refuse(body: Body, points: Mapping[str, FloatArray], off: Sequence[float]) -> None:
+def _refuse_outside(body: Body, points: Mapping[str, FloatArray], off: Sequence[float]) -> None:
     """Names all points that lie outside, with the nearest node. Collective."""
     texts = [
         f"{name} ({', '.join(f'{x:.6g}' for x in point)}), {_nearest(body, point)}"
         for (name, point), far in zip(points.items(), off, strict=True)
-        if far > SLACK
+        if far > OUTSIDE_TOLERANCE
     ]
     if texts:
         raise MeshError(

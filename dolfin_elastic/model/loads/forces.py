@@ -14,7 +14,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.loads.base import PLACE, Load, LoadContext, LoadPoints, keyed
-from dolfin_elastic.model.materials.fibres import Axis, along
+from dolfin_elastic.model.materials.fibres import Axis, axis_vector
 from dolfin_elastic.model.values import (
     Component,
     component,
@@ -183,7 +183,7 @@ class Centrifugal(Load):
 
     def _numbers(self, key: str) -> list[float]:
         """The axis or the point as plain numbers; none where it was left out."""
-        written = along(getattr(self, key))
+        written = axis_vector(getattr(self, key))
         with keyed(key):
             found = () if written is None else components(written, "" if key == "axis" else "m")
             if not all(isinstance(item, float) for item in found):

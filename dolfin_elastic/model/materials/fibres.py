@@ -14,12 +14,12 @@ from ufl.core.expr import Expr
 Axis = Literal["x", "y", "z"]
 
 
-def along(axis: Any) -> Any:
+def axis_vector(axis: Any) -> Any:
     """The three components of an axis that has a name; anything else as it is."""
     return [float(name == axis) for name in "xyz"] if isinstance(axis, str) else axis
 
 
-def numbers(value: Any) -> list[float] | None:
+def as_floats(value: Any) -> list[float] | None:
     """A list of numbers as floats; None for anything else."""
     if not isinstance(value, list | tuple) or not value:
         return None

@@ -15,7 +15,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.units import Number, Stress
 from dolfin_elastic.model.kinematics import cofactor
 from dolfin_elastic.model.materials import moduli
-from dolfin_elastic.model.materials.law import SplitLaw, to_come
+from dolfin_elastic.model.materials.law import SplitLaw, placeholder
 from dolfin_elastic.model.materials.spatial import Range
 
 NEAR = 0.15
@@ -80,8 +80,8 @@ class Isochoric(Volumetric):
         nu: Poisson's ratio at small strains; or give K.
     """
 
-    K: Stress = Field(default_factory=to_come, gt=0)
-    nu: Number = Field(default_factory=to_come)
+    K: Stress = Field(default_factory=placeholder, gt=0)
+    nu: Number = Field(default_factory=placeholder)
 
     @abstractmethod
     def shear(self) -> float:

@@ -20,7 +20,7 @@ from dolfin_elastic.core.units import (
     Viscosity,
 )
 from dolfin_elastic.model.materials import moduli, spatial
-from dolfin_elastic.model.materials.fibres import numbers
+from dolfin_elastic.model.materials.fibres import as_floats
 
 
 class Law(Record):
@@ -97,7 +97,7 @@ class Law(Record):
         for name, value in self.__dict__.items():
             if isinstance(value, int | float) and not isinstance(value, bool):
                 found[name] = float(value)
-            elif (values := numbers(value)) is not None:
+            elif (values := as_floats(value)) is not None:
                 found[name] = values + [0.0] * (3 - len(values) if name in self.directions else 0)
         found.pop("density", None)
         return found
@@ -213,7 +213,7 @@ class ModifiedLaw(ABC):
         """First Piola-Kirchhoff stress [Pa] at a deformation gradient, shape (3, 3)."""
 
 
-def to_come() -> float:
+def placeholder() -> float:
     """Placeholder of a constant that is computed from the given ones."""
     return float("nan")
 
@@ -229,11 +229,13 @@ class Isotropic(Law):
         mu: Shear modulus [Pa].
     """
 
-    E: Stress = Field(default_factory=to_come)
-    nu: Number = Field(default_factory=to_come)
-    K: Stress = Field(default_factory=to_come)
-    lmbda: Stress = Field(default_factory=to_come, validation_alias=AliasChoices("lmbda", "lambda"))
-    mu: Stress = Field(default_factory=to_come)
+    E: Stress = Field(default_factory=placeholder)
+    nu: Number = Field(default_factory=placeholder)
+    K: Stress = Field(default_factory=placeholder)
+    lmbda: Stress = Field(
+        default_factory=placeholder, validation_alias=AliasChoices("lmbda", "lambda")
+    )
+    mu: Stress = Field(default_factory=placeholder)
 
     example: ClassVar[Mapping[str, Any]] = {"E": "1 MPa", "nu": 0.3}
 

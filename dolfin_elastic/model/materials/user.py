@@ -159,13 +159,13 @@ class FormulaEnergy(UserEnergy):
         try:
             return Formula.parse(self.formula, allowed=names | set(self.parameters))
         except FormulaError as error:
-            raise within("energy", self._shorter(error)) from None
+            raise within("energy", self._shorter_list(error)) from None
 
     def _known(self) -> str:
         fibres = {"fibre": self.fibre is not None, "fibre2": self.fibre2 is not None}
         return ", ".join([*sorted(self.parameters), user_names.summary(**fibres)])
 
-    def _shorter(self, error: InputError) -> InputError:
+    def _shorter_list(self, error: InputError) -> InputError:
         """The error with a short list of names in place of all forty."""
         first, *picture = error.expected.split("\n")
         if not first.startswith("known: J") and not first.startswith("known: C11"):
@@ -248,7 +248,9 @@ class Energy(UserEnergy):
 
     def __init__(self, function: Callable[..., Any], **given: Any) -> None:
         keys = {key: given.pop(key) for key in self.own_keys if key in given}
-        super().__init__(function=function, parameters=_filled(function, given, keys), **keys)
+        super().__init__(
+            function=function, parameters=_parameter_values(function, given, keys), **keys
+        )
 
     def written_energy(self, F: Expr) -> Expr:
         """What the function returns."""
@@ -269,7 +271,7 @@ class SplitEnergy(UserVolumetric, Energy):
     own_keys: ClassVar[tuple[str, ...]] = (*Energy.own_keys, "volumetric", "K")
 
 
-def _filled(
+def _parameter_values(
     function: Callable[..., Any], given: dict[str, Any], keys: Mapping[str, Any]
 ) -> dict[str, Any]:
     """A value for each of the function's parameters."""

@@ -14,7 +14,7 @@ from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import is_quantity, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
-from dolfin_elastic.model.materials.fibres import Axis, along
+from dolfin_elastic.model.materials.fibres import Axis, axis_vector
 from dolfin_elastic.model.on_surfaces import OnSurfaces
 from dolfin_elastic.model.values import (
     Component,
@@ -291,7 +291,7 @@ class Rotation(PrescribingSupport):
     @cached_property
     def direction(self) -> tuple[float, ...]:
         """Unit vector of the axis."""
-        axis = np.array(along("z" if self.axis is None else self.axis))
+        axis = np.array(axis_vector("z" if self.axis is None else self.axis))
         length = float(np.linalg.norm(axis))
         if axis.shape != (3,) or not np.isfinite(length) or length == 0.0:
             raise InputError(

@@ -22,7 +22,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import RestartError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.core.signals import FILE
+from dolfin_elastic.core.signals import STOP_FILE
 from dolfin_elastic.results.files import make_folder
 
 log = logging.getLogger("dolfin_elastic")
@@ -175,5 +175,5 @@ def _folder_in_use(folder: Path, descriptor: int) -> RestartError:
     return RestartError(
         f"a run is still going in this folder{who}",
         where=str(folder),
-        expected=f"wait for its end, or stop it: touch {folder / FILE}",
+        expected=f"wait for its end, or stop it: touch {folder / STOP_FILE}",
     )

@@ -18,7 +18,7 @@ from dolfin_elastic.core.parallel import (
     total,
 )
 from dolfin_elastic.core.types import BoolArray, FloatArray
-from dolfin_elastic.material_point.checks import finite_twin
+from dolfin_elastic.material_point.checks import with_finite_moduli
 from dolfin_elastic.material_point.domain import undefined_operation
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
@@ -224,7 +224,7 @@ def _of_material(cells: Cells, part: MaterialRegion) -> Fault | None:
 def _why(cells: Cells, part: MaterialRegion, F: FloatArray) -> str:
     """The operation to blame, the words of the lowest rank that knows. Collective."""
     with np.errstate(all="ignore"):
-        said = undefined_operation(finite_twin(part.typical), F[:_SHOWN]) if len(F) else ""
+        said = undefined_operation(with_finite_moduli(part.typical), F[:_SHOWN]) if len(F) else ""
     formula = "the formula of its energy" if part.law.has_energy else "the formula of its stress"
     said = next((text for text in cells.comm.allgather(said) if text), "")
     return f"{formula} takes the {said}" if said else ""

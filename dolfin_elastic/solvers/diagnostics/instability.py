@@ -8,7 +8,7 @@ import numpy as np
 
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.material_point.checks import finite_twin
+from dolfin_elastic.material_point.checks import with_finite_moduli
 from dolfin_elastic.material_point.ellipticity import acoustic_eigenvalues
 from dolfin_elastic.material_point.ufl_to_numpy import LawAtPoints
 from dolfin_elastic.problem.problem import Problem
@@ -284,7 +284,7 @@ def _material_fails(assembler: Assembler) -> tuple[float, ...] | None:
         # Many cells: the most strained are enough.
         chosen = np.argsort(-np.linalg.norm(inside - np.eye(3), axis=(1, 2)), kind="stable")[:300]
         least = acoustic_eigenvalues(
-            LawAtPoints(finite_twin(part.typical)), inside[chosen], flat=flat
+            LawAtPoints(with_finite_moduli(part.typical)), inside[chosen], flat=flat
         )
         bad[part.cells[np.unique(chosen[least < 0.0] // F.shape[1])]] = True
     place = cells.first(bad)

@@ -13,7 +13,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.units import Number, Stress
 from dolfin_elastic.model.kinematics import infinitesimal_strain
-from dolfin_elastic.model.materials.fibres import frame, numbers
+from dolfin_elastic.model.materials.fibres import as_floats, frame
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import Direction
 
@@ -97,7 +97,7 @@ class Orthotropic(Law):
         self._check_axes()
 
     def _check_axes(self) -> None:
-        first, towards = numbers(self.axis1), numbers(self.axis2)
+        first, towards = as_floats(self.axis1), as_floats(self.axis2)
         if first is None or towards is None:
             return
         a, b = ([*v, 0.0][:3] for v in (first, towards))
