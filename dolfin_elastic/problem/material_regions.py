@@ -17,6 +17,7 @@ from dolfin_elastic.material_point.checks import check_user_energies
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.dimension import GEOMETRIES, Geometry
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.user import UserEnergy
 from dolfin_elastic.problem.coefficients import BoundLaw, CoefficientBinder
 from dolfin_elastic.problem.formulation import (
     STIFF_IN_VOLUME,
@@ -89,7 +90,9 @@ def make_material_regions(
         for name, law in laws.items()
     }
     typical = {name: b.typical for name, b in bound.items()}
-    check_user_energies({f"materials.{name}": law for name, law in typical.items()}, body.comm)
+    written = {f"materials.{n}": law for n, law in typical.items() if isinstance(law, UserEnergy)}
+    if written:
+        check_user_energies(written, body.comm)
     fields = plan(typical, formulation, degree, plane_stress=geometry == "plane-stress")
     if fields.mixed:
         log.info("unknowns: %s", describe(fields, degree))
