@@ -67,7 +67,7 @@ def measure(n: int) -> None:
             march.step()
 
     march.scheme.assemble_forces()
-    found = best(bare, step, march.size.by_cells, march.size.sharp)
+    found = best(bare, step, march.size.cell_bound, march.size.largest_frequency)
     found[0], found[1] = found[0] / STEPS, found[1] / STEPS
     cells = body.num_cells / body.comm.size
     if body.comm.rank == 0:

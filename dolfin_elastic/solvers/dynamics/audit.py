@@ -57,13 +57,13 @@ class MotionAuditor(EquilibriumAuditor):
         super().__init__(problem, moving.assembler, watch)
         self._moving, self._parameters, self._end = moving, parameters, end
         self._forces: Forces | None = None
-        self._chords = RotationError(problem, parameters.alpha_f)
+        self._rotation = RotationError(problem, parameters.alpha_f)
         self._du: FloatArray = np.empty(0)
         self._worst = [0.0, 0.0]
         self._reasons: dict[str, str] = {}
         self._off = self._scale = 0.0
 
-    def look(self, forces: Forces, du: FloatArray) -> None:
+    def add_step(self, forces: Forces, du: FloatArray) -> None:
         """Takes in a step. Collective.
 
         Args:
@@ -81,8 +81,8 @@ class MotionAuditor(EquilibriumAuditor):
 
     def _external_forces(self) -> list[FloatArray]:
         assert self._forces is not None
-        f, moves = self._forces, self._moving.moves
-        rows = [f.loads, f.reactions, f.holding, -f.inertia, -f.drag]
+        f, moves = self._forces, self._moving.displacement_dofs
+        rows = [f.loads, f.reactions, f.restraints, -f.inertia, -f.drag]
         return [row[moves].reshape(-1, self._dim) for row in rows]
 
     def _displacement(self) -> FloatArray:
@@ -102,8 +102,8 @@ class MotionAuditor(EquilibriumAuditor):
         if not (stabilised or self._problem.eigenstrains):
             off = ledger.off(energies)
             reasons.update(self._lasting(self._energy(off), off, ledger.scale, t))
-        if self._forces is not None and (chords := self._chords.reason(self._du)):
-            reasons["chords"] = chords
+        if self._forces is not None and (reason := self._rotation.reason(self._du)):
+            reasons["chords"] = reason
         force, moment = self._worst
         if self._moment_frame == "none":  # not judged, as in statics
             moment = np.nan
@@ -153,7 +153,7 @@ class MotionAuditor(EquilibriumAuditor):
             "far": self._strains.note,
             "off": self._off,
             "scale": self._scale,
-            "chords": self._chords.restart_state(),
+            "chords": self._rotation.restart_state(),
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -162,4 +162,4 @@ class MotionAuditor(EquilibriumAuditor):
         self._worst = [float(value) for value in saved["worst"]]
         self._strains.restore(str(saved.get("far", "")))
         self._off, self._scale = float(saved["off"]), float(saved["scale"])
-        self._chords.restore(saved["chords"])
+        self._rotation.restore(saved["chords"])

@@ -1,10 +1,16 @@
-"""The beginning of a motion of exactly incompressible bodies: acceleration and pressure together.
+"""The consistent initial state: acceleration, and scalar fields such as the pressure.
 
-The pressure of such a body is no function of its shape: it is what keeps the acceleration from
-changing the volume.  With the constraint g(u, t) = 0, on t where the material grows or is heated,
-and B its gradient, M a + B p = f and -B^T a = d^2/dt^2 g(u + t v, t): its second derivative in
-time.  Its first one, B^T v + dg/dt = 0, says which velocities there are; one that is not is brought
-to the nearest one in the norm of the kinetic energy, by M dv + B q = 0: an impulse of pressure.
+Where a material is exactly incompressible the motion is a differential-algebraic equation of index
+3.  The pressure p does not follow from the displacement: it is the Lagrange multiplier that keeps
+the acceleration from changing the volume.  The constraint is g(u, t) = 0, which depends on t where
+the material grows or is heated; B is its gradient.  Acceleration and pressure solve
+
+    M a + B p = f,    -B^T a = d^2/dt^2 g(u + t v, t),
+
+the second one being the second derivative of the constraint.  Its first derivative,
+B^T v + dg/dt = 0, must hold for the initial velocity.  If it does not, the velocity is projected
+onto the nearest one in the norm of the kinetic energy, by M dv + B q = 0: an impulse of pressure.
+
 Source: E. Hairer & G. Wanner, Solving Ordinary Differential Equations II (1996), sections VII.1,
 consistent values of systems of index 3, and VII.2, projection.
 """
@@ -35,35 +41,44 @@ from dolfin_elastic.solvers.petsc.options import Options, ksp_reason
 log = logging.getLogger("dolfin_elastic")
 
 HEAVY = 1e6
-"""Inertia over stiffness in the matrix; each solve leaves an error of its inverse."""
+"""Inertia over stiffness in the matrix: each solve leaves an error of the inverse of this."""
 
 SOLVES = 3
-"""With one factorisation: their errors fall to those of rounding."""
+"""Solves with one factorisation, after which the error is round-off."""
 
 STRAIN = 1e-3
-"""To which the body is moved along its velocity: its square is far above round-off, and what is
-left of g, a cubic polynomial of the place, is exact in differences of four points."""
+"""Strain of the differences in time, by which the body is moved along its velocity.
+
+Its square is far above round-off; larger terms of g, a cubic polynomial of the displacement, do no
+harm, for differences of four points are exact for it."""
 
 FIRST, SECOND = (-11 / 6, 3.0, -3 / 2, 1 / 3), (2.0, -5.0, 4.0, -1.0)
-"""Weights of derivatives at the first of four points one apart, looking ahead: formulas in t and
-curves need have no past."""
+"""Weights of the first and second derivative at the first of four points one step apart.
 
-UNSAID, SMALL = 1e-6, 0.01
-"""Changes of a velocity, over its largest, that nobody is told of, and that nobody is warned of."""
+Differences are forward in time, for formulas in t and curves may have no values before the start.
+"""
+
+UNREPORTED, SMALL = 1e-6, 0.01
+"""Changes of the velocity, over its largest component, up to which the projection is not reported,
+and up to which it is information and no warning."""
 
 
-def begin(moving: DynamicResidual, v: fem.Function, a: fem.Function, h: float) -> None:
-    """Finds the acceleration, and the pressure where it is exact, of the initial state. Collective.
+def find_initial_acceleration(
+    moving: DynamicResidual, v: fem.Function, a: fem.Function, h: float
+) -> None:
+    """Finds the acceleration of the initial state, and its pressure if that is a multiplier.
+
+    Collective.
 
     Args:
-        moving: The body; its rates are those of the initial state, and so is the vector of
-            `assembler.residual`.
-        v: Velocity [m/s]; changed where what is incompressible cannot have it.
+        moving: The body; rates and the vector of `assembler.residual` are those of the initial
+            state.
+        v: Velocity [m/s]; projected where an incompressible material cannot have it.
         a: Receives the acceleration [m/s^2].
-        h: Step of the differences of what is prescribed [s].
+        h: Step of the differences in time of prescribed displacements [s].
 
     Raises:
-        ConvergenceError: There is none.
+        ConvergenceError: The linear system has no solution.
     """
     problem = moving.problem
     held = held_acceleration(problem, h)
@@ -80,28 +95,31 @@ def begin(moving: DynamicResidual, v: fem.Function, a: fem.Function, h: float) -
     a.x.array[:] = 0.0
     problem.dirichlet.impose(a.x.array, held)
     a.x.scatter_forward()
-    saddle = _Saddle(moving, v, h)
+    start = _IncompressibleStart(moving, v, h)
     try:
-        saddle.project(v)
+        start.project(v)
         for count in range(SOLVES):
-            saddle.correct(a, first=count == 0)
+            start.correct(a, first=count == 0)
     finally:
-        saddle.destroy()
+        start.destroy()
 
 
-def settle(problem: Problem, assembler: Assembler) -> None:
-    """Finds the scalar fields that belong to an initial displacement. Collective.
+def settle_auxiliary_fields(problem: Problem, assembler: Assembler) -> None:
+    """Finds the scalar fields that are in equilibrium with an initial displacement. Collective.
+
+    Nothing is done where the body is undeformed, or where a material is exactly incompressible:
+    its pressure does not follow from the displacement.
 
     Args:
         problem: Its scalar fields are changed.
-        assembler: Whose `balance` is assembled anew.
+        assembler: Its residual is assembled anew.
     """
     if (
         not problem.unknowns.auxiliary_fields
         or partly_incompressible(problem)
         or assembler.max_displacement() == 0.0
     ):
-        return  # an exactly incompressible body's pressure does not follow from its shape
+        return
     still = Assembler(problem, still=True)
     newton = Newton(still, choose(problem, LinearSettings(method="direct")), Tolerance())
     start = problem.dirichlet.values.x.array.copy()
@@ -115,19 +133,25 @@ def settle(problem: Problem, assembler: Assembler) -> None:
     assembler.residual.assemble()
 
 
-class _Saddle:
-    """[s M + K, B; B^T, -C] [a/s; p] with s M far above K: corrections of both. Collective."""
+class _IncompressibleStart:
+    """Corrections of acceleration and pressure by [s M + K, B; B^T, -C] [a/s; p] = rhs.
+
+    It is the matrix of Newton's method with a shift s so large that s M is far above K: no other
+    matrix need be assembled. Collective.
+    """
 
     def __init__(self, moving: DynamicResidual, v: fem.Function, h: float) -> None:
         self._moving, self._a, self._h = moving, moving.assembler, h
-        self._problem, self._v = moving.problem, v.x.array[: len(moving.moves)].copy()
+        self._problem, self._v = moving.problem, v.x.array[: len(moving.displacement_dofs)].copy()
         self._x, self._b = self._a.create_vector(), self._a.create_vector()
-        moving.drag.value = 0.0
+        moving.velocity_shift.value = 0.0
         diagonal = self._diagonal()
-        self._pure = diagonal[moving.extras] == 0.0
-        mass = moving.mass.array_r[moving.moves]
+        self._pure = diagonal[moving.auxiliary_dofs] == 0.0
+        mass = moving.mass.array_r[moving.displacement_dofs]
         heavy = mass > 0.0
-        fastest = np.max(np.abs(diagonal[moving.moves][heavy]) / mass[heavy], initial=0.0)
+        fastest = np.max(
+            np.abs(diagonal[moving.displacement_dofs][heavy]) / mass[heavy], initial=0.0
+        )
         self._s = HEAVY * largest(moving.comm, float(fastest))
         self._tangent(self._s)
         self._ksp = PETSc.KSP().create(moving.comm)
@@ -139,7 +163,7 @@ class _Saddle:
             self._ksp.setUp()
 
     def _tangent(self, shift: float) -> None:
-        self._moving.shift.value = shift
+        self._moving.acceleration_shift.value = shift
         self._a.get(self._x)
         self._a.tangent.invalidate()
         self._a.tangent.assemble(self._x, shift, unit=1.0)
@@ -152,29 +176,33 @@ class _Saddle:
         return found
 
     def project(self, v: fem.Function) -> None:
-        """Brings the velocity to one that changes no volume, and finds v . g'' v. Collective.
+        """Projects the velocity onto those that change no volume, and finds v . g'' v. Collective.
 
-        Stabilised pressures let volumes change, and how much goes with a rate that is not known.
+        With a stabilised pressure volumes may change, at a rate that depends on the unknown rate of
+        the pressure: then the velocity is left as it is.
+
+        Args:
+            v: Velocity [m/s], changed.
         """
         speed = self._largest(self._v)
         step = self._step(speed)
         if step > 0.0 and not self._problem.unknowns.stabilised:
             rate = self._derivative(FIRST, step) / step
             self._b.set(0.0)
-            self._b.array_w[self._moving.extras] = np.where(self._pure, -rate, 0.0)
+            self._b.array_w[self._moving.auxiliary_dofs] = np.where(self._pure, -rate, 0.0)
             self._solve("initial velocity")
-            change = self._x.array_r[self._moving.moves].copy()
+            change = self._x.array_r[self._moving.displacement_dofs].copy()
             self._v += change
             v.x.array[: len(change)] = self._v
             v.x.scatter_forward()
-            self._tell(self._largest(change), speed)
+            self._report(self._largest(change), speed)
             step = self._step(self._largest(self._v))
-        self._curved: FloatArray = np.zeros(len(self._moving.extras))
+        self._curved: FloatArray = np.zeros(len(self._moving.auxiliary_dofs))
         if step > 0.0 and (self._problem.eigenstrains or not self._problem.linear):
             self._curved = np.asarray(self._derivative(SECOND, step) / step**2)
 
     def _step(self, speed: float) -> float:
-        """Step of differences in time [s]; 0 where nothing changes."""
+        """Step of the differences in time for a speed [m/s]; 0 where nothing changes [s]."""
         small = STRAIN * cell_size(self._problem.body) / speed if speed > 0.0 else np.inf
         if self._problem.eigenstrains:
             small = min(small, self._h)
@@ -183,8 +211,8 @@ class _Saddle:
     def _largest(self, values: FloatArray) -> float:
         return largest(self._moving.comm, float(np.max(np.abs(values), initial=0.0)))
 
-    def _tell(self, change: float, speed: float) -> None:
-        if change > UNSAID * speed:
+    def _report(self, change: float, speed: float) -> None:
+        if change > UNREPORTED * speed:
             log.log(
                 logging.WARNING if change > SMALL * speed > 0.0 else logging.INFO,
                 "the velocity at the start, of body and supports up to %.4g m/s, does not fit "
@@ -194,34 +222,44 @@ class _Saddle:
             )
 
     def _derivative(self, weights: tuple[float, ...], step: float) -> FloatArray:
-        """Sum of the pressure's rows on the way along the velocity, a step apart [N]."""
-        moves, w = self._moving.moves, self._problem.w.x.array
-        here, found = w[moves].copy(), np.zeros(len(self._moving.extras))
+        """Differences in time of the constraint g along the velocity, times the step's power [N].
+
+        Args:
+            weights: Of `FIRST` or `SECOND`.
+            step: Between two of the four points [s].
+        """
+        moves, w = self._moving.displacement_dofs, self._problem.w.x.array
+        here, found = w[moves].copy(), np.zeros(len(self._moving.auxiliary_dofs))
         for k, weight in enumerate(weights):
             w[moves] = here + k * step * self._v
             self._problem.set_time(k * step)
-            found += weight * self._rows()[self._moving.extras]
+            found += weight * self._rows()[self._moving.auxiliary_dofs]
         w[moves] = here
         self._problem.set_time(0.0)
-        self._told()
+        self._update_ghosts()
         return found
 
-    def _told(self) -> None:
+    def _update_ghosts(self) -> None:
         self._problem.w.x.scatter_forward()
         self._problem.unknowns.w_to_u()
 
     def _rows(self) -> FloatArray:
         """The residual, without any boundary condition, of the problem's unknowns."""
-        self._told()
+        self._update_ghosts()
         self._a.residual.assemble()
         return self._a.residual.owned.copy()
 
     def _constraint(self, rows: FloatArray, *, first: bool) -> FloatArray:
-        """What is off in the pressure's rows.
+        """Residual of the rows of the pressure that a solve has to remove.
 
-        Where p stands in none of its own rows they are left as they are found: an initial shape is
-        what it is, and s would blow its round-off up.  So would it that of the whole volume where
-        C knows but the differences of pressures.  The solve itself meets the derivative at once.
+        Rows without a diagonal (C = 0) are g itself, of the initial displacement, which is given:
+        they are left out, for s would magnify their round-off.  So is, where C is a stabilisation
+        that sees only differences of pressures, the mean of all rows, which is the total volume.
+        The second derivative of the constraint is met by the first solve.
+
+        Args:
+            rows: Residual of the rows of the pressure [N].
+            first: It is the first solve.
         """
         rows = np.where(self._pure, 0.0, rows)
         if self._problem.unknowns.stabilised and wholly_incompressible(self._problem):
@@ -230,13 +268,13 @@ class _Saddle:
         return rows + self._curved / self._s if first else rows
 
     def correct(self, a: fem.Function, *, first: bool) -> None:
-        """One solve. Collective.
+        """Corrects acceleration and pressure by one solve. Collective.
 
         Args:
-            a: The acceleration [m/s^2], changed.
-            first: It has not met the constraint's second derivative yet.
+            a: Acceleration [m/s^2], changed.
+            first: It is the first solve, see `_constraint`.
         """
-        moves, extras = self._moving.moves, self._moving.extras
+        moves, extras = self._moving.displacement_dofs, self._moving.auxiliary_dofs
         size = len(moves)
         self._moving.set_rates(self._v, a.x.array[:size])
         rows = self._rows()
@@ -246,7 +284,7 @@ class _Saddle:
         a.x.array[:size] += self._s * self._x.array_r[moves]
         a.x.scatter_forward()
         self._problem.w.x.array[extras] += self._x.array_r[extras]
-        self._told()
+        self._update_ghosts()
 
     def _solve(self, what: str) -> None:
         self._a.remove_constrained(self._b)
@@ -260,20 +298,22 @@ class _Saddle:
             )
 
     def destroy(self) -> None:
-        """Frees what it owns, and the tangent of what it has put there. Collective."""
+        """Frees what it owns, and invalidates the tangent, which has its shift. Collective."""
         self._a.tangent.invalidate()
         for thing in (self._ksp, self._x, self._b):
             thing.destroy()
 
 
 class AuxiliaryFields:
-    """The scalar unknowns of a problem, each in a space of its own.  Collective to make.
+    """The scalar unknowns of a problem, each as a function of its own, for restarts.
+
+    Collective to make.
 
     Args:
         problem: Whose unknowns.
 
     Attributes:
-        fields: Name to function, up to date after `take`.
+        fields: Name to function, up to date after `read`.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -285,13 +325,13 @@ class AuxiliaryFields:
         self._dofs = {name: dofs for name, (_, dofs) in found.items()}
         self.fields = {name: fem.Function(S, name=name) for name, (S, _) in found.items()}
 
-    def take(self) -> None:
-        """From all unknowns to the fields. Not collective."""
+    def read(self) -> None:
+        """Copies all unknowns to the fields. Not collective."""
         for name, field in self.fields.items():
             field.x.array[:] = self._problem.w.x.array[self._dofs[name]]
 
-    def give(self) -> None:
-        """From the fields and the displacement to all unknowns. Not collective."""
+    def write(self) -> None:
+        """Copies the fields and the displacement to all unknowns. Not collective."""
         self._problem.unknowns.u_to_w()
         for name, field in self.fields.items():
             self._problem.w.x.array[self._dofs[name]] = field.x.array

@@ -30,7 +30,7 @@ LOOKS = 8
 """Times at which supports are looked at for how far they move."""
 
 
-def nodal(V: fem.FunctionSpace, values: tuple[Component, ...], where: str) -> FloatArray:
+def nodal_values(V: fem.FunctionSpace, values: tuple[Component, ...], where: str) -> FloatArray:
     """A vector given by components at every local node, unrolled. Not collective.
 
     Raises:
@@ -74,12 +74,12 @@ def set_initial(
     """
     u, held = problem.u, problem.dirichlet
     if displacement:
-        _put(problem, u, displacement, "dynamics.initial_displacement")
+        _set_nodal(problem, u, displacement, "dynamics.initial_displacement")
     v.x.array[:] = 0.0
     if velocity:
-        _put(problem, v, velocity, "dynamics.initial_velocity")
+        _set_nodal(problem, v, velocity, "dynamics.initial_velocity")
     with np.errstate(all="ignore"):  # what is not finite at the start is told below
-        far = reach(problem, span)
+        far = support_travel(problem, span)
         speeds, unsure = _speeds(problem, 1e-7 * span)
     problem.set_time(0.0)
     held.check_finite()
@@ -125,14 +125,16 @@ def _imposed(
     before = field.x.array[:size].copy()
     problem.dirichlet.impose(field.x.array, values)
     scale = largest(problem.body.comm, float(np.max(np.abs(before), initial=0.0)))
-    yield from misfits(problem, what, field.x.array[:size] - before, least + SMALL * scale)
+    yield from support_jumps(problem, what, field.x.array[:size] - before, least + SMALL * scale)
 
 
-def _put(problem: Problem, field: fem.Function, values: tuple[Component, ...], where: str) -> None:
+def _set_nodal(
+    problem: Problem, field: fem.Function, values: tuple[Component, ...], where: str
+) -> None:
     """Nodal values; a formula that fails on one rank fails on all. Collective."""
     error = None
     try:
-        field.x.array[:] = nodal(problem.V, values, where)
+        field.x.array[:] = nodal_values(problem.V, values, where)
     except InputError as caught:
         error = caught
     agree(problem.body.comm, error)
@@ -178,7 +180,7 @@ class SupportJump:
         )
 
 
-def reach(problem: Problem, span: float) -> float:
+def support_travel(problem: Problem, span: float) -> float:
     """How far supports move within a time, from where they start [m]. Collective."""
     held, most = problem.dirichlet, 0.0
     start, *later = held.targets_at(span * k / LOOKS for k in range(LOOKS + 1))
@@ -189,7 +191,7 @@ def reach(problem: Problem, span: float) -> float:
     return largest(problem.body.comm, most)
 
 
-def jump(problem: Problem, t: float, step: float) -> str:
+def support_jump(problem: Problem, t: float, step: float) -> str:
     """Words of the support that moves furthest at once, just after a time, if one does. Collective.
 
     Args:
@@ -205,15 +207,17 @@ def jump(problem: Problem, t: float, step: float) -> str:
     change = np.zeros(problem.V.dofmap.index_map.size_local * problem.body.dim)
     held.impose(change, sudden)
     least = SUDDEN * largest(problem.body.comm, far)
-    found = list(misfits(problem, "displacement", change, least))
+    found = list(support_jumps(problem, "displacement", change, least))
     if not found:
         return ""
-    most = max(found, key=lambda misfit: misfit.most)
+    most = max(found, key=lambda one: one.most)
     at = f"by {most.most:.3g} m at {coordinates(most.place)} m"
     return f"the support '{most.support}' jumps there, {at}"
 
 
-def misfits(problem: Problem, what: str, change: FloatArray, least: float) -> Iterator[SupportJump]:
+def support_jumps(
+    problem: Problem, what: str, change: FloatArray, least: float
+) -> Iterator[SupportJump]:
     """Supports that change what the body would be without them. Collective.
 
     Args:
@@ -223,7 +227,7 @@ def misfits(problem: Problem, what: str, change: FloatArray, least: float) -> It
         least: Differences up to this are none.
     """
     x, dim = problem.V.tabulate_dof_coordinates(), problem.body.dim
-    for label, rows in _shares(problem, change):
+    for label, rows in _by_support(problem, change):
         sizes = np.linalg.norm(rows, axis=1)
         most = largest(problem.body.comm, float(np.max(sizes, initial=0.0)))
         if not most > least:
@@ -235,7 +239,7 @@ def misfits(problem: Problem, what: str, change: FloatArray, least: float) -> It
         yield SupportJump(label, what, most, place[:dim])
 
 
-def _shares(problem: Problem, change: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+def _by_support(problem: Problem, change: FloatArray) -> Iterator[tuple[str, FloatArray]]:
     """Each support's label, and what it has changed at the owned nodes, of shape (nodes, dim)."""
     held, dim = problem.dirichlet, problem.body.dim
     for label, entries in held.reaction_dofs.items():

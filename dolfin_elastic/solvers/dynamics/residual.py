@@ -1,4 +1,4 @@
-"""A body in motion: inertia and damping beside the one sum of terms, and the forces of a step."""
+"""A body in motion: its residual with inertia and damping, and the nodal forces of a step."""
 
 from __future__ import annotations
 
@@ -24,31 +24,35 @@ class Forces:
     """Nodal forces on a body at one moment, owned entries of all unknowns [N].
 
     Attributes:
-        u: The displacement then, owned entries [m].
+        u: The displacement at that moment, owned entries [m].
         loads: Of loads.
-        reactions: By which supports hold what is prescribed.
-        holding: Of springs, dashpots and obstacles.
+        reactions: Of supports with prescribed displacements.
+        restraints: Of springs, dashpots and obstacles.
         dashpots: Those of them that dashpots exert.
-        obstacles: Those of them that obstacles exert.
-        pushes: Force of each contact on the body, this rank's share, shape (contacts, dim).
+        contact: Those of them that obstacles exert.
+        contact_resultants: Of each contact pair on the body, this rank's share, shape (pairs, dim).
         inertia: M a.
-        damping: By which the materials resist the velocity.
-        drag: The part of them that a rigid motion feels, too.
+        damping: Of the material's viscosity and Rayleigh damping.
+        drag: The mass-proportional part of them, which resists rigid motions, too.
     """
 
     u: FloatArray
     loads: FloatArray
     reactions: FloatArray
-    holding: FloatArray
+    restraints: FloatArray
     dashpots: FloatArray
-    obstacles: FloatArray
-    pushes: FloatArray
+    contact: FloatArray
+    contact_resultants: FloatArray
     inertia: FloatArray
     damping: FloatArray
     drag: FloatArray
 
     def mean(self, other: Forces) -> Forces:
-        """Half of both."""
+        """Mean of two sets of forces, such as those at both ends of a step.
+
+        Args:
+            other: Of the same body.
+        """
         ours, theirs = vars(self), vars(other)
         return Forces(**{name: (ours[name] + theirs[name]) / 2 for name in ours})
 
@@ -63,10 +67,11 @@ class DynamicResidual:
 
     Attributes:
         assembler: Residual with inertia and damping; owned here.
-        moves: Owned entries of all unknowns that are displacements.
-        extras: The other owned entries: scalar fields, which have no inertia.
-        shift: Derivative of the acceleration by the displacement [1/s^2] in the tangent.
-        drag: The same of the velocity [1/s].
+        displacement_dofs: Owned entries of all unknowns that are displacements.
+        auxiliary_dofs: The other owned entries: scalar fields, which have no inertia.
+        acceleration_shift: Derivative of the acceleration by the displacement in the tangent
+            [1/s^2].
+        velocity_shift: The same of the velocity [1/s].
         mass: Diagonal of the mass matrix [kg]; owned here.
         norm: Of the inertia forces at the stage that Newton's method solves for [N].
     """
@@ -75,7 +80,7 @@ class DynamicResidual:
         self.problem, self.comm = problem, problem.body.comm
         self._a = fem.Function(problem.V, name="acceleration in the residual")
         self.damping = Damping(problem, mass, stiffness)
-        self.shift, self.drag = problem.constant(0.0), problem.constant(0.0)
+        self.acceleration_shift, self.velocity_shift = problem.constant(0.0), problem.constant(0.0)
         inertia = problem.weak_form.inertia(self._a, problem.v)
         work = self.damping.work()
         self.assembler = Assembler(
@@ -83,8 +88,8 @@ class DynamicResidual:
             extra=inertia if work is None else inertia + work,
             extra_tangent=self._tangent(),
         )
-        self.moves = self.assembler.displacement_dofs
-        self.extras = np.setdiff1d(np.arange(self.assembler.size), self.moves)
+        self.displacement_dofs = self.assembler.displacement_dofs
+        self.auxiliary_dofs = np.setdiff1d(np.arange(self.assembler.size), self.displacement_dofs)
         dashpots = [d.virtual_work(problem.context) for d in problem.dashpots]
         forms = {
             "inertia": inertia,
@@ -95,32 +100,42 @@ class DynamicResidual:
         named = {name: form for name, form in forms.items() if form is not None}
         self._forms = dict(zip(named, compiled(problem, list(named.values())), strict=True))
         works = [touch.work for touch in problem.contact_pairs]
-        self._touching = compiled(problem, works) if works else []
-        # Obstacles whose forces are not one with those of springs under the same label.
+        self._contact_forms = compiled(problem, works) if works else []
+        # Restraints of a label are assembled as one: contact pairs that share theirs with springs
+        # are in them already, and must not be added once more.
         springs = {spring.label for spring in (*problem.springs, *problem.dashpots)}
-        self._alone = [touch.label not in springs for touch in problem.contact_pairs]
-        self._bare = {touch.label for touch in problem.contact_pairs} - springs
+        self._adds_restraint = [touch.label not in springs for touch in problem.contact_pairs]
+        self._contact_labels = {touch.label for touch in problem.contact_pairs} - springs
         self._mass = np.abs(lumped(problem, self.assembler))
         self.mass, self.norm = mass_diagonal(self.assembler), 0.0
 
     def _tangent(self) -> ufl.Form:
         problem = self.problem
         trial = problem.unknowns.displacement(ufl.TrialFunction(problem.W))
-        tangent = self.shift * problem.weak_form.inertia(trial, problem.v)
+        tangent = self.acceleration_shift * problem.weak_form.inertia(trial, problem.v)
         for damping in (problem.weak_form.damping(trial), self.damping.tangent()):
             if damping is not None:
-                tangent += self.drag * damping
+                tangent += self.velocity_shift * damping
         stiffening = self.damping.stiffening()
         return tangent if stiffening is None else tangent + stiffening
 
     def set_rates(self, v: FloatArray, a: FloatArray) -> None:
-        """Sets velocity and acceleration that the residual sees, owned entries. Collective."""
+        """Sets the rates at which the residual is assembled. Collective.
+
+        Args:
+            v: Velocity, owned entries [m/s].
+            a: Acceleration, owned entries [m/s^2].
+        """
         self._a.x.array[: len(a)] = a
         self._a.x.scatter_forward()
-        self.tell(v)
+        self.set_velocity(v)
 
-    def tell(self, v: FloatArray) -> None:
-        """Gives dashpots and damping the owned entries of a velocity. Collective."""
+    def set_velocity(self, v: FloatArray) -> None:
+        """Sets the velocity of dashpots and damping. Collective.
+
+        Args:
+            v: Velocity, owned entries [m/s].
+        """
         if self.problem.dashpots:
             velocity = self.problem.context.velocity.x
             velocity.array[: len(v)] = v
@@ -147,10 +162,14 @@ class DynamicResidual:
             v: Velocity [m/s].
         """
         self.assembler.get(U)
-        V.array_w[self.moves] = v.x.array[: len(self.moves)]
+        V.array_w[self.displacement_dofs] = v.x.array[: len(self.displacement_dofs)]
 
     def momentum(self, v: FloatArray) -> FloatArray:
-        """M v of owned entries of a velocity, at owned entries of all unknowns. Collective."""
+        """M v, owned entries of all unknowns [kg m/s]. Collective.
+
+        Args:
+            v: Velocity, owned entries [m/s].
+        """
         a = self._a.x.array
         kept = a.copy()
         a[: len(v)] = v
@@ -162,7 +181,7 @@ class DynamicResidual:
     @property
     def factor(self) -> float:
         """Factor of the mass matrix in the tangent [1/s^2], as `Newton` asks for it."""
-        return float(self.shift.value)
+        return float(self.acceleration_shift.value)
 
     def set_stage_rates(self, v: FloatArray, a: FloatArray) -> None:
         """Sets the rates of a stage, and `norm`, by which its residual is judged. Collective.
@@ -177,12 +196,15 @@ class DynamicResidual:
         with np.errstate(over="ignore", invalid="ignore"):
             self.norm = float(np.sqrt(total(self.comm, np.sum((self._mass * a) ** 2))))
 
-    def pushes(self) -> list[FloatArray]:
+    def contact_forces(self) -> list[FloatArray]:
         """Nodal forces of each contact at the present state, owned entries [N]. Collective."""
-        return [self.assembler.reactions.nodal(form)[self.moves] for form in self._touching]
+        return [
+            self.assembler.reactions.nodal(form)[self.displacement_dofs]
+            for form in self._contact_forms
+        ]
 
     def forces_at(self, t: float, v: FloatArray, a: FloatArray) -> Forces:
-        """The forces at the present place; `assembler.residual.vector` holds them then. Collective.
+        """Forces at the present displacement, after assembling the residual there. Collective.
 
         Args:
             t: Time [s]; it is the problem's afterwards.
@@ -196,24 +218,24 @@ class DynamicResidual:
             return self.forces()
 
     def forces(self) -> Forces:
-        """The forces at the state that `assembler.residual.vector` was assembled at. Collective."""
+        """Forces at the state at which the residual was assembled last. Collective."""
         a = self.assembler
         nothing = np.zeros(a.size)
         found = {name: a.reactions.nodal(form).copy() for name, form in self._forms.items()}
-        pushes = self.pushes()
+        per_contact = self.contact_forces()
         dim = self.problem.body.dim
-        obstacles, holding = nothing.copy(), a.reactions.restraints(self._bare)
-        for push, alone in zip(pushes, self._alone, strict=True):
-            obstacles[self.moves] += push
-            holding[self.moves] += push if alone else 0.0
+        contact, restraints = nothing.copy(), a.reactions.restraints(self._contact_labels)
+        for push, alone in zip(per_contact, self._adds_restraint, strict=True):
+            contact[self.displacement_dofs] += push
+            restraints[self.displacement_dofs] += push if alone else 0.0
         return Forces(
-            u=self.problem.w.x.array[self.moves],
+            u=self.problem.w.x.array[self.displacement_dofs],
             loads=a.reactions.loads(),
             reactions=a.constrained_part(a.residual.owned),
-            holding=holding,
+            restraints=restraints,
             dashpots=found.get("dashpots", nothing),
-            obstacles=obstacles,
-            pushes=np.array([p.reshape(-1, dim).sum(axis=0) for p in pushes]),
+            contact=contact,
+            contact_resultants=np.array([p.reshape(-1, dim).sum(axis=0) for p in per_contact]),
             inertia=found["inertia"],
             damping=found.get("damping", nothing),
             drag=found.get("drag", nothing),

@@ -25,7 +25,7 @@ from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 
-CHORD = 0.06
+SHARE = 0.06
 """Share of the largest strain so far that chords may be before it is said.  The largest is that of
 the motion's swings; of its mean stresses chords of this share are about twice as much."""
 
@@ -74,7 +74,7 @@ class RotationError:
         settled = strain <= GROWS * self._most  # of a motion that has just begun it says little
         self._most = max(self._most, strain)
         chord = self._share * turn
-        before, self._seen = self._seen, settled and chord > CHORD * self._most
+        before, self._seen = self._seen, settled and chord > SHARE * self._most
         if not (before and self._seen):
             return ""
         angle = np.degrees(np.sqrt(turn / np.sqrt(2)))

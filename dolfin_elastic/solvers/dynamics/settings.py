@@ -19,9 +19,14 @@ from dolfin_elastic.solvers.dynamics.schemes import DEFAULT, SCHEMES, ExplicitRo
 
 
 def _known(name: object) -> object:
-    if name not in SCHEMES:
-        raise InputError(f"{quoted(name)} is wrong", expected=nearest(str(name), SCHEMES))
-    return name
+    if isinstance(name, str) and name in SCHEMES:
+        return name
+    *names, last = (f"'{one}'" for one in SCHEMES)
+    expected = f"expected {', '.join(names)} or {last}"
+    raise InputError(
+        f"{quoted(name)} is wrong",
+        expected=nearest(name, SCHEMES) if isinstance(name, str) else expected,
+    )
 
 
 SchemeName = Annotated[str, BeforeValidator(_known)]

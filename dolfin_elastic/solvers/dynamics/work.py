@@ -149,12 +149,12 @@ class EnergyBalance:
             forces: In the middle of it; the problem's time is that of its end.
             du: Change of the displacement, owned entries [m].
         """
-        moves = self._moving.moves
-        outside = forces.loads + forces.reactions + forces.holding - forces.obstacles
+        moves = self._moving.displacement_dofs
+        outside = forces.loads + forces.reactions + forces.restraints - forces.contact
         rows = (outside, forces.damping, -forces.dashpots)
         mine = np.array([np.dot(row[moves], du) for row in rows])
         before, self._places = self._places, self._shifts()
-        mine[0] += np.sum(forces.pushes * (self._places - before))
+        mine[0] += np.sum(forces.contact_resultants * (self._places - before))
         if self._leads:
             mine[0] += self._carried(forces, du)
         found = total(self._moving.comm, mine)
@@ -163,14 +163,14 @@ class EnergyBalance:
 
     def _carried(self, forces: Forces, du: FloatArray) -> float:
         """What inertia costs supports, in place of its forces over the way, on this rank [J]."""
-        a, moves = self._moving.assembler, self._moving.moves
+        a, moves = self._moving.assembler, self._moving.displacement_dofs
         before, self._v = self._v, self._now()
         change = a.constrained_part(self._moving.momentum(self._v - before))[moves]
         pushed = a.constrained_part(forces.inertia)[moves]
         return float(np.dot(change, (before + self._v) / 2) - np.dot(pushed, du))
 
     def _now(self) -> FloatArray:
-        return self._velocity.x.array[: len(self._moving.moves)].copy()
+        return self._velocity.x.array[: len(self._moving.displacement_dofs)].copy()
 
     def _shifts(self) -> FloatArray:
         """How far the obstacles have moved by now, shape (contacts, dim) [m]."""
@@ -215,7 +215,7 @@ class EnergyBalance:
 
     def _potential(self) -> float:
         """Of loads that do not change: minus their forces times the displacement [J]."""
-        moves = self._moving.moves
+        moves = self._moving.displacement_dofs
         if self._dead is None:
             self._dead = self._moving.assembler.reactions.loads()[moves].copy()
         u = self._moving.problem.w.x.array[moves]
@@ -243,7 +243,7 @@ class _WorkTerm(Protocol):
     def begin(self) -> None:
         """Takes in the state from which the next step starts. Collective."""
 
-    def renew(self) -> None:
+    def update_time(self) -> None:
         """Takes over the numbers of the present time. Not collective."""
 
     def step(self, du: FloatArray) -> float:
@@ -261,7 +261,7 @@ class _NodalLoad:
         self._forces.assemble()
         self._before[:] = self._forces.owned
 
-    def renew(self) -> None:
+    def update_time(self) -> None:
         self._forces.renew()
 
     def step(self, du: FloatArray) -> float:
@@ -285,7 +285,7 @@ class _MovingObstacle:
         self._force = self._forces.owned.reshape(-1, self._dim).sum(axis=0)
         self._place = self._touch.shift.value.copy()
 
-    def renew(self) -> None:
+    def update_time(self) -> None:
         self._forces.renew()
 
     def step(self, du: FloatArray) -> float:
@@ -305,7 +305,7 @@ class _MovingSupports:
         a = self._assembler
         self._reactions = a.constrained_part(a.residual.owned)
 
-    def renew(self) -> None: ...
+    def update_time(self) -> None: ...
 
     def step(self, du: FloatArray) -> float:
         before = self._reactions
@@ -384,14 +384,14 @@ class ExternalWork:
         if self._steady:
             self._constant[:] = self._assembler.reactions.loads()
             self._from[:] = self._u
-        self._stored, self._carried = self._in_springs(), self._on_supports()
+        self._stored, self._carried = self._spring_energy(), self._support_energy()
         for term in self.terms:
             term.begin()
 
-    def renew(self) -> None:
+    def update_time(self) -> None:
         """Takes over the numbers of the present time. Not collective."""
         for term in self.terms:
-            term.renew()
+            term.update_time()
 
     def step(self, du: FloatArray) -> None:
         """Adds a step that has led to the present state; for nothing without `terms`. Collective.
@@ -408,7 +408,7 @@ class ExternalWork:
         if self._steady:
             local += float(np.dot(self._constant, self._u) - np.dot(self._constant, self._from))
             self._from[:] = self._u
-        stored, carried = self._in_springs(), self._on_supports()
+        stored, carried = self._spring_energy(), self._support_energy()
         local += carried - self._carried
         self.sum += float(total(self._problem.body.comm, local)) - (stored - self._stored)
         self._stored, self._carried = stored, carried
@@ -418,11 +418,11 @@ class ExternalWork:
         """See `Work.energies`. Collective."""
         return {"external": self.close()}
 
-    def _in_springs(self) -> float:
+    def _spring_energy(self) -> float:
         """Energy of springs at rest [J]. Collective."""
         return 0.0 if self._springs is None else integral(self._problem, self._springs)
 
-    def _on_supports(self) -> float:
+    def _support_energy(self) -> float:
         """This rank's kinetic energy of what supports move [J]."""
         if not self._moving_supports:
             return 0.0

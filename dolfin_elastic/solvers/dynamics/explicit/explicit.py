@@ -116,7 +116,7 @@ class Explicit:
                 self.scheme.synchronise()
                 state = self._checked_state()
                 if self._drifts(state):
-                    self.size.doubt(self.scheme.steps)
+                    self.size.check_before(self.scheme.steps)
                 self._last.save(self.restart_state())
                 yield state
 
@@ -133,8 +133,8 @@ class Explicit:
     def step(self) -> None:
         """One step; the stable step is found anew before it where that is due. Collective."""
         scheme = self.scheme
-        if scheme.steps == self.size.due:
-            self.size.look(scheme.steps, scheme.t)
+        if scheme.steps == self.size.next_check:
+            self.size.update(scheme.steps, scheme.t)
         scheme.advance(min(self.size.dt, self.end - scheme.t))
 
     # --- what is yielded ---
@@ -172,7 +172,7 @@ class Explicit:
         measures = self._energies.measure()
         if not self._finite(measures):
             raise Replay(self, self._monitor, self._last).lost()
-        self._monitor.look(self.scheme.t, last=self._ended)
+        self._monitor.observe(self.scheme.t, last=self._ended)
         return self._state(measures)
 
     def _state(self, measures: Measures) -> State:

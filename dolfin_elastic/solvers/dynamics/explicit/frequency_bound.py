@@ -40,7 +40,7 @@ class FrequencyBound:
     51 (1984) 35.
 
     Args:
-        problem: Whose cells; see `fits`.
+        problem: Whose cells; see `applies`.
         assembler: Of this problem.
         mass: Lumped mass at every owned entry [kg].
     """
@@ -59,7 +59,7 @@ class FrequencyBound:
         self._held = rows_over_mass(assembler, bounds, mass)[::d]
 
     @staticmethod
-    def fits(problem: Problem) -> bool:
+    def applies(problem: Problem) -> bool:
         """One tangent serves a cell, and no load adds to it.
 
         In a body of revolution the tangent changes inside a cell, also in a curved one.
@@ -90,11 +90,11 @@ class FrequencyBound:
         right = ufl.as_tensor(A[i, j, k, o] * H[o, m], (i, j, k, m))
         return ufl.sqrt(left[i, j, k, m] * right[i, j, k, m])
 
-    def now(self) -> FloatArray:
+    def evaluate(self) -> FloatArray:
         """The bound at each owned node at the present displacement [1/s^2]. Collective."""
         return self._held + self._assembler.reactions.nodal(self._form)[:: self._dim] / self._mass
 
-    def place(self, rates: FloatArray) -> tuple[float, ...]:
+    def location(self, rates: FloatArray) -> tuple[float, ...]:
         """Reference place of the node with the largest rate [m]. Collective."""
         V = self._problem.V
         mine: tuple[float, tuple[float, ...]] = (-np.inf, ())

@@ -1,4 +1,4 @@
-"""What nobody else sees of a motion that solves no equations: strains, cells inside out, energy."""
+"""Checks of explicit motion, which solves no equations that might fail: det F, strains, energy."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrain
 log = logging.getLogger("dolfin_elastic")
 
 DRIFT = 0.1
-"""Share of the largest energy so far that may come from nowhere."""
+"""Share of the largest energy so far by which the conserved energy may drift."""
 
-LOOK = 8
-"""States from one look at det F to the next: it costs about as much as a step."""
+INTERVAL = 8
+"""States from one check of det F to the next: it costs about as much as a step."""
 
 RESISTS = "smaller loads, or a law that resists, such as neo-hookean"
 
 
 class StabilityMonitor:
-    """Looks at the states of an explicit motion, and says each thing once. Collective to make.
+    """Checks the states of an explicit motion, and warns once of each fault. Collective to make.
 
     Args:
         problem: What moves.
@@ -35,9 +35,9 @@ class StabilityMonitor:
 
     Attributes:
         watch: Of det F.
-        nonlinear: A law has a det F to speak of.
-        inside_out: What has been said of cells inside out; nothing at first.
-        place: Of them [m].
+        nonlinear: Some law is nonlinear, so that det F means something.
+        inverted: The warning of cells inside out; empty before.
+        place: Where det F was smallest then, undeformed [m].
     """
 
     def __init__(self, problem: Problem, assembler: Assembler) -> None:
@@ -45,56 +45,58 @@ class StabilityMonitor:
         self.watch = JacobianWatch(problem)
         self._small = SmallStrains(problem, self.watch)
         self.nonlinear = any(not part.law.linear for part in problem.regions)
-        self._states, self.inside_out, self._told = 0, "", False
+        self._states, self.inverted, self._warned = 0, "", False
         self.place: tuple[float, ...] = ()
         self._first: FloatArray | None = None
         self._most = 0.0
 
-    def look(self, t: float, *, last: bool) -> None:
-        """Looks at the displacement, now and then. Collective.
+    def observe(self, t: float, *, last: bool) -> None:
+        """Checks det F and the size of strains, every `INTERVAL` states. Collective.
 
-        Laws without a barrier let cells turn inside out and go on; what is linear has no det F to
-        speak of, and is told of by its strains.
+        Laws without a barrier let cells turn inside out and go on.  Linear laws have no meaningful
+        det F: of them only the strains are checked.
 
         Args:
             t: Time [s].
-            last: It is the last state, which is always looked at.
+            last: It is the last state, which is always checked.
         """
-        if self._states % LOOK == 0 or last:
+        if self._states % INTERVAL == 0 or last:
             self._small.look(f"t = {t:.6g} s")
             self._look_at_volumes(t)
         self._states += 1
 
     def _look_at_volumes(self, t: float) -> None:
-        if self.inside_out or not self.nonlinear:
+        if self.inverted or not self.nonlinear:
             return
         J, place = self.watch.smallest()
         if J > 0.0:
             return
         self.place = tuple(float(x) for x in place[: self._problem.body.dim])
         what = f"det F = {J:.3g} at {coordinates(self.place)} m"
-        self.inside_out = f"cells had turned inside out by t = {t:.6g} s, {what}"
+        self.inverted = f"cells had turned inside out by t = {t:.6g} s, {what}"
         log.warning(
             "%s: the law lets them, but no body does so: %s",
-            self.inside_out,
+            self.inverted,
             RESISTS,
         )
 
-    def drifts(self, energies: Mapping[str, float], quiver: float, t: float) -> bool:
-        """Whether energy seems to have appeared, or to be lost; says so if it is. Collective.
+    def drifts(self, energies: Mapping[str, float], conserved_excess: float, t: float) -> bool:
+        """Whether energy may have appeared or been lost; warns if it certainly has. Collective.
 
-        The energy of one time swings, the one that the scheme conserves does not; but the latter
-        does not notice either what a step too long lets grow, as long as that is linear.
+        The energy of the states swings, even where all is well; the one that the scheme conserves
+        (see `ExplicitScheme.conserved_excess`) does not.  A drift of either is a reason to find the
+        stable step anew: linear growth by a step that is too long leaves the conserved one as it
+        is.  Only a drift of the conserved one is reported.
 
         Args:
-            energies: Of the state.
-            quiver: What the energy that the scheme conserves has beyond these, this rank's part.
+            energies: Of the state [J].
+            conserved_excess: Conserved energy less that of the state, on this rank [J].
             t: Time [s].
         """
         if self._problem.eigenstrains:  # what grows or is heated stores energy without work
             return False
         gained = energies["total"] - energies["external"]
-        now = np.array([gained, gained + total(self._problem.body.comm, quiver)])
+        now = np.array([gained, gained + total(self._problem.body.comm, conserved_excess)])
         if self._first is None:
             self._first = now
         sizes = (energies["kinetic"], energies["strain"], abs(energies["external"]))
@@ -103,8 +105,8 @@ class StabilityMonitor:
         if seems or drifts:
             self._first = np.where([seems, drifts], now, self._first)  # looked into once
             self._look_at_volumes(t)  # then that is why
-        if drifts and not (self._told or self.inside_out):
-            self._told = True
+        if drifts and not (self._warned or self.inverted):
+            self._warned = True
             log.warning(
                 "more than a tenth of the energy has come from nowhere, or got lost, by "
                 "t = %.4g s: the step is too long for what happens; try a smaller dt or safety",
@@ -112,11 +114,14 @@ class StabilityMonitor:
             )
         return bool(seems or drifts)
 
-    def check_given(self, t: float) -> None:
-        """Raises if it is a support or a load that has no finite value. Collective.
+    def check_input(self, t: float) -> None:
+        """Refuses supports and loads without finite values. Collective.
+
+        Args:
+            t: Time, for the message [s].
 
         Raises:
-            InputError: It is.
+            InputError: A prescribed displacement or a load is not finite.
         """
         problem, u = self._problem, self._problem.u.x.array
         problem.dirichlet.check_finite()
@@ -127,15 +132,15 @@ class StabilityMonitor:
         if total(problem.body.comm, int(np.sum(~np.isfinite(forces)))):
             raise load_not_finite(t)
 
-    # --- from one run to the next ---
+    # --- restarts ---
 
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`. Not collective."""
         return {
             "far": self._small.note,
-            "inside_out": self.inside_out,
+            "inside_out": self.inverted,
             "place": list(self.place),
-            "told": self._told,
+            "told": self._warned,
             "states": self._states,
             "first": [] if self._first is None else self._first.tolist(),
             "most": self._most,
@@ -143,8 +148,8 @@ class StabilityMonitor:
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """See `Restartable`. Not collective."""
-        self._small.note, self.inside_out = saved["far"], saved["inside_out"]
+        self._small.note, self.inverted = saved["far"], saved["inside_out"]
         self.place = tuple(saved["place"])
-        self._told, self._most = saved["told"], saved["most"]
+        self._warned, self._most = saved["told"], saved["most"]
         self._states = int(saved["states"])
         self._first = np.array(saved["first"]) if saved["first"] else None

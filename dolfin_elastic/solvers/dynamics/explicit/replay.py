@@ -71,14 +71,14 @@ class Replay:
 
     Args:
         march: The motion.
-        lookout: What has been seen of it.
+        monitor: What has been seen of it.
         last: Its last sound state.
     """
 
-    def __init__(self, march: ExplicitMarch, lookout: StabilityMonitor, last: StateCopy) -> None:
-        self._march, self._lookout, self._last = march, lookout, last
-        self._crushed: tuple[int, str, Place] | None = None
-        self._far: tuple[int, str, Place] | None = None
+    def __init__(self, march: ExplicitMarch, monitor: StabilityMonitor, last: StateCopy) -> None:
+        self._march, self._monitor, self._last = march, monitor, last
+        self._inverted: tuple[int, str, Place] | None = None
+        self._unbounded: tuple[int, str, Place] | None = None
 
     def lost(self) -> StabilityError:
         """Why the present state has no finite forces or energies. Collective.
@@ -92,8 +92,8 @@ class Replay:
         with stage("diagnose"), np.errstate(all="ignore"):
             last, t = march.now
             if self._last:
-                t = self._again(last)
-            self._lookout.check_given(march.now[1])
+                t = self._step_through(last)
+            self._monitor.check_input(march.now[1])
             found = self._diagnosis()
             state = self._before(march.now[0])
         text = f"no finite motion after t = {t:.6g} s: {found.text}"
@@ -105,10 +105,10 @@ class Replay:
         What has grown beyond all bounds can be computed with for a while, but not looked at.
         """
         march, goal = self._march, first - 1
-        if self._crushed is not None:
-            goal = min(goal, self._crushed[0])
-        if self._far is not None:
-            goal = min(goal, self._far[0] - 1)
+        if self._inverted is not None:
+            goal = min(goal, self._inverted[0])
+        if self._unbounded is not None:
+            goal = min(goal, self._unbounded[0] - 1)
         if self._last:
             march.restore(self._last)
         begin, _ = march.now
@@ -125,7 +125,7 @@ class Replay:
         march = self._march
         if not march.finite():
             return self.lost()
-        state, place = march.state(moved=True), march.size.place()
+        state, place = march.state(moved=True), march.size.location()
         text = error.what + (f"; cells at {coordinates(place)} m ask for it" if place else "")
         cells = Cells(march.assembler).worst()
         found = Diagnosis("step", text, error.advice, place, cells)
@@ -133,7 +133,7 @@ class Replay:
 
     # --- step by step ---
 
-    def _again(self, last: int) -> float:
+    def _step_through(self, last: int) -> float:
         """Up to the first step after which not all is finite, at the most `last`. Collective.
 
         Returns:
@@ -142,28 +142,28 @@ class Replay:
         march = self._march
         march.restore(self._last)
         before = march.now[1]
-        self._look("by")
+        self._inspect("by")
         while march.finite() and march.now[0] < last:
             before = march.now[1]
             march.step()
-            self._look("in the step to")
+            self._inspect("in the step to")
         return before
 
-    def _look(self, when: str) -> None:
+    def _inspect(self, when: str) -> None:
         """Notes when and where the first cells turn inside out, and the first node is far."""
         step, t = self._march.now
         when = f"{when} t = {t:.6g} s"
-        if self._lookout.nonlinear and self._crushed is None:
-            J, middle = self._lookout.watch.smallest()
+        if self._monitor.nonlinear and self._inverted is None:
+            J, middle = self._monitor.watch.smallest()
             if J <= 0.0 and np.isfinite(J):
-                self._crushed = step, *self._inside_out(J, plain(middle), when)
-        if self._far is None:
+                self._inverted = step, *self._inversion(J, plain(middle), when)
+        if self._unbounded is None:
             far, place = self._farthest()
             if far > FAR * span(self._march.problem.body):
                 at = f"max |u| = {far:.3g} m, at {coordinates(place)} m"
-                self._far = step, f"it has grown beyond all bounds {when} ({at})", place
+                self._unbounded = step, f"it has grown beyond all bounds {when} ({at})", place
 
-    def _inside_out(self, J: float, place: Place, when: str) -> tuple[str, Place]:
+    def _inversion(self, J: float, place: Place, when: str) -> tuple[str, Place]:
         place = place[: self._march.problem.body.dim]
         cells = Cells(self._march.assembler)
         many = total(cells.comm, int(np.sum(cells.jacobians() <= 0.0)))
@@ -193,14 +193,14 @@ class Replay:
     def _why(self, cells: Cells) -> tuple[str, tuple[str, str, Place]]:
         step, t = self._march.now
         lets = f"{RESISTS}, or {SHORTER}"
-        if before := self._lookout.inside_out:
-            return "inverted", (before, lets, self._lookout.place)
-        if self._crushed is not None:
-            when, text, place = self._crushed
+        if before := self._monitor.inverted:
+            return "inverted", (before, lets, self._monitor.place)
+        if self._inverted is not None:
+            when, text, place = self._inverted
             # Where a law lets cells turn, the forces come to an end only later.
             return "inverted", (text, CRUSHED if when == step else lets, place)
-        if self._far is not None:
-            _, text, place = self._far
+        if self._unbounded is not None:
+            _, text, place = self._unbounded
             return "unbounded", (text, SHORTER, place)
         if (fault := not_finite(cells)) is not None:
             text = f"{fault.text}, at t = {t:.6g} s"

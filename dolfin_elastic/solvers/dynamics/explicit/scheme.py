@@ -191,7 +191,7 @@ class ExplicitScheme(ABC):
         """Forces out of balance at the present displacement and time."""
         if self._timed:
             self._forces.renew()
-            self._work.renew()
+            self._work.update_time()
         self._forces.assemble()
 
     @np.errstate(all="ignore")

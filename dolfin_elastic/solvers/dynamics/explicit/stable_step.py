@@ -1,4 +1,4 @@
-"""The step of explicit schemes: how long it may be, and when to look again."""
+"""The step of explicit schemes: the stable step, and when it is found anew."""
 
 from __future__ import annotations
 
@@ -28,58 +28,59 @@ from dolfin_elastic.solvers.nonlinear.contact import all_touching
 
 log = logging.getLogger("dolfin_elastic")
 
-LOOKS = (10, 200)
-"""Fewest and most steps between two looks at the stable step: the less it changes, the more."""
+CHECKS = (10, 200)
+"""Fewest and most steps between two checks of the stable step: the less it changes, the more."""
 
-AT_CONTACT = 50
-"""The most where an obstacle may be hit meanwhile."""
+CHECKS_IN_CONTACT = 50
+"""The most where an obstacle may be hit between two checks."""
 
 SPACING = 100
-"""Fewest steps between two eigenvalues of the whole body, each of which costs about 15."""
+"""Fewest steps between two eigenvalue problems of the body, each of which costs about 15 steps."""
 
 RESONANCE = 0.6
-"""Largest share of the stable step where obstacles are hit, which shakes the stiffest motions.
+"""Largest share of the stable step where obstacles are hit, which excites the highest frequencies.
 
 At omega dt = sqrt(2) and sqrt(3) four and three steps are a period of a motion, and what is not
 linear about it feeds it at each (T. Schlick, M. Mandziuk, R. Skeel and K. Srinivas, J. Comput.
 Phys. 140 (1998) 1): at 0.7 and above corners of cubes that bounce were thrown off after a second,
 one node in a rhythm of four steps; at 0.65 and below cubes of 5 to 8 cells an edge kept their
 energy to 1.5 % for 5,000 to 10,000 steps.  0.6 leaves them room to become stiffer by a third
-between two looks.
+between two checks.
 """
 
-HIT = 1.0
+CONTACT = 1.0
 """Largest (omega dt)^2 of a node on an obstacle's penalty.
 
 A node hits in the middle of a step and leaves in that of another.  Of a bar thrown at a wall the
 energy grew by 0.1 % at 0.7, 1 % at 1.1 and 2 % at 1.3, but fivefold at 1.5 and more.
 """
 
-WORTH = 0.1
-"""Change of the nodes' rates, since that of the body was found, from which it is found anew."""
+RENEWAL = 0.1
+"""Growth of the nodal bounds, since omega_max was found, from which it is found anew."""
 
 
 class StepSize:
     """Stable step and step of an explicit scheme. Collective to make.
 
-    The limit 2/omega_max follows from the largest eigenvalue of M^-1 K, found by Lanczos' method
-    (`sharp`), or from the bound by cells (`FrequencyBound`) if that is lower.  Between two of these
-    the bound alone is looked at, for a seventh of the cost: where cells have become stiffer the
-    body's rate is taken to grow with the most that any node's which could set it has grown.
+    The limit 2/omega_max follows from the largest eigenvalue omega_max^2 of M^-1 K, found by
+    Lanczos' method (`largest_frequency`), or from the bound by cells (`FrequencyBound`) if that is
+    lower.  Between two eigenvalue problems only the bound is evaluated, for a seventh of the cost:
+    omega_max^2 is taken to grow with the bound of that node whose bound has grown most, among the
+    nodes whose bound is above it.
 
     Args:
         problem: What moves.
         assembler: Of this problem.
         mass: Lumped mass at every owned entry [kg].
-        chosen: The user's step [s], or None.
+        chosen: The user's step [s]; None: the stable step times `safety`.
         safety: Share of the stable step that is taken.
 
     Attributes:
-        stable: The stable step as known now [s].
-        due: Number of the step before which to look again.
+        stable: The stable step at the last check [s].
+        next_check: Number of the step before which the stable step is found again.
         dt: The step to take [s].
-        rates: The bound by cells, where there is one.
-        gentle: Longest step with which obstacles throw no node back too fast [s].
+        bound: The bound by cells, where there is one.
+        contact_limit: Longest step with which obstacles throw no node back too fast [s].
     """
 
     def __init__(
@@ -93,27 +94,27 @@ class StepSize:
     ) -> None:
         self._problem, self._assembler, self._mass = problem, assembler, mass
         self._chosen = chosen
-        self._shaken = bool(problem.contact_pairs)
-        self._safety = min(safety, RESONANCE) if self._shaken else safety
-        self.rates = (
-            FrequencyBound(problem, assembler, mass) if FrequencyBound.fits(problem) else None
+        self._contact = bool(problem.contact_pairs)
+        self._safety = min(safety, RESONANCE) if self._contact else safety
+        self.bound = (
+            FrequencyBound(problem, assembler, mass) if FrequencyBound.applies(problem) else None
         )
         self._drag = self._largest_row([d.bound(problem.context) for d in problem.dashpots])
         hits = self._largest_row([touch.bound for touch in problem.contact_pairs])
-        self.gentle = np.sqrt(HIT / hits) if hits else np.inf
-        self._known = fem.Function(problem.V)
+        self.contact_limit = np.sqrt(CONTACT / hits) if hits else np.inf
+        self._nodal_bounds = fem.Function(problem.V)
         self._places = slice(0, assembler.size, problem.body.dim)
-        self._square = self._known_square = 0.0
-        self._interval, self._found_at, self._doubtful = LOOKS[0], 0, False
-        self.stable, self.dt, self.due = np.inf, np.inf, LOOKS[0]
+        self._square = self._found_square = 0.0
+        self._interval, self._found_at, self._doubtful = CHECKS[0], 0, False
+        self.stable, self.dt, self.next_check = np.inf, np.inf, CHECKS[0]
 
-    # --- rates ---
+    # --- frequencies ---
 
-    def sharp(self) -> float:
+    def largest_frequency(self) -> float:
         """Largest omega^2 of the present tangent and the lumped mass [1/s^2]. Collective.
 
-        It is that of M^-1/2 K M^-1/2, 0 where supports hold every node, with all surfaces that may
-        touch an obstacle touching it, for what is free now may hit within the next steps.
+        It is that of M^-1/2 K M^-1/2; 0 where all displacements are prescribed.  All contact
+        surfaces count as closed, for what is open now may close within the next steps.
         """
         with stage("stable step"):
             a = self._assembler
@@ -131,12 +132,12 @@ class StepSize:
             scale.destroy()
         return max(square, 0.0)
 
-    def by_cells(self) -> float:
+    def cell_bound(self) -> float:
         """The bound by cells [1/s^2]; infinite where there is none. Collective."""
-        if self.rates is None:
+        if self.bound is None:
             return np.inf
         with stage("stable step"):
-            return extremes(self._problem.body.comm, [_top(self.rates.now())])[0]
+            return extremes(self._problem.body.comm, [_top(self.bound.evaluate())])[0]
 
     def step_for(self, square: float) -> float:
         """Stable step for the largest omega^2 and the dashpots' largest rate c/m [s].
@@ -148,19 +149,26 @@ class StepSize:
         return float(4 / below) if below > 0 else np.inf
 
     def _largest_row(self, bounds: Sequence[ufl.Form]) -> float:
-        """Bound of the rows of a matrix over their masses. Collective."""
+        """Largest bound of a row of a matrix over its mass [1/s^2]. Collective.
+
+        Args:
+            bounds: Forms that are linear in the test function, whose entries bound row sums.
+        """
         rows = rows_over_mass(self._assembler, bounds, self._mass)
         return largest(self._problem.body.comm, float(np.max(rows, initial=0.0)))
 
-    # --- when to look, and what follows ---
+    # --- the step ---
 
     def begin(self, end: float) -> None:
-        """The first step. Collective.
+        """Finds the first step. Collective.
+
+        Args:
+            end: When the motion ends [s].
 
         Raises:
             InputError: The user's step is above the stable one.
         """
-        self._find(0)
+        self._find_frequency(0)
         if self._chosen is None:
             self._set_step()
             said = self.stable, min(self.dt, end), self._safety, self._where()
@@ -177,14 +185,14 @@ class StepSize:
             self._warn()
 
     def _warn(self) -> None:
-        if self.dt > self.gentle:
+        if self.dt > self.contact_limit:
             log.warning(
                 "a node that hits an obstacle may be thrown back too fast: dt = %.4g s is long for "
                 "the stiffness of the contact; at most %.3g s, or a smaller stiffness",
                 self.dt,
-                self.gentle,
+                self.contact_limit,
             )
-        elif self._shaken and self.dt > self._safety * self.stable:
+        elif self._contact and self.dt > self._safety * self.stable:
             log.warning(
                 "nodes that hit an obstacle may gain energy at each step: dt = %.4g s is %.2g of "
                 "the stable step; at most %.3g s, %.2g of it, or leave dt out",
@@ -195,25 +203,29 @@ class StepSize:
             )
 
     def _where(self) -> str:
-        """Why the step is no longer, in words. Collective."""
-        if self.dt == self.gentle:
+        """What limits the step, for messages. Collective."""
+        if self.dt == self.contact_limit:
             return "; the stiffness of contacts asks for it"
-        shaken = "; obstacles may be hit" if self._shaken and self._safety == RESONANCE else ""
-        if self.rates is None or not self._square:
+        shaken = "; obstacles may be hit" if self._contact and self._safety == RESONANCE else ""
+        if self.bound is None or not self._square:
             return shaken
-        place = ", ".join(f"{x:.3g}" for x in self.place())
+        place = ", ".join(f"{x:.3g}" for x in self.location())
         return f"{shaken}; cells at ({place}) m ask for it"
 
-    def place(self) -> tuple[float, ...]:
-        """Where cells ask for the shortest step [m]; empty where it is not known. Collective."""
-        return () if self.rates is None else self.rates.place(self.rates.now())
+    def location(self) -> tuple[float, ...]:
+        """Where the bound by cells is largest, undeformed [m]; empty without one. Collective."""
+        return () if self.bound is None else self.bound.location(self.bound.evaluate())
 
-    def doubt(self, step: int) -> None:
-        """Energy is wrong: looks before the next step, with Lanczos' method."""
-        self.due, self._doubtful = step, True
+    def check_before(self, step: int) -> None:
+        """Demands an eigenvalue problem before the next step, because energy has drifted.
 
-    def look(self, step: int, t: float) -> None:
-        """Finds the step from here on. Collective.
+        Args:
+            step: Number of steps done.
+        """
+        self.next_check, self._doubtful = step, True
+
+    def update(self, step: int, t: float) -> None:
+        """Finds the stable step of the present state, and the step from here on. Collective.
 
         Args:
             step: Number of steps done.
@@ -223,27 +235,31 @@ class StepSize:
             StabilityError: The user's step is above the stable one now.
         """
         if self._problem.linear:
-            self.due = step + LOOKS[1]  # it cannot have changed
+            self.next_check = step + CHECKS[1]  # it cannot have changed
             return
         before = self.stable
-        self._follow(step)
+        self._follow_bound(step)
         if self._chosen is None:
             self._set_step()
         elif self._chosen > self.stable:
             self._confirm(step, t)
         change = abs(self.stable / before - 1) if np.isfinite(before) else 0.0
         factor = 2.0 if change < 0.01 else 0.5 if change > 0.03 else 1.0
-        most = AT_CONTACT if self._problem.contact_pairs else LOOKS[1]
-        self._interval = int(np.clip(factor * self._interval, LOOKS[0], most))
-        self.due = step + self._interval
+        most = CHECKS_IN_CONTACT if self._problem.contact_pairs else CHECKS[1]
+        self._interval = int(np.clip(factor * self._interval, CHECKS[0], most))
+        self.next_check = step + self._interval
 
     def _set_step(self) -> None:
-        self.dt = min(self._safety * self.stable, self.gentle)
+        self.dt = min(self._safety * self.stable, self.contact_limit)
 
     def _confirm(self, step: int, t: float) -> None:
-        """Raises if the user's step is too long also by Lanczos' method. Collective."""
+        """Checks the user's step against the eigenvalue itself. Collective.
+
+        Raises:
+            StabilityError: It is above the stable step.
+        """
         if self._found_at != step:
-            self._find(step)
+            self._find_frequency(step)
         assert self._chosen is not None
         if self._chosen > self.stable:
             raise StabilityError(
@@ -252,58 +268,62 @@ class StepSize:
                 advice="leave dt out to have it follow the stable step",
             )
 
-    def _find(self, step: int) -> None:
-        """The rate of the body as it is now. Collective."""
-        bounds = self.sharp() or np.inf, self.by_cells()  # nothing is free: only cells tell
+    def _find_frequency(self, step: int) -> None:
+        """Finds omega_max^2 of the present state. Collective."""
+        # With all displacements prescribed there is no eigenvalue: then only the bound tells.
+        bounds = (
+            self.largest_frequency() or np.inf,
+            self.cell_bound(),
+        )
         square = min(bounds) if min(bounds) < np.inf else 0.0
-        self._known_square = self._square = _same(square)
-        if self.rates is not None:
-            self._known.x.array[self._places] = self.rates.now()
+        self._found_square = self._square = _same(square)
+        if self.bound is not None:
+            self._nodal_bounds.x.array[self._places] = self.bound.evaluate()
         self.stable, self._found_at = self.step_for(self._square), step
         self._doubtful = False
 
-    def _follow(self, step: int) -> None:
-        """The rate of the body by those of its nodes. Collective."""
-        if self.rates is None or self._doubtful:
-            self._find(step)
+    def _follow_bound(self, step: int) -> None:
+        """Estimates omega_max^2 from the growth of the nodal bounds. Collective."""
+        if self.bound is None or self._doubtful:
+            self._find_frequency(step)
             return
         with stage("stable step"):
-            rates = self.rates.now()
-            could = rates > self._known_square
-            known = self._known.x.array[self._places]
+            rates = self.bound.evaluate()
+            could = rates > self._found_square
+            known = self._nodal_bounds.x.array[self._places]
             worst, growth = extremes(
                 self._problem.body.comm, [_top(rates), _top(rates[could] / known[could])]
             )
-        if step - self._found_at >= SPACING and abs(growth - 1) > WORTH:
-            self._find(step)
+        if step - self._found_at >= SPACING and abs(growth - 1) > RENEWAL:
+            self._find_frequency(step)
             return
         # The stiffest motion of a cell may grow more than the norm of its matrix does.
-        self._square = _same(min(worst, self._known_square * max(growth, 1.0) ** 1.5))
+        self._square = _same(min(worst, self._found_square * max(growth, 1.0) ** 1.5))
         self.stable = self.step_for(self._square)
 
-    # --- from one run to the next ---
+    # --- restarts ---
 
     @property
     def field(self) -> fem.Function:
-        """Rates of the nodes, as first components, when that of the body was last found."""
-        return self._known
+        """Nodal bounds, in first components, when omega_max^2 was last found [1/s^2]."""
+        return self._nodal_bounds
 
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`. Not collective."""
         return {
             "square": self._square,
-            "known_square": self._known_square,
+            "known_square": self._found_square,
             "found_at": self._found_at,
             "interval": self._interval,
-            "due": self.due,
+            "due": self.next_check,
             "doubtful": self._doubtful,
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """See `Restartable`. Not collective."""
-        self._square, self._known_square = saved["square"], saved["known_square"]
+        self._square, self._found_square = saved["square"], saved["known_square"]
         self._found_at, self._interval = saved["found_at"], saved["interval"]
-        self.due, self._doubtful = saved["due"], saved["doubtful"]
+        self.next_check, self._doubtful = saved["due"], saved["doubtful"]
         self.stable = self.step_for(self._square)
         if self._chosen is None:
             self._set_step()

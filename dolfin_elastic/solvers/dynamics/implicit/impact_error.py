@@ -26,25 +26,25 @@ class ImpactError:
 
     def __init__(self, moving: DynamicResidual, alpha_f: float) -> None:
         self._moving, self._share = moving, alpha_f
-        mass = moving.mass.array_r[moving.moves]
+        mass = moving.mass.array_r[moving.displacement_dofs]
         self._mobility = np.divide(1.0, mass, out=np.zeros(len(mass)), where=mass > 0.0)
         self._first: FloatArray = np.zeros(len(mass))
         self._stage: FloatArray = self._first
 
-    def _pushes(self) -> FloatArray:
+    def _contact_forces(self) -> FloatArray:
         """Nodal forces of all obstacles at the present place and time, owned entries [N]."""
-        return sum(self._moving.pushes(), np.zeros(len(self._moving.moves)))
+        return sum(self._moving.contact_forces(), np.zeros(len(self._moving.displacement_dofs)))
 
     def begin(self, t: float) -> None:
         """Notes what pushes where a step begins."""
         self._moving.problem.set_time(t)
-        self._first = self._pushes()
+        self._first = self._contact_forces()
 
     def at_stage(self, forces: Forces) -> None:
         """Notes what pushes at its stage."""
-        self._stage = forces.obstacles[self._moving.moves]
+        self._stage = forces.contact[self._moving.displacement_dofs]
 
     def error(self, h: float) -> FloatArray:
         """What an unseen push does to the place at the end, where the problem is now [m]."""
         expected = (self._stage - self._share * self._first) / (1 - self._share)
-        return np.asarray(-h * h / 6 * (self._pushes() - expected) * self._mobility)
+        return np.asarray(-h * h / 6 * (self._contact_forces() - expected) * self._mobility)

@@ -20,7 +20,11 @@ from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
 from dolfin_elastic.solvers.dynamics.audit import MotionAuditor
-from dolfin_elastic.solvers.dynamics.consistent_start import AuxiliaryFields, begin, settle
+from dolfin_elastic.solvers.dynamics.consistent_start import (
+    AuxiliaryFields,
+    find_initial_acceleration,
+    settle_auxiliary_fields,
+)
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.implicit.output_times import OutputTimes
 from dolfin_elastic.solvers.dynamics.implicit.scheme import SchemeContext
@@ -29,7 +33,7 @@ from dolfin_elastic.solvers.dynamics.implicit.step_control import (
     warn_of_inexact_restart,
 )
 from dolfin_elastic.solvers.dynamics.implicit.ts_output import TSOutput
-from dolfin_elastic.solvers.dynamics.initial_conditions import jump
+from dolfin_elastic.solvers.dynamics.initial_conditions import support_jump
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 from dolfin_elastic.solvers.dynamics.schemes import ImplicitRow
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
@@ -119,7 +123,7 @@ class Implicit:
         self._energies = EnergyBook(problem, ConsistentMass(problem, self.v), self.balance)
         self._scalars = Scalars(self.assembler)
         self.auditor = MotionAuditor(problem, self.moving, watch, parameters, end=settings.end)
-        self.extras = AuxiliaryFields(problem)
+        self.auxiliary = AuxiliaryFields(problem)
         self._newton = self._krylov = 0
         self._usual = 0.0
 
@@ -168,7 +172,7 @@ class Implicit:
         self.newton.install_test()
 
     def _before_step(self, ts: PETSc.TS) -> None:
-        self.control.before()
+        self.control.begin_step()
         self.scheme.begin_step()
 
     def _after_step(self, ts: PETSc.TS) -> None:
@@ -177,9 +181,9 @@ class Implicit:
             return  # TS comes here after a step that it has given up, too
         forces = self.scheme.accept()
         self._stop_at_goals()
-        self.control.after()
+        self.control.end_step()
         self.balance.add(forces.middle, forces.du)
-        self.auditor.look(forces.stage, forces.du)
+        self.auditor.add_step(forces.stage, forces.du)
 
     def _stop_at_goals(self) -> None:
         """Ends the march at a time that is met but for the round-off of a sum.
@@ -188,8 +192,8 @@ class Implicit:
         fall short of it by a rounding error and would go on.
         """
         ts = self.ts
-        ts.setTime(self.control.meant(float(ts.getTime())))
-        shown = self.times.shown(int(ts.getStepNumber()), float(ts.getTime()))
+        ts.setTime(self.control.without_round_off(float(ts.getTime())))
+        shown = self.times.is_output(int(ts.getStepNumber()), float(ts.getTime()))
         if shown and not ts.getConvergedReason():
             ts.setConvergedReason(PETSc.TS.ConvergedReason.CONVERGED_TIME)
 
@@ -206,7 +210,7 @@ class Implicit:
             yield self._state()
         else:
             self.restore(saved)
-        while not self.times.done(float(self.ts.getTime())):
+        while not self.times.ended(float(self.ts.getTime())):
             self._march()
             yield self._state()
             self._newton = self._krylov = 0
@@ -214,16 +218,16 @@ class Implicit:
 
     def _begin(self) -> None:
         """Forces and acceleration of the initial state."""
-        self.control.tell()
+        self.control.warn_of_passed_corners()
         with stage("assemble"):
             self.problem.set_time(0.0)
-            size = len(self.moving.moves)
+            size = len(self.moving.displacement_dofs)
             self.moving.set_rates(self.v.x.array[:size], np.zeros(size))
             self.assembler.residual.assemble()
-        settle(self.problem, self.assembler)
+        settle_auxiliary_fields(self.problem, self.assembler)
         with stage("solve"):
             h = min(self.control.nominal / 8, AHEAD * self.settings.end)
-            begin(self.moving, self.v, self.a, h)
+            find_initial_acceleration(self.moving, self.v, self.a, h)
         self.scheme.start(0.0)
         self.problem.set_time(0.0)
         self.balance.begin()
@@ -236,7 +240,7 @@ class Implicit:
             step = int(ts.getStepNumber())
             ts.setMaxSteps(step + self.times.steps_left(step))
             self._solve()
-            if self.times.shown(int(ts.getStepNumber()), float(ts.getTime())):
+            if self.times.is_output(int(ts.getStepNumber()), float(ts.getTime())):
                 return
 
     def _solve(self) -> None:
@@ -275,7 +279,7 @@ class Implicit:
         reason = ts_reason(self.ts.getConvergedReason())
         last = self.problem.w.x.array.copy()
         found = diagnose(self.assembler, self.newton.result, good=last, failed=last, moving=True)
-        if sudden := jump(self.problem, t, self.control.nominal):
+        if sudden := support_jump(self.problem, t, self.control.nominal):
             found = replace(found, text=f"{sudden}; {found.text}", advice=JUMP)
         return ConvergenceError(
             f"no solution for the step from t = {t:.6g} s: {reason}; {found.text}\n  at the end: "
@@ -318,7 +322,7 @@ class Implicit:
 
     def restart_state(self) -> RestartState:
         """See `Restartable`. Collective."""
-        self.extras.take()
+        self.auxiliary.read()
         numbers = {
             "t": float(self.ts.getTime()),
             "step": int(self.ts.getStepNumber()),
@@ -337,7 +341,7 @@ class Implicit:
             "velocity": self.v,
             "acceleration": self.a,
             "acceleration_at_end": self.scheme.acceleration,
-            **self.extras.fields,
+            **self.auxiliary.fields,
         }
 
     def restore(self, saved: SavedState) -> None:
@@ -345,7 +349,7 @@ class Implicit:
         saved.fill(self._fields())
         numbers = saved.numbers
         warn_of_inexact_restart(self.scheme.not_restartable, self.options.users)
-        self.extras.give()
+        self.auxiliary.write()
         self.ts.setTime(numbers["t"])
         self.ts.setStepNumber(numbers["step"])
         self.ts.setTimeStep(numbers["dt"])

@@ -58,11 +58,11 @@ class OutputTimes:
         self.steps = every if isinstance(every, int) else None
         self._interval = None if isinstance(every, int) else float(every)
 
-    def done(self, t: float) -> bool:
+    def ended(self, t: float) -> bool:
         """Whether the end is reached."""
         return t >= self.end * (1 - 1e-12)
 
-    def next(self, t: float) -> float:
+    def next_time(self, t: float) -> float:
         """The first time after t that is met exactly."""
         found = next((s for s in self._times if s > t + 1e-12 * self.end), self.end)
         if self._interval is None:
@@ -76,9 +76,9 @@ class OutputTimes:
         """How many steps from here the next state is shown at the latest."""
         return 10**9 if self.steps is None else self.steps - step % self.steps
 
-    def shown(self, step: int, t: float) -> bool:
+    def is_output(self, step: int, t: float) -> bool:
         """Whether somebody wants to see the state after a step."""
-        if self.done(t) or t in self._times:
+        if self.ended(t) or t in self._times:
             return True
         if self.steps is not None:
             return step % self.steps == 0

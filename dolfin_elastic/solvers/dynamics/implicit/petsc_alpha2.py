@@ -90,7 +90,7 @@ class PetscAlpha2(ImplicitScheme):
             t: Time [s].
         """
         self.acceleration.x.array[:] = self.context.a.x.array
-        size = len(self.moving.moves)
+        size = len(self.moving.displacement_dofs)
         self.moving.forces_at(t, self.v.x.array[:size], self.acceleration.x.array[:size])
 
     def begin_step(self) -> None:
@@ -111,7 +111,7 @@ class PetscAlpha2(ImplicitScheme):
         """See `ImplicitScheme.accept`; the acceleration is the mean one of the step."""
         self.newton.finish()
         ts, stage = self.context.ts, self.moving.forces()
-        moves, extras = self.moving.moves, self.moving.extras
+        moves, extras = self.moving.displacement_dofs, self.moving.auxiliary_dofs
         size, t = len(moves), float(ts.getTime())
         h = t - self._start
         U, V = ts.getSolution2()
@@ -170,7 +170,9 @@ class PetscAlpha2(ImplicitScheme):
         for place, v, time in ((self._w, before, self._start), (there, after, t)):
             self.moving.set_unknowns(place)
             ends.append(self.moving.forces_at(time, v, a))
-        return ends[0].mean(ends[1]), there[self.moving.moves] - self._w[self.moving.moves]
+        return ends[0].mean(ends[1]), there[self.moving.displacement_dofs] - self._w[
+            self.moving.displacement_dofs
+        ]
 
     def _function(
         self, ts: PETSc.TS, t: float, U: PETSc.Vec, V: PETSc.Vec, A: PETSc.Vec, F: PETSc.Vec
@@ -178,7 +180,7 @@ class PetscAlpha2(ImplicitScheme):
         if self.error is not None:
             F.set(np.nan)
             return
-        moves = self.moving.moves
+        moves = self.moving.displacement_dofs
         share = (t - self._start) / self._step(ts)
         self.problem.set_time(t)
         self.moving.set_stage_rates(V.array_r[moves], A.array_r[moves])
@@ -196,7 +198,7 @@ class PetscAlpha2(ImplicitScheme):
         J: PETSc.Mat,
         P: PETSc.Mat,
     ) -> None:
-        self.moving.shift.value, self.moving.drag.value = shift_a, shift_v
+        self.moving.acceleration_shift.value, self.moving.velocity_shift.value = shift_a, shift_v
         self.assembler.tangent.assemble(U, shift_a)
         self.newton.take_tangent(P)
 

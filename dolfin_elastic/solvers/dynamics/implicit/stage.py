@@ -145,7 +145,7 @@ class StageSolver:
             f: Receives the residual.
         """
         assert self._stage is not None
-        self._moving.set_stage_rates(*self._stage.rates(x.array_r[self._moving.moves]))
+        self._moving.set_stage_rates(*self._stage.rates(x.array_r[self._moving.displacement_dofs]))
         with timed("assemble"):
             self._assembler.put(x)
             self._assembler.residual.assemble()
@@ -187,18 +187,18 @@ class StageSolver:
         """
         p = self._parameters
         # Before the residual of the first guess: forms of damping ask for them, too.
-        self._moving.drag.value, self._moving.shift.value = p.shifts(h)
+        self._moving.velocity_shift.value, self._moving.acceleration_shift.value = p.shifts(h)
         stage = self._stage = self._prescribe(start, h)
         if self._volumes is not None:
             self._volumes.end = start.t + h
         origin = self._assembler.origin
         origin[:] = start.w
-        origin[self._moving.moves] += (1 - p.alpha_f) * stage.predictor
+        origin[self._moving.displacement_dofs] += (1 - p.alpha_f) * stage.predictor
         try:
             found = any(self._solve_from(guess) for guess in self._guesses(stage))
         finally:
             origin[:] = 0.0
-        offset = self._newton.solution()[self._moving.moves] / (1 - p.alpha_f)
+        offset = self._newton.solution()[self._moving.displacement_dofs] / (1 - p.alpha_f)
         return (stage, np.asarray(offset)) if found else None
 
     def _prescribe(self, start: StepStart, h: float) -> Stage:
@@ -248,7 +248,7 @@ class StageSolver:
         The predictor is the better one of a body that flies, the old state of one that is stiff
         and is set going at once: there the predictor may turn cells inside out.
         """
-        moves = self._moving.moves
+        moves = self._moving.displacement_dofs
         predicted = self._assembler.origin.copy()
         u = predicted[moves]
         stage.prescribed.impose(u, stage.u)

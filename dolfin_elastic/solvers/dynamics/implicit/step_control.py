@@ -77,13 +77,13 @@ class StepControl:
         self.times, self._end = times, times.end
         self.nominal, self.scale = dt, 0.0
         self._adaptive, self._tolerance = tolerance is not None, tolerance or 0.0
-        self._bends = [t for t in corners(moving.problem) if 0.0 <= t <= self._end]
+        self._corners = [t for t in corners(moving.problem) if 0.0 <= t <= self._end]
         self._longest = self._end / LOOKS if winds(moving.problem) else self._end
         self._start, self._goal, self._planned, self._free = 0.0, 0.0, 0.0, 0.0
 
-    def tell(self) -> None:
+    def warn_of_passed_corners(self) -> None:
         """Warns of curves that equal steps pass over. Not collective."""
-        least = float(np.min(np.diff(self._bends), initial=np.inf))
+        least = float(np.min(np.diff(self._corners), initial=np.inf))
         if not self._adaptive and least < self.nominal * (1 - SAME):
             log.warning(
                 "a curve has corners %.3g s apart, closer than dt = %.3g s: steps may pass over "
@@ -104,19 +104,19 @@ class StepControl:
             "ts_adapt_wnormtype": "infinity",
         }
 
-    def before(self) -> None:
+    def begin_step(self) -> None:
         """Sets the step, before TS takes it. Collective."""
         ts = self._ts
         self._start = float(ts.getTime())
-        self._goal, self._free = self.times.next(self._start), self.nominal
+        self._goal, self._free = self.times.next_time(self._start), self.nominal
         if self._adaptive:
-            ahead = bisect_right(self._bends, self._start + 1e-12 * self._end)
-            self._goal = min(self._goal, *self._bends[ahead : ahead + 1], self._end)
+            ahead = bisect_right(self._corners, self._start + 1e-12 * self._end)
+            self._goal = min(self._goal, *self._corners[ahead : ahead + 1], self._end)
             self._free = min(float(ts.getTimeStep()), self._longest)
         ts.setMaxTime(self._goal)
         self._planned = self._fitting(self._goal - self._start)
         ts.setTimeStep(self._planned)
-        self.weigh()
+        self.set_error_scale()
 
     def _fitting(self, remaining: float) -> float:
         """A step of about the size that is free to be, with which no crumb is left."""
@@ -126,7 +126,7 @@ class StepControl:
         # A step that ends there but for round-off stays as it is, and so does its factorisation.
         return remaining if remaining < step * (1 - SAME) else step
 
-    def meant(self, t: float) -> float:
+    def without_round_off(self, t: float) -> float:
         """The time that a step has come to, without the round-off of a sum."""
         slack = SAME * (t - self._start)
         if abs(t - self._goal) < slack:
@@ -134,7 +134,7 @@ class StepControl:
         even = round(t / self.nominal) * self.nominal
         return even if abs(t - even) < slack and not self._adaptive else t
 
-    def after(self) -> None:
+    def end_step(self) -> None:
         """Takes note of a step that TS has taken. Collective.
 
         One that was cut short for a time that must be met says nothing against longer ones.
@@ -154,7 +154,7 @@ class StepControl:
         local = float(np.max(np.abs(u), initial=0.0))
         return max(self.scale, largest(self._moving.comm, local), 1e-6 * self._span)
 
-    def weigh(self) -> None:
+    def set_error_scale(self) -> None:
         """Lets errors be judged against displacements, the present one included. Collective."""
         if not self._adaptive:
             return
@@ -165,7 +165,7 @@ class StepControl:
         if len(self._moving.problem.unknowns.auxiliary_fields):
             value, atol = atol, self._moving.assembler.create_vector()
             atol.set(value)
-            atol.array_w[self._moving.extras] = UNJUDGED
+            atol.array_w[self._moving.auxiliary_dofs] = UNJUDGED
             self._ts.setTolerances(rtol=0.0, atol=atol)
             atol.destroy()
         else:

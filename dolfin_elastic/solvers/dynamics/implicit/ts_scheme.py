@@ -106,7 +106,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
 
     def _forces_at(self, t: float) -> Forces:
         """The forces at the present state; `assembler.residual.vector` holds them then."""
-        size = len(self.moving.moves)
+        size = len(self.moving.displacement_dofs)
         return self.moving.forces_at(t, self.v.x.array[:size], self.acceleration.x.array[:size])
 
     # --- what TS asks for ---
@@ -141,7 +141,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
                 self._advance(*found, U, V)
                 if not self._upright_at_end() and not inverted:
                     break
-                self._control.weigh()
+                self._control.set_error_scale()
                 h, good = choose_step(ts, self._parameters.order)
                 if good:
                     self._finish(ts, h)
@@ -165,7 +165,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         """
         assert self._higher_order is not None
         ts.getSolution().copy(x)
-        x.array_w[self.moving.moves] = self._higher_order
+        x.array_w[self.moving.displacement_dofs] = self._higher_order
         return True
 
     def rollback(self, ts: PETSc.TS) -> None:
@@ -186,7 +186,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         old, now, h = self._start, self._present(float(ts.getTime())), self._stage.h
         s = (t - old.t) / h
         ts.getSolution().copy(x)
-        x.array_w[self.moving.moves] = (
+        x.array_w[self.moving.displacement_dofs] = (
             (1 + 2 * s) * (1 - s) ** 2 * old.u
             + s * (1 - s) ** 2 * h * old.v
             + s * s * (3 - 2 * s) * now.u
@@ -196,7 +196,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
     # --- one step ---
 
     def _present(self, t: float) -> StepStart:
-        moves, size = self.moving.moves, len(self.moving.moves)
+        moves, size = self.moving.displacement_dofs, len(self.moving.displacement_dofs)
         w = self.problem.w.x.array[: self.assembler.size].copy()
         return StepStart(
             t, w, w[moves], self.v.x.array[:size].copy(), self._a.x.array[:size].copy()
@@ -232,11 +232,11 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         self._stage_forces = self.moving.forces()
         if self.impact_error is not None:
             self.impact_error.at_stage(self._stage_forces)
-        size = len(self.moving.moves)
+        size = len(self.moving.displacement_dofs)
         w = self.problem.w.x.array[: self.assembler.size].copy()
         u = stage.displacement_at_end(offset)
         v, a = stage.rates_at_end(offset)
-        w[self.moving.moves] = u
+        w[self.moving.displacement_dofs] = u
         self.moving.set_unknowns(w)
         at_end = p.at_end(old.a, a)
         self.problem.dirichlet.impose(at_end, stage.a_end)
@@ -261,14 +261,14 @@ class GeneralizedAlphaScheme(ImplicitScheme):
             self._old_end_forces, self._end_forces = self._end_forces, self._forces_at(end)
             assert self._old_end_forces is not None
             middle = self._old_end_forces.mean(self._end_forces)
-        u = self.problem.w.x.array[self.moving.moves]
+        u = self.problem.w.x.array[self.moving.displacement_dofs]
         self._accepted = StepForces(self._stage_forces, middle, u - start.u)
-        ts.setTime(self._control.meant(end))
+        ts.setTime(self._control.without_round_off(end))
         ts.setTimeStep(h)
 
     def _put_back(self, U: PETSc.Vec, V: PETSc.Vec) -> None:
         """Goes back to the state that the step began with."""
-        old, size = self._start, len(self.moving.moves)
+        old, size = self._start, len(self.moving.displacement_dofs)
         assert old is not None
         self.moving.set_unknowns(old.w)
         for field, values in ((self.v, old.v), (self._a, old.a)):

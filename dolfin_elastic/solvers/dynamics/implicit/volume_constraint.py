@@ -50,10 +50,10 @@ class VolumeConstraint:
         self._assembler, self._problem = assembler, assembler.problem
         self._share = alpha_f
         parts = [part for part in self._problem.regions if part.compliance is not None]
-        giving = [part for part in parts if not is_incompressible(part.compliance)]
-        forms = [_strain(self._problem, group) for group in (parts, giving) if group]
+        compressible = [part for part in parts if not is_incompressible(part.compliance)]
+        forms = [_strain(self._problem, group) for group in (parts, compressible) if group]
         found = compiled(self._problem, forms)
-        self._all, self._giving = found[0], found[1] if giving else None
+        self._all, self._compressible = found[0], found[1] if compressible else None
         entries = np.ones(len(self._problem.w.x.array), dtype=bool)
         entries[self._problem.unknowns.mixed_dofs(np.arange(len(self._problem.u.x.array)))] = False
         self._scalars = entries
@@ -73,7 +73,7 @@ class VolumeConstraint:
         """Notes the place and the time that a step begins at. Collective."""
         self._problem.set_time(t)
         self._old = self._problem.w.x.array.copy()
-        self._known = self._share * self._rows(self._giving, self._old)
+        self._known = self._share * self._rows(self._compressible, self._old)
 
     def complete(self) -> None:
         """Brings `balance`, assembled at the stage, to the equation of the step. Collective."""

@@ -188,7 +188,7 @@ def test_stable_step_against_all_eigenvalues(comm, dim, held):
     explicit = Explicit(
         problem, fem.Function(problem.V), SymplecticEuler, end=1.0, dt=None, safety=0.9, every=1
     )
-    estimate = explicit.size.step_for(explicit.size.sharp())
+    estimate = explicit.size.step_for(explicit.size.largest_frequency())
     x = explicit.assembler.create_vector()
     explicit.assembler.get(x)
     explicit.assembler.tangent.assemble(x)
@@ -234,7 +234,7 @@ def test_a_step_that_becomes_too_long_is_noticed():
     explicit = Explicit(
         still, fem.Function(still.V), SymplecticEuler, end=1.0, dt=None, safety=1.0, every=1
     )
-    dt = 0.95 * explicit.size.step_for(explicit.size.sharp())
+    dt = 0.95 * explicit.size.step_for(explicit.size.largest_frequency())
     explicit.assembler.destroy()
     # Late enough that the next look at the stable step comes before the instability has grown.
     crush = f"-0.3*smoothstep((t - {180 * dt})/{19 * dt})"

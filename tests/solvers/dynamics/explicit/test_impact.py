@@ -204,9 +204,9 @@ def test_obstacles_are_assembled_once(monkeypatch):
     forces = moving.forces()
     assert len(asked) == 5  # inertia, both obstacles, the wall with its spring, the other spring
     assert np.allclose(
-        forces.holding, moving.assembler.reactions.restraints(), rtol=1e-14, atol=1e-12
+        forces.restraints, moving.assembler.reactions.restraints(), rtol=1e-14, atol=1e-12
     )
-    largest = problem.body.comm.allreduce(np.abs(forces.holding).max(initial=0.0), op=MPI.MAX)
+    largest = problem.body.comm.allreduce(np.abs(forces.restraints).max(initial=0.0), op=MPI.MAX)
     assert largest > 10.0
     moving.destroy()
 

@@ -104,7 +104,7 @@ def test_no_frequency_is_above_the_worst_cells(mesh, dim, law):
     problem = Problem(BODIES[mesh](dim), law)
     march = march_of(problem)
     for name in deformed(problem):
-        true, bound = true_square(march), march.size.by_cells()
+        true, bound = true_square(march), march.size.cell_bound()
         assert bound > 0.999999 * true, name
         # The norm counts all modes of a cell, and neighbours do not all swing in its stiffest one.
         # 1.2 to 3.3 found; a bound of nothing would be infinite.
@@ -127,9 +127,9 @@ def test_springs_and_obstacles_count():
         x = problem.V.tabulate_dof_coordinates()
         problem.u.x.array[1::2] = 0.1 * x[:, 0]  # one corner still touches
         march = march_of(problem)
-        found[held] = march.size.by_cells()
+        found[held] = march.size.cell_bound()
         assert found[held] > 0.999999 * true_square(march)
-        assert found[held] > march.size.sharp() * (1 - 1e-6)
+        assert found[held] > march.size.largest_frequency() * (1 - 1e-6)
         march.assembler.destroy()
     # What is added is the largest row over its mass: k A/(rho V) = 2e9/(1000/3) 3/2, at corners.
     assert found["springs"] - found["free"] == pytest.approx(2e9 / RHO * 9, rel=0.5)
@@ -143,7 +143,7 @@ def test_lanczos_is_never_above():
         march = march_of(problem)
         true = true_square(march)
         # Within the tolerance that it was asked for, 1e-3.
-        assert true * (1 - 1e-12) <= march.size.sharp() < true * 1.01
+        assert true * (1 - 1e-12) <= march.size.largest_frequency() < true * 1.01
         march.assembler.destroy()
 
 
@@ -158,14 +158,14 @@ def test_the_step_follows_a_body_that_is_crushed_and_let_go():
     for crush in [*np.linspace(0, 0.5, 40), *np.linspace(0.5, 0, 40)]:
         problem.u.x.array[1::2] = -crush * (y + 0.2 * np.sin(3 * y))
         known = size._found_at
-        size.look(step, 0.0)
+        size.update(step, 0.0)
         by_cells += size._found_at == known
         true = 2 / np.sqrt(true_square(march))
         assert 0.9 * size.stable < true  # the step that is taken
         step += 20
     assert by_cells > 50  # of 80
-    size.doubt(step)
-    size.look(step, 0.0)
+    size.check_before(step)
+    size.update(step, 0.0)
     assert size.stable == pytest.approx(first, rel=1e-2)
     march.assembler.destroy()
 
@@ -176,10 +176,10 @@ def test_bodies_without_a_bound_by_cells():
     law = NeoHookean(E=E, nu=0.3, density=RHO)
     round_body = Problem(body, law, geometry="axisymmetric")
     march = march_of(round_body)
-    assert march.size.rates is None
-    assert march.size.by_cells() == np.inf
+    assert march.size.bound is None
+    assert march.size.cell_bound() == np.inf
     before = march.size.stable
-    march.size.look(10, 0.0)
+    march.size.update(10, 0.0)
     assert march.size.stable == pytest.approx(before, rel=1e-3)
     march.assembler.destroy()
 
@@ -203,7 +203,7 @@ def test_held_bodies_have_no_step_of_held_nodes():
     held = Support(on="left", displacement=[0, 0])
     problem = Problem(body, LinearElastic(E=E, nu=0.3, density=RHO), supports=[held])
     march = march_of(problem)
-    assert march.size.sharp() == pytest.approx(true_square(march), rel=1e-6)
+    assert march.size.largest_frequency() == pytest.approx(true_square(march), rel=1e-6)
     assert isinstance(march.size, StepSize)
     assert MPI.COMM_WORLD.allreduce(march.size.stable) > 0
     march.assembler.destroy()
