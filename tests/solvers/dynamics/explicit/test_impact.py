@@ -199,7 +199,7 @@ def test_obstacles_are_assembled_once(monkeypatch):
     moving, asked = DynamicResidual(problem), []
     nodal = moving.assembler.reactions.nodal
     monkeypatch.setattr(
-        moving.assembler, "nodal", lambda form: [asked.append(form), nodal(form)][1]
+        moving.assembler.reactions, "nodal", lambda form: [asked.append(form), nodal(form)][1]
     )
     forces = moving.forces()
     assert len(asked) == 5  # inertia, both obstacles, the wall with its spring, the other spring
