@@ -9,7 +9,7 @@ import pytest
 
 from dolfin_elastic.core.errors import UnitError
 from dolfin_elastic.core.units import (
-    COMMON,
+    COMMON_UNITS,
     _registry,
     is_quantity,
     to_base,
@@ -119,10 +119,12 @@ def test_quantity_or_formula(text: str, expected: bool) -> None:
     assert is_quantity(text) is expected
 
 
-@pytest.mark.parametrize(("si", "name"), [(si, name) for si in COMMON for name in COMMON[si]])
+@pytest.mark.parametrize(
+    ("si", "name"), [(si, name) for si in COMMON_UNITS for name in COMMON_UNITS[si]]
+)
 def test_common_units(si: str, name: str) -> None:
     """The short table says what pint says."""
-    assert COMMON[si][name] == pytest.approx(_registry().Quantity(1.0, name).to(si).magnitude)
+    assert COMMON_UNITS[si][name] == pytest.approx(_registry().Quantity(1.0, name).to(si).magnitude)
 
 
 def test_common_units_do_not_load_the_unit_library() -> None:
