@@ -96,13 +96,17 @@ class _Sessions:
     def pytest_runtestloop(self, session: pytest.Session) -> Iterator[None]:
         found = yield
         running: list[_Session] = []
-        while self.waiting or running:
-            free = self.cores - sum(one.ranks for one in running)
-            while self.waiting and (self.waiting[0] <= free or not running):
-                free -= self.waiting[0]
-                running.append(_Session(session, self.waiting.pop(0)))
-            time.sleep(0.2)
-            running = [one for one in running if one.goes_on()]
+        try:
+            while self.waiting or running:
+                free = self.cores - sum(one.ranks for one in running)
+                while self.waiting and (self.waiting[0] <= free or not running):
+                    free -= self.waiting[0]
+                    running.append(_Session(session, self.waiting.pop(0)))
+                time.sleep(0.2)
+                running = [one for one in running if one.goes_on()]
+        finally:
+            for one in running:
+                one.process.terminate()
         return found
 
 
@@ -186,6 +190,8 @@ class _Session:
         hook = self.config.hook
         made = hook.pytest_report_from_serializable(config=self.config, data=report)
         self.failures += made.failed
+        if isinstance(made.longrepr, list):  # where and why a test was skipped
+            made.longrepr = tuple(made.longrepr)
         # All ranks run the same tests: the others matter where they fail.
         if rank == 0 or made.failed:
             made.nodeid += f" [{self.ranks} ranks]" if not rank else f" [rank {rank}/{self.ranks}]"
