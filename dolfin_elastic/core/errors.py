@@ -50,7 +50,7 @@ class InputError(ElasticError, ValueError):
         return _rebuild, (type(self), self.what, self.where, self.expected)
 
     def at(self, where: str) -> InputError:
-        """The same error with `where` put in front of where it already points."""
+        """The same error with a table's key in front of the key that it names."""
         dot = "." if where and self.where and not self.where.startswith("[") else ""
         inner = f"{where}{dot}{self.where}"
         return type(self)(self.what, where=inner, expected=self.expected)
@@ -172,7 +172,7 @@ class OutputError(ElasticError):
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Says which known name is meant, or lists them all.
+    """Hint at an unknown name: the most similar known one, or else the list of all.
 
     Args:
         name: What the user wrote.

@@ -65,11 +65,11 @@ def options(comm: MPI.Comm) -> dict[str, Any]:
 
 @contextmanager
 def _locked_cache(folder: Path) -> Iterator[None]:
-    """What is compiled into a part of the cache is compiled inside, by one run at a time.
+    """Exclusive use of one part of the cache, for compiling into it.  Not collective.
 
-    A compilation that was killed leaves a C file that makes every later run wait for its end in
-    vain; while no other run compiles there, such files are known to be dead and are removed.  There
-    are several parts lest runs that compile different forms wait for each other.  Not collective.
+    A killed compilation leaves a C file, and every later run would wait for its end.  Whoever holds
+    the lock knows that nobody compiles there and removes such files.  The cache has several parts,
+    so that runs that compile different forms rarely wait for each other.
     """
     lock = _lock(folder)
     try:
@@ -80,12 +80,15 @@ def _locked_cache(folder: Path) -> Iterator[None]:
 
 
 def _cache_part(jit_options: dict[str, Any], key: str) -> dict[str, Any]:
-    """The options with the part of the cache that a form belongs to."""
+    """The options with the part of the cache for a form, by the first letter of its hash."""
     return {**jit_options, "cache_dir": Path(jit_options["cache_dir"]) / key[0]}
 
 
 def _lock(folder: Path) -> IO[str] | None:
-    """Waits for the cache's lock and clears what killed compilations left; None without locks."""
+    """Acquires the lock of a part of the cache and removes files of killed compilations.
+
+    None on file systems without locks.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = (folder / "lock").open("w")
@@ -103,7 +106,7 @@ def compile_forms(
     forms: Sequence[ufl.Form],
     jit_options: dict[str, Any],
 ) -> list[fem.Form]:
-    """Compiles UFL forms, shared out among the ranks, and makes DOLFINx forms of them.
+    """Compiles UFL forms, each on one of the ranks, and makes DOLFINx forms of them.
 
     Collective.
 
@@ -181,14 +184,14 @@ def _with_numbered_labels(expression: Any) -> Any:
 
 
 def _on_all_ranks(comm: MPI.Comm, part: dict[str, Any], make: Callable[[], T]) -> T:
-    """What every rank makes, or the error that one of them met, for example in the cache."""
+    """Calls a function on every rank; an error of any rank is raised on all. Collective."""
     error: Exception | None = None
     made: T | None = None
-    # Rank 0 compiles what is not there yet, and the others wait for it.
+    # Rank 0 compiles what is not in the cache; the others wait for it inside DOLFINx.
     with _locked_cache(part["cache_dir"]) if comm.rank == 0 else nullcontext():
         try:
             made = make()
-        except Exception as caught:  # told to all ranks just below
+        except Exception as caught:  # raised on all ranks just below
             error = caught
         agree(comm, error)
     return cast("T", made)
@@ -197,7 +200,10 @@ def _on_all_ranks(comm: MPI.Comm, part: dict[str, Any], make: Callable[[], T]) -
 def _compile_shares(
     comm: MPI.Comm, forms: Sequence[ufl.Form], parts: Sequence[dict[str, Any]]
 ) -> None:
-    """Each rank compiles its share into the cache; DOLFINx would let rank 0 do it all."""
+    """Compiles this rank's share of forms into the cache; DOLFINx would compile all on rank 0.
+
+    Collective.
+    """
     error: Exception | None = None
     mine = slice(comm.rank, None, comm.size)
     try:
@@ -209,6 +215,6 @@ def _compile_shares(
                     jit_options=part,
                     form_compiler_options={"scalar_type": dolfinx.default_scalar_type},
                 )
-    except Exception as caught:  # told to all ranks just below
+    except Exception as caught:  # raised on all ranks just below
         error = caught
     agree(comm, error)

@@ -24,7 +24,7 @@ SAME_SIGNAL = 0.5
 
 
 class Stop:
-    """Notes signals and a file called "stop"; a second signal to stop ends the program at once.
+    """Records signals and a file "stop"; the second signal to stop ends the process at once.
 
     Args:
         folder: Folder of the results, where a file called "stop" may appear.
@@ -52,12 +52,12 @@ class Stop:
         self._checkpoint = True
 
     def wants_checkpoint(self) -> bool:
-        """Whether this rank was asked for a checkpoint since the last call. Not collective."""
+        """Whether this rank got SIGUSR1 since the last call. Not collective."""
         wanted, self._checkpoint = self._checkpoint, False
         return wanted
 
     def agreed(self, comm: MPI.Comm) -> bool:
-        """True on all ranks when one was asked to stop. Collective."""
+        """Whether any rank got a signal to stop, or the file exists; same on all. Collective."""
         from dolfin_elastic.core.parallel import largest
 
         if comm.rank == 0 and self._file.exists():

@@ -54,7 +54,7 @@ def build_body(
 
 
 def _on_root_only(comm: MPI.Comm, action: Callable[[], RawMesh], source: str) -> RawMesh | None:
-    """The result stays on rank 0 (it may be large); an error is raised on all ranks."""
+    """Result of rank 0, which is not broadcast since it may be large; errors raise on all."""
     raw: RawMesh | None = None
     error: Exception | None = None
     if comm.rank == 0:
@@ -118,7 +118,7 @@ def make_mesh(comm: MPI.Comm, cells: IntArray, x: FloatArray, order: int) -> Mes
 
 
 def _regions(mesh: Mesh, raw: RawMesh | None) -> dict[str, IndexArray]:
-    """Local cells of each region, by one bit per cell sent to everyone."""
+    """Local cells of each region; rank 0 broadcasts one bit per cell of the file."""
     comm, found = mesh.comm, dict[str, IndexArray]()
     original = np.asarray(mesh.topology.original_cell_index)
     for name in comm.bcast(list(raw.regions) if raw else None):
@@ -157,7 +157,12 @@ def _surfaces(mesh: Mesh, raw: RawMesh | None) -> tuple[dict[str, IndexArray], l
 
 
 def _candidates(mesh: Mesh, nodes: IntArray) -> tuple[IndexArray, IntArray]:
-    """Local facets all of whose vertices are among these points of the file."""
+    """Local facets all vertices of which are in a set of points, and these vertices, sorted.
+
+    Args:
+        mesh: The mesh.
+        nodes: Points by their rows in the file.
+    """
     index = mesh.topology.index_map(mesh.topology.dim - 1)
     facets = np.arange(index.size_local + index.num_ghosts, dtype=np.int32)
     if len(facets) == 0:

@@ -52,7 +52,7 @@ class MeshField:
         return int(self.values.shape[1])
 
     def at(self, mesh: Mesh, cells: IndexArray, points: FloatArray) -> FloatArray:
-        """The values in cells, between points by the shape functions of the mesh. Local.
+        """Values in cells; between points by the shape functions of the mesh. Local.
 
         Args:
             mesh: The mesh they came with.
@@ -117,7 +117,7 @@ def _rows_of(table: FloatArray) -> Read:
 def distribute_rows(
     mesh: Mesh, centre: Literal["cell", "point"], shape: tuple[int, int], read: Read | None
 ) -> MeshField:
-    """Gives each rank its rows of a field, without any rank having to hold all of them.
+    """Distributes the rows of a field in chunks, so that no rank holds all of them.
 
     Collective.
 
@@ -125,7 +125,7 @@ def distribute_rows(
         mesh: The distributed mesh; it knows the rows of the file by their numbers.
         centre: What the rows belong to.
         shape: Rows and columns of the whole field.
-        read: On rank 0: reads rows.
+        read: Reads rows, on rank 0; None on all others.
 
     Raises:
         MeshError: The field has another number of rows than the mesh has cells or points.

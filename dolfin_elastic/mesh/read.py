@@ -29,7 +29,7 @@ def read_body(
     curved: bool = False,
     dim: int | None = None,
 ) -> Body:
-    """Reads a mesh, or meshes a CAD file, and gives it the names the file has.
+    """Reads a mesh, or meshes a CAD file, with the names of the file's parts.
 
     Collective.  Gmsh physical groups, Abaqus sets, MED groups and integer references of other
     formats become named regions (cells) and surfaces (facets); other data of cells and points

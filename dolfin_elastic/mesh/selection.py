@@ -39,7 +39,7 @@ def name_parts(
     regions: Mapping[str, Choice] | None = None,
     scale: float = 1.0,
 ) -> Body:
-    """The same body with further parts, picked by geometry.
+    """The body with further named parts, selected by geometry.
 
     Collective.  Later selectors may refer (`of`) to the names of earlier ones.
 
@@ -62,7 +62,7 @@ def name_parts(
 
 @dataclass(frozen=True)
 class _BoundingBox:
-    """The box around the body, in metres, and the unit of bare numbers."""
+    """Bounding box of the body [m], and metres per unit of bare numbers in selectors."""
 
     low: FloatArray
     high: FloatArray
@@ -201,7 +201,7 @@ def _distance_text(test: _Criterion, near: float, space: _BoundingBox) -> str:
 
 
 def _rounded_up(value: float) -> float:
-    """Two digits, a little more than the value."""
+    """The value rounded up to two digits."""
     if not 0 < value < np.inf:
         return value
     step = 10.0 ** (np.floor(np.log10(value)) - 1)
@@ -288,7 +288,7 @@ def _distance_from_box(
 def _curved_tests(
     selector: Selector, space: _BoundingBox
 ) -> list[tuple[str, Callable[[FloatArray], FloatArray]]]:
-    """Signed distance from the sphere and the cylinder, negative inside."""
+    """Name and signed distance function of the sphere and the cylinder, negative inside."""
     found = []
     if (sphere := selector.sphere) is not None:
         center, radius = space.point(sphere.center, "sphere.center"), space.metres(sphere.radius)

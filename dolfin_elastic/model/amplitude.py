@@ -52,7 +52,7 @@ class CurveFile:
 
 @dataclass(frozen=True)
 class Amplitude:
-    """A number that changes with time.
+    """A factor that is a function of time.
 
     Attributes:
         written: As the user wrote it: one of `WORDS`, a formula in t, or a table of pairs

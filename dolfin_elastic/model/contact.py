@@ -276,12 +276,12 @@ class Contact(OnSurfaces):
 
     @cached_property
     def values(self) -> tuple[float | Formula, ...]:
-        """The motion's components as numbers or formulas; none: the obstacle rests."""
+        """Components of the obstacle's displacement; empty: it is at rest."""
         return components(self.motion, "m", key="motion") if self.motion else ()  # type: ignore[return-value]
 
     @property
     def shape(self) -> str:
-        """The key of its shape."""
+        """Which of `SHAPES` is given."""
         return next(key for key in SHAPES if getattr(self, key) is not None)
 
     @property

@@ -52,17 +52,17 @@ class _Card:
     lines: list[str] = field(default_factory=list)
 
     def option(self, key: str) -> str:
-        """An option that must be there."""
+        """Value of a required option."""
         if key not in self.options:
             raise MeshError(f"*{self.word} without {key}=")
         return self.options[key]
 
     def words(self) -> list[str]:
-        """All entries."""
+        """All comma-separated entries of the data lines."""
         return [w.strip() for line in self.lines for w in line.split(",") if w.strip()]
 
     def rows(self, width: int) -> IntArray:
-        """All entries as whole numbers in rows of a width."""
+        """All entries as integers, shape (n, width)."""
         try:
             numbers = np.array(self.words(), dtype=np.int64)
         except ValueError:
@@ -241,7 +241,7 @@ _TAKE: dict[str, Callable[[_Deck, _Card], None]] = {
 
 
 def _rows_of(numbers: IntArray, wanted: IntArray) -> IntArray:
-    """Where the points with these numbers stand."""
+    """Rows of the points with the given numbers; `numbers` is sorted."""
     rows = np.minimum(np.searchsorted(numbers, wanted), len(numbers) - 1)
     lost = np.unique(wanted[numbers[rows] != wanted])
     if len(lost):
@@ -259,7 +259,7 @@ def _blocks(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
 
 
 def _surfaces(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
-    """*SURFACE: faces of elements (of nodes: see `_take_surface`) as elements of their own."""
+    """Facets of each *SURFACE as a block of elements; those of type NODE become sets of nodes."""
     for key, card in deck.surfaces.items():
         if card.options.get("TYPE", "ELEMENT").upper() == "NODE":
             for word in card.words()[:1]:
@@ -298,7 +298,7 @@ def _faces(
 
 
 def _boundary_faces(deck: _Deck) -> IntArray:
-    """The faces on the boundary of the body, sorted: what a *SURFACE without faces means."""
+    """Faces on the boundary, sorted vertices: those of a *SURFACE that names no faces."""
     solid = any(kind.startswith("tetra") for kind, _, _ in deck.elements)
     start, width = ("tetra", 4) if solid else ("triangle", 3)
     return boundary(

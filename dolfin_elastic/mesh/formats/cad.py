@@ -57,10 +57,10 @@ def mesh_cad(path: Path, *, size: float | None, curved: bool, dim: int | None) -
 
 
 def _make_quadratic(gmsh: Any, dim: int) -> None:
-    """Makes the cells quadratic, on the surfaces they are to mesh.
+    """Makes the cells quadratic, with their boundary nodes on the CAD surfaces.
 
-    Where one would fold over itself, in a thin wall or beside a tight fillet, Gmsh moves the nodes
-    inside, and straightens what is left.
+    Where a cell would have a negative Jacobian, in a thin wall or at a small fillet, Gmsh moves its
+    nodes and, if that fails, makes its edges straight.
     """
     gmsh.model.mesh.setOrder(2)
     _, tags, _ = gmsh.model.mesh.getElements(dim)
@@ -74,7 +74,7 @@ MAX_CELLS = 5e7
 
 
 def _check_count(gmsh: Any, size: float, dim: int, name: str) -> None:
-    """Refuses a mesh that would never end: a size in mm in a body in m.
+    """Refuses sizes that give too many cells, such as a size in mm for a body in m.
 
     A cell of edge h fills about h^3/8 (a tetrahedron) or h^2/2 (a triangle).
     """
@@ -97,7 +97,7 @@ def _check_count(gmsh: Any, size: float, dim: int, name: str) -> None:
 
 
 def _occ_entities(gmsh: Any, dim: int) -> list[tuple[int, int]]:
-    """Solids (surfaces in 2D) whose volume OpenCASCADE knows."""
+    """Solids (surfaces in 2D) of the OpenCASCADE kernel, which computes their volume."""
     return [
         entity
         for entity in gmsh.model.getEntities(dim)
@@ -106,7 +106,7 @@ def _occ_entities(gmsh: Any, dim: int) -> list[tuple[int, int]]:
 
 
 def _check_last_line(path: Path) -> None:
-    """Gmsh 4.13 drops statements of a last line that has several and does not end."""
+    """Refuses a last line of several statements without line break: Gmsh 4.13 drops some."""
     last = path.read_bytes().rpartition(b"\n")[2] if path.suffix.lower() == ".geo" else b""
     if last.count(b";") > 1:
         raise MeshError(
@@ -141,7 +141,7 @@ def _save_and_read(gmsh: Any) -> MshFile:
 
 @contextmanager
 def _gmsh(path: Path) -> Iterator[Any]:
-    """Gmsh with the file open and nothing printed; its errors become ours."""
+    """Gmsh with a file open and without output; its errors are raised as `MeshError`."""
     try:
         import gmsh
     except ImportError:
@@ -175,7 +175,7 @@ def _gmsh(path: Path) -> Iterator[Any]:
 
 
 def _errors(gmsh: Any, error: Exception) -> str:
-    """Gmsh's own errors, the first three."""
+    """The first three error messages of Gmsh."""
     lines = [
         line.split(":", 1)[1].strip() for line in gmsh.logger.get() if line.startswith("Error:")
     ]
@@ -183,7 +183,7 @@ def _errors(gmsh: Any, error: Exception) -> str:
 
 
 def _restore_gmsh(gmsh: Any, before: list[str], options: dict[str, float]) -> None:
-    """Leaves Gmsh to the caller's own work as it was."""
+    """Restores options and models of a Gmsh session that the caller had started."""
     for name, value in options.items():
         gmsh.option.setNumber(name, value)
     for name in gmsh.model.list():

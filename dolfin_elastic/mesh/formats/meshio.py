@@ -24,7 +24,15 @@ _MOST = 200  # more distinct integers than this are data, not names
 
 @dataclass(frozen=True)
 class MeshioMesh:
-    """Points (in the file's unit), elements, sets and data of points, and remarks."""
+    """Content of a mesh file.
+
+    Attributes:
+        points: Coordinates in the file's unit, shape (N, 2) or (N, 3).
+        blocks: Elements with their named parts and data.
+        point_sets: Name to rows of `points`.
+        notes: Remarks for the user.
+        point_data: Name to values at the points, shape (N, columns).
+    """
 
     points: FloatArray
     blocks: list[Block]
@@ -132,7 +140,7 @@ def _add(parts: dict[str, IntArray], name: str, rows: IntArray) -> None:
 
 
 def _numbered(key: str, mesh: Any, dim: int) -> Mapping[int, Sequence[str]]:
-    """What the numbers of a format are called in it."""
+    """Names of the values of integer cell data, where the format has some."""
     if key == "cell_tags":
         return getattr(mesh, "cell_tags", {}) or {}
     if key == "gmsh:physical":
@@ -173,7 +181,7 @@ def sets_by_value(
 
 
 def _tagged(tags: Any, names: Mapping[int, Sequence[str]]) -> dict[str, IntArray]:
-    """MED's groups of points."""
+    """Groups of points of MED files."""
     sets: dict[str, IntArray] = {}
     if tags is None:
         return sets

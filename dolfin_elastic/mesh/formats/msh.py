@@ -61,7 +61,14 @@ _TYPES = {
 
 @dataclass(frozen=True)
 class MshFile:
-    """Points (in the file's unit), elements with their data, remarks, and data of points."""
+    """Content of a .msh file.
+
+    Attributes:
+        points: Coordinates in the file's unit, shape (N, 3).
+        blocks: Elements with their physical groups and data.
+        notes: Remarks for the user.
+        point_data: Name to values at the points, shape (N, columns).
+    """
 
     points: FloatArray
     blocks: list[Block]
@@ -71,7 +78,14 @@ class MshFile:
 
 @dataclass(frozen=True)
 class _Run:
-    """Elements of one type: their numbers in the file, groups of each, and nodes."""
+    """Elements of one type.
+
+    Attributes:
+        kind: Gmsh's number of the type.
+        tags: Tags in the file, shape (n,).
+        groups: Physical groups of each element, shape (n,) or (n, groups); 0: none.
+        nodes: Tags of the nodes, shape (n, k).
+    """
 
     kind: int
     tags: IntArray
@@ -84,7 +98,7 @@ class OtherVersionError(Exception):
 
 
 class _Numbers:
-    """The numbers of one section, taken in order, from text or from bytes."""
+    """Reads the numbers of one section in order, from text or binary."""
 
     def __init__(self, data: bytes, name: str, *, binary: bool, swap: bool) -> None:
         self._name, self._binary, self._at = name, binary, 0
@@ -203,7 +217,7 @@ def _header(data: bytes) -> tuple[float, bool, bool]:
 
 
 def _sections(data: bytes) -> dict[str, list[bytes]]:
-    """The texts between $Name and $EndName, of repeated sections one each."""
+    """Name to the contents of all sections of that name."""
     found: dict[str, list[bytes]] = {}
     at = 0
     while (start := data.find(b"$", at)) >= 0:
@@ -231,7 +245,7 @@ def _nodes2(numbers: _Numbers, binary: bool) -> tuple[IntArray, FloatArray]:
 
 
 def _elements2(numbers: _Numbers, binary: bool) -> Iterator[_Run]:
-    """Runs of elements alike, with the group of each."""
+    """Elements of a file of version 2, in runs of one type and number of tags."""
     count, words, at = numbers.line(), numbers.rest(), 0
     while count > 0:
         head = words[at : at + 3]
@@ -255,7 +269,15 @@ def _elements2(numbers: _Numbers, binary: bool) -> Iterator[_Run]:
 
 
 def _run(words: IntArray, width: int, alike: list[int], most: int, whole: bool) -> IntArray:
-    """The first rows of this width that agree in the columns `alike`."""
+    """Leading rows of equal type and number of tags.
+
+    Args:
+        words: Numbers of the section from the first row on.
+        width: Numbers in a row.
+        alike: Columns that must agree with the first row.
+        most: Largest number of rows.
+        whole: All `most` rows must be there.
+    """
     rows = words[: min(most, len(words) // width) * width].reshape(-1, width)
     if len(rows) == 0 or (whole and len(rows) < most):
         raise MeshError("section $Elements ends too early or is damaged")
@@ -296,7 +318,7 @@ def _nodes4(numbers: _Numbers) -> tuple[IntArray, FloatArray]:
 
 
 def _elements4(numbers: _Numbers, entities: dict[tuple[int, int], IntArray]) -> Iterator[_Run]:
-    """The blocks, each with its groups."""
+    """Blocks of elements of a file of version 4.1; groups are those of the block's entity."""
     for _ in range(numbers.sizes(4)[0]):
         dim, entity, kind = (int(n) for n in numbers.ints(3))
         width = 1 + _nodes_of(kind)
@@ -334,7 +356,13 @@ def _named(
 
 
 def _rows(tags: IntArray, order: IntArray, nodes: IntArray) -> IntArray:
-    """Where in the list of points the nodes stand."""
+    """Rows of `points` for tags of nodes.
+
+    Args:
+        tags: Tags of the points.
+        order: Permutation that sorts `tags`.
+        nodes: Tags to look up, any shape.
+    """
     if len(tags) == 0:
         raise MeshError("the mesh has no points")
     at = np.searchsorted(tags, nodes, sorter=order)

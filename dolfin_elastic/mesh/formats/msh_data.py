@@ -83,7 +83,7 @@ def _view(data: bytes, kind: str, *, binary: bool, swap: bool) -> tuple[str, Vie
 
 
 def _head(data: bytes, kind: str) -> tuple[str, int, int, bytes]:
-    """Name, columns and rows, which stand as text in binary files too, and what follows."""
+    """Name, columns and rows of a view, and its data; the tags are text in binary files too."""
     tags: list[list[bytes]] = []
     try:
         for _ in range(3):  # texts, real numbers, whole numbers

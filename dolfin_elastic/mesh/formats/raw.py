@@ -100,9 +100,9 @@ def assemble(
     point_data: Mapping[str, FloatArray] | None = None,
     notes: Iterable[str] = (),
 ) -> RawMesh:
-    """Makes one body of the elements of the highest dimension.
+    """Assembles the elements of the highest dimension to one mesh.
 
-    Local.  Elements one dimension below give the named surfaces.
+    Local.  Elements one dimension lower give the named surfaces.
 
     Args:
         points: Coordinates, shape (N, 2) or (N, 3).
@@ -140,7 +140,7 @@ def assemble(
 
 
 def _cell_data(solid: Sequence[Block]) -> dict[str, FloatArray]:
-    """The blocks' data one below the other, NaN where a block has none."""
+    """Data of all blocks concatenated, NaN where a block has none."""
     found = {}
     for name in dict.fromkeys(name for block in solid for name in block.data):
         width = max(block.data[name].shape[1] for block in solid if name in block.data)

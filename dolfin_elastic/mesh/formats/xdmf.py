@@ -38,7 +38,7 @@ _MOST = 200  # more distinct values than this are data, not names
 
 @dataclass(frozen=True)
 class _Tags:
-    """Integer cell data of one grid: where they stand, what they are called."""
+    """Integer cell data of one grid: name of the grid, name of the data, dimension of the cells."""
 
     grid: str
     attribute: str
@@ -58,7 +58,7 @@ class _Data:
 
 @dataclass(frozen=True)
 class _Contents:
-    """What the file holds; `grid` is empty where DOLFINx cannot read it."""
+    """Content of the file; `grid` is empty if DOLFINx cannot read it, and meshio must."""
 
     grid: str
     dim: int
@@ -134,7 +134,7 @@ def _contents(path: Path) -> _Contents:
 
 
 def _tags(grid: ElementTree.Element) -> list[_Tags]:
-    """Cell data of a grid that may be integers (DOLFINx does not say so)."""
+    """Cell data of a grid that may be integers; DOLFINx writes tags without a number type."""
     found = []
     for attribute in grid.findall("Attribute"):
         item = attribute.find("DataItem")
@@ -145,7 +145,7 @@ def _tags(grid: ElementTree.Element) -> list[_Tags]:
 
 
 def _data(main: ElementTree.Element, functions: list[ElementTree.Element]) -> list[_Data]:
-    """Fields of the mesh's grid, and of DOLFINx's grids of functions; of time steps the last."""
+    """Fields of the mesh's grid and of DOLFINx's functions; of several time steps the last."""
     found: dict[str, _Data] = {}
     counts = {"cell": _rows(main, "Topology"), "point": _rows(main, "Geometry")}
     for grid in [main, *functions]:
@@ -253,7 +253,7 @@ def _parts(mesh: Mesh, file: XDMFFile, tags: _Tags) -> dict[str, IndexArray]:
 
 
 def _shared(mesh: Mesh, dim: int, entities: IndexArray) -> IndexArray:
-    """The same entities, with those that another rank found and this one shares. Collective."""
+    """Adds entities that this rank shares with a rank that has them. Collective."""
     index = mesh.topology.index_map(dim)
     marks = la.vector(index, 1)
     marks.array[:] = 0

@@ -63,7 +63,7 @@ def check_cells(body: Body, *, scale: float = 1.0) -> list[str]:
 
 
 def _places(mesh: Mesh, bad: BoolArray, middle: FloatArray) -> tuple[int, str]:
-    """How many cells of all ranks, and where the first of the file are. Collective."""
+    """Number of marked cells on all ranks, and midpoints of the first in the file. Collective."""
     number = np.asarray(mesh.topology.original_cell_index)
     mine = np.flatnonzero(bad)
     mine = mine[np.argsort(number[mine])]
@@ -144,7 +144,7 @@ def folded_facets(mesh: Mesh) -> IntArray:
 
 
 def _sides(mesh: Mesh) -> FloatArray:
-    """+1 or -1: on which side of each of its facets a local cell lies, shape (n, d + 1)."""
+    """Side (+1 or -1) of each of its facets on which a local cell lies, shape (n, d + 1)."""
     d = mesh.topology.dim
     nodes = mesh.geometry.dofmap[:, : d + 1]
     number = mesh.geometry.index_map().local_to_global(nodes.ravel().astype(np.int32))

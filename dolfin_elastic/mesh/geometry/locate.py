@@ -101,7 +101,7 @@ class _CellOrder:
 def _in_own_cells(
     mesh: Mesh, point: FloatArray, ranking: _CellOrder
 ) -> tuple[Key, int, FloatArray]:
-    """The key of the best owned cell, that cell, and the point's coordinates in it."""
+    """Key of the best owned cell, the cell, and the point's reference coordinates in it."""
     d = mesh.topology.dim
     own = mesh.topology.index_map(d).size_local
     nodes = mesh.geometry.x[mesh.geometry.dofmap[:own], :d]
@@ -121,7 +121,7 @@ def _in_own_cells(
 
 
 def _reference_coordinates(mesh: Mesh, nodes: FloatArray, point: FloatArray) -> FloatArray:
-    """Coordinates of a point in the reference cells of cells with these nodes, by Newton's method.
+    """Reference coordinates of a point in each of some cells, by Newton's method.
 
     One iteration where cells are straight.
 
@@ -146,7 +146,7 @@ def _reference_coordinates(mesh: Mesh, nodes: FloatArray, point: FloatArray) -> 
 
 
 def _refuse_outside(body: Body, points: Mapping[str, FloatArray], off: Sequence[float]) -> None:
-    """Names all points that lie outside, with the nearest node. Collective."""
+    """Refuses points outside of the body, with the nearest node of each. Collective."""
     texts = [
         f"{name} ({', '.join(f'{x:.6g}' for x in point)}), {_nearest(body, point)}"
         for (name, point), far in zip(points.items(), off, strict=True)

@@ -54,7 +54,7 @@ class Traction(Load):
 
     @cached_property
     def values(self) -> tuple[Component, ...]:
-        """The components, per area or in total."""
+        """The components of the traction [Pa] or of the total force [N]."""
         if self.force is None:
             return components(self.value, self.unit, key="value") if self.value else ()
         return components(self.force, "N", key="force")
@@ -110,7 +110,7 @@ class Gravity(Load):
 
     @cached_property
     def values(self) -> tuple[Component, ...]:
-        """The components; none stands for the standard weight."""
+        """The components [m/s^2]; empty: 9.81 m/s^2 against the last axis."""
         return components(self.value, self.unit, key="value") if self.value else ()
 
     def acceleration(self, dim: int) -> tuple[Component, ...]:
@@ -140,7 +140,7 @@ class Gravity(Load):
 
 
 class Centrifugal(Load):
-    """Centrifugal force of a body that spins about an axis, seen by one who spins with it.
+    """Centrifugal force on a body that rotates about an axis, in the frame rotating with it.
 
     Per reference volume it is density omega^2 (I - a a^T) (x - c), with the unit axis a, a point c
     on it, and the current place x; where all laws are linear the reference place X, so that the
@@ -167,7 +167,7 @@ class Centrifugal(Load):
 
     @cached_property
     def values(self) -> tuple[Component, ...]:
-        """The speed."""
+        """The angular speed [rad/s], one number or formula in t."""
         with keyed("value"):
             speed = component(self.value, self.unit)
             if isinstance(speed, Formula) and speed.names & PLACE:
@@ -178,11 +178,11 @@ class Centrifugal(Load):
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:
-        """The point; an axis has three components in a plane, too."""
+        """The point; the axis is left out, it has three components also in a plane."""
         return {} if self.point is None else {"point": tuple(self._numbers("point"))}
 
     def _numbers(self, key: str) -> list[float]:
-        """The axis or the point as plain numbers; none where it was left out."""
+        """The axis or the point as numbers; empty if it is not given."""
         written = axis_vector(getattr(self, key))
         with keyed(key):
             found = () if written is None else components(written, "" if key == "axis" else "m")
@@ -225,7 +225,7 @@ class Centrifugal(Load):
         return c
 
     def _axis(self, axisymmetric: bool) -> list[float]:
-        """Unit vector of three components."""
+        """Unit vector of the axis, three components."""
         given = self._numbers("axis") or ([0.0, 1.0, 0.0] if axisymmetric else [0.0, 0.0, 1.0])
         a = [*given, 0.0][:3]
         if axisymmetric and (a[0] or a[2]):

@@ -30,7 +30,11 @@ class ConcentratedLoad(Load):
     concentrated: ClassVar[bool] = True
 
     def place(self, key: str) -> Point:
-        """A point that the user gave [m], 2 or 3 coordinates."""
+        """The point of a key [m], 2 or 3 coordinates.
+
+        Raises:
+            InputError: It is no list of numbers.
+        """
         with keyed(key):
             found = components(getattr(self, key), "m")
             if not all(isinstance(item, float) for item in found):

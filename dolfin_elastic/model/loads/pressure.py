@@ -51,7 +51,7 @@ class Pressure(Load):
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:
-        """It is no vector."""
+        """Empty: a pressure is a scalar."""
         return {}
 
     @property

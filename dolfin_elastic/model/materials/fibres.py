@@ -15,7 +15,7 @@ Axis = Literal["x", "y", "z"]
 
 
 def axis_vector(axis: Any) -> Any:
-    """The three components of an axis that has a name; anything else as it is."""
+    """The unit vector of "x", "y" or "z"; any other value unchanged."""
     return [float(name == axis) for name in "xyz"] if isinstance(axis, str) else axis
 
 

@@ -77,7 +77,7 @@ def complete(**given: float) -> Moduli:
 
 
 def _incompressible(given: dict[str, float]) -> Moduli:
-    """nu = 0.5: a volume that cannot change; E or mu is the other constant."""
+    """Constants of an incompressible solid, nu = 0.5, from E or mu."""
     if "E" not in given and "mu" not in given:
         raise InputError(
             "an incompressible solid has no finite bulk modulus",
@@ -106,16 +106,16 @@ def check_given(given: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def is_half(nu: Any) -> bool:
-    """Poisson's ratio is the number 0.5, or a UFL constant of that value; a table never is.
+    """Whether Poisson's ratio is the number 0.5, or a UFL constant of that value.
 
-    A table may be empty on a rank, or differ from rank to rank, which must all take one way.
+    Never for arrays: they differ from rank to rank, and all ranks must take the same branch.
     """
     value = getattr(nu, "value", nu)
     return isinstance(value, float | np.ndarray) and np.ndim(value) == 0 and bool(value == 0.5)
 
 
 def symbolic(given: Mapping[str, Any]) -> dict[str, Any]:
-    """All five constants from two that are arrays or UFL expressions; nothing is checked."""
+    """All five constants from two that are arrays or UFL expressions, without any check."""
     names = tuple(name for name in NAMES if name in given)
     if is_half(given.get("nu")):
         mu = given["mu"] if "mu" in given else given["E"] / 3

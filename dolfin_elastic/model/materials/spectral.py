@@ -55,7 +55,7 @@ class Shape:
 
 
 def _cosine(j2: Expr, j3: Expr) -> Expr:
-    """cos(3 theta) = 4 j3/p^3; where stretches are close, what is differentiable."""
+    """cos(3 theta) = 4 j3/p^3; where stretches are close, a differentiable substitute."""
     return 4 * j3 / (2 * ufl.sqrt(ufl.max_value(j2, CLOSE) / 3)) ** 3
 
 

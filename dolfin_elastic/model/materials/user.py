@@ -22,7 +22,7 @@ from dolfin_elastic.model.materials.spatial import Direction
 
 
 class UserEnergy(Law):
-    """What all energies of users share: parameters and fibres, all of them constants of the forms.
+    """Base of energies that users write: parameters and fibres, which are constants of the forms.
 
     Attributes:
         parameters: Name to value [SI]; in a case file numbers, or texts with any unit.
@@ -103,7 +103,7 @@ class UserVolumetric(Volumetric):
     K: Stress = Field(gt=0)
 
     def shape_energy(self, F: Expr) -> Expr:
-        """What the user wrote."""
+        """The energy that the user wrote, without volumetric part [J/m^3]."""
         return self.written_energy(F)  # type: ignore[attr-defined]
 
     def energy(self, F: Expr) -> Expr:
@@ -147,7 +147,7 @@ class FormulaEnergy(UserEnergy):
 
     @property
     def parsed(self) -> Formula:
-        """The formula, read.
+        """The parsed formula.
 
         Raises:
             FormulaError: With the column, a caret under the fault, and what would be right.
@@ -253,7 +253,7 @@ class Energy(UserEnergy):
         )
 
     def written_energy(self, F: Expr) -> Expr:
-        """What the function returns."""
+        """The function's value [J/m^3], a UFL scalar."""
         arguments = inspect.signature(self.function).parameters
         found = self._values(F, [name for name in arguments if name not in self.parameters])
         result = self.function(**found, **self.parameters)

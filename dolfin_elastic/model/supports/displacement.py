@@ -261,7 +261,7 @@ class Rotation(PrescribingSupport):
 
     @cached_property
     def translation(self) -> tuple[Component, ...]:
-        """The translation as numbers and formulas; nothing where there is none."""
+        """The translation d as numbers and formulas; empty if it is zero."""
         return self._vector("displacement", self.displacement, ("t",))
 
     def _vector(

@@ -99,7 +99,7 @@ class Rigid(Restraint):
     def _components(
         self, key: str, written: Any, unit: str, *, free: bool
     ) -> tuple[Component, ...]:
-        """Numbers, formulas in t, and None for what is free; nothing where nothing is written."""
+        """Numbers, formulas in t, or None for free components; empty if the key is not given."""
         if written is None:
             return ()
         found: tuple[Component, ...]
