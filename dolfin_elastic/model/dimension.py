@@ -15,7 +15,7 @@ GEOMETRIES: tuple[str, ...] = get_args(Geometry)
 
 
 @dataclass(frozen=True)
-class Weighted:
+class WeightedMeasure:
     """A measure of a plane mesh times thickness or circumference.
 
     Attributes:
@@ -30,9 +30,9 @@ class Weighted:
         """The mesh in UFL."""
         return self.measure.ufl_domain()
 
-    def __call__(self, **kwargs: Any) -> Weighted:
+    def __call__(self, **kwargs: Any) -> WeightedMeasure:
         """The same with another quadrature rule, see `ufl.Measure`."""
-        return Weighted(self.weight, self.measure(**kwargs))
+        return WeightedMeasure(self.weight, self.measure(**kwargs))
 
     def __rmul__(self, integrand: Any) -> ufl.Form:
         """The integral's form."""

@@ -24,7 +24,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
-from dolfin_elastic.model.dimension import Geometry, Weighted, full_gradient
+from dolfin_elastic.model.dimension import Geometry, WeightedMeasure, full_gradient
 from dolfin_elastic.model.values import Component, depends_on_time
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -89,27 +89,29 @@ class Measures:
             sides.append((marker, integration_entities(mesh, facets)))
         return ufl.Measure("ds", domain=mesh, subdomain_data=sides)
 
-    def filled(self, marker: int | None, degree: int) -> Weighted:
+    def filled(self, marker: int | None, degree: int) -> WeightedMeasure:
         """Volume that a material fills, or the whole body, with a quadrature degree."""
         rule = {"quadrature_degree": degree}
         if self._plain:
-            return Weighted(self._weight, self._dx(metadata=rule))
+            return WeightedMeasure(self._weight, self._dx(metadata=rule))
         number = len(self._fillings) + 1 if marker is None else marker
-        return Weighted(self._weight, self._dx(number, metadata=rule))
+        return WeightedMeasure(self._weight, self._dx(number, metadata=rule))
 
-    def regions(self, names: Sequence[str], degree: int) -> Weighted:
+    def regions(self, names: Sequence[str], degree: int) -> WeightedMeasure:
         """Volume of loaded regions."""
         rule = {"quadrature_degree": degree}
-        return Weighted(self._weight, self._dx(self._regions[tuple(names)], metadata=rule))
+        return WeightedMeasure(self._weight, self._dx(self._regions[tuple(names)], metadata=rule))
 
-    def surfaces(self, names: Sequence[str], degree: int) -> Weighted:
+    def surfaces(self, names: Sequence[str], degree: int) -> WeightedMeasure:
         """Area of loaded surfaces."""
         rule = {"quadrature_degree": degree}
-        return Weighted(self._weight, self._ds(self._surfaces[tuple(names)], metadata=rule))
+        return WeightedMeasure(self._weight, self._ds(self._surfaces[tuple(names)], metadata=rule))
 
-    def contact_area(self, names: Sequence[str], rule: Mapping[str, object]) -> Weighted:
+    def contact_area(self, names: Sequence[str], rule: Mapping[str, object]) -> WeightedMeasure:
         """Area of surfaces in contact, with a quadrature rule as UFL's metadata."""
-        return Weighted(self._weight, self._ds(self._contacts[tuple(names)], metadata=dict(rule)))
+        return WeightedMeasure(
+            self._weight, self._ds(self._contacts[tuple(names)], metadata=dict(rule))
+        )
 
 
 class FormContext:
@@ -187,7 +189,7 @@ class FormContext:
 
     # --- where integrals are taken ---
 
-    def volumes(self, regions: Sequence[str]) -> Weighted:
+    def volumes(self, regions: Sequence[str]) -> WeightedMeasure:
         """Reference volume of regions, or of the whole body."""
         for name in regions:
             self.body.region(name)
@@ -195,7 +197,7 @@ class FormContext:
             return self.measures.filled(None, 2 * self.order)
         return self.measures.regions(regions, 2 * self.order)
 
-    def areas(self, surfaces: Sequence[str]) -> Weighted:
+    def areas(self, surfaces: Sequence[str]) -> WeightedMeasure:
         """Reference area of surfaces."""
         for name in surfaces:
             self.body.surface(name)
@@ -208,7 +210,7 @@ class FormContext:
         value = compile_forms(comm, [form], options(comm))[0]
         return self.constant(float(total(comm, float(fem.assemble_scalar(value)))))
 
-    def densities(self, regions: Sequence[str]) -> list[tuple[Expr, Weighted]]:
+    def densities(self, regions: Sequence[str]) -> list[tuple[Expr, WeightedMeasure]]:
         """Density and reference volume, material by material."""
         if regions:
             cells = np.concatenate([self.body.region(name) for name in regions])

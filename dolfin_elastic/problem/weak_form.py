@@ -15,7 +15,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.model.dimension import Weighted, gradient_variation
+from dolfin_elastic.model.dimension import WeightedMeasure, gradient_variation
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, SplitLaw
@@ -70,7 +70,7 @@ class WeakForm:
             return max(degree, 2)  # the pressure and the radius vary inside a linear element, too
         return degree
 
-    def volume(self, region: MaterialRegion | None, quadrature_degree: int) -> Weighted:
+    def volume(self, region: MaterialRegion | None, quadrature_degree: int) -> WeightedMeasure:
         """Reference volume as a measure.
 
         Args:
@@ -79,7 +79,7 @@ class WeakForm:
         """
         return self._context.measures.filled(region.marker if region else None, quadrature_degree)
 
-    def _internal_volume(self, region: MaterialRegion) -> Weighted:
+    def _internal_volume(self, region: MaterialRegion) -> WeightedMeasure:
         return self.volume(region, self.rule(region))
 
     # --- internal forces ---

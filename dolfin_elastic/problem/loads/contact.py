@@ -33,7 +33,7 @@ from dolfin_elastic.mesh.geometry.simplices import (
 )
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.contact import Contact
-from dolfin_elastic.model.dimension import Weighted
+from dolfin_elastic.model.dimension import WeightedMeasure
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.formulation import shear_modulus, volume_modulus
 from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -73,7 +73,7 @@ class ContactPair:
         nodes: Owned nodes of the surface in the space of `lam`.
     """
 
-    def __init__(self, contact: Contact, context: FormContext, measure: Weighted) -> None:
+    def __init__(self, contact: Contact, context: FormContext, measure: WeightedMeasure) -> None:
         body = context.body
         self.contact, self.label, self._context, self._measure = (
             contact,
@@ -132,7 +132,7 @@ class ContactPair:
             self.nodes, self._in_V = self.nodes[off], self._in_V[off]
             return
         weight = 2 * ufl.pi * (self._context.X[0] + 2 * self._middle_radius(facets)) / 3
-        self._measure = Weighted(weight, self._measure.measure)
+        self._measure = WeightedMeasure(weight, self._measure.measure)
 
     def _middle_radius(self, facets: IndexArray) -> Expr:
         """Radius of the middle of the facet at hand [m]: a cell may have several in contact.
