@@ -38,7 +38,7 @@ from dolfin_elastic.model.dimension import Geometry
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.user import UserEnergy, read_energy
-from dolfin_elastic.problem.formulation import Formulation
+from dolfin_elastic.problem.material_regions import Formulation
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
 from dolfin_elastic.results.fields import FIELDS

@@ -28,15 +28,16 @@ from dolfin_elastic.problem.constraints.normals import (
 )
 from dolfin_elastic.problem.context import FormContext, Measures
 from dolfin_elastic.problem.eigenstrain import eigenstrains
-from dolfin_elastic.problem.formulation import Formulation, shear_modulus
 from dolfin_elastic.problem.loads.cavities import BodyCavity, make_cavities
 from dolfin_elastic.problem.loads.contact import ContactPair, check_contacts, make_contacts
 from dolfin_elastic.problem.loads.point_loads import NodalLoads
 from dolfin_elastic.problem.loads.pressure_symmetry import rim_held
 from dolfin_elastic.problem.material_regions import (
     WHOLE,
+    Formulation,
     checked_geometry,
     make_material_regions,
+    shear_modulus,
 )
 from dolfin_elastic.problem.periodic.fluctuation import Fluctuation
 from dolfin_elastic.problem.periodic.unit_cell import Cell, make_cell

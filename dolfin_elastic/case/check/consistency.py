@@ -20,7 +20,7 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.problem.coefficients import CoefficientBinder
-from dolfin_elastic.problem.formulation import volume_modulus
+from dolfin_elastic.problem.material_regions import volume_modulus
 from dolfin_elastic.results.fields import FIELDS
 
 

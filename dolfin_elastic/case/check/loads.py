@@ -20,7 +20,7 @@ from dolfin_elastic.model.loads import ConcentratedLoad, Load, LoadPoints
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.values import depends_on_time, vector_at
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
-from dolfin_elastic.problem.formulation import young
+from dolfin_elastic.problem.material_regions import young
 from dolfin_elastic.problem.problem import Problem
 
 

@@ -29,7 +29,7 @@ from dolfin_elastic.model.supports.displacement import (
 )
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.values import Component
-from dolfin_elastic.problem.formulation import young
+from dolfin_elastic.problem.material_regions import young
 
 _LONG, _SHORT = 1e3, 1e-6
 """Lengths of a body [m] beyond which mesh.unit looks wrong."""

@@ -35,8 +35,7 @@ from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.dimension import WeightedMeasure
 from dolfin_elastic.problem.context import FormContext
-from dolfin_elastic.problem.formulation import shear_modulus, volume_modulus
-from dolfin_elastic.problem.material_regions import MaterialRegion
+from dolfin_elastic.problem.material_regions import MaterialRegion, shear_modulus, volume_modulus
 
 FACTOR = 10.0
 """Penalty over the stiffness of the cell beside: enough for a few augmentations."""

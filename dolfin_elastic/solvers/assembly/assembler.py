@@ -293,3 +293,34 @@ def integral(problem: Problem, form: fem.Form) -> float:
         form: A form without arguments.
     """
     return float(problem.body.comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM))
+
+
+class StrainEnergy:
+    """Stored energy of the body and of its springs; not a number for a law that has none.
+
+    Collective to make.
+
+    Args:
+        problem: Whose energy.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        form, springs = problem.weak_form.strain_energy, problem.weak_form.spring_energy
+        self._problem = problem
+        self._form = None if form is None else compiled(problem, [form])[0]
+        self._springs = None if springs is None else compiled(problem, [springs])[0]
+
+    def energy(self) -> float:
+        """Strain energy of the present displacement [J]. Collective."""
+        return float("nan") if self._form is None else integral(self._problem, self._form)
+
+    @property
+    def none(self) -> bool:
+        """A law has no energy."""
+        return self._form is None
+
+    def springs(self) -> dict[str, float]:
+        """Energy stored in springs [J] by its name; nothing without springs. Collective."""
+        if self._springs is None:
+            return {}
+        return {"springs": integral(self._problem, self._springs)}

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 
 
 def _cross(r: ufl.core.expr.Expr, w: ufl.core.expr.Expr) -> list[ufl.core.expr.Expr]:
@@ -17,36 +17,6 @@ def _cross(r: ufl.core.expr.Expr, w: ufl.core.expr.Expr) -> list[ufl.core.expr.E
         return [r[0] * w[1] - r[1] * w[0]]
     c = ufl.cross(r, w)
     return [c[0], c[1], c[2]]
-
-
-class Strain:
-    """Stored energy; not a number for a law that has none. Collective to make.
-
-    Args:
-        problem: Whose energy.
-    """
-
-    def __init__(self, problem: Problem) -> None:
-        form = problem.weak_form.strain_energy
-        self._problem = problem
-        self._form = compiled(problem, [form])[0] if form is not None else None
-        springs = problem.weak_form.spring_energy
-        self._springs = compiled(problem, [springs])[0] if springs is not None else None
-
-    def energy(self) -> float:
-        """Strain energy of the present displacement [J]. Collective."""
-        return float("nan") if self._form is None else integral(self._problem, self._form)
-
-    @property
-    def none(self) -> bool:
-        """A law has no energy."""
-        return self._form is None
-
-    def springs(self) -> dict[str, float]:
-        """Energy stored in supports [J] by its name; nothing without springs. Collective."""
-        if self._springs is None:
-            return {}
-        return {"springs": integral(self._problem, self._springs)}
 
 
 class ConsistentMass:

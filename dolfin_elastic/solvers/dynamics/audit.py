@@ -10,8 +10,7 @@ import numpy as np
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
-from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor, StepBalance
-from dolfin_elastic.solvers.audit.path_energy import round_off
+from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor, StepBalance, round_off
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.dynamics.rotation_error import RotationError

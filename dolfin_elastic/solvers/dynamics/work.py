@@ -20,8 +20,8 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
-from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, LumpedMass, Strain
+from dolfin_elastic.solvers.assembly.assembler import Assembler, StrainEnergy, compiled, integral
+from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, LumpedMass
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.nonlinear.contact import ContactResults
@@ -60,7 +60,7 @@ class EnergyBook:
 
     def __init__(self, problem: Problem, inertia: ConsistentMass | LumpedMass, work: Work) -> None:
         self._comm, self._inertia, self._work = problem.body.comm, inertia, work
-        self._strain, self._contacts = Strain(problem), ContactResults(problem, moving=True)
+        self._strain, self._contacts = StrainEnergy(problem), ContactResults(problem, moving=True)
 
     @np.errstate(all="ignore")  # whether the values are finite is asked by `finite`
     def measure(self) -> Measures:

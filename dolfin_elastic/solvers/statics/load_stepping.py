@@ -15,7 +15,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import RestartState, SavedState, State
-from dolfin_elastic.solvers.audit.path_energy import PathEnergyCheck
+from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
 from dolfin_elastic.solvers.breakpoints import corners, within_stride
 from dolfin_elastic.solvers.diagnostics.stability import negative_eigenvalues
 from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation

@@ -8,7 +8,7 @@ from typing import Any
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.solvers.assembly.energy_momentum import Strain
+from dolfin_elastic.solvers.assembly.assembler import StrainEnergy
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
 from dolfin_elastic.solvers.messages import coordinates
@@ -38,7 +38,7 @@ class StaticStates:
         newton: Newton,
         scalars: Scalars | None,
         *,
-        strain: Strain,
+        strain: StrainEnergy,
         watch: JacobianWatch,
         end: float,
     ) -> None:
