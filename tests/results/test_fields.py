@@ -130,7 +130,7 @@ def test_every_law_has_stresses() -> None:
         assert worst(Evaluator(problem, ["von_mises"])(state)["von_mises"]) < 1e-9
 
 
-def test_materials_keep_to_their_regions() -> None:
+def test_stress_follows_the_law_of_each_region() -> None:
     laws = {"left": LinearElastic(E=E_MODULUS, nu=NU), "right": LinearElastic(E=3e3, nu=NU)}
     problem = Problem(make_body(3), laws)
     state = make_state(problem, lambda x: H @ x)
@@ -145,7 +145,7 @@ def test_materials_keep_to_their_regions() -> None:
 
 
 @pytest.mark.parametrize("degree", [1, 2])
-def test_average_at_nodes_keeps_constants_and_mean(degree: int) -> None:
+def test_average_at_nodes_preserves_constants_and_mean(degree: int) -> None:
     problem = Problem(make_body(3), LinearElastic(E=1.0, nu=NU), degree=degree)
     mesh, own = problem.body.mesh, problem.body.owned_cells()
     assert worst(to_nodes(problem.V, np.full((len(own), 2), 7.0)) - 7.0) < 1e-13

@@ -44,7 +44,7 @@ def affine(dim: int, degree: int) -> tuple[Problem, Any]:
 
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_exact_where_the_field_is(dim, degree):
+def test_linear_fields_are_exact(dim, degree):
     """A linear displacement and its constant stress, at a corner, on a facet and inside."""
     problem, state = affine(dim, degree)
     points = {"corner": [1.0] * dim, "facet": [1 / 3] * dim, "inside": [0.3, 0.41, 0.77][:dim]}
@@ -118,7 +118,7 @@ def test_each_material_has_its_own_stress():
 
 
 @pytest.mark.parametrize("order", [("soft", "hard"), ("hard", "soft")])
-def test_where_materials_meet_it_is_the_first(order):
+def test_on_an_interface_the_first_material_counts(order):
     """However the cells are numbered and shared out."""
     body = box_body(size=(2.0, 1.0, 1.0), cells=(4, 2, 2))
     middle = body.mesh.geometry.x[body.mesh.geometry.dofmap].mean(axis=1)[:, 0]
@@ -214,7 +214,7 @@ def test_no_probes(folder):
         ({"end": {"fields": ["von_mises"]}}, "no place is given"),
     ],
 )
-def test_what_is_refused(probes, message):
+def test_invalid_probes_are_refused(probes, message):
     with pytest.raises(InputError, match=message):
         case = Case.from_dict(block(probes=probes))
         check(case, case.read_body())
@@ -235,7 +235,7 @@ def test_names_of_other_results(name, folder):
     assert not (folder / "out").exists()
 
 
-def test_two_numbers_of_one_name(folder):
+def test_two_columns_of_one_name(folder):
     probes = {"a": [0, 0, 0], "a_von": {"at": [0, 0, 0], "fields": ["von_mises"]}}
     case = Case.from_dict(block(probes=probes))
     [*_] = run(case, output=folder / "out")  # these differ
@@ -247,7 +247,7 @@ def test_two_numbers_of_one_name(folder):
 
 
 @pytest.mark.parametrize("degree", [1, 2])
-def test_a_little_outside(degree):
+def test_a_point_a_little_outside(degree):
     """0.03 of a cell beyond a side, as on a round surface that is flat between nodes."""
     problem, state = affine(2, degree)
     found = Probe(problem, {"out": [1.01, 0.5]})(state)["out_displacement"]
@@ -256,7 +256,7 @@ def test_a_little_outside(degree):
         locate(problem.body, {"out": [1.01, 0.5], "far": [1.02, 0.5]})
 
 
-def test_one_rank_has_a_point():
+def test_exactly_one_rank_has_a_point():
     """A node in the middle that several ranks share."""
     body = box_body(size=(1.0, 1.0, 1.0), cells=(2, 2, 2))
     place = locate(body, {"middle": [0.5, 0.5, 0.5]})["middle"]

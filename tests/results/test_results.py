@@ -136,7 +136,7 @@ def check_shape(x: AnyArray, dim: int, degree: int) -> None:
     assert x.shape[1] == {(2, 1): 3, (2, 2): 6, (3, 1): 4, (3, 2): 10}[dim, degree]
 
 
-def test_stress_belongs_to_its_cell(folder: Path) -> None:
+def test_stress_is_written_for_its_cell(folder: Path) -> None:
     problem = make_problem()
     Xdmf().open(problem, folder).write(make_state(problem))
     on_root(COMM, lambda: check_stress(folder / "results.xdmf"))
@@ -240,7 +240,7 @@ def test_every_named_step_survives_a_kill(folder: Path, delay: float) -> None:
 # --- heavy data ---
 
 
-def test_rows_of_all_ranks_meet_in_one_array(folder: Path) -> None:
+def test_rows_of_all_ranks_form_one_array(folder: Path) -> None:
     first, own = COMM.rank * (COMM.rank + 1) // 2, COMM.rank + 1  # 1, 2, 3 ... rows
     count = COMM.size * (COMM.size + 1) // 2
     numbers = np.arange(first, first + own)[:, None]
@@ -261,7 +261,7 @@ def read_all(path: Path) -> tuple[AnyArray, AnyArray, AnyArray]:
         return file["a"][:], file["b"][:], file["none"][:]
 
 
-def test_a_full_disk_is_said_on_all_ranks(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_raises_on_all_ranks(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = make_problem(2)
     writer = Xdmf().open(problem, folder)
     writer.write(make_state(problem, 1))
@@ -277,7 +277,7 @@ def test_a_full_disk_is_said_on_all_ranks(folder: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("moment", ["before", "between"])
-def test_a_file_size_limit_is_said_on_all_ranks(
+def test_a_file_size_limit_raises_on_all_ranks(
     folder: Path, monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:
     """The system refuses to write: to rank 0 that lays the file out, or to all that fill it."""
@@ -428,7 +428,7 @@ def test_summary(folder: Path) -> None:
     assert {"dolfin_elastic", "dolfinx", "petsc"} <= set(found["versions"])
 
 
-def test_summary_is_kept_up_to_date(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_summary_is_updated_during_a_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from dolfin_elastic.results.writers import summary
 
     monkeypatch.setattr(summary, "_INTERVAL", -1.0)
@@ -514,7 +514,7 @@ def test_many_pictures_are_listed_briefly(folder: Path) -> None:
     assert listed == ["a_0000.png ... a_10000.png (12 pictures)"]
 
 
-def test_one_drawer_for_all_pictures(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_renderer_for_all_pictures(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It ends with the last output that draws; a second run gets a new one."""
     started, ended = [], []
     begin, end = renderer.Renderer.__init__, renderer.Renderer.close
@@ -534,7 +534,7 @@ def test_one_drawer_for_all_pictures(folder: Path, monkeypatch: pytest.MonkeyPat
     assert images[0] != images[1], "each picture is a new one"
 
 
-def test_a_drawer_that_dies(folder: Path) -> None:
+def test_a_renderer_that_dies(folder: Path) -> None:
     """An error that says why, and the next picture is drawn by another one."""
     if COMM.rank:
         return
@@ -571,7 +571,7 @@ def test_colours_are_those_of_the_bar(folder: Path) -> None:
         assert share > 0.95, "only where lines pass there are other colours"
 
 
-def test_rounding_errors_get_no_colours(folder: Path) -> None:
+def test_round_off_gets_no_colours(folder: Path) -> None:
     """A body that has only been carried elsewhere has one colour."""
     problem = make_problem(2)
     problem.u.interpolate(lambda x: np.stack([0.7 / 3 + 0 * x[0], 0.1 + 0 * x[0]]))
@@ -609,7 +609,7 @@ def assert_hue(pixel: AnyArray, hue: str) -> None:
     assert int(np.argmax(pixel)) == {"red": 0, "blue": 2}[hue], pixel
 
 
-def test_the_line_above_a_picture() -> None:
+def test_headlines_of_pictures() -> None:
     problem = make_problem(2)
     state = make_state(problem, load_factor=0.6)
     assert pictures._headline(state, Appearance()) == "load 60 %"
@@ -620,7 +620,7 @@ def test_the_line_above_a_picture() -> None:
     assert pictures._headline(moving, Appearance()) == "t = 0.05 s"
 
 
-def test_labels_say_what_is_shown() -> None:
+def test_labels_of_colour_bars() -> None:
     """A tensor has one colour at a point: its norm."""
     surface = Surface(
         np.zeros((1, 3)), np.zeros((3, 3)), {"value": np.array([[1.0], [2e3], [5e4]])}
@@ -668,7 +668,7 @@ def test_digits_of_ticks(ticks: tuple[float, ...], first: str, form: str) -> Non
 
 
 @pytest.mark.parametrize("degree", [1, 2])
-def test_the_surface_is_closed_and_looks_outwards(degree: int) -> None:
+def test_the_surface_is_closed_and_oriented_outwards(degree: int) -> None:
     from dolfin_elastic.results.grid import Grid
 
     problem = make_problem(3, degree)

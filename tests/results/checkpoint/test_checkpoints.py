@@ -183,7 +183,7 @@ def test_merged_nodes(folder: Path) -> None:
         assert max(on_ranks(m, read) for m in SIZES) < 1e-14
 
 
-def test_files_do_not_know_the_ranks(folder: Path) -> None:
+def test_files_are_independent_of_the_number_of_ranks(folder: Path) -> None:
     """All unknowns stand once, in the same order on any ranks, and each rank keeps a share."""
 
     def rows(comm: MPI.Comm) -> tuple[np.ndarray, int]:
@@ -239,7 +239,7 @@ def step_found(folder: Path, u: fem.Function) -> int | None:
     return int(numbers["step"])
 
 
-def test_the_last_two_are_kept(folder: Path) -> None:
+def test_the_newest_two_remain(folder: Path) -> None:
     to, u = several(folder, 1, 2, 3, 5)
     stems = ("step_000003", "step_000005")
     whole = [f"{stem}.{end}" for stem in stems for end in ("h5", "json")]
@@ -249,7 +249,7 @@ def test_the_last_two_are_kept(folder: Path) -> None:
     assert on_root(WORLD, lambda: list(folder.iterdir())) == []
 
 
-def test_one_is_kept(folder: Path) -> None:
+def test_the_newest_one_remains(folder: Path) -> None:
     _, u = several(folder, 1, 2, keep=1)
     assert names(folder) == ["case.toml", "step_000002.h5", "step_000002.json"]
     assert step_found(folder, u) == 2
@@ -282,7 +282,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_one_gives_way_to_the_one_before(
+def test_a_damaged_checkpoint_is_passed_over(
     folder: Path, damage: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     """And it is said; it never is taken for whole."""
@@ -338,7 +338,9 @@ def test_killed_between_any_two_changes(
     assert step_found(folder, u) == (2 if changes < 2 else 3)
 
 
-def test_a_full_disk_leaves_the_one_before(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_the_checkpoint_before(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The run ends with an error, and can go on when there is room again."""
     to, u = several(folder, 1)
     usage = namedtuple("usage", "total used free")
@@ -358,7 +360,7 @@ def test_another_solver_is_refused(folder: Path) -> None:
         found.fill({"u": fem.Function(fem.functionspace(u.function_space.mesh, ("DG", 0)))})
 
 
-def test_when(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_when_checkpoints_are_due(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By steps, by wall time on the clock of rank 0, when asked, and never at the end."""
     now = [0.0]
     monkeypatch.setattr("time.monotonic", lambda: now[0] + 1e9 * WORLD.rank)

@@ -38,7 +38,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return on_root(WORLD, read)
 
 
-def test_one_at_a_time(folder: Path) -> None:
+def test_one_run_at_a_time(folder: Path) -> None:
     """On all ranks alike; whoever gives it back leaves nothing behind."""
     first, second = FolderLock(WORLD, folder), FolderLock(WORLD, folder)
     first.acquire()
@@ -51,7 +51,7 @@ def test_one_at_a_time(folder: Path) -> None:
     second.close()
 
 
-def test_no_folder_yet(folder: Path) -> None:
+def test_a_folder_that_does_not_exist_yet(folder: Path) -> None:
     """It is made only when it is asked for."""
     one = FolderLock(WORLD, folder / "new")
     one.acquire()
@@ -61,7 +61,7 @@ def test_no_folder_yet(folder: Path) -> None:
     one.close()
 
 
-def test_a_file_left_behind_keeps_nobody_out(folder: Path) -> None:
+def test_a_file_left_behind_locks_nothing(folder: Path) -> None:
     """What a killed run leaves is a file that nobody has locked."""
     on_root(WORLD, lambda: (folder / LOCK).write_text('{"pid": 1'))
     on_root(WORLD, lambda: check_free(folder))
@@ -93,7 +93,7 @@ def test_a_file_that_was_removed_is_no_lock(folder: Path, monkeypatch: Any) -> N
     one.close()
 
 
-def test_where_locks_are_not_known(folder: Path, monkeypatch: Any, caplog: Any) -> None:
+def test_a_file_system_without_locks(folder: Path, monkeypatch: Any, caplog: Any) -> None:
     """The run goes on, and the log says what that means."""
 
     def flock(descriptor: int, how: int) -> None:
@@ -116,7 +116,7 @@ def test_where_locks_are_not_known(folder: Path, monkeypatch: Any, caplog: Any) 
     assert on_root(WORLD, (folder / LOCK).exists)  # somebody else's
 
 
-def test_neither_run_nor_restart_touches_a_run_that_goes_on(folder: Path) -> None:
+def test_neither_run_nor_restart_touches_a_folder_in_use(folder: Path) -> None:
     """A generator that is open is a run that is going; once it is closed it can go on."""
     states = run(case(statics={"steps": 4}, output={"checkpoint": {"every": 1}}), output=folder)
     for _ in range(3):
@@ -132,7 +132,7 @@ def test_neither_run_nor_restart_touches_a_run_that_goes_on(folder: Path) -> Non
     assert not on_root(WORLD, (folder / LOCK).exists)
 
 
-def test_somebody_else_has_gone_on_meanwhile(folder: Path) -> None:
+def test_a_run_that_was_continued_by_another_process(folder: Path) -> None:
     """Between the look at the checkpoint and the run."""
     begun(case(statics={"steps": 4}, output={"checkpoint": {"every": 1}}), folder, 2)
     found = unfinished(folder)

@@ -67,11 +67,11 @@ def test_vibration(folder: Path, comm: MPI.Comm) -> None:
     assert [float(row["frequency"]) for row in rows] == [mode.frequency for mode in found]
     assert float(rows[0]["omega"]) == pytest.approx(2 * np.pi * first, rel=1e-12)
     assert rows[0]["kind"] == "elastic"
-    told = json.loads((folder / "summary.json").read_text())
-    assert told["status"] == "completed"
-    assert told["modes"][1]["frequency"] == found[1].frequency
-    assert told["whole"]["x"] == pytest.approx(4000, rel=1e-12)
-    assert 0.6 < told["effective_shares"]["y"] < 1.0
+    found_summary = json.loads((folder / "summary.json").read_text())
+    assert found_summary["status"] == "completed"
+    assert found_summary["modes"][1]["frequency"] == found[1].frequency
+    assert found_summary["whole"]["x"] == pytest.approx(4000, rel=1e-12)
+    assert 0.6 < found_summary["effective_shares"]["y"] < 1.0
 
 
 def test_preload_and_leftovers(folder: Path, comm: MPI.Comm) -> None:

@@ -16,7 +16,7 @@ from dolfin_elastic.core.parallel import first_of, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.state import RestartState, SavedState, State, StateCopy
+from dolfin_elastic.problem.state import Restartable, RestartState, SavedState, State, StateCopy
 from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.evidence import Cells, not_finite, plain
@@ -37,7 +37,7 @@ STRAINED = (
 )
 
 
-class ExplicitMarch(Protocol):
+class ExplicitMarch(Restartable[RestartState, SavedState], Protocol):
     """An explicit motion, as far as it can be gone through again."""
 
     problem: Problem
@@ -47,12 +47,6 @@ class ExplicitMarch(Protocol):
     @property
     def now(self) -> tuple[int, float]:
         """Steps done, and the time [s]."""
-
-    def restart_state(self) -> RestartState:
-        """See `Restartable`."""
-
-    def restore(self, saved: SavedState) -> None:
-        """See `Restartable`. Collective."""
 
     def step(self) -> None:
         """One step. Collective."""
