@@ -307,6 +307,7 @@ def test_petsc_options(folder: Path) -> None:
     assert {"mesh", "assemble", "solve", "output"} <= set(stages)  # see core/timing.py
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("command", ["run", "check"])
 @pytest.mark.parametrize("option", ["snes_rtol", "snes_atol", "snes_stol"])
 def test_tolerances_of_snes_are_refused(folder: Path, option: str, command: str) -> None:
