@@ -1,4 +1,4 @@
-"""Case files: what is read, written back, checked, and how every mistake is told."""
+"""Case files: what is read, written back, checked, and the message about every mistake."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def case_of(folder: Path, text: str) -> Case:
     return read_case(folder / "case.toml")
 
 
-def complaint(folder: Path, text: str) -> str:
+def message_of(folder: Path, text: str) -> str:
     """What a check says about a case that is wrong, the same on every rank. Collective."""
     with pytest.raises(InputError) as caught:
         report(case_of(folder, text))
@@ -506,7 +506,7 @@ def test_mistake(folder: Path, name: str) -> None:
     """File, dotted key, what is wrong, what is expected: in one message."""
     old, new, message = MISTAKES[name]
     assert old in GOOD
-    assert complaint(folder, GOOD.replace(old, new, 1)) == f"case.toml: {message}"
+    assert message_of(folder, GOOD.replace(old, new, 1)) == f"case.toml: {message}"
 
 
 MOTION = GOOD.replace("nu = 0.3", "nu = 0.3\ndensity = 7850").replace(
@@ -565,7 +565,7 @@ def test_mistake_in_motion(folder: Path, old: str, new: str, message: str) -> No
     text = MOTION
     if "[dynamics]" in new:
         text = text.replace("[dynamics]\ndt = 0.1\nend = 1", "")
-    assert complaint(folder, text.replace(old, new, 1)) == f"case.toml: {message}"
+    assert message_of(folder, text.replace(old, new, 1)) == f"case.toml: {message}"
 
 
 def test_good_motion(folder: Path) -> None:
@@ -573,8 +573,8 @@ def test_good_motion(folder: Path) -> None:
     text = MOTION[: MOTION.index("[[support]]")] + MOTION[MOTION.index("[[load]]") :]
     assert report(case_of(folder, text)).analysis == "dynamics"
     text = text.replace("dt = 0.1", 'scheme = "symplectic-euler"')
-    said = "solver.method: the scheme 'symplectic-euler' solves no equations; leave it out"
-    assert complaint(folder, text) == f"case.toml: {said}"
+    message = "solver.method: the scheme 'symplectic-euler' solves no equations; leave it out"
+    assert message_of(folder, text) == f"case.toml: {message}"
     text = text.replace('method = "direct"', 'method = "auto"')
     assert report(case_of(folder, text)).linear_solver == "none: explicit scheme"
 
@@ -582,22 +582,22 @@ def test_good_motion(folder: Path) -> None:
 def test_other_mistakes(folder: Path) -> None:
     """Those that are not a change of the text of one case."""
     assert (
-        complaint(folder, GOOD.replace('on = "left"', "on = []"))
+        message_of(folder, GOOD.replace('on = "left"', "on = []"))
         == "case.toml: support[0].on: no name is given; a surface's name"
     )
     assert (
-        complaint(folder, GOOD.replace("Block", "\udcff"))
+        message_of(folder, GOOD.replace("Block", "\udcff"))
         == "case.toml: this is no text file in UTF-8"
     )
     text = GOOD.replace("box = {size = [2, 1, 1], cells = [2, 1, 1]}", 'file = "part.msh"')
-    assert complaint(folder, text).startswith(
+    assert message_of(folder, text).startswith(
         "case.toml: mesh.file: there is no mesh file 'part.msh'"
     )
     text = GOOD.replace('at = "min"', "at = 5")
-    assert complaint(folder, text).startswith("case.toml: surfaces.foot: found 0 of 20 facets")
+    assert message_of(folder, text).startswith("case.toml: surfaces.foot: found 0 of 20 facets")
     text = GOOD.replace("[materials.steel]", '[materials."my steel"]\nnuu = 3')
     assert (
-        complaint(folder, text)
+        message_of(folder, text)
         == "case.toml: materials.\"my steel\": unknown key 'nuu'; did you mean 'nu'?"
     )
 
@@ -693,8 +693,8 @@ def test_a_warning_of_a_law_is_given_once(folder: Path, caplog: Any) -> None:
     body = read.read_body()
     assert check(read, body) == ()
     read.make_problem(body)
-    told = [r.getMessage() for r in caplog.records if "has no energy" in r.getMessage()]
-    assert len(MPI.COMM_WORLD.bcast(told)) == 1
+    warnings = [r.getMessage() for r in caplog.records if "has no energy" in r.getMessage()]
+    assert len(MPI.COMM_WORLD.bcast(warnings)) == 1
 
 
 def test_round_trip(folder: Path) -> None:

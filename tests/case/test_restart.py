@@ -278,8 +278,8 @@ def test_a_run_goes_on(folder: Path, whole: Path) -> None:
     kill(states)
     assert finished(folder / "a") == list(range(5, len(history(whole))))
     check_same_results(folder / "a", whole)
-    told = summary(folder / "a")
-    assert [(one["step"], one["ranks"]) for one in told["restarts"]] == [
+    written = summary(folder / "a")
+    assert [(one["step"], one["ranks"]) for one in written["restarts"]] == [
         (3, WORLD.size),
         (4, WORLD.size),
     ]
@@ -340,7 +340,7 @@ def moved(body: Body, scheme: str, petsc: dict[str, Any]) -> Dynamics:
 def test_a_motion_that_goes_on_says_what_is_new(
     scheme: str, petsc: dict[str, Any], forgotten: str | None, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """What PETSc keeps to itself is told; what was told before is not told again."""
+    """What PETSc does not give away is warned of, but not a second time."""
     body = rectangle_body(size=(1, 1), cells=(2, 2))
     motion = moved(body, scheme, petsc)
     states = motion.steps()
@@ -353,9 +353,11 @@ def test_a_motion_that_goes_on_says_what_is_new(
     states = moved(body, scheme, petsc).steps(saved)
     next(states)
     states.close()
-    told = on_root(WORLD, lambda: [one.getMessage() for one in caplog.records if one.levelno > 20])
-    assert len(told) == (forgotten is not None), told
-    assert all(forgotten in one for one in told)
+    warnings = on_root(
+        WORLD, lambda: [one.getMessage() for one in caplog.records if one.levelno > 20]
+    )
+    assert len(warnings) == (forgotten is not None), warnings
+    assert all(forgotten in one for one in warnings)
 
 
 @PAIR
@@ -390,7 +392,7 @@ def test_thinned_fields_go_on(folder: Path) -> None:
 
 
 def test_other_ranks_go_on(folder: Path) -> None:
-    """The points stand in another order then, and ParaView is told so."""
+    """The points stand in another order then, and the files say so to ParaView."""
 
     def whole(comm: MPI.Comm) -> None:
         for _ in run(case(), output=folder / "whole", comm=comm):
@@ -491,29 +493,31 @@ def test_a_changed_case_file_is_told_of_each_time(
         assert change[0] in text
         file.write_text(text.replace(*change))
 
-    def told(step: int) -> list[str]:
+    def warnings_at(step: int) -> list[str]:
         caplog.clear()
         states = restart(folder / "a")
         while next(states).step < step:
             pass
         kill(states)
-        said = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
-        return [one for one in WORLD.bcast(said) if "case" in one]
+        messages = [
+            record.getMessage() for record in caplog.records if record.levelname == "WARNING"
+        ]
+        return [one for one in WORLD.bcast(messages) if "case" in one]
 
     on_root(WORLD, lambda: write(("", "")))
     begun(read_case(file), folder / "a", 2)
-    assert told(3) == []
+    assert warnings_at(3) == []
     on_root(WORLD, lambda: write(("nu = 0.3", "nu = 0.4")))
     changed = f"{file.resolve()} has been changed (materials.rubber.nu); the run goes on with"
     for step in (4, 5):
-        (message,) = told(step)
+        (message,) = warnings_at(step)
         assert message.startswith(changed)
     on_root(WORLD, lambda: write(("nu = 0.3", "nu = 0.7")))
-    (message,) = told(6)
+    (message,) = warnings_at(6)
     assert message.startswith("the case file cannot be compared with the case as it was")
     assert f"{file.resolve()}: materials.rubber.nu: 0.7 is not a possible" in message
     on_root(WORLD, file.unlink)
-    assert told(7) == []
+    assert warnings_at(7) == []
 
 
 @PAIR

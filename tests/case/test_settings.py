@@ -73,13 +73,13 @@ MOTION: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("keys", "said"), MOTION, ids=[said[:30] for _, said in MOTION])
-def test_keys_of_motion_beside_each_other(keys, said):
+@pytest.mark.parametrize(("keys", "message"), MOTION, ids=[message[:30] for _, message in MOTION])
+def test_keys_of_motion_beside_each_other(keys, message):
     """The key, why, and what to do; in a case with its table in front."""
     dt = {} if keys.get("scheme") in (EULER["scheme"], CENTRAL["scheme"]) else {"dt": 0.1}
-    with pytest.raises(InputError, match=f"^{said}"):
+    with pytest.raises(InputError, match=f"^{message}"):
         DynamicsSettings(end=1.0, **(dt | keys))
-    with pytest.raises(InputError, match=f"^dynamics.{said}"):
+    with pytest.raises(InputError, match=f"^dynamics.{message}"):
         case(dynamics={"end": 1.0, **dt, **keys})
 
 
@@ -148,10 +148,10 @@ PLACES: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("keys", "said"), PLACES, ids=[said[:40] for _, said in PLACES])
-def test_messages_name_the_key_that_was_written(keys, said):
+@pytest.mark.parametrize(("keys", "message"), PLACES, ids=[message[:40] for _, message in PLACES])
+def test_messages_name_the_key_that_was_written(keys, message):
     """None of pydantic's own names of what it tried."""
-    with pytest.raises(InputError, match=f"^{said}"):
+    with pytest.raises(InputError, match=f"^{message}"):
         case(dynamics={"end": 1.0, "dt": 0.1, **keys})
 
 
@@ -209,10 +209,10 @@ OTHERS: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("tables", "said"), OTHERS, ids=[said[:40] for _, said in OTHERS])
-def test_so_do_those_about_other_tables(tables, said):
+@pytest.mark.parametrize(("tables", "message"), OTHERS, ids=[message[:40] for _, message in OTHERS])
+def test_so_do_those_about_other_tables(tables, message):
     """Of lists, tables by name, and unions in them."""
-    with pytest.raises(InputError, match=f"^{said}"):
+    with pytest.raises(InputError, match=f"^{message}"):
         case(**tables)
 
 
@@ -266,9 +266,9 @@ PATHS: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("keys", "said"), PATHS, ids=[said[:30] for _, said in PATHS])
-def test_keys_of_statics_beside_each_other(keys, said):
-    with pytest.raises(InputError, match=f"^{said}"):
+@pytest.mark.parametrize(("keys", "message"), PATHS, ids=[message[:30] for _, message in PATHS])
+def test_keys_of_statics_beside_each_other(keys, message):
+    with pytest.raises(InputError, match=f"^{message}"):
         StaticsSettings(**keys)
     with pytest.raises(InputError, match=r"^statics[.:]"):
         case(statics=keys)
@@ -311,14 +311,14 @@ WAYS: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("tables", "said"), WAYS, ids=[said[:30] for _, said in WAYS])
-def test_check_and_run_say_the_same(tables, said, folder):
+@pytest.mark.parametrize(("tables", "message"), WAYS, ids=[message[:30] for _, message in WAYS])
+def test_check_and_run_say_the_same(tables, message, folder):
     """Of keys beside those of other tables, too; and nothing has been written."""
     for attempt in (
         lambda: report(case(**tables)),
         lambda: next(run(case(**tables), output=folder / "out")),
     ):
-        with pytest.raises(InputError, match=f"^{said}"):
+        with pytest.raises(InputError, match=f"^{message}"):
             attempt()
     assert not (folder / "out").exists()
 
@@ -378,8 +378,8 @@ def test_petsc_options_that_an_explicit_scheme_does_not_take(caplog):
     """Of a command line, where they are no part of the case, as elsewhere: a warning."""
     motion = Dynamics(square(), end=1e-4, petsc={"ksp_type": "cg"}, **EULER)
     list(motion.steps())
-    said = [r.getMessage() for r in caplog.records if "ksp_type" in r.getMessage()]
+    message = [r.getMessage() for r in caplog.records if "ksp_type" in r.getMessage()]
     if motion.problem.body.comm.rank == 0:
-        assert said == [
+        assert message == [
             "PETSc option '-ksp_type' was not used: 'symplectic-euler' solves no equations"
         ]

@@ -293,7 +293,7 @@ def test_errors_that_nobody_reads(folder: Path, redirect: str) -> None:
 
 
 def test_petsc_options(folder: Path) -> None:
-    """They reach the solver; what no solver asks for is said."""
+    """They reach the solver; there is a warning of those that no solver asks for."""
     code, _, err = cli(
         "run", "case.toml", "--", "-ksp_type", "gmres", "-ksp_tpye", "cg", folder=folder
     )

@@ -56,7 +56,7 @@ def until(met: Callable[[], bool], process: Any) -> None:
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_stopped_then_restarted(tmp_path: Path, ranks: int) -> None:
-    """After the current step, with code 130, and told how to go on; then gone on with.
+    """After the current step, with code 130 and the command that restarts it; then restarted.
 
     A launcher that gets SIGTERM kills, but it hands SIGUSR2 on.
     """
@@ -76,13 +76,13 @@ def test_stopped_then_restarted(tmp_path: Path, ranks: int) -> None:
     assert f"step {last:>4}   load" not in out
     assert "done: 150 steps" in out
     assert f"since step {last}\n" in out
-    told = summary(tmp_path / "case_results")
-    assert [(one["step"], one["ranks"]) for one in told["restarts"]] == [(last, 3 - ranks)]
+    written = summary(tmp_path / "case_results")
+    assert [(one["step"], one["ranks"]) for one in written["restarts"]] == [(last, 3 - ranks)]
     assert rows_written(tmp_path) == 151
     if ranks == 1:
         code, out, err = cli("restart", "case_results", folder=tmp_path)
-        said = "error: case_results: this run is complete; nothing is left to compute\n"
-        assert (code, out, err) == (2, "", said)
+        expected = "error: case_results: this run is complete; nothing is left to compute\n"
+        assert (code, out, err) == (2, "", expected)
 
 
 def test_sigusr1_makes_a_checkpoint(tmp_path: Path) -> None:
@@ -199,9 +199,9 @@ def test_a_folder_belongs_to_one_run_at_a_time(tmp_path: Path, ranks: int) -> No
         for words in (["run", "case.toml"], ["restart", "case_results"]):
             code, out, err = cli(*words, folder=tmp_path, ranks=3 - ranks)
             assert (code, out) == (2, ""), err
-            told = BUSY.match(err)  # what mpirun adds comes after
-            assert told, err
-            assert told[2] == socket.gethostname()
+            busy = BUSY.match(err)  # what mpirun adds comes after
+            assert busy, err
+            assert busy[2] == socket.gethostname()
         rows = rows_written(tmp_path)
         until(lambda: rows_written(tmp_path) > rows, process)
         for child in [*(ranks_of(process) if ranks > 1 else []), process.pid]:

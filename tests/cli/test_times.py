@@ -78,14 +78,14 @@ def test_compilation_is_not_counted_among_the_steps(monkeypatch):
         with timing.stage("assemble"), timing.stage("compile"):
             clock[0] += 40.0
         clock[0] += 5.0  # what else is done before the first state
-        said = [estimate.left(0.0)]
+        shown = [estimate.left(0.0)]
         for step in (1, 2, 3):
             clock[0] += 1.0
             if step == 1:
                 with timing.stage("compile"):
                     clock[0] += 10.0
-            said.append(estimate.left(step / 10))
-    assert said == ["", "  0:09 left", "  0:08 left", "  0:07 left"]
+            shown.append(estimate.left(step / 10))
+    assert shown == ["", "  0:09 left", "  0:08 left", "  0:07 left"]
 
 
 def test_a_restart_judges_by_its_own_steps(monkeypatch):
@@ -95,7 +95,7 @@ def test_a_restart_judges_by_its_own_steps(monkeypatch):
     with timing.timed():
         estimate = Estimate()
         clock[0] = 100.0
-        said = [estimate.left(0.5)]
+        shown = [estimate.left(0.5)]
         clock[0] = 102.0
-        said.append(estimate.left(0.6))
-    assert said == ["", "  0:08 left"]
+        shown.append(estimate.left(0.6))
+    assert shown == ["", "  0:08 left"]

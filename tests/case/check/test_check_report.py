@@ -1,4 +1,4 @@
-"""What a check says before anything is compiled: sizes, masses, loads, free bodies, hints."""
+"""What a check says before anything is compiled: sizes, masses, loads, free bodies, notes."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def meshed(folder: Path, geo: str, **tables: Any) -> Case:
 
 
 def test_loads_beyond_the_full_one(comm):
-    """Statics that goes on to twice the load is told of that, and of obstacles that come so far."""
+    """Statics beyond the full load: loads and obstacles are those of its end."""
     tables = {
         "mesh": {"rectangle": {"size": [1, 1], "cells": [2, 2]}},
         "materials": {"rubber": {"law": "neo-hookean", "E": 1e6, "nu": 0.3}},
@@ -233,7 +233,7 @@ MESHES: dict[str, dict[str, Any]] = {
 def test_same_as_the_forms(name, geometry):
     """What is summed up in numbers is what the virtual work gives."""
     if LOADS[name].intensity is Load.intensity:
-        pytest.skip("not told in numbers")
+        pytest.skip("these loads have no resultant in the report")
     mesh, dim = dict(MESHES[geometry]), 3 if geometry == "space" else 2
     if dim == 2:
         mesh["geometry"] = geometry
@@ -402,21 +402,21 @@ def test_force_on_a_rigid_surface():
 
 
 @pytest.mark.parametrize(
-    ("support", "keys", "said"),
+    ("support", "keys", "found"),
     [
         ([{"on": ["bottom", "top"], "kind": "symmetry"}], {"origin": [2, 0]}, True),
         ([{"on": "bottom", "kind": "symmetry"}], {"origin": [2, 0]}, True),
         ([{"on": ["bottom", "top"]}], {"origin": [2, 0]}, False),
     ],
 )
-def test_open_cavities(support, keys, said):
+def test_open_cavities(support, keys, found):
     """Between planes at y = 0 and 1, of which one does not go through the origin."""
     mesh = {"rectangle": {"size": [1, 1], "cells": [2, 2]}}
     load = {"kind": "cavity", "on": "right", "name": "air", **keys}
     held = [*support, {"on": "left", "displacement": [0, FREE]}, {"on": "bottom"}]
     (note,) = report(case(mesh=mesh, support=held, load=[{**load, "pressure": 1}])).notes or ("",)
-    assert note.startswith("load[0].on: the cavity 'air' is open") is said
-    if said:
+    assert note.startswith("load[0].on: the cavity 'air' is open") is found
+    if found:
         with pytest.raises(InputError, match=r"load\[0\]\.on: the cavity 'air' is open"):
             report(case(mesh=mesh, support=held, load=[{**load, "added": 1}]))
 
@@ -475,15 +475,15 @@ def test_axes_that_are_skew():
     shift = -np.cross(axis, (point - centre) / size)
     for pitch, more in ((0.0, ""), (0.25, " while it moves 0.5 m along it per radian")):
         null = np.concatenate([shift + pitch * axis, axis])[:, None]
-        (said,) = motions_in_words(null / np.linalg.norm(null), centre, size)
+        (found,) = motions_in_words(null / np.linalg.norm(null), centre, size)
         foot = centre + (point - centre) - axis * (axis @ (point - centre))  # nearest the centre
         place = ", ".join(f"{x:.4g}" for x in foot)
-        assert said == f"turn about (0, 0.6, 0.8) through ({place}) m{more}"
+        assert found == f"turn about (0, 0.6, 0.8) through ({place}) m{more}"
     slide = np.array([0.6, -0.8, 0, 0, 0, 0])[:, None]
     assert motions_in_words(slide, centre, size) == ["move along (0.6, -0.8, 0)"]
 
 
-# --- hints ---
+# --- notes on meshes and on values that are unlikely ---
 
 
 def test_forgotten_units():
@@ -564,8 +564,8 @@ THICK = {"law": "linear-elastic", "E": E, "nu": 0.3}
         ),
     ],
 )
-def test_slips_of_the_pen(tables, start):
-    """Each is told by a note, and a case without them has none."""
+def test_implausible_values(tables, start):
+    """There is a note on each, and none on a case without them."""
     with_load = {"load": [{"kind": "body-force", "value": [0, 0, 1]}], **tables}
     notes = report(case(**with_load)).notes
     assert [note for note in notes if note.startswith(start)], notes
@@ -573,7 +573,7 @@ def test_slips_of_the_pen(tables, start):
 
 
 @pytest.mark.parametrize(
-    ("E", "nu", "density", "told"),
+    ("E", "nu", "density", "advice"),
     [
         ("1050 GPa", 0.1, 3515, ""),  # diamond
         ("10 MPa", 0.4999999, 1100, ""),  # waves in the bulk have 96 km/s
@@ -584,13 +584,13 @@ def test_slips_of_the_pen(tables, start):
         ("70 GPa", 0.3, 2.7, 'is it "2.7 g/cm^3"?'),
     ],
 )
-def test_waves_faster_than_in_any_solid(E, nu, density, told):
+def test_waves_faster_than_in_any_solid(E, nu, density, advice):
     """Density and stiffness are at odds; rubber that keeps its volume is none of this."""
     rubber = {"law": "neo-hookean", "E": E, "nu": nu, "density": density}
     box = {"size": [2, 1, 3], "cells": [2, 1, 3]}
     read = case(mesh={"box": box, "degree": 2}, materials={"rubber": rubber})
-    said = [note for note in check(read, read.read_body()) if "any solid" in note]
-    assert [note.endswith(told) for note in said] == [True] * bool(told)
+    found = [note for note in check(read, read.read_body()) if "any solid" in note]
+    assert [note.endswith(advice) for note in found] == [True] * bool(advice)
 
 
 def test_parts_that_no_cell_carries():
