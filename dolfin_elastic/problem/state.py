@@ -14,31 +14,31 @@ from dolfin_elastic.core.types import FloatArray
 
 
 def plain(t: float) -> float:
-    """A time or load factor as files show it: 12 digits, without round-off at the end."""
+    """A time or load factor rounded to 12 digits, which removes the round-off of sums."""
     return float(f"{t:.12g}")
 
 
 @dataclass(frozen=True)
 class Audit:
-    """Whether a converged step obeys the laws that any equilibrium or motion obeys.
+    """Audit of a converged step: balance of forces, moments and energy, and positive volumes.
 
     Attributes:
-        force: Length of the sum of applied forces, reactions and, in motion, inertia, over the sum
-            of their lengths at the nodes; axial ones only in an axisymmetric body; nan for a
+        force: Norm of the sum of applied forces, reactions and, in motion, inertia, over the sum of
+            the norms of these nodal forces; axial components only in an axisymmetric body; nan of a
             periodic cell.
-        moment: The same of their moments about the origin; nan where there is no such balance.
+        moment: The same of their moments about the origin; nan where moments need not balance.
         work: Work of loads, springs and supports on the body since the start [J], by the
             trapezoidal rule.
-        energy: Growth of the stored energy since the start [J], in motion strain and kinetic
-            energy; nan where a law has none.
-        min_jacobian: Smallest det F at the points where the energy is integrated.
-        max_jacobian: The largest.
-        min_place: Reference place of the cell with the smallest det F [m].
-        max_place: The same of the largest.
+        energy: Strain energy, in motion with kinetic energy, minus that of the start [J]; nan where
+            a law has no strain energy.
+        min_jacobian: Smallest det F at the quadrature points of the energy.
+        max_jacobian: Largest det F there.
+        min_place: Barycentre [m] of the cell with the smallest det F, reference configuration.
+        max_place: Barycentre of the cell with the largest det F.
         verdict: "pass" or "warn".
-        reasons: Why it warns, one for each kind.
-        so_far: The first reason of each kind since the start.
-        notes: What is not judged, and why.
+        reasons: Reasons of the warning, at most one for each check.
+        so_far: The first reason of each check since the start.
+        notes: Checks that are left out, and why.
     """
 
     force: float
@@ -59,37 +59,37 @@ class Audit:
 class State:
     """One converged step: plain data, the same on every rank but for the fields.
 
-    The fields are the solver's own and change with the next step: copy what must be kept.
+    The fields are the solver's own, which overwrites them in the next step: copy them for later.
 
     Attributes:
         step: 0 for the initial state, then 1, 2, ...
         t: Time [s] in motion; the load parameter from 0 to 1 in statics.
-        u: Displacement [m], reference configuration.
+        u: Displacement [m] on the reference configuration.
         w: All unknowns, where there are others beside u.
         v: Velocity [m/s], in motion only.
-        a: Acceleration [m/s^2], in motion only; of explicit schemes and "alpha2" the mean one of
-            the step, 0 in the initial state.
-        load_factor: Share of the load that is on, in statics; 1 in motion.
+        a: Acceleration [m/s^2], in motion only; of explicit schemes and "alpha2" its mean over the
+            step, 0 in the initial state.
+        load_factor: Load factor in statics; 1 in motion.
         newton: Newton iterations since the state before.
         krylov: Linear iterations since then (0 with a direct solver).
-        reason: Why the step counts as converged, PETSc's name.
-        residuals: Norm of the free residual before each Newton iteration and after the last [N].
+        reason: PETSc's name of the reason of convergence.
+        residuals: Norm of the free residual [N] before each Newton iteration and after the last.
         energies: "strain" [J]; in motion also "kinetic", "external" (work of the loads so far),
-            "total"; with springs "springs", stored in them and no part of the total; in implicit
-            motion "damping" and "dashpots" (lost to them so far), "potential" (of loads that do
-            not change), "balance" (strain and kinetic energy and what was damped that came from no
+            "total"; with springs "springs", the energy stored in them, no part of the total; in
+            implicit motion "damping" and "dashpots" (dissipated so far), "potential" (of dead
+            loads), "balance" (the energy error: strain, kinetic and dissipated energy minus the
             work).
-        reactions: Support's name to the force it exerts on the body [N], from the residual
-            (virtual work), inertia included; of "alpha2" at a time within the step.
+        reactions: Support's name to its force on the body [N], from the residual with inertia
+            (virtual work); of "alpha2" at a time within the step.
         momenta: In motion "linear" [kg m/s] and "angular" [kg m^2/s] about the origin.
-        max_displacement: Largest length of u over the body's nodes [m].
-        negative: In statics the number of negative eigenvalues of the tangent, 0 where the body is
-            stable, if the solver tells.
-        limit_points: Load factors of the limit points that a path has passed so far.
-        numbers: Further results by name, for example of probes or the volume of a cavity
-            [SI units].
-        audit: Whether the step obeys what any equilibrium or motion obeys; not of explicit schemes.
-        done: Share of the whole run that is done, 0 to 1.
+        max_displacement: Largest norm of u over the body's nodes [m].
+        negative: In statics the number of negative eigenvalues of the tangent, 0 of a stable
+            equilibrium; None where the linear solver does not count them.
+        limit_points: Load factors of the limit points that the path has passed so far.
+        numbers: Further results by name in SI units, for example of probes or the volume of a
+            cavity.
+        audit: The audit of the step; None with explicit schemes.
+        done: Completed share of the whole run, 0 to 1.
     """
 
     step: int
@@ -118,27 +118,27 @@ class State:
 class Mode:
     """One mode of vibration or of buckling: plain data, the same on every rank but for the fields.
 
-    Masses are those of the whole thickness or circumference, rotations are about the centre of
-    mass.  Directions are "x", "y", "z", "rx", "ry", "rz", in a plane "x", "y", "rz", in a body of
-    revolution "y".
+    Masses are those of the whole thickness or circumference; rotations are about the centre of
+    mass.  Directions are "x", "y", "z", "rx", "ry", "rz", of a plane body "x", "y", "rz", of a body
+    of revolution "y".
 
     Source: R. Clough and J. Penzien, Dynamics of Structures (2003), sections 12-4 and 26-3.
 
     Attributes:
         number: 1, 2, ... in the order of the frequencies or load factors.
-        kind: "rigid"; "elastic"; "unstable", where the loaded state has no stiffness against it;
-            or "buckling".
-        u: Its shape, scaled so that the largest nodal displacement is 1 m.
-        base: Displacement of the state about which the body moves [m].
+        kind: "rigid"; "elastic"; "unstable", of negative omega^2 in a preloaded state; or
+            "buckling".
+        u: Mode shape, scaled to a largest nodal displacement of 1 m.
+        base: Displacement [m] of the state about which the body vibrates or buckles.
         eigenvalue: omega^2 [1/s^2], or the load factor.
         frequency: [Hz]; 0 of rigid and unstable modes, nan of buckling.
-        mass: Generalised mass of that shape, u . M u [kg]; nan of buckling.
+        mass: Generalised mass u . M u [kg]; nan of buckling.
         participation: Direction to participation factor u . M r/(u . M u) with the unit rigid
             motion r.
         effective: Direction to effective modal mass (u . M r)^2/(u . M u) [kg, kg m^2].
         whole: Direction to mass and moment of inertia of the whole body, r . M r.
-        name: A rigid motion in words.
-        done: Share of all modes that have been yielded, 0 to 1.
+        name: Description of a rigid mode.
+        done: Share of the modes that have been yielded, 0 to 1.
     """
 
     number: int
@@ -161,7 +161,7 @@ class Mode:
 
     @property
     def load_factor(self) -> float:
-        """What all loads are multiplied by where the body buckles."""
+        """Factor on all loads at which the body buckles; nan of vibration."""
         return self.eigenvalue if self.kind == "buckling" else float("nan")
 
 
