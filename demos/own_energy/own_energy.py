@@ -18,7 +18,7 @@ Discretisation
 
 Result
     The block pulls back with the stress that the test at a point predicts, to 1e-7, and with that
-    of the closed form to 1e-3.  Curves and a plot are written into own_energy_bench.
+    of the closed form to 1e-3.  Curves and a plot are written into own_energy_report.
 
         python3 demos/own_energy/own_energy.py
         mpirun -n 2 python3 demos/own_energy/own_energy.py
@@ -59,7 +59,7 @@ def main():
     if comm.rank == 0:
         for finding in found.findings:
             print(f"{finding.check:24} {finding.verdict:5} {finding.text}")
-        write("rubber", found, Path("own_energy_bench"))
+        write("rubber", found, Path("own_energy_report"))
 
     for state in run(case, output="own_energy_results"):
         pull = state.reactions["right"][0] / AREA
@@ -72,7 +72,7 @@ def main():
     if comm.rank == 0:
         print(f"nominal stress at twice the length: {pull / 1e6:.6f} MPa")
         print(f"at a point {predicted / 1e6:.6f} MPa, closed form {book / 1e6:.6f} MPa")
-        print(f"block against bench: {difference:.1e} (allowed {TOLERANCE:.0e})")
+        print(f"block against material point: {difference:.1e} (allowed {TOLERANCE:.0e})")
     assert abs(predicted / book - 1) < INCOMPRESSIBLE
     assert difference < TOLERANCE
 

@@ -1,4 +1,4 @@
-"""Typical constants of well-known materials, with where they are from.
+"""Typical constants of well-known materials, with their sources.
 
 Ranges for a first estimate; they do not replace a measurement.
 """

@@ -64,7 +64,9 @@ def material_report(law: Law, *, largest: float = LARGEST) -> MaterialReport:
         )
     for name in law.spatial_constants():
         raise InputError(
-            "this constant varies in space", where=name, expected="the bench tries numbers"
+            "this constant varies in space",
+            where=name,
+            expected="numbers: a material point has no coordinates",
         )
     tested = LawUnderTest(law)
     try:

@@ -21,7 +21,7 @@ CHECKED = {  # what a script says last about its number
     "bridge": r"imbalance over weight: \d\.\de-(09|1\d)",
     "cantilever": r"largest difference: \d\.\de-0[4-9]",
     "rubber": r"P2/P1 torque off by \d\.\de-0[4-9]",
-    "own_energy": r"block against bench: \d\.\de-(0[89]|1\d)",
+    "own_energy": r"block against material point: \d\.\de-(0[89]|1\d)",
     "printed_part": r"difference from beam theory: \d\.\de-0[3-9]",
     "bounce": r"energy out of balance: \d\.\de-0[4-9]",
     "turek_hron": r"largest difference over the amplitude: \d\.\de-(0[3-9])",

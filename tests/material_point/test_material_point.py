@@ -1,4 +1,4 @@
-"""The bench of materials: pointwise programs, checks, curves, growth, ellipticity, files."""
+"""Tests of materials at a point: pointwise programs, checks, curves, growth, ellipticity, files."""
 
 from __future__ import annotations
 
@@ -409,6 +409,6 @@ def test_commands_in_json(tmp_path):
     assert {row["law"] for row in out["laws"]} == set(MATERIALS)
 
 
-def test_what_varies_in_space_is_not_for_the_bench():
+def test_constants_that_vary_in_space_are_refused():
     with pytest.raises(InputError, match="E: this constant varies in space"):
         material_report(NeoHookean(E="1e6*(1 + x)", nu=0.3))

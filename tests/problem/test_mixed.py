@@ -76,12 +76,12 @@ class Balancing(Load):
     def values(self) -> tuple[float, ...]:
         return ()
 
-    def virtual_work(self, site: LoadContext) -> ufl.Form:
-        mesh = ufl.domain.extract_unique_domain(site.v)
+    def virtual_work(self, context: LoadContext) -> ufl.Form:
+        mesh = ufl.domain.extract_unique_domain(context.v)
         u, p = stream(ufl.SpatialCoordinate(mesh))
         sigma = 2 * MU * ufl.sym(ufl.grad(u)) + p * ufl.Identity(2)
         rule = {"quadrature_degree": 6}
-        return -ufl.inner(ufl.div(sigma), site.v) * site.volumes(())(metadata=rule)
+        return -ufl.inner(ufl.div(sigma), context.v) * context.volumes(())(metadata=rule)
 
 
 WALLS = [
@@ -115,12 +115,12 @@ class _Pull(Balancing):
     kind: str = "pull"
     on: str
 
-    def virtual_work(self, site: LoadContext) -> ufl.Form:
-        mesh = ufl.domain.extract_unique_domain(site.v)
+    def virtual_work(self, context: LoadContext) -> ufl.Form:
+        mesh = ufl.domain.extract_unique_domain(context.v)
         u, p = stream(ufl.SpatialCoordinate(mesh))
         sigma = 2 * MU * ufl.sym(ufl.grad(u)) + p * ufl.Identity(2)
-        area = site.areas([self.on])(metadata={"quadrature_degree": 6})
-        return ufl.inner(sigma * ufl.FacetNormal(mesh), site.v) * area
+        area = context.areas([self.on])(metadata={"quadrature_degree": 6})
+        return ufl.inner(sigma * ufl.FacetNormal(mesh), context.v) * area
 
 
 @pytest.mark.parametrize(

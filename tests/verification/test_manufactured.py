@@ -1,8 +1,8 @@
 """Convergence rates with manufactured solutions, for every element and law.
 
 The exact displacement is given; body forces f = -div P and tractions t = P N follow from the law by
-UFL.  They enter as a load of our own: a `Load` whose `virtual_work` is written with what the site
-offers, which is how any load is added.  The slope of the error is fitted over the meshes.
+UFL.  They enter as a load of our own: a `Load` whose `virtual_work` is written with its context,
+which is how any load is added.  The slope of the error is fitted over the meshes.
 
 Expected: u in L2 with order p + 1, in H1 with order p (Ciarlet 1978, theorem 3.2.2; Nitsche).
 """
@@ -67,16 +67,18 @@ class Manufactured(Load):
     def values(self) -> tuple[float, ...]:
         return ()
 
-    def virtual_work(self, site: LoadContext) -> ufl.Form:
-        mesh = ufl.domain.extract_unique_domain(site.v)
-        dim = len(site.v)
-        grown = site.vector((1.0,) * dim, None)[0] * exact(dim, ufl.SpatialCoordinate(mesh))
+    def virtual_work(self, context: LoadContext) -> ufl.Form:
+        mesh = ufl.domain.extract_unique_domain(context.v)
+        dim = len(context.v)
+        grown = context.vector((1.0,) * dim, None)[0] * exact(dim, ufl.SpatialCoordinate(mesh))
         F = embedded(deformation_gradient(grown))
         P = self.law.stress(F)
         P = ufl.as_matrix([[P[i, j] for j in range(dim)] for i in range(dim)])
-        return -ufl.inner(ufl.div(P), site.v) * site.volumes(())(metadata=QUADRATURE) + ufl.inner(
-            P * ufl.FacetNormal(mesh), site.v
-        ) * site.areas(self.on)(metadata=QUADRATURE)
+        return -ufl.inner(ufl.div(P), context.v) * context.volumes(())(
+            metadata=QUADRATURE
+        ) + ufl.inner(P * ufl.FacetNormal(mesh), context.v) * context.areas(self.on)(
+            metadata=QUADRATURE
+        )
 
 
 def held_and_loaded(body: Body, law: Law, other: Law, degree: int) -> Problem:

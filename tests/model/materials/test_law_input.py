@@ -145,6 +145,6 @@ def test_every_law_says_what_it_is(kind: type[Any]) -> None:
 
 
 def test_pages_are_up_to_date() -> None:
-    """If not: python3 -m dolfin_elastic.model.pages."""
+    """If not: python3 -m dolfin_elastic.model.materials.pages."""
     found = {path.name: path.read_text(encoding="utf-8") for path in FOLDER.glob("*.md")}
     assert found == pages.pages()
