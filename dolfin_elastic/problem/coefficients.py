@@ -58,59 +58,16 @@ class BoundLaw:
     typical: Law
 
 
-class CoefficientBinder:
-    """Binds laws to a body. All of it is collective.
+class CoefficientSampler:
+    """Values of what varies in space, at points of cells. All of it is collective.
 
     Args:
         body: The mesh and its fields.
-        order: Degree of the displacement or of the mesh, whichever is higher.
+        degree: Of the functions that values are for, 0 or 1.
     """
 
-    def __init__(self, body: Body, order: int) -> None:
-        self.body, self.degree = body, min(order, 2) - 1
-
-    def bind(self, law: Law, cells: IndexArray, where: str = "") -> BoundLaw:
-        """The law with constants and functions in place of its numbers.
-
-        Args:
-            law: The law as it was written.
-            cells: Owned local cells that it fills.
-            where: Dotted key of the material, for messages.
-
-        Raises:
-            InputError: A name that does not exist, or a value that is impossible somewhere.
-        """
-        numbers = _numbers(law)
-        values = self.values(law, cells, where)
-        ranges = law.ranges()
-        symbols = {name: self._constant(number) for name, number in numbers.items()}
-        for name, table in values.items():
-            symbols[name] = self._function(table, cells, ranges[name])
-        typical = law
-        if values:
-            symbols = law.complete_constants(symbols)
-            typical = self._typical(law, numbers, values)
-        return BoundLaw(law.with_symbols(symbols), symbols.get("density"), typical)
-
-    def values(self, law: Law, cells: IndexArray, where: str = "") -> dict[str, FloatArray]:
-        """What varies, at the points of each cell: shape (cells, points), directions by 3.
-
-        Raises:
-            InputError: See `bind`.
-        """
-        found: dict[str, FloatArray] = {}
-        with _within(where):
-            for name, item in law.spatial_constants().items():
-                with _within(name):
-                    directed = name in law.directions
-                    found[name] = self._at(item, cells, directed)
-                    if directed:
-                        found[name] = self._unit(found[name], cells)
-            if found:
-                self._check(law, found, cells)
-        return found
-
-    # --- where values are taken ---
+    def __init__(self, body: Body, degree: int) -> None:
+        self.body, self.degree = body, degree
 
     @cached_property
     def points(self) -> FloatArray:
@@ -121,22 +78,27 @@ class CoefficientBinder:
         kind = basix.CellType.triangle if dim == 2 else basix.CellType.tetrahedron
         return np.asarray(basix.make_quadrature(kind, 2)[0], dtype=np.float64)
 
-    @cached_property
-    def _to_corners(self) -> FloatArray:
-        """From values at the points to values at the corners of the line through them."""
-        if self.degree == 0:
-            return np.ones((1, 1))
-        return np.linalg.inv(np.column_stack([1 - self.points.sum(axis=1), self.points]))
-
     def _places(self, cells: IndexArray) -> FloatArray:
         """Where the points are [m], shape (cells, points, 3)."""
         mesh = self.body.mesh
         nodes = mesh.geometry.x[mesh.geometry.dofmap[cells]]
         return np.asarray(np.einsum("kn,cnj->ckj", shape_functions(mesh, self.points), nodes))
 
-    # --- what is there ---
+    def at(self, item: SpatialValue, cells: IndexArray, directed: bool) -> FloatArray:
+        """Values at the points of each cell: shape (cells, points), directions by 3.
 
-    def _at(self, item: SpatialValue, cells: IndexArray, directed: bool) -> FloatArray:
+        Args:
+            item: What varies.
+            cells: Owned local cells.
+            directed: It is a direction, made to have length 1.
+
+        Raises:
+            InputError: A name that does not exist, or a direction without length.
+        """
+        values = self._values(item, cells, directed)
+        return self._unit(values, cells) if directed else values
+
+    def _values(self, item: SpatialValue, cells: IndexArray, directed: bool) -> FloatArray:
         match item:
             case SpatialFormula():
                 return self._formula(item, cells)
@@ -187,7 +149,7 @@ class CoefficientBinder:
     def _field(self, name: str, cells: IndexArray) -> FloatArray:
         table = self.body.mesh_field(name).at(self.body.mesh, cells, self.points)
         bad = ~np.isfinite(table).all(axis=2)
-        if worst := self._worst(np.where(bad, np.inf, -1.0), table[:, :, 0], cells):
+        if worst := self.worst(np.where(bad, np.inf, -1.0), table[:, :, 0], cells):
             count = int(total(self.body.comm, int(np.count_nonzero(np.any(bad, axis=1)))))
             raise MeshError(
                 f"the field '{name}' of {self.body.source or 'the mesh'} has no finite value in "
@@ -195,17 +157,94 @@ class CoefficientBinder:
             )
         return table
 
-    # --- what is possible ---
-
     def _unit(self, table: FloatArray, cells: IndexArray) -> FloatArray:
         length = np.linalg.norm(table, axis=2)
         bad = ~(np.isfinite(length) & (length > _SHORTEST))
-        if worst := self._worst(np.where(bad, 1.0, -1.0), length, cells):
+        if worst := self.worst(np.where(bad, 1.0, -1.0), length, cells):
             raise InputError(
                 f"the direction has the length {worst[0]:.3g} at {worst[1]}",
                 expected="directions are made to have length 1, so they need one",
             )
         return np.asarray(table / length[:, :, None])
+
+    def worst(
+        self, distance: FloatArray, values: FloatArray, cells: IndexArray
+    ) -> tuple[float, str] | None:
+        """Value and place where the distance is largest, of all ranks; None: none is above -1.
+
+        Args:
+            distance: From the possible values, shape (cells, points); -1 for what is possible.
+            values: Shape (cells, points).
+            cells: Owned local cells.
+        """
+        own: tuple[float, list[float], float] | None = None
+        if (distance > -1).any():
+            at = np.nonzero(distance == distance.max())
+            places = self._places(cells[at[0]])[np.arange(len(at[0])), at[1], : self.body.dim]
+            last = int(np.lexsort(places.T[::-1])[-1])  # of equals the same on any ranks
+            i, j = at[0][last], at[1][last]
+            own = float(distance[i, j]), [float(x) for x in places[last]], float(values[i, j])
+        found = [one for one in self.body.comm.allgather(own) if one is not None]
+        if not found:
+            return None
+        _, place, value = max(found, key=lambda one: one[:2])
+        return value, "(" + ", ".join(f"{x:.4g}" for x in place) + ")"
+
+
+class CoefficientBinder:
+    """Binds laws to a body. All of it is collective.
+
+    Args:
+        body: The mesh and its fields.
+        order: Degree of the displacement or of the mesh, whichever is higher.
+    """
+
+    def __init__(self, body: Body, order: int) -> None:
+        self.body, self.degree = body, min(order, 2) - 1
+        self._sampler = CoefficientSampler(body, self.degree)
+
+    def bind(self, law: Law, cells: IndexArray, where: str = "") -> BoundLaw:
+        """The law with constants and functions in place of its numbers.
+
+        Args:
+            law: The law as it was written.
+            cells: Owned local cells that it fills.
+            where: Dotted key of the material, for messages.
+
+        Raises:
+            InputError: A name that does not exist, or a value that is impossible somewhere.
+        """
+        numbers = _numbers(law)
+        values = self.values(law, cells, where)
+        ranges = law.ranges()
+        symbols = {name: self._constant(number) for name, number in numbers.items()}
+        for name, table in values.items():
+            symbols[name] = self._function(table, cells, ranges[name])
+        typical = law
+        if values:
+            symbols = law.complete_constants(symbols)
+            typical = self._typical(law, numbers, values)
+        return BoundLaw(law.with_symbols(symbols), symbols.get("density"), typical)
+
+    def values(self, law: Law, cells: IndexArray, where: str = "") -> dict[str, FloatArray]:
+        """What varies, at the points of each cell: shape (cells, points), directions by 3.
+
+        Args:
+            law: The law as it was written.
+            cells: Owned local cells that it fills.
+            where: Dotted key of the material, for messages.
+
+        Raises:
+            InputError: See `bind`.
+        """
+        found: dict[str, FloatArray] = {}
+        with _within(where):
+            for name, item in law.spatial_constants().items():
+                with _within(name):
+                    found[name] = self._sampler.at(item, cells, name in law.directions)
+            if found:
+                self._check(law, found, cells)
+        return found
 
     def _check(self, law: Law, found: dict[str, FloatArray], cells: IndexArray) -> None:
         with np.errstate(all="ignore"):
@@ -219,7 +258,7 @@ class CoefficientBinder:
     def _check_one(
         self, name: str, values: FloatArray, possible: Range, cells: IndexArray, *, given: bool
     ) -> None:
-        worst = self._worst(possible.distance(values), values, cells)
+        worst = self._sampler.worst(possible.distance(values), values, cells)
         if worst is None:
             return
         finite = values[np.isfinite(values)]
@@ -235,24 +274,15 @@ class CoefficientBinder:
             expected=f"{name} must be {possible}",
         )
 
-    def _worst(
-        self, distance: FloatArray, values: FloatArray, cells: IndexArray
-    ) -> tuple[float, str] | None:
-        """Value and place where the distance is largest, of all ranks; None: none is above -1."""
-        own: tuple[float, list[float], float] | None = None
-        if (distance > -1).any():
-            at = np.nonzero(distance == distance.max())
-            places = self._places(cells[at[0]])[np.arange(len(at[0])), at[1], : self.body.dim]
-            last = int(np.lexsort(places.T[::-1])[-1])  # of equals the same on any ranks
-            i, j = at[0][last], at[1][last]
-            own = float(distance[i, j]), [float(x) for x in places[last]], float(values[i, j])
-        found = [one for one in self.body.comm.allgather(own) if one is not None]
-        if not found:
-            return None
-        _, place, value = max(found, key=lambda one: one[:2])
-        return value, "(" + ", ".join(f"{x:.4g}" for x in place) + ")"
-
     # --- as UFL ---
+
+    @cached_property
+    def _to_corners(self) -> FloatArray:
+        """From values at the points to values at the corners of the line through them."""
+        if self.degree == 0:
+            return np.ones((1, 1))
+        points = self._sampler.points
+        return np.linalg.inv(np.column_stack([1 - points.sum(axis=1), points]))
 
     def _constant(self, number: Any) -> fem.Constant:
         return fem.Constant(self.body.mesh, np.asarray(number, dtype=np.float64))

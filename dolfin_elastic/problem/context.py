@@ -130,9 +130,11 @@ class FormContext:
         u: Displacement (UFL, of the unknowns, so that derivatives see it).
         X: Reference coordinates (UFL).
         N: Outward unit normal of the reference surface (UFL).
-        velocity: Velocity [m/s] that dashpots see; solvers of motion keep it.
+        velocity: Velocity [m/s] that dashpots see; solvers of motion set its values.
         t: Time [s] or load parameter (UFL constant).
         unknown_numbers: Numbers that are solved for, by label.
+        axisymmetric: The body is one of revolution about y.
+        order: Degree of the displacement or of the mesh's curved cells, whichever is higher.
     """
 
     def __init__(
@@ -145,6 +147,8 @@ class FormContext:
     ) -> None:
         self.body, self.unknowns, self.regions = body, unknowns, regions
         self.measures, self.geometry = measures, geometry
+        self.axisymmetric = geometry == "axisymmetric"
+        self.order = max(unknowns.degree, int(body.mesh.geometry.cmap.degree))
         self.v = unknowns.v
         self.u = unknowns.total_displacement(unknowns.w)
         self.X = ufl.SpatialCoordinate(body.mesh)
@@ -162,20 +166,10 @@ class FormContext:
         """A number that is solved for, the same for all who ask by this label."""
         return self.unknown_numbers.setdefault(label, self.constant(0.0))
 
-    @property
-    def axisymmetric(self) -> bool:
-        """A body of revolution about y."""
-        return self.geometry == "axisymmetric"
-
     @cached_property
     def linear(self) -> bool:
         """All laws are linear."""
         return all(region.law.linear for region in self.regions)
-
-    @property
-    def order(self) -> int:
-        """Degree of the displacement or of the mesh's curved cells, whichever is higher."""
-        return max(self.unknowns.degree, int(self.body.mesh.geometry.cmap.degree))
 
     def deformation(self, w: Expr) -> Expr:
         """The 3x3 deformation gradient of a function of all unknowns."""
