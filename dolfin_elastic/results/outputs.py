@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 _MANY = 4
-"""Number of files from which only the first and the last are listed."""
+"""Number of files up to which all are listed; of more the first and the last."""
 
 
 class Output(Record):

@@ -124,9 +124,8 @@ def _locked(path: Path) -> int:
         except OSError as error:
             busy = isinstance(error, BlockingIOError)
             fault = _folder_in_use(path.parent, descriptor) if busy else error
-            if (
-                not busy and not os.fstat(descriptor).st_size
-            ):  # empty: created above, for no process has written into it
+            # An empty file was created above: a process that locks one writes into it.
+            if not busy and not os.fstat(descriptor).st_size:
                 with suppress(OSError):
                     path.unlink()
             os.close(descriptor)
