@@ -43,7 +43,6 @@ GAMG: dict[str, Any] = {
 
 P_MULTIGRID: dict[str, Any] = {
     "pc_type": "mg",
-    "pc_mg_levels": 2,
     "pc_mg_galerkin": "both",
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_ksp_max_it": 1,

@@ -13,6 +13,7 @@ from dolfinx import fem, la
 from petsc4py import PETSc
 
 from dolfin_elastic.core.compat import interpolation_matrix
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.constraints.skew import SkewConstraints
 from dolfin_elastic.problem.problem import Problem
@@ -44,12 +45,17 @@ class PMultigrid:
 
     Args:
         problem: With quadratic elements.  Collective.
-        pc: Of type "mg" with two levels, for the displacement's block of the tangent.
+        pc: Of type "mg", for the displacement's block of the tangent, with its options in force.
         order: The entry of the displacement (owned, of `unknowns.U`) behind each row of the
             block; None: they are the same.
+
+    Raises:
+        InputError: The user wants another number of levels.
     """
 
     def __init__(self, problem: Problem, pc: PETSc.PC, order: IndexArray | None = None) -> None:
+        _check_levels(pc)
+        pc.setMGLevels(2)  # not by an option, which GAMG would refuse in the place of PCMG
         self._problem, self._pc = problem, pc
         self._space = problem.unknowns.linear_space()
         self._P = constrained_interpolation(problem, self._space, order)
@@ -85,6 +91,17 @@ class PMultigrid:
         """Frees what it owns, not the PC. Collective."""
         for thing in (self._P, self._dm, self._field):
             thing.destroy()
+
+
+def _check_levels(pc: PETSc.PC) -> None:
+    """PETSc would look for interpolations between further levels and crash."""
+    levels = PETSc.Options(pc.getOptionsPrefix()).getInt("pc_mg_levels", 2)
+    if levels != 2:
+        raise InputError(
+            f"multigrid from quadratic to linear elements has two levels, not {levels}",
+            where="solver.petsc",
+            expected="leave -pc_mg_levels out; -mg_coarse_pc_gamg_ options shape the levels below",
+        )
 
 
 def renew(ksp: PETSc.KSP) -> None:

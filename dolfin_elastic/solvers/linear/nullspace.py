@@ -1,4 +1,4 @@
-"""Motions that a tangent does not resist."""
+"""Motions in the null space of a tangent."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 
 
 def null_combinations(assembler: Assembler, columns: FloatArray, small: float) -> FloatArray:
-    """Orthonormal combinations of motions that the tangent, as it is assembled, maps to nothing.
+    """Combinations of given motions that lie in the null space of the assembled tangent.
 
-    By the triangles of each rank's rows: products of columns would be right to half the digits.
-    Collective.
+    By a singular value decomposition of K times the motions, reduced to the triangular factor of
+    each rank's rows: the product's Gram matrix would lose half the digits.  Collective.
 
     Args:
-        assembler: With the tangent.
-        columns: Owned entries of all unknowns, of norm 1, shape (entries, n).
-        small: Stiffness, over the largest of a node, that counts as none.
+        assembler: With the tangent K.
+        columns: The motions: owned entries of all unknowns, of norm 1, shape (entries, n).
+        small: Singular value, over the largest entry of the free diagonal, that counts as zero.
 
     Returns:
-        Shape (n, found).
+        Orthonormal coefficients of the motions, shape (n, found).
     """
     matrix, comm = assembler.tangent.matrix, assembler.comm
     diagonal = matrix.getDiagonal()
@@ -31,9 +31,8 @@ def null_combinations(assembler: Assembler, columns: FloatArray, small: float) -
     scale = largest(comm, float(np.max(np.abs(diagonal.array_r[free]), initial=0.0))) or 1.0
     diagonal.destroy()
     images = times(matrix, columns) / scale
-    images[assembler.prescribed_dofs] = columns[
-        assembler.prescribed_dofs
-    ]  # rows that were replaced by ones
+    fixed = assembler.prescribed_dofs  # whose rows of K are the identity's
+    images[fixed] = columns[fixed]
     rows = np.vstack([images, np.zeros((images.shape[1],) * 2)])
     triangles = np.vstack(comm.allgather(np.linalg.qr(rows, mode="r")))
     _, sizes, mixes = np.linalg.svd(triangles, full_matrices=False)
@@ -41,7 +40,15 @@ def null_combinations(assembler: Assembler, columns: FloatArray, small: float) -
 
 
 def times(matrix: PETSc.Mat, columns: FloatArray) -> FloatArray:
-    """A matrix times columns of owned entries, shape (entries, n). Collective."""
+    """A matrix times several vectors. Collective.
+
+    Args:
+        matrix: Square.
+        columns: Owned entries of the vectors, shape (entries, n).
+
+    Returns:
+        Owned entries of the products, of the same shape.
+    """
     x, y = matrix.createVecs()
     images = np.zeros_like(columns)
     for k in range(columns.shape[1]):

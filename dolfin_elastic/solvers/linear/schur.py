@@ -36,7 +36,7 @@ class PressureSplit:
         self._problem = assembler.problem
         start = assembler.tangent.matrix.getOwnershipRange()[0]
         # Rows of a split have to be sorted, but the displacement has an order of its own.
-        self._order = np.argsort(assembler.displacement_dofs, kind="stable")
+        self._order = np.argsort(assembler.displacement_dofs, kind="stable").astype(np.int32)
         pressures = np.setdiff1d(np.arange(assembler.size), assembler.displacement_dofs)
         comm = assembler.comm
         self._u = PETSc.IS().createGeneral(

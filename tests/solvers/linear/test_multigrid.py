@@ -22,6 +22,7 @@ from dolfin_elastic import (
     Traction,
     box_body,
 )
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.petsc_options import PREFIX
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -203,6 +204,21 @@ def test_a_direct_solver_of_the_coarse_level() -> None:
     [plain] = steps("p2", 1)
     assert exact.krylov <= plain.krylov
     assert exact.max_displacement == pytest.approx(plain.max_displacement, rel=1e-6)
+
+
+def test_plain_gamg_of_quadratic_elements() -> None:
+    """The user's choice, which knows the rigid-body modes, too."""
+    [gamg] = steps("p2", 1, {"pc_type": "gamg"})
+    [plain] = steps("p2", 1)
+    assert gamg.max_displacement == pytest.approx(plain.max_displacement, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["p2", "mixed p2"])
+def test_more_levels_are_refused(kind: str) -> None:
+    """PETSc itself would crash for want of an interpolation."""
+    name = "fieldsplit_u_pc_mg_levels" if kind.startswith("mixed") else "pc_mg_levels"
+    with pytest.raises(InputError, match="has two levels, not 3"):
+        steps(kind, 1, {name: 3})
 
 
 MUMPS = {"mg_coarse_pc_factor_mat_solver_type": "mumps"}
