@@ -17,6 +17,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.core import __version__, timing
+from dolfin_elastic.core.errors import SolveError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.problem.state import Audit, Mode, State, plain
 from dolfin_elastic.results.extremes import Extremes
@@ -128,8 +129,8 @@ class SummaryWriter:
                 "finished": _now(),
                 "extremes": {name: asdict(extreme) for name, extreme in found.items()},
             }
-            if (diagnosis := getattr(error, "diagnosis", None)) is not None:
-                extra["diagnosis"] = asdict(diagnosis)
+            if isinstance(error, SolveError) and error.diagnosis is not None:
+                extra["diagnosis"] = asdict(error.diagnosis)
             if self.problem.mixed and found:
                 J = [found[name].value for name in ("min_jacobian", "max_jacobian")]
                 extra["volume_change"] = max(abs(value - 1) for value in J)
