@@ -1,4 +1,4 @@
-"""Audit of motion: forces from outside change the momenta, and energy has a source."""
+"""Audit of motion: balances of linear and angular momentum, and of energy."""
 
 from __future__ import annotations
 
@@ -18,23 +18,24 @@ from dolfin_elastic.solvers.dynamics.work import EnergyBalance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 
 GAINED = 0.02
-"""Share of the largest energy that may appear from nowhere: the schemes keep the energy of a
+"""Gain of energy over the largest energy that is let pass: the schemes conserve the energy of a
 nonlinear body to the second order of the step only."""
 
 LOST = 0.1
-"""Share of the largest energy that a scheme may damp away before it is said."""
+"""Loss of energy by the scheme, over the largest energy, that is let pass."""
 
 GROWS = 2.0
-"""While the largest energy grows by more from one state to the next its shares say little: of a
-motion that has just begun, or of a support that has just been set going, whose work comes a step
-later than its speed, everything may be off."""
+"""Growth of the largest energy from one state to the next above which its shares are no verdict.
+
+A motion has then just begun, or a support has just been set going, whose work comes a step later
+than its velocity: all of the energy may be out of balance."""
 
 MOST = 0.5
-"""Share of the largest energy that is most of it."""
+"""Share of the largest energy that is a verdict even while the energy grows so fast."""
 
 
 class MotionAuditor(EquilibriumAuditor):
-    """Judges one step of a motion after another. Collective.
+    """Audits the steps of an implicit motion. Collective.
 
     Args:
         problem: What moves.
@@ -63,10 +64,10 @@ class MotionAuditor(EquilibriumAuditor):
         self._off = self._scale = 0.0
 
     def add_step(self, forces: Forces, du: FloatArray) -> None:
-        """Takes in a step. Collective.
+        """Checks the balance of forces and moments of a step. Collective.
 
         Args:
-            forces: Of its stage, at the places of the stage.
+            forces: Of its stage, at the displacement of the stage.
             du: Change of the displacement, owned entries [m].
         """
         self._forces, self._du = forces, du
@@ -88,19 +89,19 @@ class MotionAuditor(EquilibriumAuditor):
         assert self._forces is not None
         return self._forces.u
 
-    def judge(self, t: float, ledger: EnergyBalance, energies: Mapping[str, float]) -> Audit:
-        """The audit of all steps since the last one. Collective.
+    def judge(self, t: float, balance: EnergyBalance, energies: Mapping[str, float]) -> Audit:
+        """The audit of all steps since the last audit. Collective.
 
         Args:
             t: Time [s].
-            ledger: What energy has come from.
+            balance: Work and dissipation so far.
             energies: Of the state [J].
         """
         reasons = dict(self._reasons)
         stabilised = self._problem.unknowns.stabilised
         if not (stabilised or self._problem.eigenstrains):
-            off = ledger.off(energies)
-            reasons.update(self._lasting(self._energy(off), off, ledger.scale, t))
+            off = balance.off(energies)
+            reasons.update(self._lasting(self._energy(off), off, balance.scale, t))
         if self._forces is not None and (reason := self._rotation.reason(self._du)):
             reasons["chords"] = reason
         force, moment = self._worst
@@ -115,9 +116,16 @@ class MotionAuditor(EquilibriumAuditor):
     def _lasting(
         self, reasons: dict[str, str], off: float, scale: float, t: float
     ) -> dict[str, str]:
-        """Reasons that hold in two states running, or in the last one.
+        """Reasons that hold in two successive states, or in the last one.
 
-        While the energy still grows fast they hold if most of it is off: then that is why.
+        While the energy still grows fast they count only if most of it is out of balance: then the
+        imbalance is why it grows.
+
+        Args:
+            reasons: Of this state.
+            off: Energy out of balance over the largest energy.
+            scale: The largest energy so far [J].
+            t: Time [s].
         """
         before, settled = self._off, scale <= GROWS * self._scale
         self._off, self._scale = abs(off) if reasons else 0.0, scale

@@ -1,4 +1,4 @@
-"""Where motion starts: displacement and velocity at time 0."""
+"""Initial conditions: displacement and velocity at time 0, and supports that do not fit them."""
 
 from __future__ import annotations
 
@@ -20,18 +20,24 @@ from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 EPS = float(np.finfo(float).eps)
 
 SMALL = 1e-6
-"""Share of the largest value of the motion up to which two values are the same: what formulas of
-users and differences of supports leave is far below, and a shock so small is none."""
+"""Difference over the largest value of the motion up to which two values are the same.
+
+Round-off of formulas and of differences in time is far below, and so small a shock is none."""
 
 SUDDEN = 0.1
-"""A support jumps that goes this share of a step's way in a ten-thousandth of the step."""
+"""Share of a step's displacement that a support does in 1e-4 of the step, from which it jumps."""
 
 LOOKS = 8
-"""Times at which supports are looked at for how far they move."""
+"""Times at which supports are evaluated for how far they move."""
 
 
 def nodal_values(V: fem.FunctionSpace, values: tuple[Component, ...], where: str) -> FloatArray:
     """A vector given by components at every local node, unrolled. Not collective.
+
+    Args:
+        V: Space of the vector.
+        values: Components: numbers, or formulas in x, y, z.
+        where: Dotted key, for messages.
 
     Raises:
         InputError: The number of components is not the body's.
@@ -44,7 +50,7 @@ def nodal_values(V: fem.FunctionSpace, values: tuple[Component, ...], where: str
     places[np.abs(places) < 64 * EPS * np.max(np.abs(places), initial=0.0)] = 0.0
     x, y, z = places.T
     out = np.empty((len(x), bs))
-    with np.errstate(all="ignore"):  # what is not finite is told by who asks
+    with np.errstate(all="ignore"):  # callers check that all is finite
         for i, value in enumerate(values):
             formula = value if isinstance(value, Formula) else None
             out[:, i] = formula.evaluate(x=x, y=y, z=z, t=0.0) if formula else value
@@ -60,7 +66,7 @@ def set_initial(
 ) -> list[SupportJump]:
     """Puts a problem into its initial state. Collective.
 
-    Prescribed entries start where, and as fast as, their supports say.
+    Prescribed entries get displacement and velocity of their supports.
 
     Args:
         problem: Its displacement is set, and its time to 0.
@@ -70,7 +76,10 @@ def set_initial(
         span: Duration of the motion [s]: a part of it serves to differentiate supports.
 
     Returns:
-        Where supports and what was asked for differ.
+        Supports whose displacement or velocity differs from the initial conditions.
+
+    Raises:
+        InputError: A value is not finite, or the displacement turns cells inside out.
     """
     u, held = problem.u, problem.dirichlet
     if displacement:
@@ -107,9 +116,13 @@ def _check_upright(problem: Problem) -> None:
 
 
 def _speeds(problem: Problem, moment: float) -> tuple[FloatArray, float]:
-    """Velocities of prescribed entries at time 0, and how far round-off lets them be off [m/s].
+    """Velocities of prescribed entries at time 0, and a bound of their round-off [m/s]. Collective.
 
-    By a one-sided difference of second order over a moment [s]. Collective.
+    By a one-sided difference of second order.
+
+    Args:
+        problem: Whose supports.
+        moment: Duration of the difference [s].
     """
     start, half, whole = problem.dirichlet.targets_at((0.0, moment / 2, moment))
     size = largest(problem.body.comm, float(np.max(np.abs(whole), initial=0.0)))
@@ -120,7 +133,15 @@ def _speeds(problem: Problem, moment: float) -> tuple[FloatArray, float]:
 def _imposed(
     problem: Problem, field: fem.Function, what: str, values: FloatArray, least: float
 ) -> Iterator[SupportJump]:
-    """Makes prescribed entries what supports say; tells where they were not. Collective."""
+    """Sets prescribed entries; yields the supports where they were different. Collective.
+
+    Args:
+        problem: Whose supports.
+        field: Displacement or velocity, changed.
+        what: "velocity" or "displacement".
+        values: Prescribed, like `DirichletConditions.targets`.
+        least: Differences up to this are none.
+    """
     size = problem.V.dofmap.index_map.size_local * problem.V.dofmap.index_map_bs
     before = field.x.array[:size].copy()
     problem.dirichlet.impose(field.x.array, values)
@@ -131,14 +152,24 @@ def _imposed(
 def _set_nodal(
     problem: Problem, field: fem.Function, values: tuple[Component, ...], where: str
 ) -> None:
-    """Nodal values; a formula that fails on one rank fails on all. Collective."""
+    """Sets nodal values; a formula that fails on one rank fails on all. Collective.
+
+    Args:
+        problem: What moves.
+        field: Displacement or velocity, changed.
+        values: Components or formulas.
+        where: Dotted key, for messages.
+
+    Raises:
+        InputError: A value is not finite.
+    """
     error = None
     try:
         field.x.array[:] = nodal_values(problem.V, values, where)
     except InputError as caught:
         error = caught
     agree(problem.body.comm, error)
-    _check_finite(problem, field, where)  # held nodes too, though supports overrule it there
+    _check_finite(problem, field, where)  # also where supports prescribe another value
 
 
 def _check_finite(problem: Problem, field: fem.Function, where: str) -> None:
@@ -152,7 +183,7 @@ def _check_finite(problem: Problem, field: fem.Function, where: str) -> None:
 
 @dataclass(frozen=True)
 class SupportJump:
-    """Where a support and the body differ at the start, or as a support jumps.
+    """A support whose motion differs from the body's at the start, or that jumps later.
 
     Attributes:
         support: Its label.
@@ -181,7 +212,12 @@ class SupportJump:
 
 
 def support_travel(problem: Problem, span: float) -> float:
-    """How far supports move within a time, from where they start [m]. Collective."""
+    """How far supports move within a time, from where they start [m]. Collective.
+
+    Args:
+        problem: Whose supports; their time is 0 afterwards.
+        span: The time [s].
+    """
     held, most = problem.dirichlet, 0.0
     start, *later = held.targets_at(span * k / LOOKS for k in range(LOOKS + 1))
     for there in later:
@@ -192,12 +228,12 @@ def support_travel(problem: Problem, span: float) -> float:
 
 
 def support_jump(problem: Problem, t: float, step: float) -> str:
-    """Words of the support that moves furthest at once, just after a time, if one does. Collective.
+    """Message about the support that jumps furthest just after a time; empty: none. Collective.
 
     Args:
         problem: Whose supports.
         t: Time [s]; it is the problem's afterwards.
-        step: As long as the steps of the motion [s].
+        step: Usual step of the motion [s].
     """
     held = problem.dirichlet
     start, *later = held.targets_at((t, t + 1e-4 * step, t + step))
@@ -218,12 +254,12 @@ def support_jump(problem: Problem, t: float, step: float) -> str:
 def support_jumps(
     problem: Problem, what: str, change: FloatArray, least: float
 ) -> Iterator[SupportJump]:
-    """Supports that change what the body would be without them. Collective.
+    """Supports by which displacement or velocity of the body is changed. Collective.
 
     Args:
         problem: What moves.
         what: "velocity" or "displacement".
-        change: What they have made of it less what it was, at owned entries.
+        change: Change by the supports, owned entries.
         least: Differences up to this are none.
     """
     x, dim = problem.V.tabulate_dof_coordinates(), problem.body.dim
@@ -232,7 +268,7 @@ def support_jumps(
         most = largest(problem.body.comm, float(np.max(sizes, initial=0.0)))
         if not most > least:
             continue
-        # Nodes that differ equally: the same one on any number of ranks.
+        # Of nodes with equal differences the first by coordinates: the same on any number of ranks.
         alike = x[: len(sizes)][sizes >= most * (1 - 1e-9)]
         place = first_of(problem.body.comm, map(tuple, alike.round(12).tolist()))
         assert place is not None  # some rank has the largest
@@ -240,7 +276,12 @@ def support_jumps(
 
 
 def _by_support(problem: Problem, change: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-    """Each support's label, and what it has changed at the owned nodes, of shape (nodes, dim)."""
+    """Each support's label, and its part of the change at the owned nodes, shape (nodes, dim).
+
+    Args:
+        problem: Whose supports.
+        change: By all supports, owned entries.
+    """
     held, dim = problem.dirichlet, problem.body.dim
     for label, entries in held.reaction_dofs.items():
         share = np.zeros_like(change)

@@ -1,14 +1,15 @@
-"""Strains that a body shows at the ends of steps because it has turned between them.
+"""Strain error at the ends of steps in which a body rotates.
 
-Forces of a stage between the ends of a step are those of the mean place, u_s = (1 - a) u1 + a u0.
-With C = F^T F and the change D = F1 - F0,
+Forces of a stage between the ends of a step are those of the mean displacement,
+u_s = (1 - a) u1 + a u0.  With C = F^T F and the change D = F1 - F0,
 
-    C(u_s) = (1 - a) C1 + a C0 - a (1 - a) D^T D:
+    C(u_s) = (1 - a) C1 + a C0 - a (1 - a) D^T D.
 
-of a body that turns, the mean place is the chord of its way and smaller than the body.  The stage's
-stress is the right one, so at the ends of the step the body is too large: by a strain of
-a (1 - a)/2 w^2 h^2 where it turns by w h.  That is of second order in the step h, but where a stiff
-body turns it is soon more than its strains.
+Points of a body that rotates move along arcs; the mean of two positions lies on the chord, so the
+body of the mean displacement is smaller than the body.  The scheme makes the stress of the stage
+the right one, so at the ends of the step the body is too large: by a strain of a (1 - a)/2 w^2 h^2
+where it rotates by the angle w h.  That is of second order in the step h, but of a stiff body it is
+soon more than its strains.
 
 Source: J. C. Simo & N. Tarnow, ZAMP 43 (1992) 757, section 4.
 """
@@ -26,15 +27,17 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 
 SHARE = 0.06
-"""Share of the largest strain so far that chords may be before it is said.  The largest is that of
-the motion's swings; of its mean stresses chords of this share are about twice as much."""
+"""Error over the largest strain so far up to which it is let pass.
+
+The largest strain is that of the extremes of the motion; over the mean strain the error is about
+twice as much."""
 
 GROWS = 2.0
-"""While the largest strain grows by more from one state to the next, nothing is said."""
+"""Growth of the largest strain from one state to the next above which the error is no verdict."""
 
 
 class RotationError:
-    """Compares what chords make of strains with the strains.  Collective to make.
+    """Compares the strain error of rotations with the strains.  Collective to make.
 
     Args:
         problem: What moves.
@@ -53,13 +56,13 @@ class RotationError:
         points, _ = basix.make_quadrature(kind, 1)
         self._change = fem.Function(problem.V)
         D, F = ufl.grad(self._change), problem.weak_form.F(problem.w)
-        chord, strain = D.T * D, (F.T * F - ufl.Identity(3)) / 2
-        seen = ufl.as_vector([ufl.inner(chord, chord), ufl.inner(strain, strain)])
+        change, strain = D.T * D, (F.T * F - ufl.Identity(3)) / 2
+        seen = ufl.as_vector([ufl.inner(change, change), ufl.inner(strain, strain)])
         self._look = compile_expression(mesh.comm, seen, points, problem.jit)
         self._cells = problem.body.owned_cells()
 
     def reason(self, du: FloatArray) -> str:
-        """What is wrong with the strains of the present state, if it was so before. Collective.
+        """The warning, if the error is too large in this state and in the one before. Collective.
 
         Args:
             du: Change of the displacement in the last step, owned entries [m].
@@ -71,18 +74,18 @@ class RotationError:
         found = self._look.eval(self._problem.body.mesh, self._cells).reshape(-1, 2)
         squares = np.nan_to_num(found).max(axis=0, initial=0.0)
         turn, strain = (largest(self._problem.body.comm, float(s)) ** 0.5 for s in squares)
-        settled = strain <= GROWS * self._most  # of a motion that has just begun it says little
+        settled = strain <= GROWS * self._most
         self._most = max(self._most, strain)
-        chord = self._share * turn
-        before, self._seen = self._seen, settled and chord > SHARE * self._most
+        error = self._share * turn
+        before, self._seen = self._seen, settled and error > SHARE * self._most
         if not (before and self._seen):
             return ""
         angle = np.degrees(np.sqrt(turn / np.sqrt(2)))
         return (
-            f"the body turns by {angle:.2g} degrees a step, whose chord strains it by {chord:.2g}, "
-            f"{100 * chord / self._most:.2g} % of its largest strain: stresses and reactions are "
-            "off by as much and more; a smaller dt, or scheme = 'newmark', whose forces are those "
-            "at the ends of steps"
+            f"the body rotates by {angle:.2g} degrees a step, with a strain error of {error:.2g} "
+            f"at the ends of steps, {100 * error / self._most:.2g} % of its largest strain: "
+            "stresses and reactions are off by as much and more; a smaller dt, or scheme = "
+            "'newmark', whose forces are those at the ends of steps"
         )
 
     # --- restarts ---

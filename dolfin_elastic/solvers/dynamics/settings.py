@@ -61,7 +61,7 @@ class Rayleigh(Record):
 
 
 class DynamicsSettings(Record):
-    """How motion is followed through time.
+    """How a motion is integrated in time.
 
     Attributes:
         scheme: Implicit: "generalized-alpha", "newmark", "implicit-euler", and "alpha2", PETSc's

@@ -104,13 +104,13 @@ def supports_move(problem: Problem) -> bool:
 
 
 class EnergyBalance:
-    """Sums up work over the steps of a motion.
+    """Work, dissipation and balance of energy of an implicit motion.
 
-    The work of a step is that of the forces in the middle of it over its displacement, of second
-    order: those of the stage where that is the middle, and else the mean of those at both ends.
-    What the penalties of obstacles store counts as the body's: they do work only where they move.
-    Supports that move work against the inertia of what they carry: M dv . (v0 + v1)/2, which is the
-    change of its kinetic energy also where they are set going at once, and the force has no end.
+    The work of a step is that of the forces in the middle of it on its displacement, of second
+    order: forces of the stage where that is the middle, else the mean of those at both ends.
+    Penalty energy of contacts counts as the body's, so obstacles do work only where they move.
+    Moving supports do work against the inertia of their nodes, M dv . (v0 + v1)/2: the change of
+    their kinetic energy, also of a support that is set going at once, with an unbounded force.
 
     Collective to make.
 
@@ -138,7 +138,7 @@ class EnergyBalance:
         self._round_off = _NOISE * np.finfo(float).eps * problem.stiffness * volume
 
     def begin(self) -> None:
-        """Takes in where the obstacles are at the problem's time, and the speed. Not collective."""
+        """Takes in positions of obstacles and the velocity that the motion begins with."""
         self._places = self._shifts()
         self._v = self._now()
 
@@ -146,7 +146,7 @@ class EnergyBalance:
         """Adds the work of one step. Collective.
 
         Args:
-            forces: In the middle of it; the problem's time is that of its end.
+            forces: In the middle of the step; the problem's time is that of its end.
             du: Change of the displacement, owned entries [m].
         """
         moves = self._moving.displacement_dofs
@@ -162,7 +162,12 @@ class EnergyBalance:
             self._sums[name] += float(value)
 
     def _carried(self, forces: Forces, du: FloatArray) -> float:
-        """What inertia costs supports, in place of its forces over the way, on this rank [J]."""
+        """Work of supports against inertia, less that which is in the reactions, on this rank [J].
+
+        Args:
+            forces: In the middle of the step.
+            du: Change of the displacement, owned entries [m].
+        """
         a, moves = self._moving.assembler, self._moving.displacement_dofs
         before, self._v = self._v, self._now()
         change = a.constrained_part(self._moving.momentum(self._v - before))[moves]
@@ -173,7 +178,7 @@ class EnergyBalance:
         return self._velocity.x.array[: len(self._moving.displacement_dofs)].copy()
 
     def _shifts(self) -> FloatArray:
-        """How far the obstacles have moved by now, shape (contacts, dim) [m]."""
+        """Displacements of the obstacles, shape (contact pairs, dim) [m]."""
         return np.array([touch.shift.value for touch in self._moving.problem.contact_pairs])
 
     def energies(self, kinetic: float, stored: float) -> dict[str, float]:
@@ -202,10 +207,13 @@ class EnergyBalance:
         return found
 
     def off(self, energies: Mapping[str, float]) -> float:
-        """The balance over the largest energy so far; positive where energy has appeared.
+        """Energy out of balance over the largest energy so far; positive: a gain. Not collective.
 
-        Damping takes energy; what it should have given has appeared, too.  Round-off is no part of
-        it: where hardly anything moves, all energy is. Not collective.
+        Dissipation that is negative is a gain, too.  Round-off of the stored energy is left out:
+        where hardly anything moves, it would be all of the energy.
+
+        Args:
+            energies: From `EnergyBook.measure` [J].
         """
         balance, noise = energies.get("balance", 0.0), self._round_off
         balance = max(balance, -energies.get("damping", 0.0)) if balance >= 0.0 else balance
@@ -214,7 +222,7 @@ class EnergyBalance:
         return (balance - math.copysign(noise, balance)) / self.scale
 
     def _potential(self) -> float:
-        """Of loads that do not change: minus their forces times the displacement [J]."""
+        """Potential of constant loads: minus their forces times the displacement [J]."""
         moves = self._moving.displacement_dofs
         if self._dead is None:
             self._dead = self._moving.assembler.reactions.loads()[moves].copy()
@@ -238,20 +246,24 @@ class EnergyBalance:
 
 
 class _WorkTerm(Protocol):
-    """What does work that must be summed up step by step."""
+    """Forces whose work must be summed up step by step."""
 
     def begin(self) -> None:
         """Takes in the state from which the next step starts. Collective."""
 
     def update_time(self) -> None:
-        """Takes over the numbers of the present time. Not collective."""
+        """Takes over the values of the present time. Not collective."""
 
     def step(self, du: FloatArray) -> float:
-        """This rank's share of the work of a step with the displacement du [J]. Collective."""
+        """This rank's share of the work of a step [J]. Collective.
+
+        Args:
+            du: Change of the displacement in the step, owned entries [m].
+        """
 
 
 class _NodalLoad:
-    """NodalForces on nodes that are in a form of their own, by the trapezoidal rule."""
+    """Nodal forces of one form, by the trapezoidal rule."""
 
     def __init__(self, forces: NodalForces) -> None:
         self._forces = forces
@@ -273,7 +285,7 @@ class _NodalLoad:
 
 
 class _MovingObstacle:
-    """A moving obstacle: its force on the body, times the way that it has gone."""
+    """A moving obstacle: its force on the body times its own displacement."""
 
     def __init__(self, touch: ContactPair, forces: NodalForces) -> None:
         self._touch, self._forces = touch, forces
@@ -295,7 +307,7 @@ class _MovingObstacle:
 
 
 class _MovingSupports:
-    """Supports that move: what they push with, beside the inertia of what they carry."""
+    """Moving supports: their reactions without inertia; that follows from the kinetic energy."""
 
     def __init__(self, assembler: Assembler) -> None:
         self._assembler = assembler
@@ -314,13 +326,13 @@ class _MovingSupports:
 
 
 class ExternalWork:
-    """Work on the body, and on the penalties of obstacles, since the start. Collective to make.
+    """Work on the body and on contact penalties in explicit motion. Collective to make.
 
-    What follows from two states waits until it is asked for: of loads that do not change, force
-    times displacement; of springs at rest, their energy; of the mass that supports move, its
-    kinetic energy.  Obstacles at rest do no work.  The rest is summed up step by step by the
-    trapezoidal rule: loads that change, springs whose base moves, dashpots, and supports and
-    obstacles that move.
+    Where the work follows from two states it is computed when a state is asked for: force times
+    displacement of constant loads, energy of springs with a fixed base, kinetic energy of the mass
+    that supports move.  Fixed obstacles do no work.  The rest is summed up step by step by the
+    trapezoidal rule: loads that change, springs with a moving base, dashpots, moving supports and
+    moving obstacles.
 
     Args:
         problem: What moves.
@@ -330,7 +342,7 @@ class ExternalWork:
 
     Attributes:
         sum: The work at the last state asked for [J].
-        terms: What must be summed up step by step.
+        terms: Forces whose work is summed up step by step.
     """
 
     def __init__(
@@ -375,7 +387,7 @@ class ExternalWork:
         return NodalForces(self._problem, compiled(self._problem, [form])[0], vector, points=points)
 
     def begin(self, work: float = 0.0) -> None:
-        """Takes in the state from which the next step starts. Collective.
+        """Takes in the state that the next step begins with. Collective.
 
         Args:
             work: Done so far [J].
@@ -389,15 +401,17 @@ class ExternalWork:
             term.begin()
 
     def update_time(self) -> None:
-        """Takes over the numbers of the present time. Not collective."""
+        """Takes over the values of the present time. Not collective."""
         for term in self.terms:
             term.update_time()
 
     def step(self, du: FloatArray) -> None:
-        """Adds a step that has led to the present state; for nothing without `terms`. Collective.
+        """Adds the work of a step that has led to the present state. Collective.
+
+        Without `terms` there is nothing to add, and no need to call it.
 
         Args:
-            du: Its displacement, owned entries [m].
+            du: Change of the displacement in the step, owned entries [m].
         """
         for term in self.terms:
             self._local += term.step(du)
@@ -419,11 +433,11 @@ class ExternalWork:
         return {"external": self.close()}
 
     def _spring_energy(self) -> float:
-        """Energy of springs at rest [J]. Collective."""
+        """Energy of springs with a fixed base [J]. Collective."""
         return 0.0 if self._springs is None else integral(self._problem, self._springs)
 
     def _support_energy(self) -> float:
-        """This rank's kinetic energy of what supports move [J]."""
+        """Kinetic energy of the nodes of moving supports, on this rank [J]."""
         if not self._moving_supports:
             return 0.0
         v = self._assembler.constrained_part(self._v)

@@ -60,9 +60,12 @@ class FrequencyBound:
 
     @staticmethod
     def applies(problem: Problem) -> bool:
-        """One tangent serves a cell, and no load adds to it.
+        """Whether the tangent is constant in each cell, and no follower load adds to it.
 
-        In a body of revolution the tangent changes inside a cell, also in a curved one.
+        In bodies of revolution and in curved cells it is not constant.
+
+        Args:
+            problem: What moves.
         """
         follows = any(
             load.follower and not (load.linearises and problem.context.linear)
@@ -91,11 +94,15 @@ class FrequencyBound:
         return ufl.sqrt(left[i, j, k, m] * right[i, j, k, m])
 
     def evaluate(self) -> FloatArray:
-        """The bound at each owned node at the present displacement [1/s^2]. Collective."""
+        """Bound of omega^2 at each owned node, at the present displacement [1/s^2]. Collective."""
         return self._held + self._assembler.reactions.nodal(self._form)[:: self._dim] / self._mass
 
     def location(self, rates: FloatArray) -> tuple[float, ...]:
-        """Reference place of the node with the largest rate [m]. Collective."""
+        """Undeformed position of the node with the largest bound [m]. Collective.
+
+        Args:
+            rates: From `evaluate` [1/s^2].
+        """
         V = self._problem.V
         mine: tuple[float, tuple[float, ...]] = (-np.inf, ())
         if len(rates):
@@ -108,7 +115,13 @@ class FrequencyBound:
 def rows_over_mass(
     assembler: Assembler, bounds: Sequence[ufl.Form], mass: FloatArray
 ) -> FloatArray:
-    """Bounds of the rows of a matrix at owned entries, over the mass there. Collective."""
+    """Bounds of the row sums of a matrix over the mass, at owned entries [1/s^2]. Collective.
+
+    Args:
+        assembler: Of the problem.
+        bounds: Forms whose nodal values are these bounds.
+        mass: Lumped mass at every owned entry [kg].
+    """
     found = np.zeros(len(mass))
     for form in compiled(assembler.problem, bounds) if bounds else []:
         found += assembler.reactions.nodal(form) / mass
@@ -116,7 +129,12 @@ def rows_over_mass(
 
 
 def extremes(comm: MPI.Comm, values: Sequence[float]) -> list[float]:
-    """The largest of each number over all ranks. Collective."""
+    """The largest of each number over all ranks. Collective.
+
+    Args:
+        comm: Of all ranks.
+        values: Of this rank.
+    """
     found = np.array(values, dtype=np.float64)
     comm.Allreduce(MPI.IN_PLACE, found, op=MPI.MAX)
     return [float(value) for value in found]

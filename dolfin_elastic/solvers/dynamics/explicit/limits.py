@@ -11,14 +11,14 @@ from dolfin_elastic.problem.problem import Problem
 
 
 def check_explicit(problem: Problem, scheme: str) -> None:
-    """They need a lumped mass, and displacements as the only unknowns.
+    """Refuses problems without a positive lumped mass, or with unknowns beside the displacement.
 
     Args:
         problem: What is to move.
         scheme: Name of the scheme.
 
     Raises:
-        InputError: They cannot compute this problem.
+        InputError: Explicit schemes cannot compute this problem.
     """
     if problem.degree != 1:
         raise InputError(
@@ -44,7 +44,7 @@ def check_explicit(problem: Problem, scheme: str) -> None:
 
 
 def changes(problem: Problem) -> bool:
-    """Something depends on time: loads, supports, springs or obstacles."""
+    """Whether loads, supports, springs or obstacles depend on time."""
     return (
         (bool(problem.loads) and problem.loads_change)
         or any(not support.at_rest for support in problem.supports)
@@ -55,11 +55,14 @@ def changes(problem: Problem) -> bool:
 def mean_acceleration(
     problem: Problem, v: fem.Function, t: float, dt: float, interval: float
 ) -> FloatArray:
-    """The mean acceleration of supports in the next step, or the last where they end. Collective.
+    """Mean acceleration that supports prescribe [m/s^2]. Collective.
+
+    It is that of the next step; where a curve or formula has no value any more, that of the last
+    steps.
 
     Args:
         problem: Whose supports, at the present time.
-        v: Velocity.
+        v: Velocity [m/s].
         t: Time [s].
         dt: The last step [s].
         interval: From the time of the velocity to the middle of its next step [s].

@@ -1,8 +1,9 @@
-"""Why an explicit motion was lost: from its last sound state it is gone through again.
+"""Replay of the last interval of an explicit motion, to find out why its state is not finite.
 
-A value that is not finite is everywhere within a few steps, and no step is looked at while all goes
-well.  So the last state is kept, and what came after it is done once more with a look at each step:
-at the cells, at how far nodes are thrown, and at whether forces and energies are finite.
+A value that is not finite spreads through the mesh within a few steps, and single steps are not
+checked, for that would cost as much as they do.  So the last finite state is saved; if the next one
+is not finite, the steps between them are taken again, and after each one det F, the largest
+displacement, forces and energies are checked.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from dolfin_elastic.solvers.messages import coordinates
 Place = tuple[float, ...]
 
 FAR = 1e6
-"""Sizes of the body from which a displacement is no motion any more."""
+"""Displacement over the size of the body from which the motion is unbounded."""
 
 SHORTER = "a smaller dt or safety"
 CRUSHED = f"{SHORTER}, a finer mesh where the cells are crushed, or a smaller load or velocity"
@@ -38,7 +39,7 @@ STRAINED = (
 
 
 class ExplicitMarch(Restartable[RestartState, SavedState], Protocol):
-    """An explicit motion, as far as it can be gone through again."""
+    """An explicit motion, as far as a replay needs it."""
 
     problem: Problem
     assembler: Assembler
@@ -59,14 +60,15 @@ class ExplicitMarch(Restartable[RestartState, SavedState], Protocol):
 
 
 class Replay:
-    """Looks for what went wrong since the last sound state of a motion.
+    """Finds what went wrong since the last finite state of a motion.
 
-    Made when it has: a motion that held one would be freed on each rank when it likes.
+    It is made when needed: a motion that owned its replay would be in a cycle of references, and be
+    freed at another moment on each rank.
 
     Args:
         march: The motion.
-        monitor: What has been seen of it.
-        last: Its last sound state.
+        monitor: Its checks so far.
+        last: Its last finite state.
     """
 
     def __init__(self, march: ExplicitMarch, monitor: StabilityMonitor, last: StateCopy) -> None:
@@ -75,12 +77,12 @@ class Replay:
         self._unbounded: tuple[int, str, Place] | None = None
 
     def lost(self) -> StabilityError:
-        """Why the present state has no finite forces or energies. Collective.
+        """The error for a state without finite forces or energies. Collective.
 
-        The motion has the last sound state afterwards.
+        The motion is at an earlier, finite state afterwards.
 
         Raises:
-            InputError: Because a support or a load has no finite value.
+            InputError: A support or a load has no finite value.
         """
         march = self._march
         with stage("diagnose"), np.errstate(all="ignore"):
@@ -94,9 +96,13 @@ class Replay:
         return StabilityError(text, advice=found.advice, state=state, diagnosis=found)
 
     def _before(self, first: int) -> State:
-        """The state before a step that was lost; an earlier one where it began earlier. Collective.
+        """The last state worth looking at. Collective.
 
-        What has grown beyond all bounds can be computed with for a while, but not looked at.
+        That is the state before the first step that is not finite, or, where cells had turned
+        inside out or displacements were unbounded before, the last one without that.
+
+        Args:
+            first: Number of the first step that is not finite.
         """
         march, goal = self._march, first - 1
         if self._inverted is not None:
@@ -111,7 +117,9 @@ class Replay:
         return march.state(moved=march.now[0] > begin)
 
     def refused(self, error: StabilityError) -> StabilityError:
-        """An error of the step's length, with where and what; or why the state is lost. Collective.
+        """The error for a step above the stable one, with state and place. Collective.
+
+        If the state is not finite any more, that is the error.
 
         Args:
             error: The same on all ranks.
@@ -128,7 +136,10 @@ class Replay:
     # --- step by step ---
 
     def _step_through(self, last: int) -> float:
-        """Up to the first step after which not all is finite, at the most `last`. Collective.
+        """Replays up to the first step after which a value is not finite. Collective.
+
+        Args:
+            last: Number of the last step to take.
 
         Returns:
             The time before that step [s].
@@ -144,7 +155,11 @@ class Replay:
         return before
 
     def _inspect(self, when: str) -> None:
-        """Notes when and where the first cells turn inside out, and the first node is far."""
+        """Notes when and where cells first turn inside out, and displacements are unbounded.
+
+        Args:
+            when: How the time of the message begins: "by" or "in the step to".
+        """
         step, t = self._march.now
         when = f"{when} t = {t:.6g} s"
         if self._monitor.nonlinear and self._inverted is None:
@@ -179,7 +194,7 @@ class Replay:
     # --- why ---
 
     def _diagnosis(self) -> Diagnosis:
-        """Of the present state, the first whose forces or energies are not finite. Collective."""
+        """Diagnosis of the present state, the first that is not finite. Collective."""
         cells, dim = Cells(self._march.assembler), self._march.problem.body.dim
         cause, (text, advice, place) = self._why(cells)
         return Diagnosis(cause, text, advice, place[:dim], cells.worst())
@@ -191,7 +206,7 @@ class Replay:
             return "inverted", (before, lets, self._monitor.place)
         if self._inverted is not None:
             when, text, place = self._inverted
-            # Where a law lets cells turn, the forces come to an end only later.
+            # A law without a barrier has finite forces for some steps after the inversion.
             return "inverted", (text, CRUSHED if when == step else lets, place)
         if self._unbounded is not None:
             _, text, place = self._unbounded
@@ -206,7 +221,10 @@ class Replay:
         return "nan", (f"forces or energies have no finite value{at}", SHORTER, place)
 
     def _first_without_force(self) -> Place:
-        """The least place of a node whose force is not finite. Collective."""
+        """Undeformed position of the first node, by coordinates, whose force is not finite [m].
+
+        Collective.
+        """
         assembler, problem = self._march.assembler, self._march.problem
         dim = problem.body.dim
         forces = assembler.residual.owned.reshape(-1, dim)

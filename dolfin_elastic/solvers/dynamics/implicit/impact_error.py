@@ -1,11 +1,11 @@
-"""What the error estimate of a step cannot see: a surface that hits an obstacle after the stage.
+"""Error estimate of impacts within a step, which that of the time scheme does not see.
 
-The forces of a step are those of its stage.  Without contact there, the end of the step may lie
-deep in an obstacle, or behind it, and the acceleration of the scheme knows nothing of it.  While
-the same nodes touch, the pushes p of a penalty are as good as linear in the place,
-(1 - alpha_f) p1 + alpha_f p0 = p_s; by what p1 differs from that, the acceleration of the end is
-other than the scheme's, and the place h^2/6 times that, the weight that it has where accelerations
-are linear in time: Zienkiewicz & Xie (1991), see `alpha`.
+The forces of a step are those of its stage.  A surface that hits an obstacle after the stage may
+lie deep in it, or behind it, at the end of the step, and the acceleration of the scheme knows
+nothing of that.  While the same nodes are in contact, their penalty forces p are almost linear in
+the displacement: (1 - alpha_f) p1 + alpha_f p0 = p_s.  The difference of p1 from that, over the
+mass, is the error of the acceleration at the end; the displacement's is h^2/6 times that, its
+weight where accelerations are linear in time: Zienkiewicz & Xie (1991), see `generalized_alpha`.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 
 
 class ImpactError:
-    """Pushes of obstacles at the ends of a step and at its stage.  Collective.
+    """Contact forces at the ends of a step and at its stage.  Collective.
 
     Args:
         moving: The body.
-        alpha_f: Share of the old place in the stage's.
+        alpha_f: Share of the old displacement in the stage's.
     """
 
     def __init__(self, moving: DynamicResidual, alpha_f: float) -> None:
@@ -32,19 +32,31 @@ class ImpactError:
         self._stage: FloatArray = self._first
 
     def _contact_forces(self) -> FloatArray:
-        """Nodal forces of all obstacles at the present place and time, owned entries [N]."""
+        """Nodal forces of all contacts at the present displacement and time, owned entries [N]."""
         return sum(self._moving.contact_forces(), np.zeros(len(self._moving.displacement_dofs)))
 
     def begin(self, t: float) -> None:
-        """Notes what pushes where a step begins."""
+        """Takes in the contact forces at the start of a step.
+
+        Args:
+            t: Time of the start [s].
+        """
         self._moving.problem.set_time(t)
         self._first = self._contact_forces()
 
     def at_stage(self, forces: Forces) -> None:
-        """Notes what pushes at its stage."""
+        """Takes in those at its stage.
+
+        Args:
+            forces: Of the stage.
+        """
         self._stage = forces.contact[self._moving.displacement_dofs]
 
     def error(self, h: float) -> FloatArray:
-        """What an unseen push does to the place at the end, where the problem is now [m]."""
+        """Error of the displacement at the end of the step, where the problem is now [m].
+
+        Args:
+            h: The step [s].
+        """
         expected = (self._stage - self._share * self._first) / (1 - self._share)
         return np.asarray(-h * h / 6 * (self._contact_forces() - expected) * self._mobility)

@@ -1,4 +1,4 @@
-"""Implicit motion by PETSc TS: the loop over steps, what is yielded, and what is kept."""
+"""Implicit motion by PETSc's TS: the loop over steps, what is yielded, and restarts."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ from dolfin_elastic.solvers.petsc.options import ts_reason
 log = logging.getLogger("dolfin_elastic")
 
 AHEAD = 1e-4
-"""Share of the whole motion over which supports are looked at for their first acceleration, at
-most: an adaptive step's first try may be as long as anything."""
+"""Largest step, over the whole motion, of the differences in time for the first acceleration of
+supports: the first try of an adaptive step may be as long as the motion."""
 
 
 class Implicit:
-    """An implicit scheme on one problem.
+    """An implicit motion of one problem. Collective.
 
     Args:
         problem: What moves, in its initial state.
@@ -62,6 +62,17 @@ class Implicit:
         settings: Of the motion.
         linear: How linear systems are solved.
         petsc: PETSc options of the user.
+
+    Attributes:
+        ts: PETSc's TS; its solutions are all unknowns, and the velocity.
+        moving: Residual and tangent with inertia.
+        newton: Solver of the equations of a step.
+        scheme: Takes the steps, registered with `ts`.
+        control: Sizes of steps.
+        times: Which states are yielded.
+        balance: Work and dissipation so far.
+        auditor: Of the balances of momentum and energy.
+        a: Acceleration of the scheme [m/s^2].
     """
 
     def __init__(
@@ -234,7 +245,7 @@ class Implicit:
         self.moving.copy_to(self._U, self._V, self.v)
 
     def _march(self) -> None:
-        """Lets TS go on to the next state that is to be shown; it stops at times that are met."""
+        """Lets TS go on to the next state that is yielded; it stops at each time that is met."""
         ts = self.ts
         while True:
             step = int(ts.getStepNumber())
@@ -263,7 +274,7 @@ class Implicit:
         self._renew(krylov / max(newton, 1))
 
     def _renew(self, each: float) -> None:
-        """Lets multigrid begin anew when the body has turned away from the modes it knows.
+        """Sets multigrid up anew when iterations grow: its rigid-body modes are out of date.
 
         Args:
             each: Linear iterations of each Newton iteration.

@@ -1,4 +1,4 @@
-"""Times of a motion that are met exactly, and which steps are yielded."""
+"""Times of a motion that are met exactly, and steps whose states are yielded."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ Interval = Annotated[int | Time, BeforeValidator(_not_bare), AfterValidator(_abo
 
 
 class OutputTimes:
-    """When a motion stops for somebody to look.
+    """Which states of a motion are yielded.
 
     Args:
-        end: When it ends [s].
-        times: Further times that are met and shown [s].
+        end: When the motion ends [s].
+        times: Further times that are met exactly, and whose states are yielded [s].
         every: Steps from one state to the next; or, as a float, time between them [s].
     """
 
@@ -59,29 +59,46 @@ class OutputTimes:
         self._interval = None if isinstance(every, int) else float(every)
 
     def ended(self, t: float) -> bool:
-        """Whether the end is reached."""
+        """Whether the end is reached.
+
+        Args:
+            t: Time [s].
+        """
         return t >= self.end * (1 - 1e-12)
 
     def next_time(self, t: float) -> float:
-        """The first time after t that is met exactly."""
+        """The first time after t that is met exactly [s].
+
+        Args:
+            t: Time [s].
+        """
         found = next((s for s in self._times if s > t + 1e-12 * self.end), self.end)
         if self._interval is None:
             return found
         number = int(t / self._interval + SAME) + 1
-        beat = number * self._interval
-        # Where a beat and a time that was asked for are one, the latter is exact.
-        return found if found <= beat * (1 + SAME / number) else beat
+        multiple = number * self._interval
+        # Where a multiple and a time that was asked for coincide, the latter is exact.
+        return found if found <= multiple * (1 + SAME / number) else multiple
 
     def steps_left(self, step: int) -> int:
-        """How many steps from here the next state is shown at the latest."""
+        """Steps to the next state that is yielded, at most.
+
+        Args:
+            step: Number of steps done.
+        """
         return 10**9 if self.steps is None else self.steps - step % self.steps
 
     def is_output(self, step: int, t: float) -> bool:
-        """Whether somebody wants to see the state after a step."""
+        """Whether the state after a step is yielded.
+
+        Args:
+            step: Number of the step.
+            t: Its time [s].
+        """
         if self.ended(t) or t in self._times:
             return True
         if self.steps is not None:
             return step % self.steps == 0
         assert self._interval is not None
-        beats = t / self._interval
-        return abs(beats - round(beats)) < SAME * max(1.0, beats)
+        multiples = t / self._interval
+        return abs(multiples - round(multiples)) < SAME * max(1.0, multiples)

@@ -1,17 +1,17 @@
-"""How far a step of an implicit motion goes: to times that are met, and by its error.
+"""Step sizes of an implicit motion: times that are met exactly, and the tolerance of errors.
 
-TSAdapt compares the error of a step with what it may be and says how long the next one is.  The
-scale of errors is the largest displacement so far, the end of the step included, as E. Hairer,
+TSAdapt compares the error of a step with the tolerance and chooses the next step.  Errors are
+relative to the largest displacement so far, that of the end of the step included, as E. Hairer,
 S. P. Norsett & G. Wanner, Solving Ordinary Differential Equations I (1993), (II.4.10), have it: a
-body that has not moved yet would allow none, and the first step would be as small as that.
+body that has not moved yet would allow no error, and the first step would be tiny.
 
-The first step that is tried is the user's, and where it leads to is of the size of what follows,
-also if it is taken back for its error: of u'' + w^2 u = f from rest, a step of any length moves at
-most as far as the motion itself does, twice f/w^2, or from the velocity v to v/w.  Fronts of waves
-that leave a clamp would otherwise be followed through each cell.
+The first step that is tried is the user's, and its displacement is a scale of the motion, also if
+it is rejected for its error: of u'' + w^2 u = f from rest, a step of any length moves at most as
+far as the motion itself does, twice f/w^2, or from the velocity v to v/w.  Without that scale the
+first wave fronts that leave a clamp would be resolved in each cell.
 
 Adaptive steps meet the corners of curves, for the error of a body at rest tells nothing of what is
-to come; equal ones are as they were asked for, and a curve that bends faster is told of.
+to come; equal steps are as they were asked for, and pass over corners with a warning.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 log = logging.getLogger("dolfin_elastic")
 
 UNJUDGED = 1e100
-"""Error that scalar fields, which follow from the displacement, may have in a step [m]."""
+"""Tolerance of scalar fields, which follow from the displacement: they are not judged."""
 
 CRUMB = 0.01
-"""Share of a step that it may be longer, rather than that one as short follows."""
+"""Share of a step by which it may be longer to meet a time, rather than leave a tiny next one."""
 
 LOOKS = 50
-"""Steps that a motion has at least whose loads or supports are formulas in t: a body at rest, whose
-steps have no error, would sleep through what begins later on."""
+"""Fewest steps of a motion whose loads or supports are formulas in t: the steps of a body at rest
+have no error, and would pass over what begins later."""
 
 SAME = 1e-9
-"""Share of a step that times may differ by and still be one."""
+"""Difference over the step up to which two times are the same."""
 
 
 class StepControl:
@@ -52,7 +52,7 @@ class StepControl:
     Args:
         ts: Its step is set before each one.
         moving: The body.
-        times: Which are met exactly, and the end.
+        times: Times that are met exactly, and the end.
         dt: The user's step [s].
         tolerance: Error of a step over the largest displacement, if steps are adaptive; else None.
         span: Size of the body [m].
@@ -82,7 +82,7 @@ class StepControl:
         self._start, self._goal, self._planned, self._free = 0.0, 0.0, 0.0, 0.0
 
     def warn_of_passed_corners(self) -> None:
-        """Warns of curves that equal steps pass over. Not collective."""
+        """Warns where equal steps may pass over what a curve does. Not collective."""
         least = float(np.min(np.diff(self._corners), initial=np.inf))
         if not self._adaptive and least < self.nominal * (1 - SAME):
             log.warning(
@@ -119,7 +119,11 @@ class StepControl:
         self.set_error_scale()
 
     def _fitting(self, remaining: float) -> float:
-        """A step of about the size that is free to be, with which no crumb is left."""
+        """A step of about the free size, with which no tiny step remains.
+
+        Args:
+            remaining: Time to the next one that is met exactly [s].
+        """
         step = self._free
         if self._adaptive and remaining < 2 * step:
             return remaining / max(1, ceil(remaining / step - CRUMB))
@@ -127,7 +131,11 @@ class StepControl:
         return remaining if remaining < step * (1 - SAME) else step
 
     def without_round_off(self, t: float) -> float:
-        """The time that a step has come to, without the round-off of a sum."""
+        """The time at the end of a step, without the round-off of a sum [s].
+
+        Args:
+            t: Sum of the steps [s].
+        """
         slack = SAME * (t - self._start)
         if abs(t - self._goal) < slack:
             return self._goal
@@ -135,15 +143,16 @@ class StepControl:
         return even if abs(t - even) < slack and not self._adaptive else t
 
     def end_step(self) -> None:
-        """Takes note of a step that TS has taken. Collective.
+        """Updates scale and step size after TS has accepted a step. Collective.
 
-        One that was cut short for a time that must be met says nothing against longer ones.
+        A step that was cut short to meet a time says nothing against longer ones: the next one is
+        as long as it would have been.
         """
         if not self._adaptive:
             return
         ts = self._ts
         if int(ts.getStepNumber()) == 1:
-            self.scale = 0.0  # tries that were taken back were there for the first step only
+            self.scale = 0.0  # rejected tries are a scale for the first step only
         self.scale = self._present()
         if float(ts.getTime()) - self._start > self._planned * (1 - SAME):
             ts.setTimeStep(max(float(ts.getTimeStep()), self._free))
@@ -155,7 +164,7 @@ class StepControl:
         return max(self.scale, largest(self._moving.comm, local), 1e-6 * self._span)
 
     def set_error_scale(self) -> None:
-        """Lets errors be judged against displacements, the present one included. Collective."""
+        """Sets the tolerance to the largest displacement, the present one included. Collective."""
         if not self._adaptive:
             return
         present = self._present()

@@ -1,10 +1,11 @@
-"""The pressure's equation in a step of a motion: for volumes at its ends, not at its stage.
+"""The equation of the pressure in a step: for the volumes at its ends, not at its stage.
 
-The volumes of a mean place are not the mean volumes: places u0 and u1 of a body that turns have a
-chord between them, whose middle is too near to the axis by its square.  With g = 0 asked of the
-stage, u_s = (1 - alpha_f) u1 + alpha_f u0, a turning body lands outside of its circle, then on it
-again, and the acceleration that this takes is as large as the centripetal one whatever the step:
-the pressure swings between nothing and twice what it is.  So the equation is
+The volume of a mean displacement is not the mean volume: the mean of two positions of a point that
+rotates lies on the chord of its arc, too near to the axis by the square of the angle.  With g = 0
+at the stage, u_s = (1 - alpha_f) u1 + alpha_f u0, points of a rotating body end outside of their
+circle in one step and on it in the next.  The acceleration for that is as large as the centripetal
+one, however small the step: the pressure swings between nothing and twice its value.  So the
+equation is
 
     (1 - alpha_f) g(u1) + alpha_f g(u0) = p/k,
 
@@ -12,11 +13,11 @@ p of the stage, and of exactly incompressible materials, 1/k = 0, g(u1) = 0.  Th
 step is then the change of p^2/(2k) but for terms of the third order of the step.
 
 Sources: J. C. Simo & N. Tarnow, ZAMP 43 (1992) 757 (stresses of mean strains, not of the mean
-place); M. Arnold & O. Bruels, BIT 47 (2007) 185, (14) (constraints at the end of each step of
-generalized-alpha).
+displacement); M. Arnold & O. Bruels, BIT 47 (2007) 185, (14) (constraints at the end of each step
+of generalized-alpha).
 
 The tangent keeps the gradient of g at the stage in these rows, so that it stays symmetric; it is
-off by the share of a turn that a step makes, and Newton's method takes 5 iterations instead of 3
+off by the angle of rotation in a step, and Newton's method takes 5 iterations instead of 3
 where that is 0.1 rad.
 """
 
@@ -36,11 +37,13 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 
 
 class VolumeConstraint:
-    """What the pressure's rows at the stage lack.  Collective to make.
+    """Adds to the rows of the pressure at the stage what makes them those of the step.
+
+    Collective to make.
 
     Args:
-        assembler: Whose `balance` is completed.
-        alpha_f: Share of the old place in the stage's.
+        assembler: Its residual is completed.
+        alpha_f: Share of the old displacement in the stage's.
 
     Attributes:
         end: Time at which the step ends [s]: growth and temperatures are taken then, too.
@@ -63,20 +66,28 @@ class VolumeConstraint:
 
     @staticmethod
     def needed(problem: Problem, alpha_f: float) -> bool:
-        """There is a pressure, and a stage that is not the end.
+        """Whether there is a pressure, and a stage that is not the end of the step.
 
-        Out of a free plane the stretch takes up the volume.
+        In plane stress the stretch out of the plane takes up the volume.
+
+        Args:
+            problem: What moves.
+            alpha_f: Share of the old displacement in the stage's.
         """
         return alpha_f > 0.0 and problem.mixed and not problem.unknowns.has("stretch")
 
     def begin(self, t: float) -> None:
-        """Notes the place and the time that a step begins at. Collective."""
+        """Takes in the displacement at the start of a step. Collective.
+
+        Args:
+            t: Time of the start [s].
+        """
         self._problem.set_time(t)
         self._old = self._problem.w.x.array.copy()
         self._known = self._share * self._rows(self._compressible, self._old)
 
     def complete(self) -> None:
-        """Brings `balance`, assembled at the stage, to the equation of the step. Collective."""
+        """Brings the residual, assembled at the stage, to the equation of the step. Collective."""
         here, s = self._problem.w.x.array.copy(), self._share
         end = self._old + (here - self._old) / (1 - s)
         more = self._known - self._rows(self._all, here)
@@ -88,7 +99,12 @@ class VolumeConstraint:
         self._assembler.residual.vector.array[: len(more)] += more
 
     def _rows(self, form: fem.Form | None, w: FloatArray) -> FloatArray:
-        """g of a place, at no pressure, in the rows of all unknowns [N]."""
+        """g of a displacement at zero pressure, in the rows of all unknowns [N].
+
+        Args:
+            form: Of the regions that count; None: of none.
+            w: All unknowns, local entries.
+        """
         if form is None:
             return np.zeros(self._assembler.size)
         self._problem.w.x.array[:] = np.where(self._scalars, 0.0, w)

@@ -20,6 +20,7 @@ from helpers.motion import (
     oscillator,
     value_at,
 )
+from mpi4py import MPI
 
 from dolfin_elastic import (
     Body,
@@ -422,10 +423,10 @@ def record(state: Any) -> dict[str, Any]:
         ("implicit-euler", 0.03, False),
     ],
 )
-def test_chords_of_a_stiff_body_that_turns_are_told(scheme, turns, says):
+def test_strain_error_of_a_stiff_body_that_rotates(scheme, turns, says):
     """A free square of steel at 300 rad/s, strained by 1e-5 in truth.
 
-    Steps of 0.03 rad have a chord of 0.03^2/8 = 1.1e-4: the stage is right, the ends too large.
+    Steps of 0.03 rad have an error of 0.03^2/8 = 1.1e-4: the stage is right, the ends too large.
     """
     problem = Problem(
         rectangle_body(size=(0.1, 0.1), cells=(2, 2), origin=(-0.05, -0.05)),
@@ -434,10 +435,10 @@ def test_chords_of_a_stiff_body_that_turns_are_told(scheme, turns, says):
     dt = turns / 300
     settings = {"end": 60 * dt, "dt": dt, "initial_velocity": ["-300*y", "300*x"]}
     *_, state = Dynamics(problem, scheme=scheme, **settings).steps()
-    told = [reason for reason in state.audit.reasons if "chord" in reason]
+    told = [reason for reason in state.audit.reasons if "strain error" in reason]
     assert bool(told) == says
     if says:
-        assert told[0].startswith("the body turns by 1.7 degrees a step, whose chord strains it by")
+        assert told[0].startswith("the body rotates by 1.7 degrees a step, with a strain error of")
         assert "scheme = 'newmark'" in told[0]
 
 
@@ -657,9 +658,9 @@ def test_monitor_and_view_of_petsc(scheme, folder, caplog):
     )
     assert view.read_text().count("TS Object") == 1
     assert "SNES Object" in view.read_text()
-    assert [r.message for r in caplog.records if "not used" in r.message] == [
-        "PETSc option '-snes_view_nonsense' was not used by any solver"
-    ]
+    unused = [record.message for record in caplog.records if "not used" in record.message]
+    if MPI.COMM_WORLD.rank == 0:  # the log is that of one rank
+        assert unused == ["PETSc option '-snes_view_nonsense' was not used by any solver"]
 
 
 @pytest.mark.parametrize("option", ["pc_type", "ts_adapt_type"])
