@@ -32,7 +32,7 @@ from dolfin_elastic.results.outputs import Modes, Output, Xdmf
 from dolfin_elastic.results.writer import ModeWriter, Writer
 from dolfin_elastic.results.writers.modes import clear as clear_modes
 from dolfin_elastic.results.writers.xdmf import remove
-from dolfin_elastic.solvers.nonlinear.contact import tell_untouched
+from dolfin_elastic.solvers.nonlinear.contact import warn_of_untouched
 
 log = logging.getLogger("dolfin_elastic")
 States = Generator[State | Mode, None, None]
@@ -180,7 +180,7 @@ class _Run:
 def _steps(solver: Solver, problem: Problem, before: Unfinished | None) -> States:
     """The solver's generator, from the start or from a checkpoint."""
     if before is None:  # after a restart it is unknown whether something touched before
-        return tell_untouched(problem, cast(States, solver.steps()))
+        return warn_of_untouched(problem, cast(States, solver.steps()))
     assert isinstance(solver, RestartableSolver)  # others have no checkpoints
     return cast(States, solver.steps(before.found))
 

@@ -1,4 +1,4 @@
-"""What steps must not pass over: times asked for, corners of curves, obstacles that move far."""
+"""What a step must not jump over: output times, corners of amplitudes, strides of obstacles."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ HALVINGS = 30
 """Of a step in which an obstacle moves too far."""
 
 
-def refuse_beyond(times: Sequence[float], end: float, key: str, unit: str = "") -> None:
-    """Times that would never be met.
+def refuse_times_beyond(times: Sequence[float], end: float, key: str, unit: str = "") -> None:
+    """Refuses output times after the end.
 
     Args:
-        times: Those that are to be met exactly.
+        times: Times or load factors that are to be met exactly.
         end: Where the run ends.
         key: Dotted key of the end.
-        unit: Of all of them.
+        unit: Of all of them, for the message.
 
     Raises:
         InputError: The first one beyond the end.
@@ -41,20 +41,20 @@ def refuse_beyond(times: Sequence[float], end: float, key: str, unit: str = "") 
 
 
 def corners(problem: Problem) -> list[float]:
-    """Times at which a curve has a corner, also where it turns around [s]."""
-    return sorted({t for curve in _curves(problem) for t in curve.breakpoints})
+    """Times at which an amplitude has a corner or turns around, sorted [s]."""
+    return sorted({t for curve in _amplitudes(problem) for t in curve.breakpoints})
 
 
-def winds(problem: Problem) -> bool:
-    """A formula in t says how something changes: it may turn around at any time."""
+def driven_by_formula(problem: Problem) -> bool:
+    """Whether a formula in t drives a load, support or obstacle: it may turn around at any time."""
     formulas = [load.values for load in problem.loads]
     formulas += [course for support in problem.supports for course in support.time_functions]
-    formulas += [touch.contact.values for touch in problem.contact_pairs]
-    curves = any(curve.is_formula for curve in _curves(problem))
+    formulas += [pair.contact.values for pair in problem.contact_pairs]
+    curves = any(curve.is_formula for curve in _amplitudes(problem))
     return curves or any(depends_on_time(vector) for vector in formulas)
 
 
-def _curves(problem: Problem) -> Iterator[Amplitude]:
+def _amplitudes(problem: Problem) -> Iterator[Amplitude]:
     things = [
         *problem.loads,
         *problem.supports,

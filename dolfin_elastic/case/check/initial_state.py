@@ -17,7 +17,11 @@ from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
-from dolfin_elastic.solvers.nonlinear.contact import buried, check_start, first_gaps
+from dolfin_elastic.solvers.nonlinear.contact import (
+    check_initial_gaps,
+    initial_gaps,
+    penetration_message,
+)
 
 TIMES = 41
 """Times of a motion, or of statics, at which supports and loads are evaluated."""
@@ -53,7 +57,7 @@ def contact_gaps(case: Case, problem: Problem) -> tuple[ContactGap, ...]:
         case: Its contacts, and whether there is motion.
         problem: Made of the case.
     """
-    gaps = first_gaps(problem, moving=case.dynamics is not None)
+    gaps = initial_gaps(problem, moving=case.dynamics is not None)
     return tuple(
         ContactGap(
             f"contact[{i}] '{pair.label}'",
@@ -76,7 +80,7 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     if not problem.contact_pairs:
         return
     diagonal = span(problem.body)
-    gaps = first_gaps(problem, moving=case.dynamics is not None)
+    gaps = initial_gaps(problem, moving=case.dynamics is not None)
     for pair, (gap, _) in zip(problem.contact_pairs, gaps, strict=True):
         motion = float(np.linalg.norm([_size(value) for value in pair.contact.values]))
         if abs(gap) > diagonal + motion * case.final_load:
@@ -156,8 +160,10 @@ def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]
     """
     v, s = fem.Function(problem.V), settings
     incompatible = set_initial(problem, v, s.displacement, s.velocity, s.end)
-    gaps = zip(problem.contact_pairs, check_start(problem, moving=True), strict=True)
-    penetrations = [buried(pair, gap, at) for pair, (gap, at) in gaps if gap < -pair.tolerance]
+    gaps = zip(problem.contact_pairs, check_initial_gaps(problem, moving=True), strict=True)
+    penetrations = [
+        penetration_message(pair, gap, at) for pair, (gap, at) in gaps if gap < -pair.tolerance
+    ]
     problem.u.x.array[:] = 0.0
     problem.unknowns.u_to_w()
     unstable = [s.stability_limit] if s.stability_limit else []

@@ -27,7 +27,7 @@ from dolfin_elastic.problem.state import Audit
 from dolfin_elastic.solvers.assembly.assembler import Assembler, StrainEnergy
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.nonlinear.contact import off_obstacle
+from dolfin_elastic.solvers.nonlinear.contact import contact_gap_error
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains
 
 log = logging.getLogger("dolfin_elastic")
@@ -239,7 +239,7 @@ class EquilibriumAuditor:
     def _check_contacts(self, reasons: dict[str, str]) -> None:
         """No node that presses is farther off its obstacle than the tolerance. Collective."""
         for pair in self._problem.contact_pairs:
-            if (off := off_obstacle(pair)) > pair.tolerance:
+            if (off := contact_gap_error(pair)) > pair.tolerance:
                 reasons[f"contact {pair.label}"] = (
                     f"contact '{pair.label}': a node that presses is {off:.3g} m off the "
                     f"obstacle, above gap_tolerance = {pair.tolerance:.3g} m; a larger stiffness "

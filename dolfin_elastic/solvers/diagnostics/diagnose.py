@@ -31,7 +31,7 @@ from dolfin_elastic.solvers.diagnostics.evidence import Cells, Fault, TrialState
 from dolfin_elastic.solvers.diagnostics.loose_parts import find_loose_part
 from dolfin_elastic.solvers.diagnostics.stability import LIMIT
 from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.nonlinear.contact import none_touching, pulled_off
+from dolfin_elastic.solvers.nonlinear.contact import pulled_off_obstacles, without_contact
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
     BEYOND,
@@ -167,8 +167,8 @@ class _CauseSearch:
         if self._moving or not self.states.tangent(self.good):
             return None
         found, start, advice = find_loose_part(self.assembler), "", messages.HOLD
-        if found is None and pulled_off(self.assembler):
-            with none_touching(self.problem):
+        if found is None and pulled_off_obstacles(self.assembler):
+            with without_contact(self.problem):
                 found = find_loose_part(self.assembler) if self.states.tangent(self.good) else None
             start, advice = "the load pulls it off its obstacles, and then ", messages.LIFTED
         if found is None:

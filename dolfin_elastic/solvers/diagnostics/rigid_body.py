@@ -1,4 +1,4 @@
-"""What is left free to move as a rigid body, of which no equilibrium is unique.
+"""Rigid motions that no support prevents: with one, no equilibrium is unique.
 
 Supports hold nodes in directions; applied to translations and small rotations of a body these
 directions are rows of numbers, whose products sum up to one small matrix a body.  Its null space is
@@ -24,22 +24,27 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 from dolfin_elastic.solvers.nonlinear.contact import (
-    check_start,
-    nearest_gap,
-    rows_of,
-    touches,
+    check_initial_gaps,
+    count_touching,
+    near_nodes,
+    smallest_gap,
 )
 
+_SAME = 1e-6
+"""Share of a motion that is round-off."""
+
 _ROUND_OFF = 1e-10
+"""Share of the largest eigenvalue of a matrix of products below which one counts as zero."""
+
 LOOSE = "float about"
-"""What a body in a periodic cell can do that hangs together with nothing."""
+"""What a body in a periodic cell can do that is connected to no other."""
 _SHOWN = 5
 """Bodies that one message names."""
 
 
 @dataclass(frozen=True)
-class Held:
-    """Directions in which this rank's nodes are held.
+class Constraints:
+    """Directions in which this rank's nodes are constrained.
 
     Attributes:
         nodes: Owned node of each direction, shape (rows,).
@@ -70,7 +75,7 @@ def check_held(problem: Problem) -> None:
         InputError: One is not.
     """
     if problem.contact_pairs:
-        check_start(problem, moving=False)
+        check_initial_gaps(problem, moving=False)
     bodies = free_bodies(problem)
     free = [body for body in bodies if body.motions]
     if not free:
@@ -84,7 +89,7 @@ def check_held(problem: Problem) -> None:
             expected="a cell that hangs together; a soft filling binds what lies in a hole",
         )
     if problem.contact_pairs:
-        _say_what_is_away(problem, free)
+        _check_obstacles_ahead(problem, free)
     what = "the supports leave the body free" if problem.supports else "there is no support"
     said = f"as a rigid body it can {', '.join(free[0].motions)}"
     if len(bodies) > 1:
@@ -100,11 +105,21 @@ def check_held(problem: Problem) -> None:
     )
 
 
-def _say_what_is_away(problem: Problem, free: list[FreeBody]) -> None:
-    """Raises if obstacles would hold the body once they touched. Collective."""
+def _check_obstacles_ahead(problem: Problem, free: list[FreeBody]) -> None:
+    """Obstacles that would hold the body once they touched are named. Collective.
+
+    Args:
+        problem: Whose contacts.
+        free: Bodies that can move.
+
+    Raises:
+        InputError: Obstacles would hold them, with how far away they are.
+    """
     if free_motions(problem, reached=True):
         return
-    away = {pair.label: nearest_gap(pair) for pair in problem.contact_pairs if not touches(pair)}
+    away = {
+        pair.label: smallest_gap(pair) for pair in problem.contact_pairs if not count_touching(pair)
+    }
     said = ", ".join(f"'{label}' is {gap:.3g} m away" for label, gap in away.items())
     raise InputError(
         f"no obstacle holds the body yet ({said or 'they touch elsewhere'}): as a rigid body it "
@@ -131,33 +146,35 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
     bodies = ConnectedBodies(problem)
     if problem.cell is not None:
         return _parts_of_cell(problem, bodies)
-    centres, sizes = _frames(bodies)
-    sums = _products(bodies, held_directions(problem, reached=reached), centres, sizes)
-    nulls = [_null(problem, matrix) for matrix in sums]
-    stray = False
+    centres, sizes = _bounding_boxes(bodies)
+    sums = _constraint_products(
+        bodies, constrained_directions(problem, reached=reached), centres, sizes
+    )
+    nulls = [_null_space(problem, matrix) for matrix in sums]
+    alone = False
     if any(len(motion.free) for motion in problem.dirichlet.rigid_motions):
 
         def motions_at(nodes: IndexArray) -> FloatArray:
             of = bodies.of_node[nodes]
             return rigid_motions((bodies.places[nodes] - centres[of]) / sizes[of, None])
 
-        which, joint = couple(problem, bodies, sums, motions_at, sizes)
+        which, joint = _coupled_products(problem, bodies, sums, motions_at, sizes)
         n = sums.shape[1]
-        null = _null(problem, joint)
+        null = _null_space(problem, joint)
         for k, body in enumerate(which):
-            nulls[body] = restricted(null, k, n)
-        stray = turns_alone(null, len(which) * n)
+            nulls[body] = _restricted(null, k, n)
+        alone = _surface_moves_alone(null, len(which) * n)
     found = [
-        FreeBody(name, tuple(_motions(problem, null, centre, float(size))))
+        FreeBody(name, tuple(_in_words(problem, null, centre, float(size))))
         for name, null, centre, size in zip(bodies.names(), nulls, centres, sizes, strict=True)
     ]
-    if stray:
+    if alone:
         found[0] = FreeBody(found[0].name, (*found[0].motions, "let a rigid surface turn alone"))
     return found
 
 
 def _parts_of_cell(problem: Problem, bodies: ConnectedBodies) -> list[FreeBody]:
-    """Of a periodic cell all that hangs together with its held vertex is held. Collective."""
+    """Of a periodic cell all that is connected to its fixed vertex is constrained. Collective."""
     nodes = problem.unknowns.merged_dofs(problem.dirichlet.dofs) // problem.body.dim
     marks = np.bincount(bodies.of_node[nodes], minlength=bodies.count)
     held = total(bodies.comm, marks) > 0
@@ -167,7 +184,7 @@ def _parts_of_cell(problem: Problem, bodies: ConnectedBodies) -> list[FreeBody]:
     ]
 
 
-def held_directions(problem: Problem, *, reached: bool = False) -> Held:
+def constrained_directions(problem: Problem, *, reached: bool = False) -> Constraints:
     """What holds this rank's nodes, and in which directions. Not collective.
 
     Prescribed components and directions, springs, and obstacles that touch, as if they could pull,
@@ -175,21 +192,21 @@ def held_directions(problem: Problem, *, reached: bool = False) -> Held:
     """
     dim, prescribed = problem.body.dim, problem.dirichlet
     held = prescribed.owned
-    rows = [Held((held // dim).astype(np.int32), np.eye(dim)[held % dim])]
+    rows = [Constraints((held // dim).astype(np.int32), np.eye(dim)[held % dim])]
     more = list(problem.spring_projections)
     if (tilted := prescribed.skew) is not None:
         more.append((tilted.nodes[: tilted.count], tilted.P[: tilted.count]))
-    rows += [Held(np.repeat(nodes, dim), P.reshape(-1, dim)) for nodes, P in more]
-    for touch in problem.contact_pairs:
-        within = np.inf if reached else float(touch.reach.value)
-        rows.append(Held(*rows_of(touch, within)))
-    return Held(
+    rows += [Constraints(np.repeat(nodes, dim), P.reshape(-1, dim)) for nodes, P in more]
+    for pair in problem.contact_pairs:
+        within = np.inf if reached else float(pair.reach.value)
+        rows.append(Constraints(*near_nodes(pair, within)))
+    return Constraints(
         np.concatenate([row.nodes for row in rows]).astype(np.int32),
         np.concatenate([row.directions for row in rows]),
     )
 
 
-def _frames(bodies: ConnectedBodies) -> tuple[FloatArray, FloatArray]:
+def _bounding_boxes(bodies: ConnectedBodies) -> tuple[FloatArray, FloatArray]:
     """Middle, shape (bodies, dim), and size of each body's bounding box. Collective."""
     x, of = bodies.places, bodies.of_node
     corners = np.full((bodies.count, 2 * x.shape[1]), -np.inf)
@@ -199,19 +216,29 @@ def _frames(bodies: ConnectedBodies) -> tuple[FloatArray, FloatArray]:
     return (high - low) / 2, np.max(high + low, axis=1)
 
 
-def _products(
-    bodies: ConnectedBodies, held: Held, centres: FloatArray, sizes: FloatArray
+def _constraint_products(
+    bodies: ConnectedBodies, constraints: Constraints, centres: FloatArray, sizes: FloatArray
 ) -> FloatArray:
-    """The matrix of each body, shape (bodies, motions, motions). Collective."""
-    of = bodies.of_node[held.nodes]
-    arms = (bodies.places[held.nodes] - centres[of]) / sizes[of, None]
-    rows = np.einsum("rc,rcm->rm", held.directions, rigid_motions(arms))
+    """The sum of products of constraints on rigid motions, for each body. Collective.
+
+    Args:
+        bodies: Connected bodies.
+        constraints: Of this rank's nodes.
+        centres: Of rotations, shape (bodies, dim) [m].
+        sizes: Length by which places are divided, shape (bodies,) [m].
+
+    Returns:
+        Shape (bodies, motions, motions).
+    """
+    of = bodies.of_node[constraints.nodes]
+    arms = (bodies.places[constraints.nodes] - centres[of]) / sizes[of, None]
+    rows = np.einsum("rc,rcm->rm", constraints.directions, rigid_motions(arms))
     sums = np.zeros((bodies.count, rows.shape[1], rows.shape[1]))
     np.add.at(sums, of, rows[:, :, None] * rows[:, None, :])
     return np.asarray(total(bodies.comm, sums))
 
 
-def _null(problem: Problem, matrix: FloatArray) -> FloatArray:
+def _null_space(problem: Problem, matrix: FloatArray) -> FloatArray:
     """Orthonormal null space of a matrix of products."""
     if problem.geometry == "axisymmetric":  # of rigid motions only the one along the axis is one
         matrix = matrix[1:2, 1:2]
@@ -219,7 +246,7 @@ def _null(problem: Problem, matrix: FloatArray) -> FloatArray:
     return np.asarray(vectors[:, values <= _ROUND_OFF * max(values[-1], 1.0)])
 
 
-def _motions(problem: Problem, null: FloatArray, centre: FloatArray, size: float) -> list[str]:
+def _in_words(problem: Problem, null: FloatArray, centre: FloatArray, size: float) -> list[str]:
     if not null.shape[1]:
         return []
     if problem.geometry == "axisymmetric":
@@ -233,7 +260,14 @@ def planes(dim: int) -> list[tuple[int, int]]:
 
 
 def rigid_motions(x: FloatArray) -> FloatArray:
-    """Displacement of points under unit rigid motions, shape (points, component, motion)."""
+    """Displacement of points under unit rigid motions.
+
+    Args:
+        x: Places [m], shape (points, dim).
+
+    Returns:
+        Translations, then rotations about the origin, shape (points, component, motion).
+    """
     points, dim = x.shape
     turns = planes(dim)
     moved = np.zeros((points, dim, dim + len(turns)))
@@ -243,11 +277,7 @@ def rigid_motions(x: FloatArray) -> FloatArray:
     return moved
 
 
-_SAME = 1e-6
-"""Share of a motion that is round-off."""
-
-
-def couple(
+def _coupled_products(
     problem: Problem,
     bodies: ConnectedBodies,
     products: FloatArray,
@@ -268,14 +298,14 @@ def couple(
         Numbers of these bodies, and the matrix of their motions and then those of the surfaces.
     """
     dim, n, comm = problem.body.dim, products.shape[1], problem.body.comm
-    plates = [motion for motion in problem.dirichlet.rigid_motions if len(motion.free)]
-    count = sum(len(motion.free) for motion in plates)
+    surfaces = [motion for motion in problem.dirichlet.rigid_motions if len(motion.free)]
+    count = sum(len(motion.free) for motion in surfaces)
     mixed, own = np.zeros((bodies.count, n, count)), np.zeros((count, count))
     touched, first = np.zeros(bodies.count, dtype=np.int64), 0
     last = len(problem.dirichlet.values.x.array)
     owned = np.zeros(last, dtype=bool)
     owned[problem.dirichlet.owned] = True
-    for motion in plates:
+    for motion in surfaces:
         dofs, D = problem.dirichlet.motion_directions(motion)
         dofs, D = dofs[owned[dofs]], D[owned[dofs]]
         scale = np.where(np.arange(D.shape[1]) < dim, 1.0, 1 / float(sizes.max()))
@@ -300,14 +330,20 @@ def couple(
     return which, joint
 
 
-def restricted(null: FloatArray, k: int, n: int) -> FloatArray:
-    """Orthonormal motions of the k-th body in a null space of the joint matrix."""
+def _restricted(null: FloatArray, k: int, n: int) -> FloatArray:
+    """Orthonormal motions of one body in a null space of the joint matrix.
+
+    Args:
+        null: The null space, in columns.
+        k: Number of the body among those with rigid surfaces.
+        n: Rigid motions of a body.
+    """
     left, sizes, _ = np.linalg.svd(null[k * n : (k + 1) * n], full_matrices=False)
     return np.asarray(left[:, sizes > _SAME])
 
 
-def turns_alone(null: FloatArray, size: int) -> bool:
-    """A motion of a rigid surface alone moves none of its nodes.
+def _surface_moves_alone(null: FloatArray, size: int) -> bool:
+    """Whether a rigid surface can move, for example turn, without moving any of its nodes.
 
     Args:
         null: Null space of the joint matrix.

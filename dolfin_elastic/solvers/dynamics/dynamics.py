@@ -76,7 +76,7 @@ class Dynamics:
         notes = [s.stability_limit] if s.stability_limit else []
         for note in [*notes, *shocks] if saved is None else ():
             log.warning("%s", note)
-        begin_motion(self.problem, tell=saved is None)
+        begin_motion(self.problem, warn=saved is None)
         motion = self._motion = self._make()
         try:
             yield from motion.run(saved)

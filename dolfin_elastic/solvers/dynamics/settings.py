@@ -12,7 +12,7 @@ from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.schema import Record, UnusedKeys, quoted, refuse_unused_keys
 from dolfin_elastic.core.units import Force, Rate, Time
 from dolfin_elastic.model.values import Component, components, depends_on_time
-from dolfin_elastic.solvers.breakpoints import refuse_beyond
+from dolfin_elastic.solvers.breakpoints import refuse_times_beyond
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.implicit.output_times import Interval
 from dolfin_elastic.solvers.dynamics.schemes import DEFAULT, SCHEMES, ExplicitRow, ImplicitRow
@@ -151,7 +151,7 @@ class DynamicsSettings(Record):
                 where="every",
                 expected=f"at most dynamics.end = {self.end:g} s",
             )
-        refuse_beyond(self.times, self.end, "dynamics.end", "s")
+        refuse_times_beyond(self.times, self.end, "dynamics.end", "s")
         return self
 
     @property

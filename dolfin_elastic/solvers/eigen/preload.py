@@ -11,7 +11,7 @@ from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys, within
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
-from dolfin_elastic.solvers.breakpoints import refuse_beyond
+from dolfin_elastic.solvers.breakpoints import refuse_times_beyond
 from dolfin_elastic.solvers.eigen.mode_shapes import shared
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
@@ -59,7 +59,7 @@ class PreloadedAnalysis(ABC):
         try:
             refuse_unused_keys(self._way, rules)
             if rules[1:]:
-                refuse_beyond(self._way.times, share, key)
+                refuse_times_beyond(self._way.times, share, key)
         except InputError as error:
             raise within("statics", error) from None
 

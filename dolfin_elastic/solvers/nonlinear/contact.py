@@ -1,9 +1,9 @@
-"""Contact as solvers see it: multipliers that grow until nothing penetrates, and its numbers."""
+"""Contact in solvers: augmentation of multipliers, results for states, and checks of gaps."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 
@@ -33,12 +33,13 @@ SOFT = 0.1
 """Share of the penalty that motion takes.
 
 A node of an explicit scheme that hits in mid-step is thrown back too fast where the penalty is
-stiff, see `stable.HIT`; and a stiffer obstacle than the cells above it would only shorten the step.
+stiff, see `stable_step.HIT`; and an obstacle stiffer than the cells above it would only shorten the
+step.
 """
 
 
 class ContactAugmentation:
-    """Uzawa's iteration: after each equilibrium lam <- max(0, lam - eps g), until gaps are small.
+    """Augmented Lagrangian (Uzawa): lam <- max(0, lam - eps g) until gaps are small.
 
     Args:
         problem: What may touch; without contacts nothing is ever needed.
@@ -47,31 +48,31 @@ class ContactAugmentation:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self._touching = problem.contact_pairs
-        for touch in self._touching:
-            touch.soften(1.0)
+        self._pairs = problem.contact_pairs
+        for pair in self._pairs:
+            pair.soften(1.0)
         self._saved: list[FloatArray] = []
         self.save()
 
     def save(self) -> None:
-        """Keeps the multipliers, to be restored when a step fails. Not collective."""
-        self._saved = [touch.lam.x.array.copy() for touch in self._touching]
+        """Saves the multipliers, to be restored when a step fails. Not collective."""
+        self._saved = [pair.lam.x.array.copy() for pair in self._pairs]
 
     def restore(self) -> None:
-        """Puts the kept multipliers back. Not collective."""
-        for touch, kept in zip(self._touching, self._saved, strict=True):
-            touch.lam.x.array[:] = kept
+        """Restores the saved multipliers. Not collective."""
+        for pair, saved in zip(self._pairs, self._saved, strict=True):
+            pair.lam.x.array[:] = saved
 
     def needed(self) -> bool:
-        """A node that presses is not on its obstacle, within the tolerance. Collective."""
-        return any(off_obstacle(touch) > touch.tolerance for touch in self._touching)
+        """Whether a node that presses is off its obstacle, beyond the tolerance. Collective."""
+        return any(contact_gap_error(pair) > pair.tolerance for pair in self._pairs)
 
     def update(self) -> None:
         """Renews the multipliers from the gaps at hand. Collective."""
-        for touch in self._touching:
-            touch.augment()
+        for pair in self._pairs:
+            pair.augment()
 
-    def settle(self, result: NewtonResult, solve: Callable[[], NewtonResult]) -> NewtonResult:
+    def solve(self, result: NewtonResult, solve: Callable[[], NewtonResult]) -> NewtonResult:
         """Solves again with new multipliers until nothing penetrates, if that happens. Collective.
 
         Args:
@@ -90,33 +91,33 @@ class ContactAugmentation:
         return replace(result, newton=newton, krylov=krylov, predicted=predicted)
 
 
-def off_obstacle(touch: ContactPair) -> float:
+def contact_gap_error(pair: ContactPair) -> float:
     """Largest distance from the obstacle of nodes that press or penetrate [m]. Collective."""
-    gaps, _ = touch.gaps()
-    return largest(touch.comm, float(np.max(np.abs(gaps[touch.pressing | (gaps < 0)]), initial=0)))
+    gaps, _ = pair.gaps()
+    return largest(pair.comm, float(np.max(np.abs(gaps[pair.pressing | (gaps < 0)]), initial=0)))
 
 
 class ContactResults:
     """Numbers of each contact for states. Collective to make.
 
     Args:
-        problem: What may touch.
-        moving: Energies are wanted, too.
+        problem: Whose contacts.
+        moving: Energies are needed, too.
     """
 
     def __init__(self, problem: Problem, *, moving: bool = False) -> None:
-        self._problem, self._touching = problem, problem.contact_pairs
-        areas = [touch.area for touch in self._touching]
+        self._problem, self._pairs = problem, problem.contact_pairs
+        areas = [pair.area for pair in self._pairs]
         self._areas: list[fem.Form] = compiled(problem, areas) if areas else []
-        stored = [touch.energy for touch in self._touching] if moving else []
+        stored = [pair.energy for pair in self._pairs] if moving else []
         self._energies: list[fem.Form] = compiled(problem, stored) if stored else []
 
     def numbers(self) -> dict[str, float]:
         """Largest penetration [m] and area under pressure [m^2] of each contact. Collective."""
         found: dict[str, float] = {}
-        for touch, area in zip(self._touching, self._areas, strict=True):
-            depth = largest(touch.comm, float(np.max(-touch.gaps()[0], initial=0.0)))
-            first, second = f"penetration_{touch.label}", f"contact_area_{touch.label}"
+        for pair, area in zip(self._pairs, self._areas, strict=True):
+            depth = largest(pair.comm, float(np.max(-pair.gaps()[0], initial=0.0)))
+            first, second = f"penetration_{pair.label}", f"contact_area_{pair.label}"
             found[first] = max(found.get(first, 0.0), depth)
             found[second] = found.get(second, 0.0) + integral(self._problem, area)
         return found
@@ -129,41 +130,48 @@ class ContactResults:
 
 
 @contextmanager
-def all_touching(problem: Problem) -> Iterator[None]:
-    """Counts every surface that may touch as touching, for the stiffest tangent there can be."""
-    kept = [float(touch.reach.value) for touch in problem.contact_pairs]
+def in_full_contact(problem: Problem) -> Iterator[None]:
+    """Every surface that may touch is in contact, for the stiffest tangent there can be.
+
+    Collective.
+    """
     far = 10 * span(problem.body) if problem.contact_pairs else 0.0
-    try:
-        for touch in problem.contact_pairs:
-            touch.reach.value = max(far, 10 * farthest(touch))
+    with _reaching([max(far, 10 * largest_gap(pair)) for pair in problem.contact_pairs], problem):
         yield
-    finally:
-        for touch, value in zip(problem.contact_pairs, kept, strict=True):
-            touch.reach.value = value
 
 
 @contextmanager
-def none_touching(problem: Problem) -> Iterator[None]:
-    """Counts no surface as touching, for the tangent of a body that has been lifted off."""
-    kept = [float(touch.reach.value) for touch in problem.contact_pairs]
+def without_contact(problem: Problem) -> Iterator[None]:
+    """No surface is in contact, for the tangent of a body that has been lifted off."""
+    with _reaching([-1e30] * len(problem.contact_pairs), problem):
+        yield
+
+
+@contextmanager
+def _reaching(reaches: Sequence[float], problem: Problem) -> Iterator[None]:
+    """Changes the gap up to which nodes of each contact are in contact [m]."""
+    before = [float(pair.reach.value) for pair in problem.contact_pairs]
     try:
-        for touch in problem.contact_pairs:
-            touch.reach.value = -1e30
+        for pair, reach in zip(problem.contact_pairs, reaches, strict=True):
+            pair.reach.value = reach
         yield
     finally:
-        for touch, value in zip(problem.contact_pairs, kept, strict=True):
-            touch.reach.value = value
+        for pair, reach in zip(problem.contact_pairs, before, strict=True):
+            pair.reach.value = reach
 
 
-def pulled_off(assembler: Assembler) -> bool:
-    """The loads as a whole point away from the obstacles that are near. Collective."""
+def pulled_off_obstacles(assembler: Assembler) -> bool:
+    """The loads as a whole point away from the obstacles that are near. Collective.
+
+    Their resultant is compared with the sum of their sizes: loads that cancel pull nowhere.
+    """
     problem, dim = assembler.problem, assembler.problem.body.dim
     if not problem.contact_pairs:
         return False
     normals = np.zeros(dim)
-    for touch in problem.contact_pairs:
-        gaps, n = touch.gaps()
-        normals += n[gaps <= touch.size].sum(axis=0)
+    for pair in problem.contact_pairs:
+        gaps, n = pair.gaps()
+        normals += n[gaps <= pair.size].sum(axis=0)
     forces = assembler.reactions.loads()[assembler.displacement_dofs].reshape(-1, dim)
     sums = [normals, forces.sum(axis=0), [np.abs(forces).sum()]]
     found = total(problem.body.comm, np.concatenate(sums))
@@ -171,94 +179,105 @@ def pulled_off(assembler: Assembler) -> bool:
     return away > 1e-6 * float(np.linalg.norm(found[:dim])) * float(found[-1])
 
 
-def farthest(touch: ContactPair) -> float:
+def largest_gap(pair: ContactPair) -> float:
     """Largest gap at the nodes of a contact [m]. Collective."""
-    return largest(touch.comm, float(np.max(touch.gaps()[0], initial=0.0)))
+    return largest(pair.comm, float(np.max(pair.gaps()[0], initial=0.0)))
 
 
-def nearest_gap(touch: ContactPair) -> float:
+def smallest_gap(pair: ContactPair) -> float:
     """Smallest gap at the nodes of a contact [m]. Collective."""
-    return smallest(touch.comm, float(np.min(touch.gaps()[0], initial=np.inf)))
+    return smallest(pair.comm, float(np.min(pair.gaps()[0], initial=np.inf)))
 
 
-def begin_motion(problem: Problem, *, tell: bool) -> None:
+def begin_motion(problem: Problem, *, warn: bool) -> None:
     """Motion has penalties alone, and softer ones. Collective.
 
     Args:
         problem: What moves, where it begins.
-        tell: Say what begins in an obstacle.
+        warn: Warn of what begins inside an obstacle.
 
     Raises:
-        InputError: See `check_start`.
+        InputError: See `check_initial_gaps`.
     """
-    for touch, (gap, place) in zip(
-        problem.contact_pairs, check_start(problem, moving=True), strict=True
+    for pair, (gap, place) in zip(
+        problem.contact_pairs, check_initial_gaps(problem, moving=True), strict=True
     ):
-        if tell and gap < -touch.tolerance:
-            log.warning("%s", buried(touch, gap, place))
-        touch.soften(SOFT)
-        touch.lam.x.array[:] = 0.0
+        if warn and gap < -pair.tolerance:
+            log.warning("%s", penetration_message(pair, gap, place))
+        pair.soften(SOFT)
+        pair.lam.x.array[:] = 0.0
 
 
-def buried(touch: ContactPair, gap: float, place: tuple[float, ...]) -> str:
-    """What a motion begins with that begins in an obstacle."""
+def penetration_message(pair: ContactPair, gap: float, place: tuple[float, ...]) -> str:
+    """The warning that a motion begins inside an obstacle.
+
+    Args:
+        pair: The contact.
+        gap: Smallest gap, below 0 [m].
+        place: Reference place of that node [m].
+    """
     return (
-        f"at the start '{touch.label}' lies {-gap:.3g} m deep in its obstacle, at "
+        f"at the start '{pair.label}' lies {-gap:.3g} m deep in its obstacle, at "
         f"{coordinates(place)} m: what the penalty stores there throws it off"
     )
 
 
-def check_start(problem: Problem, *, moving: bool) -> list[Gap]:
-    """No surface begins deep inside its obstacle; returns `first_gaps`. Collective.
+def check_initial_gaps(problem: Problem, *, moving: bool) -> list[Gap]:
+    """No surface begins deep inside its obstacle; returns `initial_gaps`. Collective.
 
     Args:
         problem: What may touch.
-        moving: See `first_gaps`.
+        moving: See `initial_gaps`.
 
     Raises:
         InputError: With place and depth.
     """
-    gaps = first_gaps(problem, moving=moving)
-    for index, (touch, (gap, place)) in enumerate(zip(problem.contact_pairs, gaps, strict=True)):
-        if gap < -touch.size:
+    gaps = initial_gaps(problem, moving=moving)
+    for index, (pair, (gap, place)) in enumerate(zip(problem.contact_pairs, gaps, strict=True)):
+        if gap < -pair.size:
             raise InputError(
-                f"at the start '{touch.label}' lies {-gap:.3g} m deep in the obstacle, "
+                f"at the start '{pair.label}' lies {-gap:.3g} m deep in the obstacle, "
                 f"at {coordinates(place)} m",
-                where=f"contact[{index}].{touch.contact.shape}",
-                expected=f"at most a cell deep, {touch.size:.3g} m; "
+                where=f"contact[{index}].{pair.contact.shape}",
+                expected=f"at most a cell deep, {pair.size:.3g} m; "
                 "does the normal point to the free side?",
             )
     return gaps
 
 
-def first_gaps(problem: Problem, *, moving: bool) -> list[Gap]:
+def initial_gaps(problem: Problem, *, moving: bool) -> list[Gap]:
     """Smallest gap of each contact at the start [m], and where [m]. Collective.
 
     Args:
         problem: What may touch.
-        moving: In motion, where what names no curve acts in full from the start.
+        moving: In motion, where what names no amplitude acts in full from the start.
     """
     if problem.contact_pairs:
         problem.set_time(0.0, default=CONSTANT if moving else PROPORTIONAL)
     found = []
-    for touch in problem.contact_pairs:
-        gaps = touch.gaps()[0]
+    for pair in problem.contact_pairs:
+        gaps = pair.gaps()[0]
         mine = [
             (float(gap), tuple(place.round(12).tolist()))
-            for gap, place in zip(gaps, touch.places(), strict=True)
-            if gap <= np.min(gaps, initial=np.inf) + 1e-9 * touch.size
+            for gap, place in zip(gaps, pair.places(), strict=True)
+            if gap <= np.min(gaps, initial=np.inf) + 1e-9 * pair.size
         ]
-        rows = [row for part in touch.comm.allgather(mine) for row in part]
+        rows = [row for part in pair.comm.allgather(mine) for row in part]
         # Nodes that are equally near: the same one on any number of ranks.
-        least = min((gap for gap, _ in rows), default=np.inf) + 1e-9 * touch.size
+        least = min((gap for gap, _ in rows), default=np.inf) + 1e-9 * pair.size
         near = (row for row in rows if row[0] <= least)
         found.append(min(near, key=lambda row: row[1], default=(np.inf, ())))
     return found
 
 
-def tell_untouched(problem: Problem, states: States) -> States:
-    """The same states; at their end, warns of contacts that none of them touches."""
-    never = {touch.label for touch in problem.contact_pairs}
+def warn_of_untouched(problem: Problem, states: States) -> States:
+    """Passes states on, and warns in the end of contacts that have never touched. Collective.
+
+    Args:
+        problem: Whose contacts.
+        states: Of its analysis.
+    """
+    never = {pair.label for pair in problem.contact_pairs}
     with closing(states):
         for state in states:
             numbers = state.numbers if isinstance(state, State) else {}
@@ -269,13 +288,18 @@ def tell_untouched(problem: Problem, states: States) -> States:
         log.warning("contact '%s' was never touched", label)
 
 
-def rows_of(touch: ContactPair, within: float) -> tuple[IndexArray, FloatArray]:
-    """Owned nodes of the displacement at most so far from the obstacle, and its normals there."""
-    gaps, normals = touch.gaps()
+def near_nodes(pair: ContactPair, within: float) -> tuple[IndexArray, FloatArray]:
+    """Owned nodes near the obstacle, shape (n,), and its normals there, shape (n, dim).
+
+    Args:
+        pair: The contact.
+        within: Largest gap that counts as near [m].
+    """
+    gaps, normals = pair.gaps()
     near = gaps <= within
-    return touch.nodes_of_displacement[near], normals[near]
+    return pair.nodes_of_displacement[near], normals[near]
 
 
-def touches(touch: ContactPair) -> int:
-    """Nodes that count as touching now. Collective."""
-    return int(total(touch.comm, int(np.sum(touch.gaps()[0] <= float(touch.reach.value)))))
+def count_touching(pair: ContactPair) -> int:
+    """Number of nodes in contact. Collective."""
+    return int(total(pair.comm, int(np.sum(pair.gaps()[0] <= float(pair.reach.value)))))

@@ -128,7 +128,7 @@ class RetryStrategy:
         """
         if self._augmentation is not None:
             again = partial(solve or self.newton.solve, line_search)
-            result = self._augmentation.settle(result, again)
+            result = self._augmentation.solve(result, again)
         return self._refuse_inverted(result)
 
     def begin(self) -> None:

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record, UnusedKeys, refuse_unused_keys
 from dolfin_elastic.core.units import Force, Length
-from dolfin_elastic.solvers.breakpoints import refuse_beyond
+from dolfin_elastic.solvers.breakpoints import refuse_times_beyond
 
 FIRST = 0.25
 """Share of the load in the first step of a nonlinear problem."""
@@ -66,7 +66,7 @@ class StaticsSettings(Record):
                 where="first_step",
                 expected=f"at most statics.max_step = {self.max_step:g}",
             )
-        refuse_beyond(self.times, self.end, "statics.end")
+        refuse_times_beyond(self.times, self.end, "statics.end")
         return self
 
 

@@ -12,7 +12,7 @@ from dolfin_elastic.core.schema import settings_from
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.breakpoints import corners, winds
+from dolfin_elastic.solvers.breakpoints import corners, driven_by_formula
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_held
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
@@ -126,7 +126,7 @@ class Statics:
             stops = [s.end * i / s.steps for i in range(1, s.steps)]
             largest = first
         else:
-            winding = winds(self.problem)
+            winding = driven_by_formula(self.problem)
             share = 1.0 if self.problem.linear and not winding else FIRST
             first = min(s.first_step or share, s.max_step) * s.end
             wide = FIRST if winding and "max_step" not in s.model_fields_set else s.max_step

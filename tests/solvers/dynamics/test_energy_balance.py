@@ -30,7 +30,7 @@ from dolfin_elastic import (
 from dolfin_elastic.case.check import report
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.solvers.breakpoints import winds
+from dolfin_elastic.solvers.breakpoints import driven_by_formula
 
 FREE = "free"
 SOFT = {"E": 1e6, "nu": 0.3, "density": 1000.0}
@@ -176,7 +176,7 @@ def test_newmark_with_a_limit(comm: MPI.Comm, caplog: pytest.LogCaptureFixture) 
 )
 def test_supports_that_wind(support: Any, comm: MPI.Comm) -> None:
     """Steps are short where a formula in t may turn around; buckling has no load factor there."""
-    assert winds(strip(comm, supports=[support]))
+    assert driven_by_formula(strip(comm, supports=[support]))
     body = rectangle_body(size=(1, 0.2), cells=(8, 2), comm=comm)
     problem = Problem(body, StVenantKirchhoff(**SOFT), supports=[support, Support(on="right")])
     with pytest.raises(InputError, match="course of its own|rigid surface|scalar|free"):

@@ -24,7 +24,7 @@ from dolfin_elastic.solvers.dynamics.explicit.frequency_bound import (
     extremes,
     rows_over_mass,
 )
-from dolfin_elastic.solvers.nonlinear.contact import all_touching
+from dolfin_elastic.solvers.nonlinear.contact import in_full_contact
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -120,7 +120,7 @@ class StepSize:
             a = self._assembler
             x, scale = a.create_vector(), a.create_vector()
             a.get(x)
-            with all_touching(self._problem):
+            with in_full_contact(self._problem):
                 a.tangent.assemble(x, unit=0.0)
             scale.array_w[:] = 1 / np.sqrt(self._mass)
             scale.array_w[self._problem.dirichlet.owned] = 0.0
