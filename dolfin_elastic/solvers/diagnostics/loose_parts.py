@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import la
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from dolfin_elastic.core.parallel import largest, total
-from dolfin_elastic.core.types import BoolArray, IntArray
+from dolfin_elastic.core.types import BoolArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 from dolfin_elastic.solvers.linear.nullspace import null_combinations
@@ -20,10 +18,14 @@ from dolfin_elastic.solvers.linear.nullspace import null_combinations
 FREE = 1e-10
 """Stiffness against a rigid motion, over that of the diagonal, which counts as none."""
 
+MANY = 50
+"""Parts above which none is examined: fragments of a broken mesh, of which each costs six products
+with the tangent."""
+
 
 @dataclass(frozen=True)
 class LoosePart:
-    """A piece that can move as a rigid body.
+    """A part that can move as a rigid body.
 
     Attributes:
         motions: In words, for example "move along x".
@@ -38,51 +40,32 @@ class LoosePart:
     whole: bool
 
 
-def connected_parts(problem: Problem) -> IntArray:
-    """Number of the piece each local node (ghosts included) belongs to. Collective.
-
-    A rank finds the pieces of its own cells; the nodes it shares with others say which of them
-    are one.  Only these links go from rank to rank.
-    """
-    nodes, V = problem.V.dofmap.list[problem.body.owned_cells()], problem.V
-    own, count = V.dofmap.index_map.size_local, len(problem.u.x.array) // problem.body.dim
-    first = np.repeat(nodes[:, :1], nodes.shape[1], axis=1).ravel()
-    graph = coo_array((np.ones(nodes.size), (first, nodes.ravel())), shape=(count, count))
-    _, mine = connected_components(graph, directed=False)
-    comm = problem.body.comm
-    counts = comm.allgather(int(mine.max(initial=-1)) + 1)
-    label = la.vector(V.dofmap.index_map, 1, np.int64)
-    label.array[:] = mine + sum(counts[: comm.rank])
-    before = label.array.copy()
-    label.scatter_forward()
-    pairs = np.unique(np.stack([before[own:], label.array[own:]], axis=1), axis=0)
-    links = np.concatenate(comm.allgather(pairs))
-    size = sum(counts)
-    table = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(size, size))
-    _, joined = connected_components(table, directed=False)
-    _, joined = np.unique(joined, return_inverse=True)
-    return np.asarray(joined[before], dtype=np.int64)
-
-
 def find_loose_part(assembler: Assembler) -> LoosePart | None:
-    """A piece that the tangent, as it is assembled, does not hold. Collective."""
+    """A part that the tangent, as it is assembled, does not hold. Collective."""
     problem = assembler.problem
     if problem.cell is not None:  # its neighbours hold it
         return None
-    number = connected_parts(problem)
-    count = int(largest(problem.body.comm, float(number.max(initial=-1)))) + 1
-    if count > 50:  # dust of a broken mesh; each costs six products
+    bodies = ConnectedBodies(problem)
+    if bodies.count > MANY:
         return None
-    for piece in range(count):
-        if (found := _motions(assembler, number == piece)) is not None:
+    for k in range(bodies.count):
+        inside = bodies.of_node == k
+        if (found := _motions(assembler, inside)) is not None:
             words, place = found
-            name = _name(problem, number == piece)
-            return LoosePart(tuple(words), place, name, count == 1)
+            return LoosePart(tuple(words), place, _name(problem, inside), bodies.count == 1)
     return None
 
 
 def _motions(assembler: Assembler, inside: BoolArray) -> tuple[list[str], tuple[float, ...]] | None:
-    """Rigid motions of some nodes against which the tangent has no stiffness. Collective."""
+    """Rigid motions of a part against which the tangent has no stiffness. Collective.
+
+    Args:
+        assembler: Its tangent is assembled.
+        inside: Local nodes of the part, ghosts included.
+
+    Returns:
+        The motions in words, and the middle of the part [m]; None if there are none.
+    """
     problem, comm = assembler.problem, assembler.comm
     dim, own = problem.body.dim, problem.V.dofmap.index_map.size_local
     inside = inside[:own]

@@ -42,8 +42,9 @@ from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics import instability
+from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
 from dolfin_elastic.solvers.diagnostics.evidence import TrialStates
-from dolfin_elastic.solvers.diagnostics.loose_parts import connected_parts, find_loose_part
+from dolfin_elastic.solvers.diagnostics.loose_parts import find_loose_part
 from dolfin_elastic.solvers.diagnostics.stability import Stability, curvature
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.messages import coordinates
@@ -280,7 +281,7 @@ def test_pieces_that_are_held_are_not_loose(law):
         assert TrialStates(assembler).tangent(problem.w.x.array)
         assert find_loose_part(assembler) is None
         own = problem.V.dofmap.index_map.size_local
-        found = set().union(*COMM.allgather(set(connected_parts(problem)[:own].tolist())))
+        found = set().union(*COMM.allgather(set(ConnectedBodies(problem).of_node[:own].tolist())))
         assert found == {0, 1}
     finally:
         assembler.destroy()
