@@ -1,4 +1,4 @@
-"""What a diagnosis says, and what it advises."""
+"""Texts of diagnoses and errors, and the advice that goes with them."""
 
 from __future__ import annotations
 
@@ -75,15 +75,15 @@ def coordinates(place: Iterable[float]) -> str:
 
 
 def ahead(fault: str) -> str:
-    """What Newton's next step does to cells."""
+    """The text where Newton's next step inverts cells."""
     return f"every step of Newton's method turns cells inside out: {fault}"
 
 
 def linear(reason: str) -> tuple[str, str]:
     """A linear solver's end in words, with PETSc's name of it, and advice."""
     name = reason.partition("(")[2].rstrip(")") or reason
-    said, advice = _KSP.get(name, ("it did not converge", 'solver.method = "direct"'))
-    return f"{said} ({name})", advice
+    text, advice = _KSP.get(name, ("it did not converge", 'solver.method = "direct"'))
+    return f"{text} ({name})", advice
 
 
 def load_not_finite(t: float) -> InputError:
@@ -92,12 +92,22 @@ def load_not_finite(t: float) -> InputError:
 
 
 def count(number: int, thing: str) -> str:
-    """A number of things."""
+    """A number of things in words.
+
+    Args:
+        number: How many.
+        thing: In the singular.
+    """
     return f"{number} {thing}" + ("" if number == 1 else "s")
 
 
 def material(problem: Problem, names: Sequence[str]) -> str:
-    """Which materials, or the body where there is but one."""
+    """Materials in words, or the body where there is only one.
+
+    Args:
+        problem: Whose materials.
+        names: Of those that are meant.
+    """
     if len(problem.regions) == 1 or not names:
         return "the body"
     return f"material{'s' if len(names) > 1 else ''} '{', '.join(names)}'"

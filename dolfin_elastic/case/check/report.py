@@ -33,7 +33,11 @@ from dolfin_elastic.problem.damping import check_damped
 from dolfin_elastic.problem.material_regions import locking_notes
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.probes import duplicate_column
-from dolfin_elastic.solvers.diagnostics.rigid_body import FreeBody, check_held, free_bodies
+from dolfin_elastic.solvers.diagnostics.rigid_body import (
+    FreeBody,
+    check_no_rigid_motion,
+    free_bodies,
+)
 from dolfin_elastic.solvers.eigen.buckling import Buckling
 from dolfin_elastic.solvers.eigen.modal import UNMOVED, Modal
 from dolfin_elastic.solvers.linear.choice import Choice, choose
@@ -144,7 +148,7 @@ def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
     refuse_case_keys(case.solver.petsc, "solver.petsc")
     check_probes(case, problem)
     if case.analysis in ("statics", "buckling") or case.preloaded:
-        check_held(problem)
+        check_no_rigid_motion(problem)
     elif case.dynamics is not None:
         if case.dynamics.implicit:
             check_damped(problem, case.dynamics.damping.get("stiffness", 0.0))

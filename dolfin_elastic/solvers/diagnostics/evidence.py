@@ -224,10 +224,11 @@ def _of_material(cells: Cells, part: MaterialRegion) -> Fault | None:
 def _why(cells: Cells, part: MaterialRegion, F: FloatArray) -> str:
     """The operation to blame, the words of the lowest rank that knows. Collective."""
     with np.errstate(all="ignore"):
-        said = undefined_operation(with_finite_moduli(part.typical), F[:_SHOWN]) if len(F) else ""
+        law = with_finite_moduli(part.typical)
+        operation = undefined_operation(law, F[:_SHOWN]) if len(F) else ""
     formula = "the formula of its energy" if part.law.has_energy else "the formula of its stress"
-    said = next((text for text in cells.comm.allgather(said) if text), "")
-    return f"{formula} takes the {said}" if said else ""
+    operation = next((text for text in cells.comm.allgather(operation) if text), "")
+    return f"{formula} takes the {operation}" if operation else ""
 
 
 def _of_term(problem: Problem, name: str, work: ufl.Form) -> Fault | None:

@@ -1,11 +1,11 @@
 """Rigid motions that no support prevents: with one, no equilibrium is unique.
 
-Supports hold nodes in directions; applied to translations and small rotations of a body these
+Supports constrain nodes in directions; applied to translations and small rotations of a body these
 directions are rows of numbers, whose products sum up to one small matrix a body.  Its null space is
 what is left free.
 
-A rigid surface holds its nodes only as far as it is held itself: A m - G q = 0 for a body's
-motion m and the surface's free degrees of freedom q.  The null space of all such equations,
+A rigid surface constrains its nodes only as far as it is constrained itself: A m - G q = 0 for a
+body's motion m and the surface's free degrees of freedom q.  The null space of all such equations,
 restricted to a body, is what that body can do.
 """
 
@@ -61,18 +61,18 @@ class FreeBody:
 
     Attributes:
         name: Of the regions it is made of; empty if it is the only body.
-        motions: In words; none: it is held.
+        motions: In words; none: it is constrained.
     """
 
     name: str
     motions: tuple[str, ...]
 
 
-def check_held(problem: Problem) -> None:
-    """Each connected body in equilibrium must be held against every rigid motion. Collective.
+def check_no_rigid_motion(problem: Problem) -> None:
+    """Supports must prevent every rigid motion of each connected body in equilibrium. Collective.
 
     Raises:
-        InputError: One is not.
+        InputError: They do not.
     """
     if problem.contact_pairs:
         check_initial_gaps(problem, moving=False)
@@ -81,9 +81,9 @@ def check_held(problem: Problem) -> None:
     if not free:
         return
     if problem.cell is not None:
-        said = ", ".join(f"`{body.name}`" for body in free[:_SHOWN])
+        text = ", ".join(f"`{body.name}`" for body in free[:_SHOWN])
         raise InputError(
-            f"{said} can {LOOSE}: the cell has {len(bodies)} bodies that share no nodes, through "
+            f"{text} can {LOOSE}: the cell has {len(bodies)} bodies that share no nodes, through "
             "its faces neither",
             where="periodic",
             expected="a cell that hangs together; a soft filling binds what lies in a hole",
@@ -91,14 +91,14 @@ def check_held(problem: Problem) -> None:
     if problem.contact_pairs:
         _check_obstacles_ahead(problem, free)
     what = "the supports leave the body free" if problem.supports else "there is no support"
-    said = f"as a rigid body it can {', '.join(free[0].motions)}"
+    text = f"as a rigid body it can {', '.join(free[0].motions)}"
     if len(bodies) > 1:
         what = "the supports leave bodies free" if problem.supports else what
-        said = "; ".join(f"`{b.name}` can {', '.join(b.motions)}" for b in free[:_SHOWN])
+        text = "; ".join(f"`{b.name}` can {', '.join(b.motions)}" for b in free[:_SHOWN])
         more = f" and {len(free) - _SHOWN} more bodies" if len(free) > _SHOWN else ""
-        said = f"of {len(bodies)} bodies that share no nodes, {said}{more}"
+        text = f"of {len(bodies)} bodies that share no nodes, {text}{more}"
     raise InputError(
-        f"{what}: {said}",
+        f"{what}: {text}",
         where="support",
         expected="equilibrium needs supports that hold "
         f"{'each body' if len(bodies) > 1 else 'it'}; [dynamics] does not",
@@ -120,9 +120,9 @@ def _check_obstacles_ahead(problem: Problem, free: list[FreeBody]) -> None:
     away = {
         pair.label: smallest_gap(pair) for pair in problem.contact_pairs if not count_touching(pair)
     }
-    said = ", ".join(f"'{label}' is {gap:.3g} m away" for label, gap in away.items())
+    text = ", ".join(f"'{label}' is {gap:.3g} m away" for label, gap in away.items())
     raise InputError(
-        f"no obstacle holds the body yet ({said or 'they touch elsewhere'}): as a rigid body it "
+        f"no obstacle holds the body yet ({text or 'they touch elsewhere'}): as a rigid body it "
         f"can {', '.join(free[0].motions)}",
         where="contact",
         expected="equilibrium needs supports that hold it, or an obstacle that touches from the "
@@ -142,7 +142,12 @@ def free_motions(problem: Problem, *, reached: bool = False) -> list[str]:
 
 
 def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
-    """All connected bodies, each with the rigid motions that no support prevents. Collective."""
+    """All connected bodies, each with the rigid motions that no support prevents. Collective.
+
+    Args:
+        problem: Whose bodies.
+        reached: Count every surface that may touch an obstacle as touching.
+    """
     bodies = ConnectedBodies(problem)
     if problem.cell is not None:
         return _parts_of_cell(problem, bodies)
@@ -177,25 +182,29 @@ def _parts_of_cell(problem: Problem, bodies: ConnectedBodies) -> list[FreeBody]:
     """Of a periodic cell all that is connected to its fixed vertex is constrained. Collective."""
     nodes = problem.unknowns.merged_dofs(problem.dirichlet.dofs) // problem.body.dim
     marks = np.bincount(bodies.of_node[nodes], minlength=bodies.count)
-    held = total(bodies.comm, marks) > 0
+    fixed = total(bodies.comm, marks) > 0
     return [
-        FreeBody(name, () if fast else (LOOSE,))
-        for name, fast in zip(bodies.names(), held, strict=True)
+        FreeBody(name, () if one else (LOOSE,))
+        for name, one in zip(bodies.names(), fixed, strict=True)
     ]
 
 
 def constrained_directions(problem: Problem, *, reached: bool = False) -> Constraints:
-    """What holds this rank's nodes, and in which directions. Not collective.
+    """Directions in which this rank's nodes are constrained. Not collective.
 
     Prescribed components and directions, springs, and obstacles that touch, as if they could pull,
-    too; dashpots hold nothing.
+    too; dashpots constrain nothing.
+
+    Args:
+        problem: Whose supports, springs and obstacles.
+        reached: Count every surface that may touch an obstacle as touching.
     """
     dim, prescribed = problem.body.dim, problem.dirichlet
     held = prescribed.owned
     rows = [Constraints((held // dim).astype(np.int32), np.eye(dim)[held % dim])]
     more = list(problem.spring_projections)
-    if (tilted := prescribed.skew) is not None:
-        more.append((tilted.nodes[: tilted.count], tilted.P[: tilted.count]))
+    if (skew := prescribed.skew) is not None:
+        more.append((skew.nodes[: skew.count], skew.P[: skew.count]))
     rows += [Constraints(np.repeat(nodes, dim), P.reshape(-1, dim)) for nodes, P in more]
     for pair in problem.contact_pairs:
         within = np.inf if reached else float(pair.reach.value)
@@ -289,7 +298,7 @@ def _coupled_products(
     Args:
         problem: Whose surfaces.
         bodies: Its connected bodies.
-        products: Matrix of each body, as if the surfaces were held, shape (bodies, n, n).
+        products: Matrix of each body, as if the surfaces were fixed, shape (bodies, n, n).
         motions_at: From nodes to their displacement under unit motions of their body, shape
             (nodes, dim, n).
         sizes: Length by which the places of each body are divided [m].

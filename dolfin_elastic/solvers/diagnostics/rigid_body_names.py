@@ -26,13 +26,13 @@ def motions_in_words(null: FloatArray, centre: FloatArray, size: float) -> list[
     _, sizes, mixes = np.linalg.svd(turns)
     rank = int(np.sum(sizes > _SAME))
     along = shifts @ mixes[rank:].T  # combinations that do not turn
-    said = [f"move along {_direction(d)}" for d in _basis(along)]
+    words = [f"move along {_direction(d)}" for d in _basis(along)]
     for axis in _basis(turns):
         mix = np.linalg.lstsq(turns, axis, rcond=_SAME)[0]
         shift = shifts @ mix
         shift -= along @ (np.linalg.pinv(along) @ shift) if along.size else 0.0
-        said.append(_turn(axis, shift, centre, size))
-    return said
+        words.append(_turn(axis, shift, centre, size))
+    return words
 
 
 def _turn(axis: FloatArray, shift: FloatArray, centre: FloatArray, size: float) -> str:

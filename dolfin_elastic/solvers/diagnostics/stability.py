@@ -133,7 +133,12 @@ class Stability:
         return largest(self.comm, float(not good)) == 0.0
 
     def solve(self, f: PETSc.Vec, x: PETSc.Vec) -> None:
-        """x = K^-1 f. Collective."""
+        """x = K^-1 f. Collective.
+
+        Args:
+            f: Right-hand side.
+            x: Receives the solution.
+        """
         self._ksp.solve(f, x)
 
     def weakest(self) -> Mode | None:
@@ -221,6 +226,10 @@ def start_vector(assembler: Assembler) -> FloatArray:
 
 def curvature(assembler: Assembler, direction: FloatArray) -> float:
     """d . K d / d . d of the tangent as it is assembled, free entries only [N/m]. Collective.
+
+    Args:
+        assembler: Its tangent is assembled.
+        direction: d, owned entries of all unknowns.
 
     A negative one proves that the tangent is not positive definite, without any factors.
     """

@@ -44,7 +44,7 @@ from dolfin_elastic.model.values import depends_on_time
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
-from dolfin_elastic.solvers.diagnostics.rigid_body import check_held
+from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
 from dolfin_elastic.solvers.diagnostics.stability import Stability
 from dolfin_elastic.solvers.eigen.critical_load import CriticalLoad
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest, refuse, shape
@@ -134,7 +134,7 @@ class Buckling(PreloadedAnalysis):
             InputError: The supports do not hold the body.
             ConvergenceError: No equilibrium was found, it is unstable, or not all modes were.
         """
-        check_held(self.problem)
+        check_no_rigid_motion(self.problem)
         self._tell_dashpots("load factors")
         at_rest(self.problem)
         share, opposite = self.settings.preload, list[_Buckled]()

@@ -3,8 +3,8 @@
     | K  B | | du |     | R |
     | C  D | | ds | = - | g |
 
-is solved by block elimination with one more solve with K for each scalar, so K keeps whatever
-solver it has.  Source: Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria
+is solved by block elimination with one more solve with K for each scalar, so the solver of K
+can be any.  Source: Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria
 (2000), section 3.1.  The scalars may be a load factor, the pressure in a cavity, or the motion of
 a rigid surface.
 """
@@ -116,7 +116,12 @@ class JoinedScalars:
         return [row for part in self.parts for row in part.rows()]
 
     def settled(self, residual: FloatArray, target: float) -> bool:
-        """All equations hold well enough, see `ScalarUnknowns`."""
+        """Whether all equations hold well enough.
+
+        Args:
+            residual: The equations.
+            target: See `ScalarUnknowns`.
+        """
         owns = np.split(residual, self._cuts)
         return all(part.settled(own, target) for part, own in zip(self.parts, owns, strict=True))
 
@@ -191,7 +196,12 @@ class Bordered:
         self.last = self.scalars.residual()
 
     def residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        """Residual of fields and scalars. Collective."""
+        """Residual of fields and scalars. Collective.
+
+        Args:
+            x: Fields and scalars.
+            f: Receives it: nodal forces [N], and the scalars' equations.
+        """
         self.put(x)
         self.fill(f, self._b.array_r, self.last)
 
@@ -252,7 +262,13 @@ class Bordered:
     # --- what PETSc calls ---
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """The operator. Collective."""
+        """The operator, as PETSc's MATPYTHON asks for it. Collective.
+
+        Args:
+            mat: The matrix.
+            x: What it is multiplied by.
+            y: Receives the product.
+        """
         scalars = self.scalar_part(x)
         self._x.array_w[:] = x.array_r[: self._size]
         self.assembler.tangent.matrix.mult(self._x, self._b)
@@ -267,7 +283,13 @@ class Bordered:
         return np.asarray(self._comm.allreduce(local, op=MPI.SUM))
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Block elimination. Collective."""
+        """Block elimination, as PETSc's KSPPYTHON asks for it. Collective.
+
+        Args:
+            ksp: Receives the reason why it ended: the first failure of the fields' solver counts.
+            b: Right-hand side.
+            x: Receives the solution.
+        """
         self._reason = 0
         plain = self._inverse(b.array_r[: self._size])
         self.eliminate()

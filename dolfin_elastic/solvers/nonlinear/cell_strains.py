@@ -32,7 +32,7 @@ class FreeStrains:
         self.prescribing = np.zeros(self.size, dtype=bool)
         row = ufl.derivative(mean.mean, problem.w, ufl.TestFunction(problem.W))
         self._row = mean.compiled([row])[0]
-        self._stiff = 0.0
+        self._stiffness = 0.0
 
     def get(self) -> FloatArray:
         """The free strains times the length of the cell [m]."""
@@ -53,7 +53,7 @@ class FreeStrains:
 
     def rows(self) -> list[FloatArray]:
         """Its derivative with respect to the fields."""
-        self._measure()
+        self._measure_stiffness()
         found, dofmap = [], self._mean.problem.W.dofmap
         size = dofmap.index_map.size_local * dofmap.index_map_bs
         for ij in self._free:
@@ -64,8 +64,8 @@ class FreeStrains:
             found.append(row.array[:size] / self._cell.length)
         return found
 
-    def _measure(self) -> None:
-        """Notes how stiff the cell is, by differences."""
+    def _measure_stiffness(self) -> None:
+        """Measures the stiffness of the cell by differences, for the round-off of stresses."""
         values = self.get()
         found = np.zeros(self.size)
         for b, h in enumerate(self.steps):
@@ -75,15 +75,19 @@ class FreeStrains:
                 sides.append(self.residual()[b])
             found[b] = (sides[0] - sides[1]) / (2 * h)
         self.put(values)
-        self._stiff = float(np.abs(found).max())
+        self._stiffness = float(np.abs(found).max())
 
     def settled(self, residual: FloatArray, target: float) -> bool:
         """The stresses are as prescribed, to the tolerance of forces or to round-off.
 
         The force of a face is spread over its nodes, the target is a norm of nodal forces.
+
+        Args:
+            residual: Stress minus prescribed stress, times the area of a face [N].
+            target: See `ScalarUnknowns`.
         """
         own = target * np.sqrt(self._cell.pairing.face_nodes)
-        floor = ROUND_OFF * self._stiff * self._cell.length
+        floor = ROUND_OFF * self._stiffness * self._cell.length
         return bool(np.abs(residual).max() <= max(own, floor))
 
 

@@ -180,9 +180,9 @@ class RoundOff:
         """
         a, factor = self._assembler, inertia.factor
         diagonal.axpy(-factor, inertia.mass)
-        heavy = factor * float(inertia.mass.norm()) * a.max_unknown()
-        stiff = float(diagonal.norm()) * max(self._h, a.max_displacement())
-        return float(SAFETY * np.finfo(float).eps * (stiff + heavy))
+        inertial = factor * float(inertia.mass.norm()) * a.max_unknown()
+        elastic = float(diagonal.norm()) * max(self._h, a.max_displacement())
+        return float(SAFETY * np.finfo(float).eps * (elastic + inertial))
 
     def beyond(self) -> float:
         """Norm of what the free rows of the last residual have beyond it [N]. Collective."""

@@ -32,7 +32,7 @@ TURN = 1e-5
 
 
 class Scalars:
-    """All scalar unknowns of a problem, and the numbers that are told of them. Collective to make.
+    """All scalar unknowns of a problem, and results of them. Collective to make.
 
     Args:
         assembler: Of the fields.
@@ -61,9 +61,9 @@ class Scalars:
         return [] if self.joined is None else [float(value) for value in self.joined.get()]
 
     def numbers(self, inertia: FloatArray | None = None) -> dict[str, float]:
-        """What is told of cavities, rigid surfaces and periodic cells [SI]. Collective.
+        """Results of cavities, rigid surfaces and periodic cells [SI]. Collective.
 
-        Forces are up to date.
+        The residual is assembled, so that its forces are up to date.
 
         Args:
             inertia: Forces of it at the owned displacements, if it is not among those [N].
@@ -125,7 +125,7 @@ class CavityScalars:
                 expected="all surfaces around it, and an origin in all planes of symmetry",
             )
         if not self.closed:
-            self._tell_open()
+            self._report_open()
 
     def _is_closed(self) -> bool:
         """The pressure's work is that on the volume: nothing flows through the rim. Collective."""
@@ -138,28 +138,28 @@ class CavityScalars:
         )
         return bool(loss <= OPEN * size)
 
-    def _tell_open(self) -> None:
+    def _report_open(self) -> None:
         """A volume that is prescribed must be one; a pressure acts all the same."""
-        said = (
+        text = (
             f"the cavity '{self.cavity.label}' is open: a part of its rim is not held in a plane "
             "through its origin"
         )
         if self.cavity.volume_controlled:
             raise InputError(
-                said,
+                text,
                 where=self.cavity.where,
                 expected="all surfaces around it, supports in planes of symmetry, and an origin "
                 "in all of them",
             )
-        log.warning("%s, so its volume is not told", said)
+        log.warning("%s, so its volume is not told", text)
 
     def _undeformed(self) -> tuple[float, bool]:
         """The volume [m^3] of the undeformed body, and whether it is closed. Collective."""
         w = self._problem.w.x.array
-        kept = w.copy()
+        present = w.copy()
         w[:] = 0.0
         found = self.volume(), self._is_closed()
-        w[:] = kept
+        w[:] = present
         return found
 
     def volume(self) -> float:
@@ -183,7 +183,12 @@ class CavityScalars:
         return [self._assembler.reactions.nodal(self._forms[1])]
 
     def settled(self, residual: FloatArray, target: float) -> bool:
-        """The volume is the given one."""
+        """The volume is the given one.
+
+        Args:
+            residual: The equations.
+            target: See `ScalarUnknowns`.
+        """
         return bool(abs(residual[0]) <= VOLUME * max(self.cavity.initial, abs(self.cavity.goal)))
 
 
@@ -249,7 +254,12 @@ class RigidSurface:
         return found
 
     def settled(self, residual: FloatArray, target: float) -> bool:
-        """Forces out of balance are small, and moments on their levers, too."""
+        """Forces out of balance are small, and moments over their levers, too.
+
+        Args:
+            residual: The equations.
+            target: See `ScalarUnknowns`.
+        """
         return bool(np.all(np.abs(residual) <= target * self._levers))
 
 

@@ -119,7 +119,12 @@ class ArcLengthConstraint:
         return [row]
 
     def settled(self, residual: FloatArray, target: float) -> bool:
-        """The step has its length, see `ScalarUnknowns`."""
+        """The step has its length.
+
+        Args:
+            residual: The equations.
+            target: See `ScalarUnknowns`.
+        """
         return bool(abs(residual[0]) <= LENGTH_TOLERANCE * self._length)
 
 
@@ -130,7 +135,7 @@ class PathPoint:
     Attributes:
         t: Load factor.
         result: How it was found, or not.
-        negative: Negative eigenvalues of the tangent, if the solver tells.
+        negative: Negative eigenvalues of the tangent, if they are known.
         good: Where it was not found: the last point, as `Newton.unknowns`.
         failed: ... and the last iterate.
     """

@@ -137,7 +137,7 @@ class RetryStrategy:
             self._augmentation.save()
 
     def _refuse_inverted(self, result: NewtonResult) -> NewtonResult:
-        """No accepted state holds a cell that is inside out, also where none was on the way."""
+        """No accepted state has an inverted cell, even if no trial state on the way had one."""
         guard = self.newton.guard
         if not result.converged or guard is None:
             return result

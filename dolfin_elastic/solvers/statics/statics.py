@@ -13,7 +13,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.breakpoints import corners, driven_by_formula
-from dolfin_elastic.solvers.diagnostics.rigid_body import check_held
+from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
@@ -66,7 +66,7 @@ class Statics:
             ConvergenceError: No equilibrium was found even with the smallest step; the problem
                 then holds the last iterate, and all states yielded before are valid.
         """
-        check_held(self.problem)
+        check_no_rigid_motion(self.problem)
         self._check_path()
         for dashpot in () if self._preload else self.problem.dashpots:
             log.warning("the dashpot '%s' does nothing in statics", dashpot.label)

@@ -1,9 +1,9 @@
 """Which load factor is tried next: steps grow where Newton is quick and shrink where it is not.
 
 Nor may a step go farther than the path it was on led to expect.  Under loads that grow a lot in
-one step, the energy does not tell a jump from a soft path: the work of the forces before and after
-lies far apart.  But a jump is fast: a step that moves the body several times as fast as the one
-before is taken again in smaller ones, whose energy does tell.
+one step, the energy does not distinguish a jump from a soft path: the work of the forces before and
+that of the forces after lie far apart.  But a jump is fast: a step that moves the body several
+times as fast as the one before is taken again in smaller ones, whose energy does.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ class StepSpeed:
         return 0.0 < FASTER * known < self._now
 
     def accept(self, *, known: bool = True) -> None:
-        """Takes the step that `hasty` was asked of last.
+        """Accepts the step that was passed to `hasty` last.
 
         Args:
             known: Its speed is that of the path: the body has not jumped.
