@@ -88,7 +88,7 @@ class DirichletConditions:
 
     def _dofs_of(self, label: str, size: int) -> IndexArray:
         """Owned entries of the supports with this label, sorted."""
-        found = [np.empty(0, np.int32)]
+        found: list[IndexArray] = [np.empty(0, np.int32)]
         for entry in self._entries:
             support = entry.component.support
             if support is not None and support.label == label:
