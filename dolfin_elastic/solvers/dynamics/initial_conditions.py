@@ -87,7 +87,7 @@ def set_initial(
     v.x.array[:] = 0.0
     if velocity:
         _set_nodal(problem, v, velocity, "dynamics.initial_velocity")
-    with np.errstate(all="ignore"):  # what is not finite at the start is told below
+    with np.errstate(all="ignore"):  # finite values are checked below
         far = support_travel(problem, span)
         speeds, unsure = _speeds(problem, 1e-7 * span)
     problem.set_time(0.0)

@@ -171,11 +171,11 @@ class DynamicResidual:
             v: Velocity, owned entries [m/s].
         """
         a = self._a.x.array
-        kept = a.copy()
+        before = a.copy()
         a[: len(v)] = v
         self._a.x.scatter_forward()
         found = self.assembler.reactions.nodal(self._forms["inertia"]).copy()
-        a[:] = kept
+        a[:] = before
         return found
 
     @property

@@ -117,7 +117,7 @@ class DynamicsSettings(Record):
     @model_validator(mode="after")
     def _read(self) -> DynamicsSettings:
         _ = self.displacement, self.velocity
-        refuse_unused_keys(self, _idle(self))
+        refuse_unused_keys(self, _unused(self))
         if self.dt is None and self.implicit:
             raise InputError(
                 "this key is missing",
@@ -207,7 +207,7 @@ def _initial_values(key: str, written: list[Any], unit: str) -> tuple[Component,
     return found
 
 
-def _idle(s: DynamicsSettings) -> Iterator[UnusedKeys]:
+def _unused(s: DynamicsSettings) -> Iterator[UnusedKeys]:
     """Keys that have no meaning for the scheme, or for steps of this kind."""
     scheme, leave = f"the scheme '{s.scheme}'", "leave it out, or scheme = "
     knows: dict[str, str] = {}
@@ -217,10 +217,12 @@ def _idle(s: DynamicsSettings) -> Iterator[UnusedKeys]:
     for key, name in knows.items():
         if key not in s.row.keys:
             yield UnusedKeys([key], f"{scheme} has no {key.replace('_', ' ')}", f'{leave}"{name}"')
-    yield from _idle_implicit(s, scheme) if s.implicit else _idle_explicit(s, scheme, leave)
+    yield from (
+        _unused_by_implicit(s, scheme) if s.implicit else _unused_by_explicit(s, scheme, leave)
+    )
 
 
-def _idle_implicit(s: DynamicsSettings, scheme: str) -> Iterator[UnusedKeys]:
+def _unused_by_implicit(s: DynamicsSettings, scheme: str) -> Iterator[UnusedKeys]:
     names = (name for name, row in SCHEMES.items() if isinstance(row, ExplicitRow))
     explicit = " and ".join(f'"{name}"' for name in names)
     yield UnusedKeys(
@@ -236,7 +238,7 @@ def _idle_implicit(s: DynamicsSettings, scheme: str) -> Iterator[UnusedKeys]:
         )
 
 
-def _idle_explicit(s: DynamicsSettings, scheme: str, leave: str) -> Iterator[UnusedKeys]:
+def _unused_by_explicit(s: DynamicsSettings, scheme: str, leave: str) -> Iterator[UnusedKeys]:
     leave += f'"{DEFAULT}"'
     if s.adaptive:
         yield UnusedKeys(

@@ -103,7 +103,7 @@ class StabilityMonitor:
         self._most = max(self._most, *sizes)
         seems, drifts = np.abs(now - self._first) > DRIFT * self._most
         if seems or drifts:
-            self._first = np.where([seems, drifts], now, self._first)  # looked into once
+            self._first = np.where([seems, drifts], now, self._first)  # each drift counts once
             self._look_at_volumes(t)  # then that is why
         if drifts and not (self._warned or self.inverted):
             self._warned = True
@@ -125,10 +125,10 @@ class StabilityMonitor:
         """
         problem, u = self._problem, self._problem.u.x.array
         problem.dirichlet.check_finite()
-        kept = u.copy()
+        displacement = u.copy()
         u[:] = 0.0  # loads that follow the body are not finite where it is not
         forces = self._assembler.reactions.loads()
-        u[:] = kept
+        u[:] = displacement
         if total(problem.body.comm, int(np.sum(~np.isfinite(forces)))):
             raise load_not_finite(t)
 

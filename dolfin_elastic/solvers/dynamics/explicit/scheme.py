@@ -4,7 +4,7 @@ Both change the velocity by the forces of the present displacement and then move
 Euler's v_n+1 = v_n + dt f_n/m, u_n+1 = u_n + dt v_n+1 is of first order.  With the velocity halfway
 between two displacements, v_n+1/2 = v_n-1/2 + dt f_n/m, u_n+1 = u_n + dt v_n+1/2, it becomes
 central differences, of second order, and v_n = v_n-1/2 + dt/2 f_n/m where a state is asked for.
-Both are stable for dt < 2/omega_max, their energy is bounded, and momenta are kept exactly.
+Both are stable for dt < 2/omega_max, their energy is bounded, and momenta are conserved exactly.
 
 A scheme is one class and one row of the table `SCHEMES` in `solvers/dynamics/schemes.py`.
 

@@ -43,7 +43,7 @@ RESONANCE = 0.6
 At omega dt = sqrt(2) and sqrt(3) four and three steps are a period of a motion, and what is not
 linear about it feeds it at each (T. Schlick, M. Mandziuk, R. Skeel and K. Srinivas, J. Comput.
 Phys. 140 (1998) 1): at 0.7 and above corners of cubes that bounce were thrown off after a second,
-one node in a rhythm of four steps; at 0.65 and below cubes of 5 to 8 cells an edge kept their
+one node in a rhythm of four steps; at 0.65 and below cubes of 5 to 8 cells an edge conserved their
 energy to 1.5 % for 5,000 to 10,000 steps.  0.6 leaves them room to become stiffer by a third
 between two checks.
 """
@@ -171,8 +171,8 @@ class StepSize:
         self._find_frequency(0)
         if self._chosen is None:
             self._set_step()
-            said = self.stable, min(self.dt, end), self._safety, self._where()
-            log.info("stable step %.4g s, taken %.4g s (safety %g%s)", *said)
+            values = self.stable, min(self.dt, end), self._safety, self._where()
+            log.info("stable step %.4g s, taken %.4g s (safety %g%s)", *values)
         elif self._chosen > self.stable:
             raise InputError(
                 f"{self._chosen:.4g} s is above the stable step, {self.stable:.4g} s",
@@ -206,11 +206,11 @@ class StepSize:
         """What limits the step, for messages. Collective."""
         if self.dt == self.contact_limit:
             return "; the stiffness of contacts asks for it"
-        shaken = "; obstacles may be hit" if self._contact and self._safety == RESONANCE else ""
+        contact = "; obstacles may be hit" if self._contact and self._safety == RESONANCE else ""
         if self.bound is None or not self._square:
-            return shaken
+            return contact
         place = ", ".join(f"{x:.3g}" for x in self.location())
-        return f"{shaken}; cells at ({place}) m ask for it"
+        return f"{contact}; cells at ({place}) m ask for it"
 
     def location(self) -> tuple[float, ...]:
         """Where the bound by cells is largest, undeformed [m]; empty without one. Collective."""
@@ -270,7 +270,7 @@ class StepSize:
 
     def _find_frequency(self, step: int) -> None:
         """Finds omega_max^2 of the present state. Collective."""
-        # With all displacements prescribed there is no eigenvalue: then only the bound tells.
+        # With all displacements prescribed there is no eigenvalue: then the bound decides.
         bounds = (
             self.largest_frequency() or np.inf,
             self.cell_bound(),

@@ -8,7 +8,7 @@ One step from (u0, v0, a0) to (u1, v1, a1) over h:
 
 with the stage u_s = (1 - alpha_f) u1 + alpha_f u0, v_s alike, at t_s = t0 + (1 - alpha_f) h, where
 loads are taken, too: forces are those of the mean displacement, not the mean of two forces, so that
-without damping (alpha_m = alpha_f = 1/2) angular momentum is kept exactly.
+without damping (alpha_m = alpha_f = 1/2) angular momentum is conserved exactly.
 
 Sources: N. M. Newmark, J. Eng. Mech. Div. ASCE 85 (1959) 67; J. Chung & G. M. Hulbert, J. Appl.
 Mech. 60 (1993) 371, (9)-(18) and (25); order of a: S. Erlicher, L. Bonaventura & O. S. Bursi,

@@ -22,7 +22,7 @@ _EXPECTED = (
 
 
 def _not_bare(value: Any) -> Any:
-    """A time says so by its unit; 2.0 might be either."""
+    """Refuses numbers without a unit: 2.0 might be steps or seconds."""
     bare = isinstance(value, bool | float)
     if isinstance(value, str):
         with suppress(ValueError):

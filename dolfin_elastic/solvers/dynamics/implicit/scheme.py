@@ -1,4 +1,4 @@
-"""`ImplicitScheme`: what an implicit motion asks of its time scheme, whoever takes the steps.
+"""`ImplicitScheme`: what an implicit motion asks of its time scheme, PETSc's or our own.
 
 A scheme is one class and one row of the table `SCHEMES` in `solvers/dynamics/schemes.py`.  It is
 registered with PETSc's TS, which owns the loop over steps, monitors and events.

@@ -58,7 +58,8 @@ class VolumeConstraint:
         found = compiled(self._problem, forms)
         self._all, self._compressible = found[0], found[1] if compressible else None
         entries = np.ones(len(self._problem.w.x.array), dtype=bool)
-        entries[self._problem.unknowns.mixed_dofs(np.arange(len(self._problem.u.x.array)))] = False
+        displacements = np.arange(len(self._problem.u.x.array), dtype=np.int32)
+        entries[self._problem.unknowns.mixed_dofs(displacements)] = False
         self._scalars = entries
         self._old: FloatArray = np.empty(0)
         self._known: FloatArray = np.zeros(assembler.size)
