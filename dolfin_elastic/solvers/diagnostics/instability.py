@@ -120,18 +120,23 @@ def _spectrum(states: TrialStates, values: FloatArray) -> Spectrum | None:
 
 
 def _by_curvature(states: TrialStates, good: FloatArray, failed: FloatArray) -> Finding:
-    """For large bodies: whether the way Newton's method went has a negative stiffness."""
+    """For large bodies: curvature along the difference of last iterate and equilibrium. Collective.
+
+    A negative one proves an instability without a factorisation.
+    """
     not_examined = "; the tangent's eigenvalues were not looked at, the body is too large for that"
     assembler = states.assembler
-    way = (failed - good)[: assembler.size]
-    motion = way[assembler.displacement_dofs]
+    difference = (failed - good)[: assembler.size]
+    motion = difference[assembler.displacement_dofs]
     size = float(np.sqrt(total(assembler.comm, float(np.sum(motion**2)))))
     if not (np.isfinite(size) and size > 0.0):
         return Finding(not_examined=not_examined)
     for state in (good, failed):
-        if states.tangent(state) and (k := curvature(assembler, way)) < 0.0:
+        if states.tangent(state) and (k := curvature(assembler, difference)) < 0.0:
             spectrum = Spectrum(None, Mode(k, np.asarray(motion / size, dtype=np.float64)))
-            return replace(_finding(states, good, spectrum, way=True), not_examined=not_examined)
+            return replace(
+                _finding(states, good, spectrum, by_curvature=True), not_examined=not_examined
+            )
     return Finding(not_examined=not_examined)
 
 
@@ -163,7 +168,7 @@ def _finding(
     spectrum: Spectrum,
     *,
     left: float = 0.0,
-    way: bool = False,
+    by_curvature: bool = False,
     which: str = "last equilibrium",
 ) -> Finding:
     """The finding in words, with advice. Collective.
@@ -174,7 +179,7 @@ def _finding(
         spectrum: Of its tangent.
         left: Share of its stiffness at rest that the weakest mode has left.
         which: What the state is.
-        way: The mode is only the difference from the last equilibrium to the last iterate.
+        by_curvature: The mode is only the difference from the last equilibrium to the last iterate.
     """
     states.put(good)
     assembler = states.assembler
@@ -185,7 +190,7 @@ def _finding(
         else "near the last equilibrium stability is lost: the stiffness against one motion has "
         f"fallen to {100 * left:.2g} % of that at rest"
     )
-    if way:
+    if by_curvature:
         text = "the body has a negative stiffness along the way that Newton's method went"
     if mode is None:
         return Finding(text, messages.BUCKLING)

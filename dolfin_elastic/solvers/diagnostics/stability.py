@@ -11,7 +11,6 @@ J. Liesen, Acta Numerica 14 (2005), section 3.4.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
@@ -166,7 +165,7 @@ class Stability:
             eps.destroy()
             shell.destroy()
 
-    def _solved(self, eps: Any, which: Any) -> Mode | None:
+    def _solved(self, eps: SLEPc.EPS, which: SLEPc.EPS.Which) -> Mode | None:
         eps.setWhichEigenpairs(which)
         eps.setDimensions(nev=1)
         start = self.assembler.create_vector()

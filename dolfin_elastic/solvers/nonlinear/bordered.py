@@ -12,7 +12,7 @@ a rigid surface.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from mpi4py import MPI
@@ -340,7 +340,7 @@ class Bordered:
             thing.destroy()
 
 
-def python_solver(snes: PETSc.SNES, context: Any, prefix: str) -> None:
+def python_solver(snes: PETSc.SNES, context: Bordered, prefix: str) -> None:
     """Makes a python context the linear solver of a SNES.
 
     Args:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
 
 import basix
 import numpy as np
@@ -153,7 +152,7 @@ class InversionGuard:
     def begin(self) -> None:
         """Begins a new solve: nothing has been refused. Not collective."""
         self.rejected, self.stuck = 0, False
-        self.worst: tuple[float, Any] = (np.inf, np.zeros(3))
+        self.worst: Extreme = (np.inf, np.zeros(3))
 
     def shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Halves the step y until x - y has no inverted cell. Collective.

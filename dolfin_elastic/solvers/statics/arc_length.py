@@ -128,7 +128,7 @@ class ArcLengthConstraint:
         return bool(abs(residual[0]) <= LENGTH_TOLERANCE * self._length)
 
 
-@dataclass
+@dataclass(frozen=True)
 class PathPoint:
     """A point of the path, or the failure to find the next one.
 
@@ -193,7 +193,7 @@ class ArcLength:
         Args:
             first: Load factor of the first point, which sets the length of steps.
             smallest: Shortest step, as a share of the first.
-            chosen: The user has chosen the first step; else it is made gentle.
+            chosen: The user has chosen the first step; else it is made small.
         """
         if self._increment is None:
             longest = np.inf if chosen else FIRST_DISPLACEMENT * self._newton.span
@@ -238,7 +238,7 @@ class ArcLength:
         return PathPoint(self._length.t, result, negative_eigenvalues(self._bordered))
 
     def restart_state(self) -> RestartState:
-        """The last step at all unknowns, "way", and what else the next one depends on."""
+        """See `Restartable`; the field "way" is the last increment. Not collective."""
         if self._increment is None:
             return RestartState({})
         way = fem.Function(self._problem.W)
@@ -258,7 +258,7 @@ class ArcLength:
 
         Args:
             t: Load factor of the present point.
-            way: The last step at all unknowns.
+            way: The last increment, at all unknowns [m].
             saved: The numbers.
         """
         if way is None:
@@ -285,9 +285,9 @@ class ArcLength:
             self._length.put(np.array([t]))
             result = self._retry.solve([("", here)])
             self._scalar_increment = self._all.get() - before
-            hasty = StepSpeed(self._assembler).hasty(0.0, t, here, result)
-            hasty = hasty or self._assembler.max_displacement() > longest
-            if result.converged and not (hasty and t / 2 >= least):
+            too_fast = StepSpeed(self._assembler).too_fast(0.0, t, here, result)
+            too_fast = too_fast or self._assembler.max_displacement() > longest
+            if result.converged and not (too_fast and t / 2 >= least):
                 self._points.append((t, self._length.arc()))
                 return PathPoint(t, result, negative_eigenvalues(self._newton))
             if t / 2 < least:

@@ -209,7 +209,9 @@ class LoadStepping:
                     self._retry.undo(step.start)
                     continue
                 goal, result = self._leave_path(step, result, refusal)
-            elif self._speed.hasty(step.t, goal, step.start, result) and sizes.refine(step.t, goal):
+            elif self._speed.too_fast(step.t, goal, step.start, result) and sizes.refine(
+                step.t, goal
+            ):
                 log.debug("load factor %.6g: so far in one step; a closer look", goal)
                 self._retry.undo(step.start)
                 continue

@@ -147,7 +147,7 @@ class StepSpeed:
         self._assembler, self._corners = assembler, corners
         self.speed = self._now = 0.0
 
-    def hasty(self, t: float, goal: float, start: FloatArray, result: NewtonResult) -> bool:
+    def too_fast(self, t: float, goal: float, start: FloatArray, result: NewtonResult) -> bool:
         """Whether the step that the problem is at the end of was faster than expected. Collective.
 
         Args:
@@ -167,7 +167,7 @@ class StepSpeed:
         return 0.0 < FASTER * known < self._now
 
     def accept(self, *, known: bool = True) -> None:
-        """Accepts the step that was passed to `hasty` last.
+        """Accepts the step that was passed to `too_fast` last.
 
         Args:
             known: Its speed is that of the path: the body has not jumped.

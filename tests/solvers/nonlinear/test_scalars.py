@@ -439,7 +439,7 @@ def test_tangent_of_the_whole_system(folder):
     problem = ring(folder)
     assembler = Assembler(problem)
     others, length = Scalars(assembler), ArcLengthConstraint(assembler)
-    length.start = length.displacement() - 0.01
+    length.begin(length.displacement() - 0.01)
     problem.set_time(0.5, default=PROPORTIONAL)
     joined = JoinedScalars([length, *others.parts])
     ksp = PETSc.KSP().create(assembler.comm)
