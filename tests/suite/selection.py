@@ -3,9 +3,9 @@
 Where the command line names files, all of their tests run, whatever set they belong to.  Else:
 
                    one rank                        n ranks
-    quick set      what is not `long`, and of      of each test of RANKS[n] that is not `long`
-                   a `sample(k)` k parameters      one parameter
-    all (--all)    every test                      every test and parameter of RANKS[n]
+    quick set      what is not `long`, and of      one parameter of each test of the files that
+                   a `sample(k)` k parameters      run on n ranks, if it is neither `long` nor SLOW
+    all (--all)    every test                      every test and parameter of these files
 
 and the rest (--rest) is all but the quick set.
 """
@@ -84,6 +84,10 @@ SHARED = {
 """Tests of what ranks share and agree upon: what three ranks can show beyond two, ranks without a
 cell or a facet of a part, it shows here."""
 
+SLOW = ("picture", "drawer", "colour", "adaptive", "second_order")
+"""In names of tests of drawings, which one rank makes, and of many small steps: such tests take
+long where ranks wait for each other, and belong to the rest there."""
+
 
 def runs_on(file: str, ranks: int) -> bool:
     """Whether a file has anything to show on so many ranks."""
@@ -160,6 +164,7 @@ def _quick(items: Iterable[pytest.Item], ranks: int) -> list[pytest.Item]:
     short = [item for item in items if item.get_closest_marker("long") is None]
     if ranks > 1:
         short = [item for item in short if _file(item) not in LAWS]
+        short = [item for item in short if not any(word in item.name for word in SLOW)]
     found = []
     for group in _alike(short):
         sample = group[0].get_closest_marker("sample")
