@@ -37,6 +37,7 @@ from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Support
 from dolfin_elastic.model.supports.rigid_surface import Rigid
+from dolfin_elastic.model.supports.springs import SUPPORTS
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, Picture
 from dolfin_elastic.solvers.dynamics.schemes import SCHEMES
@@ -162,16 +163,18 @@ def imported(name: str, code: str, folder: Path) -> ModuleType:
 
 @pytest.fixture
 def contributed(folder: Path) -> Iterator[dict[str, Any]]:
-    """What the examples of CONTRIBUTING.md define; the table of schemes is put back."""
-    text, schemes = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), dict(SCHEMES)
+    """What the examples of CONTRIBUTING.md define; tables that they add to are put back."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    schemes, supports = dict(SCHEMES), dict(SUPPORTS)
     code = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    assert len(code) == 4
+    assert len(code) == 5
     names: dict[str, Any] = {}
     for number, part in enumerate(code):
         names |= vars(imported(f"contributed_{number}", part, folder))
     yield names
-    SCHEMES.clear()
-    SCHEMES.update(schemes)
+    for table, before in ((SCHEMES, schemes), (SUPPORTS, supports)):
+        table.clear()
+        table.update(before)  # type: ignore[arg-type]
 
 
 def test_examples_for_contributors(
@@ -204,6 +207,30 @@ def test_examples_for_contributors(
             writer.write(state)
     assert len(energies.read_text().splitlines()) == 1
     assert len(history.read_text().splitlines()) == 4
+
+
+def test_constraint_of_a_contributor(contributed: dict[str, Any], comm: MPI.Comm) -> None:
+    """A block whose surfaces all move by u = H X does so inside, too; its stress is homogeneous."""
+    block, H = box_body(size=[1, 2, 1], cells=[2, 3, 2], comm=comm), np.diag([0.2, 0.1, 0.0])
+    H[0, 1] = 0.3
+    support = {"kind": "affine", "on": sorted(block.surfaces), "gradient": H.tolist()}
+    law = LinearElastic(E="1 MPa", nu=0.25)
+    case = Case.from_dict(
+        {
+            "mesh": {"box": {"size": [1, 2, 1], "cells": [2, 3, 2]}},
+            "materials": {"block": {"law": "linear-elastic", "E": "1 MPa", "nu": 0.25}},
+            "support": [support],
+        }
+    )
+    assert isinstance(case.support[0], contributed["AffineMotion"])
+    problem = Problem(block, law, supports=case.support)
+    *_, state = Statics(problem, steps=2).steps()
+    X = problem.V.tabulate_dof_coordinates()
+    assert np.allclose(state.u.x.array.reshape(-1, 3), X @ H.T, atol=1e-12)
+    strain = (H + H.T) / 2
+    mu = lmbda = 0.4e6
+    energy = mu * np.sum(strain**2) + lmbda / 2 * np.trace(strain) ** 2
+    assert state.energies["strain"] == pytest.approx(2 * energy, rel=1e-12)
 
 
 @pytest.mark.usefixtures("contributed")
