@@ -163,7 +163,7 @@ class FormContext:
         return Constant(self.body.mesh, np.asarray(value, dtype=np.float64))
 
     def unknown(self, label: str) -> Constant:
-        """A number that is solved for, the same for all who ask by this label."""
+        """A scalar unknown as a constant of forms: one for each label."""
         return self.unknown_numbers.setdefault(label, self.constant(0.0))
 
     @cached_property

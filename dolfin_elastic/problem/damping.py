@@ -100,8 +100,8 @@ class Damping:
         """Nothing is damped."""
         return not self.inside and self._mass is None
 
-    def tell(self, v: FloatArray) -> None:
-        """Takes a velocity over, owned entries of the displacement. Collective."""
+    def set_velocity(self, v: FloatArray) -> None:
+        """Sets the velocity that damps, owned entries of the displacement [m/s]. Collective."""
         self.rate.x.array[self._problem.unknowns.displacement_dofs] = v
         self.rate.x.scatter_forward()
 

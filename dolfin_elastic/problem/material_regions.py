@@ -51,7 +51,7 @@ def plan(
     *,
     plane_stress: bool,
 ) -> Plan:
-    """Decides from the materials and says so in the log.
+    """Decides from the materials which unknowns there are beside the displacement.
 
     The pressure of quadratic elements is linear (Taylor & Hood, Computers & Fluids 1 (1973));
     with linear elements it is linear too, and stabilised.  In plane stress the volume can change
@@ -149,7 +149,7 @@ def make_material_regions(
     Args:
         body: The mesh and its names.
         laws: Region's name to law; `WHOLE` is the whole body unless a region is called so.
-        formulation: What the user wants.
+        formulation: As the user chose.
         degree: Degree of the displacement.
         order: Degree of the displacement or of the mesh, whichever is higher.
         geometry: Kind of a two-dimensional body.

@@ -54,9 +54,10 @@ class Problem:
         body: The mesh and its names.
         materials: A law for the whole body, or region's name to law; together the regions must
             cover every cell exactly once.
-        supports: What holds surfaces; where displacements are prescribed twice the later one holds.
+        supports: Prescribed displacements, springs and dashpots; where a displacement is
+            prescribed twice, the later one counts.
         loads: External forces.
-        contacts: Rigid obstacles that surfaces may touch.
+        contacts: Contact of surfaces with rigid obstacles.
         degree: Degree of the displacement on tetrahedra or triangles, 1 or 2.
         quadrature_degree: Overrides the law's own choice for the internal forces.
         formulation: "displacement"; "mixed", with a pressure for nearly incompressible materials;
@@ -182,20 +183,20 @@ class Problem:
 
     @property
     def springs(self) -> tuple[Spring, ...]:
-        """Supports that hold by stored energy."""
+        """Supports with a stored energy."""
         return tuple(s for s in self.supports if isinstance(s, Spring))
 
     @property
     def dashpots(self) -> tuple[Dashpot, ...]:
-        """Supports that hold against velocity, in motion only."""
+        """Supports whose force depends on the velocity: they act in motion only."""
         return tuple(s for s in self.supports if isinstance(s, Dashpot))
 
     @cached_property
     def spring_projections(self) -> list[Projections]:
-        """Owned nodes that springs hold, with projections on the directions. Collective."""
+        """Owned nodes with springs, and projections on their directions. Collective."""
         return [found for s in self.springs for found in spring_directions(s, self.body, self.V)]
 
-    # --- what solvers ask ---
+    # --- properties that solvers depend on ---
 
     @property
     def has_energy(self) -> bool:

@@ -114,7 +114,7 @@ class Unknowns:
 
     @property
     def stabilised(self) -> bool:
-        """The pressure is as rich as the displacement and needs to be held."""
+        """The pressure has the degree of the displacement: it is stable only with stabilisation."""
         return any(
             e.name == "pressure" and e.continuous and e.degree == self.degree
             for e in self.auxiliary_fields

@@ -147,7 +147,7 @@ class DirichletConditions:
         return np.concatenate(found_dofs), np.concatenate(found)
 
     def moment(self, motion: RigidMotion, forces: FloatArray, u: FloatArray) -> FloatArray:
-        """Moment about the present reference point of the forces by which it holds. Collective.
+        """Moment about the present reference point of the forces of constraint on it. Collective.
 
         Args:
             motion: The rigid surface.
@@ -176,13 +176,13 @@ class DirichletConditions:
             default: Amplitude of supports that name none.
         """
         now, values = (self._t, self._default), self.values.x.array
-        kept = values.copy()
+        saved = values.copy()
         target = None if self.skew is None else self.skew.target.copy()
         found = []
         for t in moments:
             self.set_time(t, default)
             found.append(values.copy())
-        (self._t, self._default), values[:] = now, kept
+        (self._t, self._default), values[:] = now, saved
         if self.skew is not None:
             self.skew.target[:] = target
         return found
@@ -232,7 +232,10 @@ class DirichletConditions:
         if not total(comm, int((~np.isfinite(self.targets)).sum())):
             return
         found = first_of(comm, self._bad())
-        where, at = "support", "some nodes"  # held along an oblique direction
+        where, at = (
+            "support",
+            "some nodes",
+        )  # a skew node, whose values have no support of their own
         if found is not None:
             where, at = f"support '{found[0]}'", f"({', '.join(f'{x:.6g}' for x in found[1])}) m"
         raise InputError(

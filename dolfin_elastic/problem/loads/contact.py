@@ -41,7 +41,7 @@ FACTOR = 10.0
 """Penalty over the stiffness of the cell beside: enough for a few augmentations."""
 
 SLACK = 1e-9
-"""Gap, over the size of a cell, at which a surface still counts as touching.
+"""Gap, over the size of a cell, up to which a surface is in contact.
 
 A body that only lies on an obstacle has a stiffness against it then, round-off or not; the pull
 that such a gap makes is 1e-8 of the modulus.
@@ -66,7 +66,7 @@ class ContactPair:
         lam: Multiplier [Pa], nodal values of the displacement's degree; 0 in motion.
         penalty: eps [Pa/m], one number a cell beside the surface.
         shift: Displacement of the obstacle [m] (UFL constant).
-        reach: Gap [m] up to which the surface counts as touching (UFL constant).
+        reach: Gap [m] up to which the surface is in contact (UFL constant).
         size: Mean height of the cells over the surface [m].
         tolerance: Penetration that statics leaves [m].
         nodes: Owned nodes of the surface in the space of `lam`.
@@ -107,7 +107,7 @@ class ContactPair:
             eps[:] = self.contact.stiffness
         dofs = self.penalty.function_space.dofmap.list[:, 0]
         self.penalty.x.array[dofs[cells]] = eps
-        # The materials are known on cells that are owned: ghosts beside the surface are told.
+        # Material regions list owned cells only: ghosts beside the surface get theirs from owners.
         self.penalty.x.scatter_forward()
 
     def soften(self, factor: float) -> None:
@@ -204,7 +204,7 @@ class ContactPair:
 
     @property
     def nodes_of_displacement(self) -> IndexArray:
-        """The nodes that may touch, by their numbers in the displacement's space."""
+        """The nodes of the surface, by their numbers in the displacement's space."""
         return np.asarray(self._in_V)
 
     def gaps(self) -> tuple[FloatArray, FloatArray]:

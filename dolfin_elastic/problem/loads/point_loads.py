@@ -1,8 +1,8 @@
 """Forces at points and along lines, as nodal forces: what no integral over cells or facets gives.
 
-The virtual work of a force f at a point X is f . v(X) = sum_a N_a(X) f . v_a over the nodes of the
-cell that holds it, so the nodal forces N_a f have its resultant and its moment exactly.  A line is
-cut into parts much shorter than a cell with two Gauss points each.  A point counts on one rank.
+The virtual work of a force f at a point X is f . v(X) = sum_a N_a(X) f . v_a over the nodes of its
+cell, so the nodal forces N_a f have its resultant and its moment exactly.  A line is cut into parts
+much shorter than a cell with two Gauss points each.  A point counts on one rank.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class NodalLoads:
         if nearest[worst] > limit:
             place = ", ".join(f"{a:.6g}" for a in points[worst, : self._dim])
             what = f"({place}) m is {nearest[worst]:.3g} m off the body"
-            if len(load.points) > 1:  # a point that nobody wrote
+            if len(load.points) > 1:  # a point between the two that are written
                 key, what = _nearer_end(load, points[worst, : self._dim]), f"on the line {what}"
             error = InputError(
                 what,

@@ -27,7 +27,7 @@ _MOMENTS = (0.3141, 0.8314)
 
 
 def rim_held(body: Body, dirichlet: DirichletConditions, surfaces: Sequence[str]) -> bool:
-    """Whether supports hold a surface's rim so that even pressure has a potential. Collective.
+    """Whether supports fix a surface's edge so that uniform pressure has a potential. Collective.
 
     Args:
         body: The mesh and its names.
@@ -36,7 +36,7 @@ def rim_held(body: Body, dirichlet: DirichletConditions, surfaces: Sequence[str]
     """
     edges = rim(body, surfaces)
     supports = _Supports(body, dirichlet)
-    free = sum(not supports.hold(edge) for edge in edges)
+    free = sum(not supports.make_symmetric(edge) for edge in edges)
     return not total(body.comm, int(free))
 
 
@@ -79,23 +79,23 @@ class _Supports:
         self._tolerance = 1e-9 * span(self.body)
         entries = np.zeros(len(self.dirichlet.values.x.array), dtype=bool)
         entries[self.dirichlet.dofs] = True
-        self._held = entries.reshape(-1, dim)
+        self._fixed = entries.reshape(-1, dim)
         values = self.dirichlet.values_at(_MOMENTS, RAMP)
         self._values = [value.reshape(-1, dim) for value in values]
 
-    def hold(self, edge: int) -> bool:
-        """No part of the tangent is lost to skewness along an edge. Not collective."""
+    def make_symmetric(self, edge: int) -> bool:
+        """The skew part of the tangent vanishes along an edge. Not collective."""
         dim = self.body.dim
         cell = self._cells.links(edge)[0]
         local = int(np.flatnonzero(self._edges.links(cell) == edge)[0])
         points = self._dofmap.cell_dofs(cell)[
             self._dofmap.dof_layout.entity_closure_dofs(dim - 2, local)
         ]
-        held = self._held[points].all(axis=0)
-        if np.count_nonzero(held) >= dim - 1:
+        fixed = self._fixed[points].all(axis=0)
+        if np.count_nonzero(fixed) >= dim - 1:
             return True
         nodes = self._nodes[cell][self._layout.entity_closure_dofs(dim - 2, local)]
-        return any(self._in_plane(axis, nodes, points) for axis in np.flatnonzero(held))
+        return any(self._in_plane(axis, nodes, points) for axis in np.flatnonzero(fixed))
 
     def _in_plane(self, axis: int, nodes: IndexArray, points: IndexArray) -> bool:
         """The edge lies across an axis, and stays so."""

@@ -72,7 +72,7 @@ class PeriodicPairing:
     Attributes:
         vectors: Lattice vectors [m], one row a pair.
         volume: Of the parallelepiped they span, holes included [m^dim].
-        corner: The vertex that is held [m].
+        corner: The vertex whose displacement is fixed [m].
         face_nodes: How many vertices a face has, on average.
 
     Raises:
@@ -197,10 +197,15 @@ class PeriodicPairing:
                 )
         return np.asarray(match, dtype=np.int64)
 
-    # --- the node that is held ---
+    # --- the fixed vertex ---
 
-    def held(self, V: fem.FunctionSpace, merged: MergedDofmap) -> IndexArray:
-        """Local nodes of a plain space that are the held vertex or its images. Collective."""
+    def corner_nodes(self, V: fem.FunctionSpace, merged: MergedDofmap) -> IndexArray:
+        """Local nodes that are the fixed vertex or its images. Collective.
+
+        Args:
+            V: The plain space.
+            merged: The same with merged nodes.
+        """
         x = V.tabulate_dof_coordinates()
         here = np.flatnonzero(np.linalg.norm(x - self.corner, axis=1) <= self._near)
         mine = merged.space.dofmap.index_map.local_to_global(merged.new[here])
@@ -250,12 +255,12 @@ def _renumbered(
         root: What each of them becomes one with.
     """
     size, (start, end) = imap.size_local, imap.local_range
-    kept = np.ones(size, dtype=bool)
-    kept[ids[(root != ids) & (ids >= start) & (ids < end)] - start] = False
-    count = int(kept.sum())
+    first = np.ones(size, dtype=bool)
+    first[ids[(root != ids) & (ids >= start) & (ids < end)] - start] = False
+    count = int(first.sum())
     offset = sum(comm.allgather(count)[: comm.rank])
     numbers = la.vector(imap, 1, dtype=np.int64)
-    numbers.array[:size] = np.where(kept, offset + np.cumsum(kept) - 1, -1)
+    numbers.array[:size] = np.where(first, offset + np.cumsum(first) - 1, -1)
     numbers.scatter_forward()
     new = numbers.array.copy()
     owner = np.concatenate([np.full(size, comm.rank, dtype=np.int32), imap.owners])

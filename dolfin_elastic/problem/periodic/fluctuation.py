@@ -29,7 +29,7 @@ class Fluctuation(Unknowns):
         cell: The macroscopic displacement, and which faces are one.
 
     Attributes:
-        pinned: Local entries of V that are the held vertex or its images, and one of them for each
+        pinned: Local entries of V that are the fixed vertex or its images, and one of them for each
             unknown of the vertex that this rank owns.
     """
 
@@ -42,7 +42,7 @@ class Fluctuation(Unknowns):
         self.pinned = self._pinned()
 
     def _pinned(self) -> tuple[IndexArray, IndexArray]:
-        nodes = self.cell.pairing.held(self.V, self._merged)
+        nodes = self.cell.pairing.corner_nodes(self.V, self._merged)
         new = self._merged.new[nodes]
         owned = nodes[new < self.U.dofmap.index_map.size_local]
         return self._unrolled(nodes), self._unrolled(owned[:1])

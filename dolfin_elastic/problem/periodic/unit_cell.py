@@ -22,7 +22,7 @@ class Cell:
     """Macroscopic state of a periodic cell. Collective to make.
 
     The displacement is u = H (X - X0) + w with the macroscopic displacement gradient H = F - I,
-    the vertex X0 that is held, and the periodic fluctuation w.
+    the fixed vertex X0, and the periodic fluctuation w.
 
     Args:
         body: The mesh and its names.
@@ -130,11 +130,11 @@ def _check_gradient(periodic: Periodic, dim: int) -> None:
             expected=f"the body is {dim}-dimensional: {dim} rows of {dim}",
         )
     F = periodic.gradient_at(1.0, RAMP)
-    kept = _told(F)
-    if len(kept) and not np.linalg.det(F[np.ix_(kept, kept)]) > 0:
+    known = _known_block(F)
+    if len(known) and not np.linalg.det(F[np.ix_(known, known)]) > 0:
         raise InputError(
             f"det F = {np.linalg.det(F):.4g} at full load"
-            if len(kept) == dim
+            if len(known) == dim
             else "det F is not above 0 at full load, whatever the free stretches are",
             where="periodic.gradient",
             expected="above 0: a gradient that keeps volume positive; no deformation is the "
@@ -142,7 +142,7 @@ def _check_gradient(periodic: Periodic, dim: int) -> None:
         )
 
 
-def _told(F: FloatArray) -> npt.NDArray[np.intp]:
+def _known_block(F: FloatArray) -> npt.NDArray[np.intp]:
     """Rows and columns whose determinant has the sign of det F; none where it is not known yet.
 
     Free stretches are positive, and with nothing beside them they are factors of det F.

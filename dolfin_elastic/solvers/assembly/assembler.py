@@ -55,7 +55,7 @@ class Reactions:
     def load_norm(self) -> float:
         """Norm of the nodal forces of the loads at the present time [N].
 
-        A periodic cell's are those by which its neighbours hold it.
+        Of a periodic cell: of the forces that its neighbours exert.
         """
         if self._cell is not None:
             return self._cell.force()

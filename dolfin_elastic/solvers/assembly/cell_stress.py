@@ -57,7 +57,7 @@ class CellStress:
         return np.array([[self.component(i, j) for j in dims] for i in dims])
 
     def force(self) -> float:
-        """Size of the nodal forces by which its neighbours hold the cell [N]. Collective.
+        """Size of the nodal forces that neighbours exert on the cell [N]. Collective.
 
         A face carries the stress times its area, spread over its nodes.  A state without a finite
         stress is no equilibrium, whatever the forces.

@@ -18,7 +18,7 @@ TOLERANCE = 1e-14
 """Relative residual: the acceleration of the start is as exact as numbers are."""
 
 
-def initial_acceleration(assembler: Assembler, held: FloatArray, a: fem.Function) -> None:
+def initial_acceleration(assembler: Assembler, prescribed: FloatArray, a: fem.Function) -> None:
     """Finds the acceleration that goes with the forces in `assembler.residual.vector`. Collective.
 
     M a = -R where nothing is prescribed, R the forces out of balance without inertia; prescribed
@@ -27,8 +27,8 @@ def initial_acceleration(assembler: Assembler, held: FloatArray, a: fem.Function
     (1987) 449), and freed.
 
     Args:
-        assembler: Of the moving body; its `balance` holds no inertia.
-        held: Prescribed accelerations [m/s^2], like `DirichletConditions.targets`.
+        assembler: Of the moving body; its residual is assembled without inertia.
+        prescribed: Prescribed accelerations [m/s^2], like `DirichletConditions.targets`.
         a: Receives the acceleration [m/s^2].
 
     Raises:
@@ -36,7 +36,7 @@ def initial_acceleration(assembler: Assembler, held: FloatArray, a: fem.Function
     """
     problem, size = assembler.problem, len(assembler.displacement_dofs)
     a.x.array[:] = 0.0
-    problem.dirichlet.impose(a.x.array, held)
+    problem.dirichlet.impose(a.x.array, prescribed)
     a.x.scatter_forward()
     rows = (
         assembler.residual.vector.array[assembler.displacement_dofs] + _inertia(problem, a)[:size]
@@ -117,8 +117,8 @@ def held_rates(problem: Problem, t: float, h: float) -> tuple[FloatArray, FloatA
 
 def free(problem: Problem, rows: FloatArray) -> FloatArray:
     """What supports leave of a vector at the owned displacements. Not collective."""
-    held, out = problem.dirichlet, rows.copy()
-    held.impose(out, np.zeros(len(held.targets)))
+    dirichlet, out = problem.dirichlet, rows.copy()
+    dirichlet.impose(out, np.zeros(len(dirichlet.targets)))
     return out
 
 
@@ -134,14 +134,14 @@ def _inertia(problem: Problem, a: fem.Function) -> FloatArray:
 
 def _matrix(problem: Problem) -> TangentMatrix:
     """The mass matrix with supports; the caller destroys it. Collective."""
-    V, held, dim = problem.V, problem.dirichlet, problem.body.dim
+    V, dirichlet, dim = problem.V, problem.dirichlet, problem.body.dim
     trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
     form = compiled(problem, [problem.weak_form.inertia(trial, test)])[0]
-    if (skew := held.skew) is None:
+    if (skew := dirichlet.skew) is None:
         matrix = TangentMatrix(form)
     else:
         nodes = skew.nodes[: skew.count]
         entries = (nodes[:, None] * dim + np.arange(dim)).astype(np.int32)
         matrix = TangentMatrix(form, entries, skew.P[: skew.count])
-    matrix.assemble(held.bcs)
+    matrix.assemble(dirichlet.bcs)
     return matrix

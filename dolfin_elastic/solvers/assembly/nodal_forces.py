@@ -119,10 +119,10 @@ def _reads(
 
 def _used(form: fem.Form, field: fem.Function, first: int) -> set[tuple[fem.IntegralType, int]]:
     """Integrals that read a field: the others leave its columns empty."""
-    kept = field.x.array.copy()
+    saved = field.x.array.copy()
     field.x.array[:] = 1.0
     found = pack_coefficients(form._cpp_object)
-    field.x.array[:] = kept
+    field.x.array[:] = saved
     return {key for key, values in found.items() if len(values) and values[0, first] == 1.0}
 
 

@@ -1,8 +1,8 @@
-"""Directions that are held at nodes, in the values of an assembled matrix.
+"""Prescribed directions at skew nodes, in the values of an assembled matrix.
 
-At a node with the projection P on its held directions, Q = I - P, a matrix K becomes Q K Q + P: as
-symmetric as before, without a penalty.  Source: the projection method for general Dirichlet
-conditions, M. Ainsworth, Comput. Methods Appl. Mech. Engrg. 190 (2001) 6323.
+At a node with the projection P on its prescribed directions, Q = I - P, a matrix K becomes
+Q K Q + P: as symmetric as before, without a penalty.  Source: the projection method for general
+Dirichlet conditions, M. Ainsworth, Comput. Methods Appl. Mech. Engrg. 190 (2001) 6323.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class SkewProjection:
     Args:
         matrix: The matrix, expanded: each entry has a row and a column of its own.
         rows: Owned rows.
-        places: Owned rows of each held node's components, of shape (nodes, dim).
+        places: Owned rows of each skew node's components, of shape (nodes, dim).
         P: Projections at these nodes, of shape (nodes, dim, dim).
     """
 
@@ -36,7 +36,7 @@ class SkewProjection:
             matrix.indptr[: rows + 1],
             matrix.indices[: matrix.indptr[rows]],
         )
-        component, node, Q = self._told(matrix, places)
+        component, node, Q = self._columns_at_skew_nodes(matrix, places)
         self._down, self._down_at = self._row_blocks(places)
         self._diagonal, self._diagonal_from = self._own_blocks(places, component, node)
         self._right, number = self._column_blocks(rows, component, node)
@@ -44,23 +44,23 @@ class SkewProjection:
         self._right_at = at
         self._right_Q = Q[self._columns[self._right[first]]]
 
-    def _told(
+    def _columns_at_skew_nodes(
         self, matrix: la.MatrixCSR, places: IndexArray
     ) -> tuple[IntArray, IntArray, FloatArray]:
-        """For all columns: component (-1: none is held), node's number, row of Q. Collective."""
+        """For all columns: component (-1: at no skew node), node's number, row of Q. Collective."""
         dim, columns = self._dim, matrix.index_map(1)  # with ghosts that the space has not
-        told = la.vector(columns, dim + 2)
-        table = told.array.reshape(-1, dim + 2)
+        exchanged = la.vector(columns, dim + 2)
+        table = exchanged.array.reshape(-1, dim + 2)
         table[:, 0] = -1.0
         table[places, 0] = np.arange(dim)
         numbers = columns.local_to_global(places[:, 0].astype(np.int32))
         table[places, 1] = numbers[:, None]
         table[places, 2:] = np.eye(dim) - self._P
-        told.scatter_forward()
+        exchanged.scatter_forward()
         return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2:]
 
     def _row_blocks(self, places: IndexArray) -> tuple[IntArray, IntArray]:
-        """Places of values in one column and all rows of a held node, and the node."""
+        """Places of values in one column and all rows of a skew node, and the node."""
         starts = self._start[places].astype(np.int64)
         lengths = np.diff(self._start)[places[:, 0]].astype(np.int64)
         of = np.repeat(np.arange(len(places)), lengths)
@@ -81,7 +81,7 @@ class SkewProjection:
     def _column_blocks(
         self, rows: int, component: IntArray, node: IntArray
     ) -> tuple[IntArray, IntArray]:
-        """Places of values in one row and all columns of a held node, and the node's number."""
+        """Places of values in one row and all columns of a skew node, and the node's number."""
         at = np.flatnonzero(component[self._columns] >= 0)
         columns = self._columns[at]
         row = np.repeat(np.arange(rows), np.diff(self._start))[at]

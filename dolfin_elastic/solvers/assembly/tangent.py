@@ -108,13 +108,13 @@ class TangentMatrix:
 
     Args:
         form: Compiled bilinear form; its sparsity is fixed here. Collective.
-        places: Owned rows of nodes that are held along given directions, of shape (nodes, dim);
+        places: Owned rows of skew nodes, of shape (nodes, dim);
             None if no rank has any.
         P: Projections on these directions, of shape (nodes, dim, dim).
 
     Attributes:
         petsc: The PETSc matrix, owned here.
-        unit: What stands for held directions that are no entries, in place of ones [N/m].
+        unit: Factor of P, in place of the ones at prescribed dofs [N/m].
     """
 
     def __init__(

@@ -141,7 +141,7 @@ class DynamicResidual:
             velocity.array[: len(v)] = v
             velocity.scatter_forward()
         if not self.damping.none:
-            self.damping.tell(v)
+            self.damping.set_velocity(v)
 
     def set_unknowns(self, w: FloatArray) -> None:
         """Sets all unknowns, and the displacement with them. Collective.

@@ -251,10 +251,10 @@ class _Path:
 
     def _make(self) -> None:
         problem, assembler = self._problem, self._assembler
-        kept = problem.w.x.array.copy()
-        self._put(kept, self._share)
-        along = self._velocity(kept)
-        self.stiffness: PETSc.Mat = self._tangent(kept, self._share).copy()
+        base = problem.w.x.array.copy()
+        self._put(base, self._share)
+        along = self._velocity(base)
+        self.stiffness: PETSc.Mat = self._tangent(base, self._share).copy()
         top = largest(problem.body.comm, float(np.max(np.abs(along), initial=0.0)))
         if top == 0.0:
             self.stiffness.destroy()
@@ -263,12 +263,12 @@ class _Path:
             )
         self.straining = self._straining(along)
         step = STRAIN * cell_size(problem.body) / top
-        self.rate: PETSc.Mat = self._tangent(kept + step * along, self._share + step).copy()
-        before = self._tangent(kept - step * along, self._share - step)
+        self.rate: PETSc.Mat = self._tangent(base + step * along, self._share + step).copy()
+        before = self._tangent(base - step * along, self._share - step)
         with stage("assemble"):
             self.rate.axpy(-1.0, before, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
             self.rate.scale(0.5 / step)
-        self._put(kept, self._share)
+        self._put(base, self._share)
         assembler.residual.assemble()
 
     def _put(self, values: FloatArray, share: float) -> None:
@@ -287,11 +287,11 @@ class _Path:
         x.destroy()
         return self._assembler.tangent.matrix
 
-    def _velocity(self, kept: FloatArray) -> FloatArray:
+    def _velocity(self, base: FloatArray) -> FloatArray:
         """dw/ds = -K^-1 dR/ds, ghosts included."""
         assembler, problem = self._assembler, self._problem
-        rates = [self._residual(kept, self._share + h) for h in (SHARE, -SHARE)]
-        self._tangent(kept, self._share)
+        rates = [self._residual(base, self._share + h) for h in (SHARE, -SHARE)]
+        self._tangent(base, self._share)
         stability = Stability(assembler)
         if not stability.sound or stability.negative != 0:
             stability.destroy()
@@ -342,12 +342,12 @@ class _Path:
 
 
 def _check_laws(problem: Problem) -> None:
-    for part in problem.regions:
-        if part.law.linear:
+    for region in problem.regions:
+        if region.law.linear:
             raise InputError(
-                f"'{part.law.name()}' is for small rotations: its stiffness does not change "
+                f"'{region.law.name()}' is for small rotations: its stiffness does not change "
                 "under load",
-                where=f"materials.{part.name}.law",
+                where=f"materials.{region.name}.law",
                 expected="st-venant-kirchhoff, which takes the same constants, or another law for "
                 "large rotations",
             )

@@ -46,10 +46,10 @@ class Mass:
 
     def constrain(self) -> None:
         """Leaves the inertia of what is free to move only. Collective."""
-        assembler, tilted = self._assembler, self._assembler.problem.dirichlet.skew
-        if tilted is not None:
+        assembler, skew = self._assembler, self._assembler.problem.dirichlet.skew
+        if skew is not None:
             self._filled.destroy()
-            P = tilted.P[: tilted.count]
+            P = skew.P[: skew.count]
             self._filled = TangentMatrix(self._form, assembler.skew_dofs, P)
             self._filled.unit = 0.0
             self._filled.assemble([])

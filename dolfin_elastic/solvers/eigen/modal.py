@@ -115,8 +115,8 @@ class Modal(PreloadedAnalysis):
         self.settings = settings_from(ModalSettings, settings, fields)
         self._check_way("modal.preload", 1.0 if self.settings.preload else 0.0)
         refuse(problem, "modal", loaded=self.settings.preload)
-        for part in problem.regions:
-            problem.context.density(part)  # says where there is none
+        for region in problem.regions:
+            problem.context.density(region)  # raises where there is none
         self.choice = choose_eigen(problem, self.linear)
         if self.settings.below is not None and not self.choice.direct:
             raise InputError(
@@ -209,10 +209,10 @@ class Vibration:
 
     def _room(self) -> int:
         """How many modes there are: displacements that nothing prescribes."""
-        assembler, tilted = self.assembler, self.problem.dirichlet.skew
+        assembler, skew = self.assembler, self.problem.dirichlet.skew
         free = len(assembler.displacement_dofs) - len(assembler.prescribed_dofs)
-        if tilted is not None:
-            traces = np.trace(tilted.P[: tilted.count], axis1=1, axis2=2)
+        if skew is not None:
+            traces = np.trace(skew.P[: skew.count], axis1=1, axis2=2)
             free -= int(np.rint(traces.sum()))
         return int(self._comm.allreduce(free))
 
@@ -251,7 +251,7 @@ class Vibration:
     def _shift(self) -> float:
         """A number below all eigenvalues, at which the matrix can be factorised.
 
-        Zero where the body is held; with rigid modes, mechanisms or instabilities below zero.
+        Zero where supports hold the body; with rigid modes, mechanisms or instabilities below zero.
         """
         if not self.rigid and (not self.spectrum.counted or self.spectrum.below(0.0) == 0):
             return 0.0

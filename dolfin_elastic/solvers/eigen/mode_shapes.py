@@ -27,7 +27,7 @@ _OF_MODES = ("eps_", "st_", "bv_", "ds_")
 """How the names of SLEPc's options begin."""
 
 SPARE = 4
-"""Modes that are found beyond those asked for, so that there is a gap to count in."""
+"""Modes computed beyond the requested ones, so that there is a gap to count in."""
 
 
 class Pencil(Protocol):
@@ -74,11 +74,11 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
             expected="a support in its place, or [dynamics]",
         )
     refuse_scalars(problem)
-    for part in problem.regions:
-        if not part.law.has_energy:
+    for region in problem.regions:
+        if not region.law.has_energy:
             raise InputError(
-                f"'{part.law.name()}' has no energy, so that its modes are no modes",
-                where=f"materials.{part.name}.law",
+                f"'{region.law.name()}' has no energy, so that its modes are no modes",
+                where=f"materials.{region.name}.law",
                 expected="for example st-venant-kirchhoff",
             )
     if loaded and not problem.symmetric:

@@ -37,7 +37,7 @@ DIRECT_LIMIT = {2: 600_000, 3: 100_000}
 serves some fifty solutions."""
 
 ROOM = 15
-"""Krylov vectors beyond those that are asked for, at least."""
+"""Krylov vectors beyond the number of requested modes, at least."""
 
 ENDLESS = 1e13
 """Distance from the shift, over that of the nearest eigenvalue, from which one is infinite: what
@@ -127,9 +127,9 @@ def failing() -> Iterator[None]:
     try:
         yield
     except PETSc.Error as error:
-        said = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
+        reason = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
         raise ConvergenceError(
-            f"the eigenvalue solver has failed: {said}",
+            f"the eigenvalue solver has failed: {reason}",
             advice='solver.method = "direct", more memory (more ranks), a coarser mesh',
         ) from None
 

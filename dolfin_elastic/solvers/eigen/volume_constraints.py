@@ -1,4 +1,4 @@
-"""Volumes that cannot change: how many motions they take away, and the pressure nothing tells."""
+"""Incompressible bodies: how many motions the constraint removes, and an undetermined pressure."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def constrain(assembler: Assembler) -> int:
     pressures = np.setdiff1d(np.arange(assembler.size), assembler.displacement_dofs)
     enclosed = _is_null(assembler, pressures)
     if problem.unknowns.stabilised:  # its own rows know all but the mean
-        count = int(all(is_incompressible(part.compliance) for part in problem.regions))
+        count = int(all(is_incompressible(region.compliance) for region in problem.regions))
     else:
         diagonal = matrix.getDiagonal()
         count = total(comm, int(np.sum(diagonal.array_r[pressures] == 0.0)))
