@@ -138,16 +138,16 @@ def test_a_tolerance_out_of_reach_is_said():
 
 
 def test_what_an_undone_step_has_learnt_is_forgotten():
-    """A ladder goes back to the displacement and to the multipliers of where it began."""
+    """A retry strategy goes back to the displacement and to the multipliers of where it began."""
     problem = between_plates(2, 1)
     assembler = Assembler(problem)
     newton = Newton(assembler, choose(problem, LinearSettings()), Tolerance())
-    ladder, start = RetryStrategy(newton, ContactAugmentation(problem)), newton.unknowns()
+    retry, start = RetryStrategy(newton, ContactAugmentation(problem)), newton.unknowns()
     problem.set_time(0.25, default=RAMP)
-    assert ladder.solve([("", start)]).converged
+    assert retry.solve([("", start)]).converged
     lam = problem.contact_pairs[0].lam.x.array
     assert problem.body.comm.allreduce(float(lam.max(initial=0)), op=MPI.MAX) > 0
-    ladder.undo(start)
+    retry.undo(start)
     assert not lam.any()
     np.testing.assert_array_equal(newton.unknowns(), start)
     newton.destroy()
