@@ -183,6 +183,7 @@ def numbers(states: list[State]) -> list[dict[str, Any]]:
     return [dict(state) if isinstance(state, dict) else row(state) for state in states]
 
 
+@pytest.mark.sample(6)
 @pytest.mark.parametrize("name", SOLVES)
 def test_a_solver_goes_on(name: str, folder: Path) -> None:
     """From each of its steps, through a file, in a problem of its own."""
@@ -302,6 +303,7 @@ MOTIONS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("name", MOTIONS)
 def test_a_motion_goes_on(name: str, folder: Path) -> None:
     """Velocities, step sizes and work so far, too; fields thinned as in one run."""

@@ -123,6 +123,7 @@ class _Pull(Balancing):
         return ufl.inner(sigma * ufl.FacetNormal(mesh), context.v) * area
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("degree", "cells", "expected"), [(1, (10, 20, 40), (2, 1, 1.5)), (2, (6, 12, 24), (3, 2, 2))]
 )
@@ -291,6 +292,7 @@ def test_a_homogeneous_state_is_exact(law, degree):
     assert answers[0] == pytest.approx(answers[1], rel=1e-10)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_iterations_give_the_factorisation_answer(degree):
     found = []
@@ -492,6 +494,7 @@ def test_motion_starts_with_the_energy_of_its_shape(geometry):
         assert energies[0] < 0.5 * 1e6 / (1 - 0.49**2) * 0.1**2 * 1.1
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("degree", "nu"), [(1, 0.5), (2, 0.5), (1, 0.3)])
 def test_axisymmetric_patch(degree, nu):
     """A cylinder pressed evenly has one pressure everywhere, also at the axis."""

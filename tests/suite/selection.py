@@ -4,7 +4,8 @@ Where the command line names files, all of their tests run, whatever set they be
 
                    one rank                        n ranks
     quick set      what is not `long`, and of      one parameter of each test of the files that
-                   a `sample(k)` k parameters      run on n ranks, if it is neither `long` nor SLOW
+                   a `sample(k)` k parameters      run on n ranks, if it is neither `long` nor SLOW,
+                                                   on 2 or on 3 where a file runs on both
     all (--all)    every test                      every test and parameter of these files
 
 and the rest (--rest) is all but the quick set.
@@ -166,7 +167,13 @@ def _quick(items: Iterable[pytest.Item], ranks: int) -> list[pytest.Item]:
         short = [item for item in short if _file(item) not in LAWS]
         short = [item for item in short if not any(word in item.name for word in SLOW)]
     found = []
+    seen: Counter[str] = Counter()
     for group in _alike(short):
+        file = _file(group[0])
+        seen[file] += 1
+        # Each test of what ranks share runs on two ranks or on three, each of the files on both.
+        if ranks > 1 and file in SHARED and (seen[file] + ranks) % 2:
+            continue
         sample = group[0].get_closest_marker("sample")
         most = 1 if ranks > 1 else sample.args[0] if sample else len(group)
         found += _spread(group, most)

@@ -52,6 +52,7 @@ TUBE = {
 """Poisson's ratio to radial displacement at the inner and outer radius."""
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("nu", TUBE)
 def test_lame_tube(folder, nu):
     """Quadratic cells of a curved boundary at any Poisson's ratio, the last three with a pressure.

@@ -228,6 +228,7 @@ MESHES: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.sample(12)
 @pytest.mark.parametrize("geometry", MESHES)
 @pytest.mark.parametrize("name", sorted(LOADS))
 def test_same_as_the_forms(name, geometry):

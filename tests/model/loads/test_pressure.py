@@ -153,6 +153,7 @@ def test_symmetric_where_it_says_so(monkeypatch, case, degree):
     assert found < 1e-13 if symmetric else found > 1e-6
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("geometry", "on", "supports", "symmetric"),
     [

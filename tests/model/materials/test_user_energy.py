@@ -293,6 +293,7 @@ def test_case_reads_back():
     assert case.to_dict()["materials"]["gel"]["energy"] == NEO
 
 
+@pytest.mark.sample(2)
 @pytest.mark.usefixtures("serial_only")
 @pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize("command", ["run", "check"])
@@ -320,6 +321,7 @@ on = "left"
 # --- through the whole solver ---
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_same_answer_as_the_built_in_law(comm, degree):
     laws = [

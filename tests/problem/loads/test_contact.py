@@ -437,6 +437,7 @@ def test_tangent(shape):
 # --- motion ---
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "symplectic-euler"])
 def test_a_block_bounces(scheme):
     """A block thrown at the floor comes back; what the penalty stores is counted.

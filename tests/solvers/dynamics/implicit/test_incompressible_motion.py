@@ -57,6 +57,7 @@ def spun(dt: float, radius: float) -> tuple[np.ndarray, float]:
     return np.array(rows), gained
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("radius", [1.0, 0.9])
 def test_the_pressure_of_a_turning_body(radius):
     """Of second order against steps that are an eighth: 3 % and 0.7 % of the largest found.

@@ -123,6 +123,7 @@ def test_constant_forces_are_exact(scheme):
         assert state.energies["external"] == pytest.approx(-weight * fallen, abs=1e-8)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("settings", "order"),
     [
