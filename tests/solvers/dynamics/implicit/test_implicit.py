@@ -652,6 +652,8 @@ def test_monitor_and_view_of_petsc(scheme, folder, caplog):
     petsc = {"ts_monitor": f":{steps}", "-ts_view": f"ascii:{view}", "snes_view_nonsense": None}
     for state in Dynamics(oscillator(), end=0.04, dt=0.01, scheme=scheme, petsc=petsc).steps():
         assert state.step == 0 or not view.exists()
+        MPI.COMM_WORLD.barrier()  # rank 0 writes them, and is not to run ahead
+    MPI.COMM_WORLD.barrier()
     assert steps.read_text() == (
         "0 TS dt 0.01 time 0.\n1 TS dt 0.01 time 0.01\n2 TS dt 0.01 time 0.02\n"
         "3 TS dt 0.01 time 0.03\n4 TS dt 0.01 time 0.04\n"
