@@ -90,7 +90,12 @@ class Measures:
         return ufl.Measure("ds", domain=mesh, subdomain_data=sides)
 
     def filled(self, marker: int | None, degree: int) -> WeightedMeasure:
-        """Volume that a material fills, or the whole body, with a quadrature degree."""
+        """Volume that a material fills, or the whole body, with a quadrature degree.
+
+        Args:
+            marker: The material region's number; None: the whole body.
+            degree: Quadrature degree.
+        """
         rule = {"quadrature_degree": degree}
         if self._plain:
             return WeightedMeasure(self._weight, self._dx(metadata=rule))
@@ -98,17 +103,32 @@ class Measures:
         return WeightedMeasure(self._weight, self._dx(number, metadata=rule))
 
     def regions(self, names: Sequence[str], degree: int) -> WeightedMeasure:
-        """Volume of loaded regions."""
+        """Volume of loaded regions.
+
+        Args:
+            names: Of the regions of one load.
+            degree: Quadrature degree.
+        """
         rule = {"quadrature_degree": degree}
         return WeightedMeasure(self._weight, self._dx(self._regions[tuple(names)], metadata=rule))
 
     def surfaces(self, names: Sequence[str], degree: int) -> WeightedMeasure:
-        """Area of loaded surfaces."""
+        """Area of loaded surfaces.
+
+        Args:
+            names: Of the surfaces of one load or spring.
+            degree: Quadrature degree.
+        """
         rule = {"quadrature_degree": degree}
         return WeightedMeasure(self._weight, self._ds(self._surfaces[tuple(names)], metadata=rule))
 
     def contact_area(self, names: Sequence[str], rule: Mapping[str, object]) -> WeightedMeasure:
-        """Area of surfaces in contact, with a quadrature rule as UFL's metadata."""
+        """Area of surfaces in contact, with a quadrature rule as UFL's metadata.
+
+        Args:
+            names: Of the surfaces of one contact.
+            rule: Quadrature rule as UFL's metadata.
+        """
         return WeightedMeasure(
             self._weight, self._ds(self._contacts[tuple(names)], metadata=dict(rule))
         )
@@ -247,7 +267,12 @@ class FormContext:
         return factor
 
     def factors(self, values: tuple[Component, ...], curve: Amplitude | None) -> list[Constant]:
-        """A constant for each component that follows its amplitude, one for all that are alike."""
+        """A constant for each component that follows its amplitude, one for all that are alike.
+
+        Args:
+            values: The components.
+            curve: Amplitude that the user gave, or None.
+        """
         changing = curve is None and depends_on_time(values)
         shared: dict[bool, Constant] = {}
         found = []
@@ -278,7 +303,12 @@ class FormContext:
         return ufl.as_vector([f * item for f, item in zip(factors, items, strict=True)])
 
     def scalar(self, value: Component, amplitude: Amplitude | None) -> Expr:
-        """A number or formula at a point of the body, times its amplitude."""
+        """A number or formula at a point of the body, times its amplitude.
+
+        Args:
+            value: A number [SI] or a formula.
+            amplitude: Its amplitude; None: as the solver decides.
+        """
         return self.factor(amplitude) * self.value(value)
 
     def value(self, value: Component) -> Expr:
@@ -297,7 +327,12 @@ class FormContext:
         return any(amplitude not in (None, CONSTANT) for _, amplitude in self._amplitudes)
 
     def set_time(self, t: float, default: Amplitude) -> None:
-        """Puts all amplitudes and formulas to time t. Not collective."""
+        """Puts all amplitudes and formulas to time t. Not collective.
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude where the user gave none.
+        """
         self.t.value = t
         for factor, amplitude in self._amplitudes:
             factor.value = (amplitude or default).at(t)

@@ -57,6 +57,12 @@ def plan(
     with linear elements it is linear too, and stabilised.  In plane stress the volume can change
     through the thickness, and everything beside the displacement belongs to one cell.
 
+    Args:
+        laws: Material's name to its law with numbers.
+        formulation: As the user chose.
+        degree: Degree of the displacement.
+        plane_stress: The body is in plane stress.
+
     Raises:
         InputError: A material cannot be computed so.
     """
@@ -240,7 +246,14 @@ def _check_cover(body: Body, cells: Mapping[str, IndexArray]) -> None:
 def locking_notes(
     body: Body, regions: Sequence[MaterialRegion], degree: int, geometry: Geometry
 ) -> list[str]:
-    """What to expect of linear elements of nearly incompressible materials. Collective."""
+    """What to expect of linear elements of nearly incompressible materials. Collective.
+
+    Args:
+        body: The mesh and its names.
+        regions: Its material regions.
+        degree: Degree of the displacement.
+        geometry: Kind of a two-dimensional body.
+    """
     if degree > 1 or geometry == "plane-stress":
         return []
     across = span(body) / cell_size(body)
@@ -259,6 +272,11 @@ def locking_notes(
 
 def checked_geometry(geometry: Geometry, thickness: float, body: Body) -> Geometry:
     """The kind of a two-dimensional body; a three-dimensional one is what it is. Collective.
+
+    Args:
+        geometry: Kind of a two-dimensional body.
+        thickness: Of a plane body [m].
+        body: The mesh and its names.
 
     Raises:
         InputError: There is no such kind, or the body cannot be of it.
@@ -303,13 +321,22 @@ def locking(nu: float, cells_across: float) -> tuple[float, float]:
     bend or twist.  What this costs grows with x = lmbda/mu (h/L)^2, h the size of a cell and L that
     of the body.  Found at nu = 0.4999: a tube under pressure 0.013 x, Cook's membrane 0.06 x to
     0.8 x, a cylinder twisted 2 x.
+
+    Args:
+        nu: Poisson's ratio.
+        cells_across: Size of the body over that of a cell.
     """
     x = 2 * nu / max(1 - 2 * nu, 1e-9) / cells_across**2
     return 1 + 0.013 * x, 1 + 2 * x
 
 
 def describe(plan: Plan, degree: int) -> str:
-    """The unknowns of a mixed problem in words, for the log."""
+    """The unknowns of a mixed problem in words, for the log.
+
+    Args:
+        plan: What is solved for.
+        degree: Degree of the displacement.
+    """
     pressure = next(extra for extra in plan.auxiliary_fields if extra.name == "pressure")
     kind = "P" if pressure.continuous else "DG"
     stabilised = ", stabilised" if pressure.continuous and degree == 1 else ""

@@ -100,7 +100,12 @@ class Unknowns:
         return self.displacement(w)
 
     def auxiliary(self, name: str, w: Expr) -> Expr:
-        """A scalar field in physical units, in a function, test or trial function of W."""
+        """A scalar field in physical units, in a function, test or trial function of W.
+
+        Args:
+            name: Of the scalar field.
+            w: Function, test or trial function of W.
+        """
         index = [e.name for e in self.auxiliary_fields].index(name)
         return self.scale[name] * self._split(w)[1 + index]
 

@@ -232,10 +232,7 @@ class DirichletConditions:
         if not total(comm, int((~np.isfinite(self.targets)).sum())):
             return
         found = first_of(comm, self._bad())
-        where, at = (
-            "support",
-            "some nodes",
-        )  # a skew node, whose values have no support of their own
+        where, at = "support", "some nodes"  # skew ones, whose values belong to several supports
         if found is not None:
             where, at = f"support '{found[0]}'", f"({', '.join(f'{x:.6g}' for x in found[1])}) m"
         raise InputError(

@@ -60,6 +60,11 @@ def surface_normals(body: Body, V: fem.FunctionSpace, name: str) -> SurfaceNorma
     facet's normal: its area times its normal, where the node is.  Source: Nanson's formula,
     Holzapfel, Nonlinear Solid Mechanics (2000), section 2.4.
 
+    Args:
+        body: The mesh and its names.
+        V: Space whose nodes are meant.
+        name: Name of the surface.
+
     Raises:
         MeshError: The surface lies inside the body, where it has two normals.
     """
@@ -127,7 +132,13 @@ def check_outside(body: Body, name: str, where: str) -> None:
 
 
 def spring_directions(spring: Spring, body: Body, V: fem.FunctionSpace) -> Iterator[Projections]:
-    """The nodes at which a spring resists, surface by surface. Collective."""
+    """The nodes at which a spring resists, surface by surface. Collective.
+
+    Args:
+        spring: Whose surfaces.
+        body: The mesh and its names.
+        V: Space of the displacement.
+    """
     dim, size = body.dim, V.dofmap.index_map.size_local
     stiff = np.array([isinstance(k, Formula) or k != 0.0 for k in spring.coefficients], float)
     for name in spring.surfaces:

@@ -53,17 +53,34 @@ class RigidMotion:
         self.centre[: body.dim] = point if len(point) else middle(body, support.surfaces)
 
     def all_at(self, t: float, default: Amplitude) -> FloatArray:
-        """All degrees of freedom at time t [m, rad]."""
+        """All degrees of freedom at time t [m, rad].
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude where the user gave none.
+        """
         found = np.array(self.support.at_time(self._motion, t, default))
         found[list(self.free)] = self.values
         return found
 
     def applied(self, t: float, default: Amplitude) -> FloatArray:
-        """Forces and moments on the free degrees of freedom [N, N m]."""
+        """Forces and moments on the free degrees of freedom [N, N m].
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude where the user gave none.
+        """
         return np.array(self.support.at_time(self._action, t, default))[list(self.free)]
 
     def at(self, which: int, x: FloatArray, t: float, default: Amplitude = CONSTANT) -> FloatArray:
-        """A component of the displacement at reference places of shape (n, 3) [m]."""
+        """A component of the displacement at reference places of shape (n, 3) [m].
+
+        Args:
+            which: Number of the component.
+            x: Reference places, of shape (n, 3) [m].
+            t: Time [s], or load parameter.
+            default: Amplitude where the user gave none.
+        """
         q = self.all_at(t, default)
         d, theta = self._apart(q)
         r = x - self.centre
@@ -75,6 +92,11 @@ class RigidMotion:
         The rotation's variation is the spin T(theta) e_i: it moves a place by its cross product
         with R (X - c).  Source: A. Ibrahimbegovic, F. Frey, I. Kozar, Int. J. Numer. Meth. Engng
         38 (1995) 3653.
+
+        Args:
+            x: Reference places, of shape (n, 3) [m].
+            t: Time [s], or load parameter.
+            default: Amplitude where the user gave none.
         """
         _, theta = self._apart(self.all_at(t, default))
         arms = (x - self.centre) @ rotation(theta).T
@@ -86,7 +108,12 @@ class RigidMotion:
         return found
 
     def place(self, t: float, default: Amplitude) -> FloatArray:
-        """The reference point's present place [m], of shape (3,)."""
+        """The reference point's present place [m], of shape (3,).
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude where the user gave none.
+        """
         d, _ = self._apart(self.all_at(t, default))
         return np.asarray(self.centre + d)
 
@@ -121,7 +148,12 @@ def tangent(theta: FloatArray) -> FloatArray:
 
 
 def middle(body: Body, surfaces: tuple[str, ...]) -> FloatArray:
-    """Centre of a surface's facets, taken as flat, by their areas [m]. Collective."""
+    """Centre of a surface's facets, taken as flat, by their areas [m]. Collective.
+
+    Args:
+        body: The mesh and its names.
+        surfaces: Names of the surfaces, taken together.
+    """
     mesh, dim = body.mesh, body.dim
     facets = np.unique(np.concatenate([body.owned_facets(name) for name in surfaces]))
     mesh.topology.create_connectivity(dim - 1, dim)

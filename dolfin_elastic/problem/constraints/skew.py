@@ -101,7 +101,12 @@ class SkewConstraints:
         return SkewDofs(component, chosen, where, row)
 
     def set_time(self, t: float, default: Amplitude) -> None:
-        """Sets the target of time t. Not collective."""
+        """Sets the target of time t. Not collective.
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude where the user gave none.
+        """
         goals = np.zeros(self.target.shape)
         for s in self._dofs:
             goals[s.where, s.row] = s.component.values(self._x, t, default)[s.chosen]

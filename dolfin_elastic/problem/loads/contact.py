@@ -229,7 +229,12 @@ class ContactPair:
     # --- time ---
 
     def set_time(self, t: float, default: Amplitude) -> None:
-        """Moves the obstacle to time t. Not collective."""
+        """Moves the obstacle to time t. Not collective.
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude where the user gave none.
+        """
         self.shift.value[:] = self.contact.displacement_at(t, default, self._dim)
 
 
@@ -267,6 +272,11 @@ def rule(degree: int, dim: int) -> dict[str, object]:
 
 def check_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> None:
     """Raises where a contact does not fit its body. Not collective.
+
+    Args:
+        contacts: What the user wrote.
+        body: The mesh and its names.
+        turned: The body is axisymmetric.
 
     Raises:
         InputError: With the key.

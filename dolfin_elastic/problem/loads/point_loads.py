@@ -80,7 +80,12 @@ class NodalLoads:
         return any(s.load.curve is not None or depends_on_time(s.load.values) for s in self._spread)
 
     def set_time(self, t: float, default: Amplitude) -> None:
-        """Puts all to time t. Not collective."""
+        """Puts all to time t. Not collective.
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude where the user gave none.
+        """
         for spread, forces in zip(self._spread, self._forces, strict=True):
             x, y, z = spread.x.T
             for i, value in enumerate(spread.load.values):

@@ -41,7 +41,12 @@ def rim_held(body: Body, dirichlet: DirichletConditions, surfaces: Sequence[str]
 
 
 def rim(body: Body, surfaces: Sequence[str]) -> IndexArray:
-    """Owned edges (in a plane: points) that belong to one facet of a surface only. Collective."""
+    """Owned edges (in a plane: points) that belong to one facet of a surface only. Collective.
+
+    Args:
+        body: The mesh and its names.
+        surfaces: Names of the surfaces, taken together.
+    """
     topology, dim = body.mesh.topology, body.dim
     topology.create_entities(dim - 2)
     topology.create_connectivity(dim - 1, dim - 2)

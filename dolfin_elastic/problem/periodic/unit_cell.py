@@ -80,7 +80,12 @@ class Cell:
             self.H.value[place] = value
 
     def set_time(self, t: float, default: Amplitude) -> None:
-        """Sets what is prescribed at time t; free components stay. Not collective."""
+        """Sets what is prescribed at time t; free components stay. Not collective.
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude where the user gave none.
+        """
         F = self._periodic.gradient_at(t, default)
         self.H.value[:] = np.where(np.isnan(F), self.H.value, F - np.eye(self._dim))
         self.stress = self._periodic.stress_at(t, default)

@@ -41,12 +41,22 @@ class CellStress:
         return compile_forms(self.problem.body.comm, forms, self.problem.jit)
 
     def choose(self, i: int, j: int) -> None:
-        """Makes `mean` the integral of P_ij."""
+        """Makes `mean` the integral of P_ij.
+
+        Args:
+            i: Row, from 0.
+            j: Column, from 0.
+        """
         self._pick.value[:] = 0.0
         self._pick.value[i, j] = 1.0
 
     def component(self, i: int, j: int) -> float:
-        """Mean of P_ij over the cell [Pa]. Collective."""
+        """Mean of P_ij over the cell [Pa]. Collective.
+
+        Args:
+            i: Row, from 0.
+            j: Column, from 0.
+        """
         self.choose(i, j)
         own = float(fem.assemble_scalar(self._form))
         return float(total(self.problem.body.comm, own)) / self.cell.volume

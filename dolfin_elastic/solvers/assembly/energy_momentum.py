@@ -85,7 +85,12 @@ def _summed(problem: Problem, local: FloatArray) -> tuple[float, FloatArray, Flo
 
 
 def lumped(problem: Problem, assembler: Assembler) -> FloatArray:
-    """Row sums of the mass matrix at the owned displacements [kg]. Collective."""
+    """Row sums of the mass matrix at the owned displacements [kg]. Collective.
+
+    Args:
+        problem: Whose unknowns and forms.
+        assembler: Of the body.
+    """
     ones = ufl.as_vector([problem.constant(1.0)] * problem.body.dim)
     form = compiled(problem, [problem.weak_form.inertia(ones, problem.v)])[0]
     index_map, bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
@@ -96,5 +101,11 @@ def lumped(problem: Problem, assembler: Assembler) -> FloatArray:
 
 
 def work(problem: Problem, forces: FloatArray, du: FloatArray) -> float:
-    """Work of owned nodal forces over owned nodal displacements [J]. Collective."""
+    """Work of owned nodal forces over owned nodal displacements [J]. Collective.
+
+    Args:
+        problem: Whose unknowns and forms.
+        forces: Nodal forces, owned entries [N].
+        du: Change of the displacement, owned entries [m].
+    """
     return float(problem.body.comm.allreduce(float(np.dot(forces, du)), op=MPI.SUM))

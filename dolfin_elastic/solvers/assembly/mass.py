@@ -116,7 +116,12 @@ def held_rates(problem: Problem, t: float, h: float) -> tuple[FloatArray, FloatA
 
 
 def free(problem: Problem, rows: FloatArray) -> FloatArray:
-    """What supports leave of a vector at the owned displacements. Not collective."""
+    """What supports leave of a vector at the owned displacements. Not collective.
+
+    Args:
+        problem: Whose unknowns and forms.
+        rows: Owned entries of the displacement.
+    """
     dirichlet, out = problem.dirichlet, rows.copy()
     dirichlet.impose(out, np.zeros(len(dirichlet.targets)))
     return out

@@ -120,6 +120,10 @@ def shape(problem: Problem, vector: FloatArray) -> tuple[fem.Function, float]:
     """The displacement in owned entries of all unknowns, of largest length 1, and that length.
 
     The sign is the same on any number of ranks. Collective.
+
+    Args:
+        problem: Whose unknowns and forms.
+        vector: Owned entries of all unknowns.
     """
     u = fem.Function(problem.V, name="mode")
     motion, dim, comm = (

@@ -53,7 +53,12 @@ class Pair:
 
 
 def choose_eigen(problem: Problem, settings: LinearSettings) -> Choice:
-    """Chooses how systems inside an eigenvalue solver are solved, and says why."""
+    """Chooses how systems inside an eigenvalue solver are solved, and says why.
+
+    Args:
+        problem: Whose unknowns and forms.
+        settings: As the user chose.
+    """
     dofs, limit = problem.num_dofs, DIRECT_LIMIT[problem.body.dim]
     direct = settings.method == "direct" or (settings.method == "auto" and dofs <= limit)
     size = f"{dofs} unknowns"
@@ -289,7 +294,12 @@ def _reason(eps: Any) -> str:
 
 
 def uneven(problem: Problem, seed: int) -> FloatArray:
-    """A start that is the same on any number of ranks and has a part in every mode."""
+    """A start that is the same on any number of ranks and has a part in every mode.
+
+    Args:
+        problem: Whose unknowns and forms.
+        seed: Another number gives another vector.
+    """
     dim, U = problem.body.dim, problem.unknowns.U
     moves = problem.unknowns.displacement_dofs
     x = U.tabulate_dof_coordinates()[: len(moves) // dim, :dim]

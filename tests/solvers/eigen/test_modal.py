@@ -31,7 +31,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.problem.state import Mode
-from dolfin_elastic.solvers.eigen import slepc
+from dolfin_elastic.solvers.linear import choice
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 SOFT = {"E": 1e7, "nu": 0.3, "density": 1000}
@@ -305,6 +305,6 @@ def test_not_found(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
         modes(problem, petsc={"eps_max_it": 1, "eps_ncv": 12})
     assert "fewer modes" in caught.value.advice
     # CG that may do nothing: SLEPc gives up.
-    monkeypatch.setitem(slepc.GAMG, "ksp_max_it", 1)
+    monkeypatch.setitem(choice.GAMG, "ksp_max_it", 1)
     with pytest.raises(ConvergenceError, match="the eigenvalue solver has failed"):
         modes(problem, linear=LinearSettings(method="iterative"))
