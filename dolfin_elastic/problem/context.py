@@ -38,7 +38,7 @@ class Measures:
         body: The mesh and its names.
         fillings: The cells of each material, in the order of their numbers from 1.
         loaded: Names of the parts of each load.
-        weight: Factor of every integrand, see `model.geometry.weight`.
+        weight: Factor of every integrand, see `model.dimension.weight`.
         contacts: Names of the surfaces of each contact, whose integrals have rules of their own.
     """
 
@@ -288,7 +288,7 @@ class FormContext:
 
         Args:
             values: The components.
-            curve: What the user wrote: see `components.amplitude_of`.
+            curve: What the user wrote: see `values.amplitude_of`.
         """
         if len(values) != self.body.dim:
             raise InputError(

@@ -174,7 +174,7 @@ class Problem:
         _ = self.weak_form.external, self.weak_form.restraint_works
 
     def _scale_unknowns(self) -> None:
-        """Gives the scalar fields the size of displacements, see `unknowns`."""
+        """Scales the auxiliary fields to the magnitude of displacements, see `spaces.Unknowns`."""
         h = cell_size(self.body)
         stiff = max(float(region.shear.value) for region in self.regions)
         for name, factor in (("pressure", stiff / h), ("stretch", 1 / h)):

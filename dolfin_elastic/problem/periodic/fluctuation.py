@@ -17,7 +17,7 @@ from dolfin_elastic.problem.spaces import AuxiliaryField, Element, Unknowns
 
 
 class Fluctuation(Unknowns):
-    """Unknowns whose nodes on paired faces are merged; see `unknowns.Unknowns`. Collective.
+    """Unknowns whose nodes on paired faces are merged; see `spaces.Unknowns`. Collective.
 
     The displacement u in V is the fluctuation w in U plus the macroscopic displacement, which
     `w_to_u` adds.

@@ -76,7 +76,7 @@ def mass_diagonal(assembler: Assembler) -> PETSc.Vec:
     return out
 
 
-def held_acceleration(problem: Problem, h: float) -> FloatArray:
+def prescribed_acceleration(problem: Problem, h: float) -> FloatArray:
     """Second derivative of what is prescribed at time 0 [m/s^2], as `DirichletConditions.targets`.
 
     By differences forward in time, of second order.  Not collective.
@@ -91,7 +91,7 @@ def held_acceleration(problem: Problem, h: float) -> FloatArray:
     return np.asarray(np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0))
 
 
-def held_rates(problem: Problem, t: float, h: float) -> tuple[FloatArray, FloatArray]:
+def prescribed_rates(problem: Problem, t: float, h: float) -> tuple[FloatArray, FloatArray]:
     """Velocity [m/s], acceleration [m/s^2] of what is prescribed, as `DirichletConditions.targets`.
 
     By central differences: the velocity over h/4, the acceleration as the difference of velocities

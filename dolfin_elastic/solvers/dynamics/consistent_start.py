@@ -31,7 +31,7 @@ from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.problem.incompressible import partly_incompressible, wholly_incompressible
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.assembly.mass import held_acceleration, initial_acceleration
+from dolfin_elastic.solvers.assembly.mass import initial_acceleration, prescribed_acceleration
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 from dolfin_elastic.solvers.linear.choice import LAST_DIRECT, LinearSettings, choose, factorising
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
@@ -40,8 +40,8 @@ from dolfin_elastic.solvers.petsc.options import Options, ksp_reason
 
 log = logging.getLogger("dolfin_elastic")
 
-HEAVY = 1e6
-"""Inertia over stiffness in the matrix: each solve leaves an error of the inverse of this."""
+INERTIA_OVER_STIFFNESS = 1e6
+"""Ratio of s M to K in the matrix; each solve leaves a relative error of its inverse."""
 
 SOLVES = 3
 """Solves with one factorisation, after which the error is round-off."""
@@ -81,7 +81,7 @@ def find_initial_acceleration(
         ConvergenceError: The linear system has no solution.
     """
     problem = moving.problem
-    held = held_acceleration(problem, h)
+    prescribed = prescribed_acceleration(problem, h)
     small = problem.num_dofs <= LAST_DIRECT[problem.body.dim]
     if partly_incompressible(problem) and not small:
         log.warning(
@@ -90,10 +90,10 @@ def find_initial_acceleration(
             "damps (generalized-alpha with a spectral_radius of 0.5)"
         )
     if not (partly_incompressible(problem) and small):
-        initial_acceleration(moving.assembler, held, a)
+        initial_acceleration(moving.assembler, prescribed, a)
         return
     a.x.array[:] = 0.0
-    problem.dirichlet.impose(a.x.array, held)
+    problem.dirichlet.impose(a.x.array, prescribed)
     a.x.scatter_forward()
     start = _IncompressibleStart(moving, v, h)
     try:
@@ -148,11 +148,11 @@ class _IncompressibleStart:
         diagonal = self._diagonal()
         self._pure = diagonal[moving.auxiliary_dofs] == 0.0
         mass = moving.mass.array_r[moving.displacement_dofs]
-        heavy = mass > 0.0
+        massive = mass > 0.0
         fastest = np.max(
-            np.abs(diagonal[moving.displacement_dofs][heavy]) / mass[heavy], initial=0.0
+            np.abs(diagonal[moving.displacement_dofs][massive]) / mass[massive], initial=0.0
         )
-        self._s = HEAVY * largest(moving.comm, float(fastest))
+        self._s = INERTIA_OVER_STIFFNESS * largest(moving.comm, float(fastest))
         self._tangent(self._s)
         self._ksp = PETSc.KSP().create(moving.comm)
         self._ksp.setOptionsPrefix(PREFIX)
@@ -274,16 +274,16 @@ class _IncompressibleStart:
             a: Acceleration [m/s^2], changed.
             first: It is the first solve, see `_constraint`.
         """
-        moves, extras = self._moving.displacement_dofs, self._moving.auxiliary_dofs
+        moves, auxiliary = self._moving.displacement_dofs, self._moving.auxiliary_dofs
         size = len(moves)
         self._moving.set_rates(self._v, a.x.array[:size])
         rows = self._rows()
-        rows[extras] = self._constraint(rows[extras], first=first)
+        rows[auxiliary] = self._constraint(rows[auxiliary], first=first)
         self._b.array_w[:] = -rows
         self._solve("initial acceleration")
         a.x.array[:size] += self._s * self._x.array_r[moves]
         a.x.scatter_forward()
-        self._problem.w.x.array[extras] += self._x.array_r[extras]
+        self._problem.w.x.array[auxiliary] += self._x.array_r[auxiliary]
         self._update_ghosts()
 
     def _solve(self, what: str) -> None:

@@ -25,10 +25,10 @@ SMALL = 1e-6
 Round-off of formulas and of differences in time is far below, and so small a shock is none."""
 
 SUDDEN = 0.1
-"""Share of a step's displacement that a support does in 1e-4 of the step, from which it jumps."""
+"""A support jumps if it does more than this share of a step's displacement in 1e-4 of the step."""
 
-LOOKS = 8
-"""Times at which supports are evaluated for how far they move."""
+SAMPLES = 8
+"""Intervals of the motion at whose ends supports are evaluated for how far they move."""
 
 
 def nodal_values(V: fem.FunctionSpace, values: tuple[Component, ...], where: str) -> FloatArray:
@@ -81,7 +81,7 @@ def set_initial(
     Raises:
         InputError: A value is not finite, or the displacement turns cells inside out.
     """
-    u, held = problem.u, problem.dirichlet
+    u, dirichlet = problem.u, problem.dirichlet
     if displacement:
         _set_nodal(problem, u, displacement, "dynamics.initial_displacement")
     v.x.array[:] = 0.0
@@ -91,9 +91,9 @@ def set_initial(
         far = support_travel(problem, span)
         speeds, unsure = _speeds(problem, 1e-7 * span)
     problem.set_time(0.0)
-    held.check_finite()
+    dirichlet.check_finite()
     found = [
-        *_imposed(problem, u, "displacement", held.targets, SMALL * far),
+        *_imposed(problem, u, "displacement", dirichlet.targets, SMALL * far),
         *_imposed(problem, v, "velocity", speeds, SMALL * far / span + unsure),
     ]
     u.x.scatter_forward()
@@ -218,12 +218,12 @@ def support_travel(problem: Problem, span: float) -> float:
         problem: Whose supports; their time is 0 afterwards.
         span: The time [s].
     """
-    held, most = problem.dirichlet, 0.0
-    start, *later = held.targets_at(span * k / LOOKS for k in range(LOOKS + 1))
+    dirichlet, most = problem.dirichlet, 0.0
+    start, *later = dirichlet.targets_at(span * k / SAMPLES for k in range(SAMPLES + 1))
     for there in later:
         gone = np.abs(there - start)
         most = max(most, float(np.max(gone, initial=0.0, where=np.isfinite(gone))))
-    held.set_time(0.0)
+    dirichlet.set_time(0.0)
     return largest(problem.body.comm, most)
 
 
@@ -235,13 +235,13 @@ def support_jump(problem: Problem, t: float, step: float) -> str:
         t: Time [s]; it is the problem's afterwards.
         step: Usual step of the motion [s].
     """
-    held = problem.dirichlet
-    start, *later = held.targets_at((t, t + 1e-4 * step, t + step))
+    dirichlet = problem.dirichlet
+    start, *later = dirichlet.targets_at((t, t + 1e-4 * step, t + step))
     problem.set_time(t)
     sudden, whole = (np.nan_to_num(there - start) for there in later)
     far = max(float(np.max(np.abs(gone), initial=0.0)) for gone in (sudden, whole))
     change = np.zeros(problem.V.dofmap.index_map.size_local * problem.body.dim)
-    held.impose(change, sudden)
+    dirichlet.impose(change, sudden)
     least = SUDDEN * largest(problem.body.comm, far)
     found = list(support_jumps(problem, "displacement", change, least))
     if not found:
@@ -282,14 +282,14 @@ def _by_support(problem: Problem, change: FloatArray) -> Iterator[tuple[str, Flo
         problem: Whose supports.
         change: By all supports, owned entries.
     """
-    held, dim = problem.dirichlet, problem.body.dim
-    for label, entries in held.reaction_dofs.items():
+    dirichlet, dim = problem.dirichlet, problem.body.dim
+    for label, entries in dirichlet.reaction_dofs.items():
         share = np.zeros_like(change)
         share[entries] = change[entries]
         rows = share.reshape(-1, dim)
-        if (tilted := held.skew) is not None:
-            at_tilted = change.reshape(-1, dim)[tilted.nodes[: tilted.count]]
-            for support, nodes, part in tilted.reactions(at_tilted):
+        if (skew := dirichlet.skew) is not None:
+            at_skew_nodes = change.reshape(-1, dim)[skew.nodes[: skew.count]]
+            for support, nodes, part in skew.reactions(at_skew_nodes):
                 if support.label == label:
                     rows[nodes] += part
         yield label, rows

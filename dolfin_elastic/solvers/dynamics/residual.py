@@ -99,13 +99,13 @@ class DynamicResidual:
         }
         named = {name: form for name, form in forms.items() if form is not None}
         self._forms = dict(zip(named, compiled(problem, list(named.values())), strict=True))
-        works = [touch.work for touch in problem.contact_pairs]
+        works = [pair.work for pair in problem.contact_pairs]
         self._contact_forms = compiled(problem, works) if works else []
         # Restraints of a label are assembled as one: contact pairs that share theirs with springs
         # are in them already, and must not be added once more.
         springs = {spring.label for spring in (*problem.springs, *problem.dashpots)}
-        self._adds_restraint = [touch.label not in springs for touch in problem.contact_pairs]
-        self._contact_labels = {touch.label for touch in problem.contact_pairs} - springs
+        self._adds_restraint = [pair.label not in springs for pair in problem.contact_pairs]
+        self._contact_labels = {pair.label for pair in problem.contact_pairs} - springs
         self._mass = np.abs(lumped(problem, self.assembler))
         self.mass, self.norm = mass_diagonal(self.assembler), 0.0
 

@@ -1,9 +1,9 @@
 """Energies of a motion: what its states store, and the work that loads and supports have done.
 
-`EnergyBook` measures the states of any motion.  What they cannot tell is the work done on the way:
+`EnergyBook` evaluates the energies of a state.  Work depends on the path between two states:
 implicit schemes sum it up in an `EnergyBalance`, from the forces of each step, which they have
-anyway; explicit ones in an `ExternalWork`, which assembles forces of its own and does so only where
-the work does not follow from two states, for a step of theirs costs no more than such a force.
+anyway; explicit ones in an `ExternalWork`.  That assembles forces of its own, but only where the
+work does not follow from two states, because one such force costs as much as an explicit step.
 """
 
 from __future__ import annotations
@@ -124,23 +124,23 @@ class EnergyBalance:
 
     def __init__(self, moving: DynamicResidual, v: fem.Function) -> None:
         self._moving, self._velocity = moving, v
-        self._leads = supports_move(moving.problem)
+        self._supports_move = supports_move(moving.problem)
         self._v: FloatArray = np.empty(0)
         self._sums = dict.fromkeys(_NAMES, 0.0)
         self._initial: float | None = None
         self.scale = 0.0
         problem = moving.problem
         self._constant = bool(problem.loads) and not problem.loads_change
-        self._dead: FloatArray | None = None
-        self._places: FloatArray = np.empty(0)
+        self._constant_loads: FloatArray | None = None
+        self._obstacle_shifts: FloatArray = np.empty(0)
         size = problem.constant(1.0) * problem.weak_form.volume(None, 1)
         volume = integral(problem, compiled(problem, [size])[0])
         self._round_off = _NOISE * np.finfo(float).eps * problem.stiffness * volume
 
     def begin(self) -> None:
         """Takes in positions of obstacles and the velocity that the motion begins with."""
-        self._places = self._shifts()
-        self._v = self._now()
+        self._obstacle_shifts = self._shifts()
+        self._v = self._velocity_now()
 
     def add(self, forces: Forces, du: FloatArray) -> None:
         """Adds the work of one step. Collective.
@@ -153,33 +153,34 @@ class EnergyBalance:
         outside = forces.loads + forces.reactions + forces.restraints - forces.contact
         rows = (outside, forces.damping, -forces.dashpots)
         mine = np.array([np.dot(row[moves], du) for row in rows])
-        before, self._places = self._places, self._shifts()
-        mine[0] += np.sum(forces.contact_resultants * (self._places - before))
-        if self._leads:
-            mine[0] += self._carried(forces, du)
+        before, self._obstacle_shifts = self._obstacle_shifts, self._shifts()
+        mine[0] += np.sum(forces.contact_resultants * (self._obstacle_shifts - before))
+        if self._supports_move:
+            mine[0] += self._work_against_inertia(forces, du)
         found = total(self._moving.comm, mine)
         for name, value in zip(_NAMES, found, strict=True):
             self._sums[name] += float(value)
 
-    def _carried(self, forces: Forces, du: FloatArray) -> float:
-        """Work of supports against inertia, less that which is in the reactions, on this rank [J].
+    def _work_against_inertia(self, forces: Forces, du: FloatArray) -> float:
+        """Work of supports against inertia that the reactions do not contain, on this rank [J].
 
         Args:
             forces: In the middle of the step.
             du: Change of the displacement, owned entries [m].
         """
         a, moves = self._moving.assembler, self._moving.displacement_dofs
-        before, self._v = self._v, self._now()
+        before, self._v = self._v, self._velocity_now()
         change = a.constrained_part(self._moving.momentum(self._v - before))[moves]
         pushed = a.constrained_part(forces.inertia)[moves]
         return float(np.dot(change, (before + self._v) / 2) - np.dot(pushed, du))
 
-    def _now(self) -> FloatArray:
+    def _velocity_now(self) -> FloatArray:
+        """A copy of the present velocity, owned entries [m/s]."""
         return self._velocity.x.array[: len(self._moving.displacement_dofs)].copy()
 
     def _shifts(self) -> FloatArray:
         """Displacements of the obstacles, shape (contact pairs, dim) [m]."""
-        return np.array([touch.shift.value for touch in self._moving.problem.contact_pairs])
+        return np.array([pair.shift.value for pair in self._moving.problem.contact_pairs])
 
     def energies(self, kinetic: float, stored: float) -> dict[str, float]:
         """Work, dissipation, potential and balance [J] by name. Collective.
@@ -224,10 +225,10 @@ class EnergyBalance:
     def _potential(self) -> float:
         """Potential of constant loads: minus their forces times the displacement [J]."""
         moves = self._moving.displacement_dofs
-        if self._dead is None:
-            self._dead = self._moving.assembler.reactions.loads()[moves].copy()
+        if self._constant_loads is None:
+            self._constant_loads = self._moving.assembler.reactions.loads()[moves].copy()
         u = self._moving.problem.w.x.array[moves]
-        return -float(total(self._moving.comm, float(np.dot(self._dead, u))))
+        return -float(total(self._moving.comm, float(np.dot(self._constant_loads, u))))
 
     # --- restarts ---
 
@@ -287,15 +288,15 @@ class _NodalLoad:
 class _MovingObstacle:
     """A moving obstacle: its force on the body times its own displacement."""
 
-    def __init__(self, touch: ContactPair, forces: NodalForces) -> None:
-        self._touch, self._forces = touch, forces
-        self._dim = len(touch.shift.value)
+    def __init__(self, pair: ContactPair, forces: NodalForces) -> None:
+        self._pair, self._forces = pair, forces
+        self._dim = len(pair.shift.value)
         self._force = self._place = np.zeros(self._dim)
 
     def begin(self) -> None:
         self._forces.assemble()
         self._force = self._forces.owned.reshape(-1, self._dim).sum(axis=0)
-        self._place = self._touch.shift.value.copy()
+        self._place = self._pair.shift.value.copy()
 
     def update_time(self) -> None:
         self._forces.renew()
@@ -366,9 +367,9 @@ class ExternalWork:
         self._moving_supports = supports_move(problem)
         if self._moving_supports:
             self.terms.append(_MovingSupports(assembler))
-        for touch in problem.contact_pairs:
-            if touch.contact.values:
-                self.terms.append(_MovingObstacle(touch, self._of(touch.work)))
+        for pair in problem.contact_pairs:
+            if pair.contact.values:
+                self.terms.append(_MovingObstacle(pair, self._of(pair.work)))
         springs = problem.weak_form.spring_energy if resting else None
         self._springs = None if springs is None else compiled(problem, [springs])[0]
         self._stored = self._carried = self._local = self.sum = 0.0

@@ -31,7 +31,7 @@ SPARE = 4
 
 
 class Pencil(Protocol):
-    """What finds eigenpairs and counts them: see `eigen.Spectrum` and `critical.CriticalLoad`."""
+    """Finds and counts eigenpairs: `slepc.Spectrum` and `critical_load.CriticalLoad` do."""
 
     counted: bool
 

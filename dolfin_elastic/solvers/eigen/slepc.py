@@ -173,7 +173,7 @@ class Spectrum:
     def below(self, number: float) -> int | None:
         """How many eigenvalues lie below a number; None: it is one of them. Collective.
 
-        Each pressure adds a negative pivot, see `solvers.stability`.
+        Each pressure adds a negative pivot, see `diagnostics.stability`.
         """
         with stage("solve"):
             shifted = self._shifted(number)

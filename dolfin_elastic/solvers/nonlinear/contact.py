@@ -30,11 +30,10 @@ AUGMENTATIONS = 10
 """Times that the multipliers of one load step are renewed."""
 
 SOFT = 0.1
-"""Share of the penalty that motion takes.
+"""Penalty in dynamics over that in statics.
 
-A node of an explicit scheme that hits in mid-step is thrown back too fast where the penalty is
-stiff, see `stable_step.HIT`; and an obstacle stiffer than the cells above it would only shorten the
-step.
+In an explicit scheme a node that hits in mid-step gains energy where the penalty is stiff, see
+`stable_step.CONTACT`; and a penalty stiffer than the cells above it only shortens the stable step.
 """
 
 

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 from dolfin_elastic.core.timing import stage as timed
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
-from dolfin_elastic.solvers.assembly.mass import held_rates
+from dolfin_elastic.solvers.assembly.mass import prescribed_rates
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.implicit.scheme import SchemeContext
 from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import VolumeConstraint
@@ -215,7 +215,7 @@ class StageSolver:
             self._newton.begin()
         u_end = np.asarray(problem.dirichlet.targets)
         u_start = problem.dirichlet.extract(problem.u.x.array)
-        v_end, a_end = held_rates(problem, end, h)
+        v_end, a_end = prescribed_rates(problem, end, h)
         a_start = problem.dirichlet.extract(self._context.a.x.array)
         problem.set_time(start.t + (1 - p.alpha_f) * h)
         return Stage(

@@ -10,8 +10,8 @@ it is rejected for its error: of u'' + w^2 u = f from rest, a step of any length
 far as the motion itself does, twice f/w^2, or from the velocity v to v/w.  Without that scale the
 first wave fronts that leave a clamp would be resolved in each cell.
 
-Adaptive steps meet the corners of curves, for the error of a body at rest tells nothing of what is
-to come; equal steps are as they were asked for, and pass over corners with a warning.
+Adaptive steps end at the corners of curves: the error of a body at rest is zero, whatever load sets
+in within the step.  Equal steps keep the user's length, and pass over corners with a warning.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 
 log = logging.getLogger("dolfin_elastic")
 
-UNJUDGED = 1e100
-"""Tolerance of scalar fields, which follow from the displacement: they are not judged."""
+IGNORED = 1e100
+"""Error tolerance of auxiliary fields: they follow from the displacement, whose error counts."""
 
-CRUMB = 0.01
+LONGER = 0.01
 """Share of a step by which it may be longer to meet a time, rather than leave a tiny next one."""
 
-LOOKS = 50
+FEWEST_STEPS = 50
 """Fewest steps of a motion whose loads or supports are formulas in t: the steps of a body at rest
 have no error, and would pass over what begins later."""
 
@@ -60,7 +60,7 @@ class StepControl:
     Attributes:
         times: See the arguments.
         nominal: The user's step [s].
-        scale: The largest displacement so far, in the first step that of all tries [m].
+        scale: The largest displacement so far; during the first step, of all its attempts [m].
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class StepControl:
         self.nominal, self.scale = dt, 0.0
         self._adaptive, self._tolerance = tolerance is not None, tolerance or 0.0
         self._corners = [t for t in corners(moving.problem) if 0.0 <= t <= self._end]
-        self._longest = self._end / LOOKS if driven_by_formula(moving.problem) else self._end
+        self._longest = self._end / FEWEST_STEPS if driven_by_formula(moving.problem) else self._end
         self._start, self._goal, self._planned, self._free = 0.0, 0.0, 0.0, 0.0
 
     def warn_of_passed_corners(self) -> None:
@@ -126,7 +126,7 @@ class StepControl:
         """
         step = self._free
         if self._adaptive and remaining < 2 * step:
-            return remaining / max(1, ceil(remaining / step - CRUMB))
+            return remaining / max(1, ceil(remaining / step - LONGER))
         # A step that ends there but for round-off stays as it is, and so does its factorisation.
         return remaining if remaining < step * (1 - SAME) else step
 
@@ -152,7 +152,7 @@ class StepControl:
             return
         ts = self._ts
         if int(ts.getStepNumber()) == 1:
-            self.scale = 0.0  # rejected tries are a scale for the first step only
+            self.scale = 0.0  # rejected attempts are a scale for the first step only
         self.scale = self._present()
         if float(ts.getTime()) - self._start > self._planned * (1 - SAME):
             ts.setTimeStep(max(float(ts.getTimeStep()), self._free))
@@ -174,7 +174,7 @@ class StepControl:
         if len(self._moving.problem.unknowns.auxiliary_fields):
             value, atol = atol, self._moving.assembler.create_vector()
             atol.set(value)
-            atol.array_w[self._moving.auxiliary_dofs] = UNJUDGED
+            atol.array_w[self._moving.auxiliary_dofs] = IGNORED
             self._ts.setTolerances(rtol=0.0, atol=atol)
             atol.destroy()
         else:

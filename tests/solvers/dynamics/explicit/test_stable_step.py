@@ -1,6 +1,6 @@
 """The stable step by cells and by Lanczos: never above the true one, and followed as bodies deform.
 
-Source of the bound: see `solvers.rates`.
+Source of the bound: see `explicit.frequency_bound`.
 """
 
 from __future__ import annotations
