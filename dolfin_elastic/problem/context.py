@@ -179,7 +179,7 @@ class FormContext:
         self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
 
     def constant(self, value: float | Sequence[float] | Sequence[Sequence[float]]) -> Constant:
-        """A number that forms refer to by place, so that changing it compiles nothing."""
+        """A UFL constant: a new value of it needs no new compilation."""
         return Constant(self.body.mesh, np.asarray(value, dtype=np.float64))
 
     def unknown(self, label: str) -> Constant:

@@ -31,7 +31,7 @@ from dolfin_elastic.problem.eigenstrain import eigenstrains
 from dolfin_elastic.problem.loads.cavities import BodyCavity, make_cavities
 from dolfin_elastic.problem.loads.contact import ContactPair, check_contacts, make_contacts
 from dolfin_elastic.problem.loads.point_loads import NodalLoads
-from dolfin_elastic.problem.loads.pressure_symmetry import rim_held
+from dolfin_elastic.problem.loads.pressure_symmetry import follower_pressure_has_potential
 from dolfin_elastic.problem.material_regions import (
     WHOLE,
     Formulation,
@@ -71,7 +71,7 @@ class Problem:
         u: The displacement [m]; solvers change it through `w`.
         w: All unknowns: the displacement and, in some problems, scalar fields beside it.
         cavities: Hollow spaces with a pressure.
-        context: What loads, supports and contact pairs find on the body.
+        context: Measures, fields and amplitudes from which loads and supports make their forms.
         weak_form: The sum of virtual-work terms.
         regions: The materials, each on its cells.
         dirichlet: Prescribed displacements.
@@ -79,7 +79,7 @@ class Problem:
         cell: The macroscopic deformation of a periodic cell, or None.
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
         nodal_loads: Forces at points and along lines, which are in no form; None without any.
-        constant: Makes a number that forms refer to by place, so that changing it compiles nothing.
+        constant: Makes a UFL constant: a new value of it needs no new compilation.
         t: UFL constant with the time, used by formulas.
         X: Reference coordinates (UFL).
 
@@ -113,7 +113,7 @@ class Problem:
             check_contacts(contacts, body, turned=axisymmetric)
         for where, names in _surfaces_with_normals(self.supports, self.loads, contacts):
             for name in names:
-                if name in body.surfaces:  # others are refused by those who use them
+                if name in body.surfaces:  # unknown names are refused where they are used
                     check_outside(body, name, where)
         self.cell: Cell | None = None
         if periodic is not None:
@@ -148,7 +148,7 @@ class Problem:
         self.dirichlet = DirichletConditions(
             body, self.V, self.supports, axis=axisymmetric, pinned=pinned
         )
-        # Terms that few problems have; without them nothing of their modules is executed.
+        # Terms that few problems have are only made on demand, to keep the usual path short.
         kinds = {type(load) for load in self.loads}
         self.cavities: list[BodyCavity] = []
         if any(issubclass(kind, Cavity) for kind in kinds):
@@ -170,7 +170,7 @@ class Problem:
             eigenstrains=self.eigenstrains,
             quadrature_degree=quadrature_degree,
         )
-        # Forms are made lazily; made here, a fault of a load or spring is raised on construction.
+        # Forms are made lazily; evaluated here, an invalid load or spring fails on construction.
         _ = self.weak_form.external, self.weak_form.restraint_works
 
     def _scale_unknowns(self) -> None:
@@ -211,10 +211,10 @@ class Problem:
     def _conservative(self, load: Load) -> bool:
         if load.conservative or not self._follows(load):
             return True
-        # A stretch out of the plane widens the surface, but no work of the load belongs to it.
+        # The stretch out of the plane enlarges the loaded area, but has no equation with the load.
         if not load.conservative_if_edge_fixed or self.unknowns.has("stretch"):
             return False
-        return rim_held(self.body, self.dirichlet, load.parts)
+        return follower_pressure_has_potential(self.body, self.dirichlet, load.parts)
 
     def _follows(self, load: Load) -> bool:
         return load.follower and not (load.linearises and self.context.linear)

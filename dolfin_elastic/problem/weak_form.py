@@ -26,7 +26,7 @@ from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.material_regions import MaterialRegion
 
 UNUSED = 1e-6
-"""Compliance, over 1/shear modulus, of the pressure in regions that have none."""
+"""Compliance, times the shear modulus, of the pressure field in regions that do not need it."""
 
 
 class WeakForm:
@@ -119,10 +119,10 @@ class WeakForm:
     def _pressure_terms(self, region: MaterialRegion, F: Expr, q: Expr) -> ufl.Form:
         """The pressure's equation in a region.
 
-        With linear elements it is stabilised by what the pressure differs from its mean over each
-        cell: Bochev, Dohrmann & Gunzburger, SIAM J. Numer. Anal. 44 (2006), (2.9).  A region whose
-        law carries its own volumetric part needs no pressure: the field is one for the whole
-        mesh, so there a small compliance keeps it at zero and the tangent regular.
+        With linear elements it is stabilised by the difference of the pressure from its mean over
+        each cell: Bochev, Dohrmann & Gunzburger, SIAM J. Numer. Anal. 44 (2006), (2.9).  A region
+        whose law has its own volumetric part needs no pressure, but the field extends over the
+        whole mesh: a small compliance makes it zero there, and the tangent regular.
         """
         p = self._unknowns.auxiliary("pressure", self._unknowns.w)
         if region.compliance is None:

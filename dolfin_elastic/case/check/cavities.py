@@ -2,7 +2,7 @@
 
 A virtual displacement v of the rim (the edges that bound a cavity's surfaces) changes the volume
 by 1/d times the integral along the rim of v . (dx x (x - o)), o the cavity's origin, d the
-dimension; in a plane the rim is the end points of the surfaces' curve.  A cavity is closed if this
+dimension; in a plane the rim consists of two end points of a curve.  A cavity is closed if this
 vanishes for every v that the supports admit: it has no rim, or its rim lies in planes of symmetry
 through the origin.
 
@@ -20,7 +20,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.model.loads import Cavity
-from dolfin_elastic.problem.loads.pressure_symmetry import rim
+from dolfin_elastic.problem.loads.pressure_symmetry import boundary_edges
 from dolfin_elastic.problem.problem import Problem
 
 _ROUND_OFF = 1e-6
@@ -68,7 +68,7 @@ def _open(load: Cavity, problem: Problem) -> bool:
     held = np.zeros(len(problem.dirichlet.values.x.array), dtype=bool)
     held[problem.dirichlet.dofs] = True
     axisymmetric, open_edges = problem.geometry == "axisymmetric", 0
-    for edge in rim(body, load.parts):
+    for edge in boundary_edges(body, load.parts):
         points, nodes = _edge_nodes(problem, int(edge))
         free = ~held.reshape(-1, dim)[points].all(axis=0)
         flux = _changes_volume(body.mesh.geometry.x[nodes, :dim], origin, axisymmetric)

@@ -80,7 +80,7 @@ class ContactPair:
             context,
             measure,
         )
-        self._turned = context.geometry == "axisymmetric"
+        self._axisymmetric = context.geometry == "axisymmetric"
         self.comm, self._dim = body.comm, body.dim
         prepare_facets(body.mesh)
         facets = np.unique(np.concatenate([body.surface(name) for name in contact.surfaces]))
@@ -90,8 +90,8 @@ class ContactPair:
         self.size = _mean(body, facets, self._heights)
         self.tolerance = contact.gap_tolerance or 1e-3 * self.size
         self._fill_penalty()
-        if self._turned:
-            self._mind_the_axis(facets)
+        if self._axisymmetric:
+            self._correct_weights_at_axis(facets)
         self._eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
         self._first = self.penalty.x.array.copy(), self._eps.copy()
         self.shift = context.constant([0.0] * body.dim)
@@ -116,7 +116,7 @@ class ContactPair:
             self.penalty.x.array[:] = factor * self._first[0]
             self._eps = factor * self._first[1]
 
-    def _mind_the_axis(self, facets: IndexArray) -> None:
+    def _correct_weights_at_axis(self, facets: IndexArray) -> None:
         """Weights of nodes near the axis of an axisymmetric body.
 
         With linear elements the trapezoidal rule would give a node on the axis none of the ring
@@ -161,15 +161,15 @@ class ContactPair:
         return found, ufl.as_vector(normal)
 
     @cached_property
-    def _pushed(self) -> Expr:
-        """lam - eps g [Pa]: the pressure where it touches."""
+    def _trial_pressure(self) -> Expr:
+        """Trial contact pressure lam - eps g [Pa]."""
         return self.lam - self.penalty * self._gap[0]
 
     @cached_property
     def pressure(self) -> Expr:
         """Contact pressure on the reference area [Pa]."""
-        touches = ufl.ge(self._pushed, -self.penalty * self.reach)
-        return ufl.conditional(touches, self._pushed, 0.0)
+        in_contact = ufl.ge(self._trial_pressure, -self.penalty * self.reach)
+        return ufl.conditional(in_contact, self._trial_pressure, 0.0)
 
     @cached_property
     def work(self) -> ufl.Form:
@@ -179,7 +179,7 @@ class ContactPair:
     @cached_property
     def energy(self) -> ufl.Form:
         """Potential of the force, with the multiplier at rest [J]."""
-        q = ufl.max_value(self._pushed, 0.0)
+        q = ufl.max_value(self._trial_pressure, 0.0)
         return (q**2 - self.lam**2) / (2 * self.penalty) * self._measure
 
     @cached_property
@@ -193,7 +193,7 @@ class ContactPair:
     @cached_property
     def area(self) -> ufl.Form:
         """Reference area on which there is pressure [m^2]."""
-        return ufl.conditional(ufl.gt(self._pushed, 0.0), 1.0, 0.0) * self._measure
+        return ufl.conditional(ufl.gt(self._trial_pressure, 0.0), 1.0, 0.0) * self._measure
 
     # --- numbers at the nodes ---
 

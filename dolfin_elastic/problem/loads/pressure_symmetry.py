@@ -1,8 +1,9 @@
-"""Rims of surfaces: where pressure that follows a surface has a potential and where not.
+"""Symmetry of the load stiffness: where a pressure that follows its surface has a potential.
 
-Of an even pressure p the tangent's skew part is the integral of p (v x du) . dx along the deformed
-rim (in a plane: p v x du at its end points).  It vanishes edge by edge where virtual displacements
-have one direction only, or where they stay in the plane in which the edge lies.
+For a uniform pressure p the skew part of the load stiffness is the integral of p (v x du) . dx
+along the boundary of the deformed surface (in a plane: p v x du at its end points).  An edge of
+that boundary contributes nothing where virtual displacements have one direction only, or where they
+stay in the plane in which the edge lies.
 
 Source: Schweizerhof & Ramm, Displacement dependent pressure loads in nonlinear finite element
 analyses, Computers & Structures 18 (1984).
@@ -26,7 +27,9 @@ _MOMENTS = (0.3141, 0.8314)
 """Load parameters at which prescribed values are compared."""
 
 
-def rim_held(body: Body, dirichlet: DirichletConditions, surfaces: Sequence[str]) -> bool:
+def follower_pressure_has_potential(
+    body: Body, dirichlet: DirichletConditions, surfaces: Sequence[str]
+) -> bool:
     """Whether supports fix a surface's edge so that uniform pressure has a potential. Collective.
 
     Args:
@@ -34,13 +37,13 @@ def rim_held(body: Body, dirichlet: DirichletConditions, surfaces: Sequence[str]
         dirichlet: What supports prescribe.
         surfaces: Names of the surfaces that together are loaded.
     """
-    edges = rim(body, surfaces)
+    edges = boundary_edges(body, surfaces)
     supports = _Supports(body, dirichlet)
     free = sum(not supports.make_symmetric(edge) for edge in edges)
     return not total(body.comm, int(free))
 
 
-def rim(body: Body, surfaces: Sequence[str]) -> IndexArray:
+def boundary_edges(body: Body, surfaces: Sequence[str]) -> IndexArray:
     """Owned edges (in a plane: points) that belong to one facet of a surface only. Collective.
 
     Args:
@@ -62,7 +65,7 @@ def rim(body: Body, surfaces: Sequence[str]) -> IndexArray:
 
 @dataclass
 class _Supports:
-    """What supports do to edges. Collective to make.
+    """The constraints that supports put on edges. Collective to make.
 
     Args:
         body: The mesh and its names.
@@ -103,7 +106,7 @@ class _Supports:
         return any(self._in_plane(axis, nodes, points) for axis in np.flatnonzero(fixed))
 
     def _in_plane(self, axis: int, nodes: IndexArray, points: IndexArray) -> bool:
-        """The edge lies across an axis, and stays so."""
+        """The edge lies in a plane normal to the axis, at all prescribed values."""
         places = [self.body.mesh.geometry.x[nodes, axis]]
         places += [values[points, axis] for values in self._values]
         return all(np.ptp(place) <= self._tolerance for place in places)

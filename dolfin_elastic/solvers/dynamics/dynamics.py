@@ -101,7 +101,7 @@ class Dynamics:
             RuntimeError: `steps` has not begun, or has ended.
         """
         if self._motion is None:
-            raise RuntimeError("there is nothing to keep: the motion has not begun, or has ended")
+            raise RuntimeError("no state to save: the motion has not begun, or has ended")
         return self._motion.restart_state()
 
     def _refuse_linear(self) -> None:

@@ -24,26 +24,26 @@ UNSTABLE = "an unstable equilibrium"
 BEYOND = "the strain energy has no finite value: a material is beyond its limit"
 ANOTHER = "another equilibrium than that of the path"
 
-PRESCRIBED = 1e-12
+PRESCRIBED_TOLERANCE = 1e-12
 """Error of prescribed displacements over the size of the body: Newton's first full step meets them,
 what is left is round-off."""
 
 FORCING = 1e-3
 """Relative tolerance of a linear solve inside Newton: tighter ones cost more than they save."""
 
-LINEAR = 1e-12
+LINEAR_TOLERANCE = 1e-12
 """The same where one linear solve is all: as tight as the residual is judged."""
 
 STALL = 6
 """Backtracking iterations over which the residual has to fall by a third."""
 
-HOPELESS = 1e8
+DIVERGENCE = 1e8
 """Growth of the residual from which no Newton iteration comes back."""
 
 SAFETY = 4.0
 """For the cells around a node, each with a rounding error of its own."""
 
-CRUSHED = 1e6
+MAX_STIFFENING = 1e6
 """Growth of the largest stiffness beyond which a cell is crushed, and excuses nothing more."""
 
 
@@ -161,7 +161,7 @@ class RoundOff:
         stiff = np.abs(diagonal.array_r[a.displacement_dofs])
         most = largest(a.comm, float(np.max(stiff, initial=0.0)))
         self.first = self.first or most
-        stiff = np.minimum(stiff, CRUSHED * self.first)
+        stiff = np.minimum(stiff, MAX_STIFFENING * self.first)
         size = SAFETY * np.finfo(float).eps * (self._h + min(a.max_displacement(), self._span))
         square, count = total(a.comm, np.array([np.sum(stiff**2), len(stiff)]))
         self._rows[:] = size * np.sqrt(square / max(count, 1.0))
@@ -259,15 +259,15 @@ class ConvergenceTest:
 
         No tighter than the step after it can use: half of what the residual still has to fall by.
         """
-        forcing = LINEAR if self._assembler.problem.linear else FORCING
+        forcing = LINEAR_TOLERANCE if self._assembler.problem.linear else FORCING
         needed = 0.5 * self.target() / self._norm if self._norm > 0 else forcing
         return min(0.1, max(forcing, needed))
 
     def target(self) -> float:
         """Norm of the free residual that is small enough [N]. Collective."""
-        return max(self._wanted(), self.round_off.norm)
+        return max(self._tolerated(), self.round_off.norm)
 
-    def _wanted(self) -> float:
+    def _tolerated(self) -> float:
         """The same by the tolerance, whatever round-off does [N]. Collective."""
         a = self._assembler
         reference = max(self._applied, a.residual.reaction_norm, a.residual.restraint_norm)
@@ -284,11 +284,11 @@ class ConvergenceTest:
         the round-off of inertia is known as a norm only, so the norm decides.
         """
         free = self._assembler.residual.free_norm
-        wanted, floor = self._wanted(), self.round_off.norm
+        wanted, floor = self._tolerated(), self.round_off.norm
         if free <= wanted or self._inertia is not None:
             return free <= max(wanted, floor)
         # So far above the floor its rows cannot make the difference: they are not looked at.
-        return free <= HOPELESS * floor and self.round_off.beyond() <= wanted
+        return free <= DIVERGENCE * floor and self.round_off.beyond() <= wanted
 
     def __call__(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         """What SNES is to do: PETSc's number of a reason to stop, or 0. Collective.
@@ -306,12 +306,12 @@ class ConvergenceTest:
             self.predicted = norms[1]
         self._norm = norms[2]
         self.residuals.append(a.residual.free_norm)
-        if not norms[2] <= HOPELESS * max(self._first, self.target()):  # NaN, too
+        if not norms[2] <= DIVERGENCE * max(self._first, self.target()):  # NaN, too
             return int(reason.DIVERGED_FNORM_NAN)
-        prescribed = a.residual.gap <= PRESCRIBED * self._span
+        prescribed = a.residual.gap <= PRESCRIBED_TOLERANCE * self._span
         if prescribed and self._balanced() and self._scalars_hold():
             return int(reason.CONVERGED_FNORM_RELATIVE)
-        if self._crushed():
+        if self._shortened_too_often():
             return int(reason.DIVERGED_FUNCTION_DOMAIN)
         if self._stalled():
             return int(reason.DIVERGED_LINE_SEARCH)
@@ -319,7 +319,7 @@ class ConvergenceTest:
             return int(reason.DIVERGED_MAX_IT)
         return 0
 
-    def _crushed(self) -> bool:
+    def _shortened_too_often(self) -> bool:
         """Steps are shortened again and again: a smaller load step gets there sooner."""
         guard = self._guard
         if guard is None:

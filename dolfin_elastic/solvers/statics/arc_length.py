@@ -29,20 +29,20 @@ from dolfin_elastic.solvers.statics.step_size import StepSpeed
 
 log = logging.getLogger("dolfin_elastic")
 
-USUAL = 4
-"""Newton iterations of a step of the right length: more shorten the next one, fewer lengthen it."""
+DESIRED_ITERATIONS = 4
+"""Newton iterations of a step of the right length: after more the next is shorter, else longer."""
 
 FIRST_DISPLACEMENT = 0.01
 """Largest displacement of the first step over the size of the body."""
 
-LONGEST = 8.0
+MAX_GROWTH = 8.0
 """Longest step over the first one."""
 
-STRAIGHT = 0.5
-"""Cosine of the angle between two steps below which the second was too long."""
+MIN_COSINE = 0.5
+"""Cosine of the angle between successive increments below which the second is repeated."""
 
 LENGTH_TOLERANCE = 1e-6
-"""Error of the length of a step: it moves the step along the path, not off it."""
+"""Relative error of the length of a step: it shifts the point along the path, not off it."""
 
 
 class ArcLengthConstraint:
@@ -202,29 +202,33 @@ class ArcLength:
                 yield found
                 return
             self._increment, self._size = self._length.increment(), self._length.arc()
-            self._longest = LONGEST * self._size
+            self._longest = MAX_GROWTH * self._size
             yield found
         while self._length.t < self._end * (1 - 1e-12):
             here, t = self._newton.unknowns(), self._length.t
             point = self._next(self._increment)
             if not point.result.converged:
                 failed = self._newton.unknowns()
-                self._back(here, t)
+                self._undo(here, t)
                 self._size /= 2
-                if self._size < smallest * self._longest / LONGEST:
+                if self._size < smallest * self._longest / MAX_GROWTH:
                     yield PathPoint(t, point.result, good=here, failed=failed)
                     return
                 continue
             if point.t >= self._end:
-                yield self._land(here, t)
+                yield self._end_at_load_factor(here, t)
                 return
             yield point
 
     def _next(self, last: FloatArray) -> PathPoint:
-        """The next point of the path, and how to go on from there; or a shorter step is due."""
+        """The next point of the path; not converged where a shorter step is needed. Collective.
+
+        Args:
+            last: Owned displacement increment of the last step [m].
+        """
         before, size = self._all.get(), self._size
         result = self._step(last, size)
-        if not result.converged or self._turned(last):
+        if not result.converged or self._turns_sharply(last):
             log.debug("arc length %g m: %s, a shorter one", size / 2, result.reason)
             return PathPoint(self._length.t, result.refused(result.reason))
         if self._length.t < self._end:
@@ -232,8 +236,8 @@ class ArcLength:
                 self._length.increment(),
                 self._all.get() - before,
             )
-            self._note(self._length.t, self._points[-1][1] + size)
-            factor = np.sqrt(USUAL / max(result.newton, 1))
+            self._record_point(self._length.t, self._points[-1][1] + size)
+            factor = np.sqrt(DESIRED_ITERATIONS / max(result.newton, 1))
             self._size = min(self._longest, size * float(np.clip(factor, 0.5, 2.0)))
         return PathPoint(self._length.t, result, negative_eigenvalues(self._bordered))
 
@@ -272,9 +276,15 @@ class ArcLength:
         self._bordered.restore(saved["newton"])
 
     def _first(self, t: float, smallest: float, longest: float) -> PathPoint:
-        """A step of the load, of at most so large displacements, which gives the path a direction.
+        """The first step prescribes the load factor and gives the path its direction. Collective.
 
-        A load far above a limit point would find the body beyond it at once.
+        It is halved while displacements are too large: a load far above a limit point would lead
+        to an equilibrium beyond it at once.
+
+        Args:
+            t: Load factor.
+            smallest: Shortest step, as a share of t.
+            longest: Largest nodal displacement [m].
         """
         least = smallest * t
         while True:
@@ -322,18 +332,18 @@ class ArcLength:
             result = self._bordered.solve("basic")
         return self._retry.close_contacts(result, "basic", self._bordered.solve)
 
-    def _turned(self, last: FloatArray) -> bool:
-        """The path has turned so sharply that a part of it may have been left out. Collective."""
+    def _turns_sharply(self, last: FloatArray) -> bool:
+        """Whether the path turns so sharply that the step may have skipped a part. Collective."""
         now = self._length.increment()
         product = self._length.product
-        return product(last, now) < STRAIGHT * np.sqrt(product(last, last) * product(now, now))
+        return product(last, now) < MIN_COSINE * np.sqrt(product(last, last) * product(now, now))
 
-    def _back(self, here: FloatArray, t: float) -> None:
+    def _undo(self, here: FloatArray, t: float) -> None:
         self._retry.undo(here)
         self._length.put(np.array([t]))
 
-    def _land(self, here: FloatArray, t: float) -> PathPoint:
-        """Ends the path at its load factor, between the last two points."""
+    def _end_at_load_factor(self, here: FloatArray, t: float) -> PathPoint:
+        """The last point: equilibrium at the load factor `end`, between the last two points."""
         beyond = self._newton.unknowns()
         share = (self._end - t) / (self._length.t - t)
         self._length.put(np.array([self._end]))
@@ -342,8 +352,8 @@ class ArcLength:
             return PathPoint(t, result, good=here, failed=self._retry.failed)
         return PathPoint(self._end, result, negative_eigenvalues(self._newton))
 
-    def _note(self, t: float, arc: float) -> None:
-        """Keeps the last points and looks for a limit point between them."""
+    def _record_point(self, t: float, arc: float) -> None:
+        """Stores the last three points (load, arc) and finds the limit point between them."""
         self._points = [*self._points, (t, arc)][-3:]
         loads = [load for load, _ in self._points]
         if len(loads) < 3 or (loads[1] - loads[0]) * (loads[2] - loads[1]) >= 0:

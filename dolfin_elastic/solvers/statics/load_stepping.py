@@ -38,8 +38,8 @@ from dolfin_elastic.solvers.statics.step_size import StepSizes, StepSpeed
 log = logging.getLogger("dolfin_elastic")
 
 JUMPS = 3
-"""Jumps that no smaller step avoids, after which they are left to the audit: the energy of such a
-body does not follow from its forces."""
+"""Jumps that no smaller step avoids, after which jumps are accepted and only the audit warns: in
+such a body the energy does not follow from the forces."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class LoadStepping:
                 self._arc.destroy()
 
     def _evaluate_start(self) -> None:
-        """Takes the present state as one where the next step begins. Collective."""
+        """Evaluates residual and energy of the state where the next step starts. Collective."""
         with stage("assemble"):
             self._assembler.residual.assemble()
         self._path_check.evaluate()
@@ -203,8 +203,8 @@ class LoadStepping:
             if refusal:
                 if refusal == ANOTHER:
                     self._jumped_to = goal, self._newton.unknowns()
-                crushed = not result.converged and (result.rejected > 0 or "NAN" in result.reason)
-                if sizes.failed(step.t, goal, crushed=crushed):
+                inverted = not result.converged and (result.rejected > 0 or "NAN" in result.reason)
+                if sizes.failed(step.t, goal, inverted=inverted):
                     log.info("load factor %.6g: %s; a smaller step", goal, refusal)
                     self._retry.undo(step.start)
                     continue
@@ -212,7 +212,7 @@ class LoadStepping:
             elif self._speed.too_fast(step.t, goal, step.start, result) and sizes.refine(
                 step.t, goal
             ):
-                log.debug("load factor %.6g: so far in one step; a closer look", goal)
+                log.debug("load factor %.6g: a large displacement in one step; repeated", goal)
                 self._retry.undo(step.start)
                 continue
             self._accept(step, goal, result, left_path=bool(refusal))
@@ -250,10 +250,10 @@ class LoadStepping:
         self._t = goal
 
     def _refusal(self) -> str:
-        """Why the body would not come to the equilibrium that was found; empty: it would.
+        """Why the equilibrium is not the next point of the path; empty: it is. Collective.
 
-        Newton's method finds any equilibrium: one that is unstable, one of another path, or one
-        where a material's energy has no value any more.  Collective.
+        Newton's method may find an unstable equilibrium, one on another path, or one where a
+        material's energy has no finite value.
         """
         if self._problem.linear:
             return ""
@@ -280,8 +280,8 @@ class LoadStepping:
         - A stable equilibrium of another path (`ANOTHER`) at every size of step: then the path
           has ended, the jump is what the body does, and it is taken as it is.
         - A material beyond its limit, or no equilibrium at all next to the unloaded body: no flow
-          leads out of the first, and the second is a fault of the input (loads, supports) that
-          must be reported rather than wandered away from.
+          leads out of the first, and the second is a fault of the input (loads, supports), which
+          is reported.
 
         Args:
             step: The smallest step.
@@ -354,7 +354,7 @@ class LoadStepping:
         good: FloatArray,
         failed: FloatArray | None,
     ) -> ConvergenceError:
-        # Beyond a limit point the path is unstable: there it explains nothing.
+        # Arc length follows unstable paths, where a negative eigenvalue does not explain a failure.
         return self._states.failure(
             t,
             goal,

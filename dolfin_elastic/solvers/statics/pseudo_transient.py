@@ -1,4 +1,4 @@
-"""Pseudo-transient continuation: lets a body that has lost its equilibrium flow to another.
+"""Pseudo-transient continuation: from a state that lost its equilibrium to a stable one.
 
 (K + theta |diag K|) du = -R with theta that falls as the residual does: backward Euler steps of the
 flow D du/dt = -R, which goes downhill in energy, that end as Newton's method.  Source: C. T. Kelley
@@ -25,24 +25,24 @@ LARGEST, SMALLEST = 1e3, 1e-6
 """Largest shift, and the smallest one: below it the step is Newton's own."""
 
 ITERATIONS = 400
-"""Steps of one flow: far more than Newton's method would be given, for each goes a short way."""
+"""Most steps of one flow: they are shorter than Newton's, so more of them are needed."""
 
-PUSHES = (1e-2, 1e-1)
-"""Of the body's size: pushes off an unstable equilibrium, after a gentle one.  A slender body comes
-back from pushes that are small against what it bends."""
+PERTURBATIONS = (1e-2, 1e-1)
+"""Displacements, over the body's size, that perturb an unstable equilibrium, after a first one of
+a hundredth of a cell.  A slender body returns from perturbations small against its deflection."""
 
 INVERSE_ITERATIONS = 5
 """For the weakest mode: enough for one that stands out."""
 
 HALVINGS = 20
-"""Of a push that turns a cell inside out."""
+"""Times that a perturbation which turns a cell inside out is halved."""
 
 
 def flow_to_equilibrium(retry: RetryStrategy, *, settled: bool) -> NewtonResult:
     """Lets a body flow to a stable equilibrium. Collective.
 
-    A flow ends at unstable equilibria, too, where symmetry leads there: from each the body is
-    pushed along its weakest mode, farther each time, and flows again.
+    Symmetry can lead the flow to an unstable equilibrium.  The body is then perturbed along its
+    weakest mode, farther each time, and flows again.
 
     Args:
         retry: Of the solver; its problem is at the load and in the state to start from.
@@ -52,13 +52,13 @@ def flow_to_equilibrium(retry: RetryStrategy, *, settled: bool) -> NewtonResult:
         How it ended; never with an equilibrium that is known to be unstable.
     """
     newton = retry.newton
-    pushes = [1e-2 * newton.cell_size, *(share * newton.span for share in PUSHES)]
+    sizes = [1e-2 * newton.cell_size, *(share * newton.span for share in PERTURBATIONS)]
     result = NewtonResult(converged=True) if settled else _flow(retry)
     while result.converged and (settled or (negative_eigenvalues(newton) or 0) > 0):
-        if not pushes:
+        if not sizes:
             return result.refused(UNSTABLE)
         settled = False
-        push_along_weakest_mode(newton, pushes.pop(0))
+        perturb_along_weakest_mode(newton, sizes.pop(0))
         result = _flow(retry)
     return result
 
@@ -97,14 +97,14 @@ class _Shift:
         return self._shift if self._shift > SMALLEST else 0.0
 
 
-def push_along_weakest_mode(newton: Newton, size: float) -> None:
-    """Pushes the body along the mode that resists least. Collective.
+def perturb_along_weakest_mode(newton: Newton, size: float) -> None:
+    """Perturbs the displacement along the eigenmode of least stiffness. Collective.
 
     The mode is found by inverse iteration with the last tangent.
 
     Args:
-        newton: The solver; its problem is where the push begins.
-        size: Largest displacement of the push [m]; less where a cell would turn inside out.
+        newton: The solver; its problem is at the equilibrium that is perturbed.
+        size: Largest nodal displacement [m]; less where a cell would turn inside out.
     """
     assembler = newton.assembler
     x, b = assembler.create_vector(), assembler.create_vector()

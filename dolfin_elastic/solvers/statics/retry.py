@@ -1,11 +1,11 @@
-"""What is tried, in turn, to find an equilibrium at one load: before the step is made smaller.
+"""Retries at one load factor, before the load step is made smaller.
 
-A step starts where the last one ended, or further along the path if the residual is smaller there:
-so stretching takes a third fewer iterations, and bending, where a straight continuation stretches
-what only bends, none more.  Full Newton steps come first: in bending the residual has to rise
-before it falls, and a line search that forbids it takes several times the iterations.  What full
-steps cannot do, backtracking may; then the other start.  A linear solver that fails gives way to
-a more robust one.
+Newton's method starts from the last equilibrium or from the extrapolated path, whichever has the
+smaller residual: extrapolation saves a third of the iterations in stretching, but in bending it
+stretches fibres that only rotate.  Full Newton steps come first: in bending the residual has to
+rise before it falls, and a line search that forbids it takes several times the iterations.  If they
+fail, backtracking is tried, then the other starting point.  A linear solver that fails is replaced
+by a more robust one.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ class RetryStrategy:
         self._first = True
 
     def restarted(self) -> None:
-        """The displacement is not the one the solver was made at: the first solve refreshes it."""
+        """Makes the first solve refresh the linear solver, which was set up at another state."""
         self._first = False
 
     def solve(self, starts: Sequence[tuple[str, FloatArray]]) -> NewtonResult:
         """Finds equilibrium from the first start that leads there. Collective.
 
         Args:
-            starts: In words, and as `Newton.unknowns`: the last equilibrium, which is put back
-                where none leads to another, and perhaps a further one.
+            starts: Name for the log and `Newton.unknowns` of each starting point.  The first is
+                the last equilibrium, to which the problem returns if all fail.
         """
         newton, first = self.newton, starts[0][1]
         rejected, worst = 0, None
@@ -84,7 +84,7 @@ class RetryStrategy:
     def _attempts(
         self, starts: Sequence[tuple[str, FloatArray]]
     ) -> Iterator[tuple[str, FloatArray, str]]:
-        """In words, where to start, and by which line search."""
+        """Name for the log, starting point and line search of each attempt."""
         searches = self.newton.line_searches()
         for line_search in searches:
             how = "" if line_search == searches[0] else f"by line search '{line_search}'"
@@ -119,9 +119,9 @@ class RetryStrategy:
         """Augments contacts until nothing penetrates, and refuses inverted cells. Collective.
 
         Args:
-            result: Of the solve.
-            line_search: PETSc's name of the line search for more of them.
-            solve: Finds equilibrium from where the problem is, if it is not `newton`.
+            result: Of the solve before.
+            line_search: PETSc's name of the line search for further solves.
+            solve: Finds equilibrium from the problem's present state; by default `newton.solve`.
 
         Returns:
             How the last solve ended, with the iterations of all.

@@ -20,9 +20,9 @@ class StaticsSettings(Record):
     """How a static solution is found.
 
     Attributes:
-        method: "load": the load factor grows, and where no equilibrium is near the body is let go
-            to flow to another; "arc-length": the path of equilibria is followed through limit
-            points, where the load falls.
+        method: "load": the load factor grows, and where no equilibrium is near, pseudo-transient
+            continuation leads to another; "arc-length": the path of equilibria is followed
+            through limit points, where the load falls.
         steps: Equal load steps; by default the size of steps is chosen as they go.
         first_step: Share of the load in the first step; by default a quarter, and all of it in a
             linear problem.
@@ -53,13 +53,13 @@ class StaticsSettings(Record):
     snap: bool = True
 
     @model_validator(mode="after")
-    def _together(self) -> Self:
+    def _check_combinations(self) -> Self:
         if self.steps is not None and self.first_step is not None:
             raise InputError(
                 "steps and first_step given together",
                 expected="steps are equal; leave one of them out",
             )
-        refuse_unused_keys(self, _idle(self))
+        refuse_unused_keys(self, _unused_keys(self))
         if (self.first_step or 0.0) > self.max_step:
             raise InputError(
                 f"{self.first_step:g} is more than any step may be",
@@ -70,8 +70,8 @@ class StaticsSettings(Record):
         return self
 
 
-def _idle(s: StaticsSettings) -> Iterator[UnusedKeys]:
-    """Keys that steps of this kind do not know."""
+def _unused_keys(s: StaticsSettings) -> Iterator[UnusedKeys]:
+    """Keys without effect beside `steps` or with `method = "arc-length"`."""
     if s.steps is not None:
         yield UnusedKeys(
             ["max_step"], "steps are equal where `steps` is given", "leave one of them out"

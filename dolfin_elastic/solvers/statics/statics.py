@@ -34,8 +34,8 @@ class Statics:
         settings: See `StaticsSettings`; keyword arguments are its fields.
         linear: How linear systems are solved.
         petsc: PETSc options, which win over everything.
-        preload: It leads to the state of another analysis, which itself warns of what has no
-            effect.
+        preload: The equilibrium is the preload of another analysis, which itself warns of keys
+            without effect.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class Statics:
             RuntimeError: `steps` has not begun, or has ended.
         """
         if self._stepping is None:
-            raise RuntimeError("there is nothing to keep: no step has been made, or all have")
+            raise RuntimeError("no state to save: no step has been made, or all have")
         return self._stepping.restart_state()
 
     def _check_path(self) -> None:
@@ -126,11 +126,13 @@ class Statics:
             stops = [s.end * i / s.steps for i in range(1, s.steps)]
             largest = first
         else:
-            winding = driven_by_formula(self.problem)
-            share = 1.0 if self.problem.linear and not winding else FIRST
+            formula = driven_by_formula(self.problem)
+            share = 1.0 if self.problem.linear and not formula else FIRST
             first = min(s.first_step or share, s.max_step) * s.end
-            wide = FIRST if winding and "max_step" not in s.model_fields_set else s.max_step
-            stops, largest = [], max(first, wide * s.end)
+            largest_share = (
+                FIRST if formula and "max_step" not in s.model_fields_set else s.max_step
+            )
+            stops, largest = [], max(first, largest_share * s.end)
         return StepSizes(
             s.end,
             first=first,

@@ -1,9 +1,10 @@
-"""Which load factor is tried next: steps grow where Newton is quick and shrink where it is not.
+"""Sizes of load steps: longer after few Newton iterations, shorter after many.
 
-Nor may a step go farther than the path it was on led to expect.  Under loads that grow a lot in
-one step, the energy does not distinguish a jump from a soft path: the work of the forces before and
-that of the forces after lie far apart.  But a jump is fast: a step that moves the body several
-times as fast as the one before is taken again in smaller ones, whose energy does.
+`StepSpeed` also limits the displacement of a step by that of the step before.  Under a large load
+step the energy cannot distinguish a jump to another equilibrium from a soft path, for the bounds of
+the work, by the forces before and after the step, lie far apart.  But a jump is fast: a step that
+moves the body several times as fast as the one before is repeated in smaller steps, for which the
+bounds are close enough.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
 
-QUICK, SLOW = 5, 10
+FEW_ITERATIONS, MANY_ITERATIONS = 5, 10
 """Newton iterations up to which the next step is doubled, and from which it is shortened."""
 
-CALM = 3
-"""Steps after a failure from which they grow again."""
+STEPS_BEFORE_GROWTH = 3
+"""Successful steps after a failure before steps grow again."""
 
 
-CLOSEST = 64
-"""First step over the smallest one that a step is refined to because the body moved fast."""
+MAX_REFINEMENT = 64
+"""First step over the smallest step to which `StepSpeed` may refine."""
 
 
 class StepSizes:
@@ -38,7 +39,7 @@ class StepSizes:
         largest: Size that no step exceeds.
         smallest: Size below which no step is tried.
         stops: Load factors that are met exactly, beside the end.
-        steady: The size is the user's: a step that was found is not shortened for its iterations.
+        steady: The user has set the size: many iterations do not shorten the next step.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class StepSizes:
         steady: bool = False,
     ) -> None:
         self.end, self.size, self._first = end, first, first
-        self._calm, self._steady = CALM, steady
+        self._steps_since_failure, self._steady = STEPS_BEFORE_GROWTH, steady
         self._largest, self._smallest = largest, smallest
         self._stops = sorted({s for s in stops if 0.0 < s < end} | {end})
 
@@ -75,61 +76,62 @@ class StepSizes:
             goal: Load factor where it ended.
             newton: Its Newton iterations.
         """
-        self._calm += 1
-        if newton <= QUICK and self._calm >= CALM:
-            # A step that was cut short by a stop says nothing against a longer one.
+        self._steps_since_failure += 1
+        if newton <= FEW_ITERATIONS and self._steps_since_failure >= STEPS_BEFORE_GROWTH:
+            # A stop may have cut the step short: the size before it is the one to double.
             self.size = min(self._largest, 2.0 * max(self.size, goal - t))
-        elif newton >= SLOW and not self._steady:
+        elif newton >= MANY_ITERATIONS and not self._steady:
             self.size = max(self._smallest, 0.7 * (goal - t))
 
     def restart_state(self) -> dict[str, float]:
         """See `Restartable`. Not collective."""
-        return {"size": self.size, "calm": self._calm}
+        return {"size": self.size, "calm": self._steps_since_failure}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """See `Restartable`. Not collective."""
-        self.size, self._calm = saved["size"], saved["calm"]
+        self.size, self._steps_since_failure = saved["size"], saved["calm"]
 
     def begin_anew(self) -> None:
-        """Begins with the first size again: nothing is known of the path that was jumped to."""
-        self.size, self._calm = self._first, CALM
+        """Returns to the first size, after a jump to a path of unknown curvature."""
+        self.size, self._steps_since_failure = self._first, STEPS_BEFORE_GROWTH
 
     def refine(self, t: float, goal: float) -> bool:
-        """Halves a step that may have jumped over something on its way.
+        """Halves a step that may have jumped to another path.
 
         Args:
             t: Load factor where it began.
             goal: Load factor where it ended.
 
         Returns:
-            False if it was so small that it need not be taken again.
+            False if the step is too small to be repeated.
         """
         size = (goal - t) / 2
-        if size < max(self._smallest, self._first / CLOSEST):
+        if size < max(self._smallest, self._first / MAX_REFINEMENT):
             return False
-        self.size, self._calm = size, 0
+        self.size, self._steps_since_failure = size, 0
         return True
 
-    def failed(self, t: float, goal: float, *, crushed: bool) -> bool:
+    def failed(self, t: float, goal: float, *, inverted: bool) -> bool:
         """Chooses a smaller size after a failure.
 
         Args:
             t: Where the step began.
             goal: Where it should have ended.
-            crushed: Cells turned inside out or a force was infinite: much too far.
+            inverted: Cells turned inside out or a force was not finite: a quarter of the step is
+                tried next, not half of it.
 
         Returns:
             False if no smaller step is left to try.
         """
-        size = (goal - t) * (0.25 if crushed else 0.5)
+        size = (goal - t) * (0.25 if inverted else 0.5)
         if size < self._smallest:
             return False
-        self.size, self._calm = size, 0
+        self.size, self._steps_since_failure = size, 0
         return True
 
 
-FASTER = 3.0
-"""Speed over that of the step before from which a step is looked at more closely."""
+SPEED_RATIO = 3.0
+"""Speed over that of the step before above which a step is repeated in smaller ones."""
 
 
 class StepSpeed:
@@ -154,8 +156,8 @@ class StepSpeed:
             t: Load factor where it began.
             goal: Where it has ended.
             start: Local unknowns where it began.
-            result: How it was found: in the first step, the first Newton step is where the
-                tangent at rest leads to.
+            result: Of the Newton solve; in the first load step, its first iteration is the linear
+                prediction with which the displacement is compared.
         """
         a = self._assembler
         du = a.problem.w.x.array[a.displacement_dofs] - start[a.displacement_dofs]
@@ -164,13 +166,13 @@ class StepSpeed:
         if a.problem.linear or any(abs(corner - t) < 1e-9 for corner in self._corners if t > 0):
             return False
         known = self.speed if t > 0.0 else result.predicted / goal
-        return 0.0 < FASTER * known < self._now
+        return 0.0 < SPEED_RATIO * known < self._now
 
     def accept(self, *, known: bool = True) -> None:
         """Accepts the step that was passed to `too_fast` last.
 
         Args:
-            known: Its speed is that of the path: the body has not jumped.
+            known: The body followed its path, so that the next step can be compared with this one.
         """
         self.speed = self._now if known else 0.0
 

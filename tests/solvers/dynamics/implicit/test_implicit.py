@@ -568,10 +568,10 @@ def test_momenta_and_memory_over_ten_thousand_steps(comm):
 
 def test_there_is_nothing_to_keep_before_a_motion_and_after_it():
     motion = Dynamics(oscillator(), end=0.02, dt=0.01)
-    with pytest.raises(RuntimeError, match="nothing to keep"):
+    with pytest.raises(RuntimeError, match="no state to save"):
         motion.restart_state()
     _ = [*motion.steps()]
-    with pytest.raises(RuntimeError, match="nothing to keep"):
+    with pytest.raises(RuntimeError, match="no state to save"):
         motion.restart_state()
 
 
