@@ -34,10 +34,10 @@ class Stop:
         self.asked, self._checkpoint, self._file = False, False, folder / STOP_FILE
         self._since = 0.0
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2):
-            signal.signal(number, self._ask)
-        signal.signal(signal.SIGUSR1, self._want)
+            signal.signal(number, self._request_stop)
+        signal.signal(signal.SIGUSR1, self._request_checkpoint)
 
-    def _ask(self, number: int, frame: FrameType | None) -> None:
+    def _request_stop(self, number: int, frame: FrameType | None) -> None:
         if self.asked:
             if time.monotonic() - self._since > SAME_SIGNAL:
                 os._exit(INTERRUPTED)
@@ -48,7 +48,7 @@ class Stop:
             with suppress(OSError):  # the terminal may be closed
                 os.write(2, b"\nstopping after this step; once more: at once\n")
 
-    def _want(self, number: int, frame: FrameType | None) -> None:
+    def _request_checkpoint(self, number: int, frame: FrameType | None) -> None:
         self._checkpoint = True
 
     def wants_checkpoint(self) -> bool:

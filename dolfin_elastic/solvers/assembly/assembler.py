@@ -238,7 +238,7 @@ class Assembler(ConstrainedDofs):
         problem: Whose residual and tangent; its unknowns are changed by every evaluation.
         extra: Terms added to the residual, for example inertia.
         extra_tangent: Their contribution to the tangent.
-        still: All displacements are prescribed: only the scalar fields are unknown.
+        displacement_fixed: All displacements are prescribed: only the scalar fields are unknown.
 
     Attributes:
         residual: Out-of-balance forces.
@@ -254,9 +254,9 @@ class Assembler(ConstrainedDofs):
         *,
         extra: ufl.Form | None = None,
         extra_tangent: ufl.Form | None = None,
-        still: bool = False,
+        displacement_fixed: bool = False,
     ) -> None:
-        super().__init__(problem, still=still)
+        super().__init__(problem, displacement_fixed=displacement_fixed)
         weak_form = problem.weak_form
         residual = weak_form.residual if extra is None else weak_form.residual + extra
         tangent = weak_form.tangent if extra_tangent is None else weak_form.tangent + extra_tangent

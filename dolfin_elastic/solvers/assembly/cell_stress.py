@@ -27,10 +27,10 @@ class CellStress:
     def __init__(self, problem: Problem) -> None:
         assert problem.cell is not None
         self.problem, self.cell = problem, problem.cell
-        self._pick = problem.constant([[0.0] * 3] * 3)
+        self._selector = problem.constant([[0.0] * 3] * 3)
         F = problem.weak_form.F(problem.w)
         self.mean = sum(
-            ufl.inner(self._pick, problem.weak_form.response(region, problem.w).stress(F))
+            ufl.inner(self._selector, problem.weak_form.response(region, problem.w).stress(F))
             * problem.weak_form.volume(region, problem.weak_form.rule(region))
             for region in problem.regions
         )
@@ -40,15 +40,15 @@ class CellStress:
         """Compiles forms. Collective."""
         return compile_forms(self.problem.body.comm, forms, self.problem.jit)
 
-    def choose(self, i: int, j: int) -> None:
+    def select(self, i: int, j: int) -> None:
         """Makes `mean` the integral of P_ij.
 
         Args:
             i: Row, from 0.
             j: Column, from 0.
         """
-        self._pick.value[:] = 0.0
-        self._pick.value[i, j] = 1.0
+        self._selector.value[:] = 0.0
+        self._selector.value[i, j] = 1.0
 
     def component(self, i: int, j: int) -> float:
         """Mean of P_ij over the cell [Pa]. Collective.
@@ -57,7 +57,7 @@ class CellStress:
             i: Row, from 0.
             j: Column, from 0.
         """
-        self.choose(i, j)
+        self.select(i, j)
         own = float(fem.assemble_scalar(self._form))
         return float(total(self.problem.body.comm, own)) / self.cell.volume
 

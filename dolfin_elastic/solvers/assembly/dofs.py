@@ -1,4 +1,4 @@
-"""The vector of unknowns: which entries are displacements, and what is prescribed of them."""
+"""The vector of unknowns: displacement dofs, and dofs with Dirichlet conditions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class ConstrainedDofs:
 
     Args:
         problem: Whose unknowns; its `w` and `u` are changed by `put`.
-        still: All displacements are prescribed: only the scalar fields are unknown.
+        displacement_fixed: All displacements are prescribed: only the scalar fields are unknown.
 
     Attributes:
         problem: Whose unknowns.
@@ -27,11 +27,12 @@ class ConstrainedDofs:
         skew: Nodes whose prescribed directions are not along the axes; None if no rank has any.
         skew_dofs: All components at the owned ones of these nodes, of shape (nodes, dim).
         bcs: DOLFINx's conditions at `prescribed_dofs`, ghosts included.
-        origin: What vectors of unknowns are counted from: zeros, or what is known of a step of a
-            motion, for accelerations are differences of places and would lose their digits far out.
+        origin: Offset of vectors of unknowns: zeros, or the predictor of a time step, because
+            accelerations are differences of displacements and would lose digits where these are
+            large.
     """
 
-    def __init__(self, problem: Problem, *, still: bool = False) -> None:
+    def __init__(self, problem: Problem, *, displacement_fixed: bool = False) -> None:
         self.problem, self.comm = problem, problem.body.comm
         dirichlet, unknowns = problem.dirichlet, problem.unknowns
         self._map, self._bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
@@ -41,7 +42,7 @@ class ConstrainedDofs:
         self.displacement_dofs = unknowns.displacement_dofs
         self._prescribed = dirichlet.owned
         self.prescribed_dofs = unknowns.mixed_dofs(dirichlet.owned)
-        self.skew = None if still else dirichlet.skew
+        self.skew = None if displacement_fixed else dirichlet.skew
         nodes = np.empty(0, np.int32) if self.skew is None else self.skew.nodes
         entries = (nodes[:, None] * self._dim + np.arange(self._dim)).astype(np.int32)
         self._skew_nodes = nodes[: 0 if self.skew is None else self.skew.count]
@@ -52,10 +53,10 @@ class ConstrainedDofs:
         else:
             self._values = fem.Function(problem.W)
             every = np.arange(len(problem.u.x.array), dtype=np.int32)
-            self.bcs = [self._condition(every if still else dirichlet.dofs)]
+            self.bcs = [self._condition(every if displacement_fixed else dirichlet.dofs)]
             lifted = [self._condition(entries.reshape(-1))]
         self._lifted_bcs = self.bcs if self.skew is None else self.bcs + lifted
-        if still:
+        if displacement_fixed:
             self.prescribed_dofs = self.displacement_dofs
             self._prescribed = np.arange(len(self.displacement_dofs), dtype=np.int32)
 
@@ -150,7 +151,7 @@ class ConstrainedDofs:
         return part
 
     def remove_constrained(self, step: PETSc.Vec) -> None:
-        """Takes from a step of the unknowns what Dirichlet conditions prevent. Not collective."""
+        """Removes the constrained components of an increment of the unknowns. Not collective."""
         step.array_w[self.prescribed_dofs] = 0.0
         if self.skew is not None:
             step.array_w[self.skew_dofs] = self.skew.free_part(step.array_r[self.skew_dofs])

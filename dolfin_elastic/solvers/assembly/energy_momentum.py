@@ -1,4 +1,4 @@
-"""What is measured of a moving body: energies, momenta, work."""
+"""Kinetic energy, linear and angular momentum, lumped mass, and work of nodal forces."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class LumpedMass:
 def _summed(problem: Problem, local: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     """Energy, linear and angular momentum of all ranks. Collective."""
     sums, dim = problem.body.comm.allreduce(local, op=MPI.SUM), problem.body.dim
-    if problem.geometry == "axisymmetric":  # what a section has is not the ring's
+    if problem.geometry == "axisymmetric":  # only the axial momentum of the ring is not zero
         sums[1], sums[1 + dim :] = 0.0, 0.0
     return float(sums[0]), sums[1 : 1 + dim], sums[1 + dim :]
 

@@ -15,7 +15,7 @@ from dolfin_elastic.solvers.assembly.tangent import TangentMatrix
 from dolfin_elastic.solvers.petsc.options import ksp_reason
 
 TOLERANCE = 1e-14
-"""Relative residual: the acceleration of the start is as exact as numbers are."""
+"""Relative residual of the initial acceleration: down to round-off."""
 
 
 def initial_acceleration(assembler: Assembler, prescribed: FloatArray, a: fem.Function) -> None:

@@ -1,4 +1,4 @@
-"""Nodal forces, again and again: what explicit motion spends its time with."""
+"""Nodal forces of explicit motion, assembled at each step without allocating memory."""
 
 from __future__ import annotations
 

@@ -40,12 +40,12 @@ class Tangent:
         self._dofs, self.form = dofs, form
         skew = dofs.skew
         with stage("assemble"):
-            self._filled = (
+            self._assembled = (
                 TangentMatrix(form)
                 if skew is None
                 else TangentMatrix(form, dofs.skew_dofs, skew.P[: skew.count])
             )
-        self.matrix = self._filled.petsc
+        self.matrix = self._assembled.petsc
         self._shift: float | None = None
         self._scale = 0.0
         if dofs.problem.symmetric:
@@ -68,15 +68,15 @@ class Tangent:
                 return
             if unit is None and self._dofs.skew is not None:
                 unit = self.scale()
-            self._filled.unit = unit or 0.0
-            self._filled.assemble(self._dofs.bcs)
+            self._assembled.unit = unit or 0.0
+            self._assembled.assemble(self._dofs.bcs)
             self._shift = shift
 
     def scale(self) -> float:
         """Mean size of the tangent's diagonal at the first call, a power of two [N/m]."""
         if self._scale == 0.0:
-            self._filled.unit = 0.0
-            self._filled.assemble(self._dofs.bcs)
+            self._assembled.unit = 0.0
+            self._assembled.assemble(self._dofs.bcs)
             self.invalidate()
             diagonal = self.matrix.getDiagonal()
             mean = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
@@ -100,7 +100,7 @@ class Tangent:
 
     def destroy(self) -> None:
         """Frees the matrix."""
-        self._filled.destroy()
+        self._assembled.destroy()
 
 
 class TangentMatrix:
@@ -126,7 +126,7 @@ class TangentMatrix:
         self._form = form
         self._native = fem.create_matrix(form, la.BlockMode.expanded)
         self.petsc = self._like_native()
-        self._diagonal, self._others = self._places()
+        self._diagonal, self._others = self._value_order()
         if PETSc.ScalarType != np.float64 or self._entries() != self._native.indptr[self._rows()]:
             raise RuntimeError("PETSc's matrix has not the entries of DOLFINx's")
         self.unit = 1.0
@@ -165,7 +165,7 @@ class TangentMatrix:
     def _entries(self) -> int:
         return int(self.petsc.getInfo(PETSc.Mat.InfoType.LOCAL)["nz_used"])
 
-    def _places(self) -> tuple[Any, Any]:
+    def _value_order(self) -> tuple[Any, Any]:
         """Which native values go, in which order, to PETSc's own-column and other-column parts.
 
         PETSc sorts the own columns by number, as DOLFINx does, and the others by global number,

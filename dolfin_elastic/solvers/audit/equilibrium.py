@@ -122,7 +122,7 @@ class EquilibriumAuditor:
             reasons["energy"] = "the strain energy has no finite value"
         stored = self._stored if np.isfinite(energy) else np.nan
         found = StepBalance(force, moment, self._work, stored)
-        self._strains.look(self._when(t))
+        self._strains.check(self._when(t))
         return self._verdict(t, reasons, found, self._notes(energy))
 
     def _verdict(

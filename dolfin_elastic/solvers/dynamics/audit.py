@@ -17,21 +17,21 @@ from dolfin_elastic.solvers.dynamics.rotation_error import RotationError
 from dolfin_elastic.solvers.dynamics.work import EnergyBalance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 
-GAINED = 0.02
-"""Gain of energy over the largest energy that is let pass: the schemes conserve the energy of a
-nonlinear body to the second order of the step only."""
+MAX_ENERGY_GAIN = 0.02
+"""Gain of energy over the largest energy up to which there is no warning: the schemes conserve the
+energy of a nonlinear body to second order in the step only."""
 
-LOST = 0.1
-"""Loss of energy by the scheme, over the largest energy, that is let pass."""
+MAX_ENERGY_LOSS = 0.1
+"""Loss of energy by the scheme, over the largest energy, up to which there is no warning."""
 
-GROWS = 2.0
-"""Growth of the largest energy from one state to the next above which its shares are no verdict.
+GROWTH = 2.0
+"""Growth of the largest energy from one state to the next above which the energy is not judged.
 
-A motion has then just begun, or a support has just been set going, whose work comes a step later
-than its velocity: all of the energy may be out of balance."""
+The motion or a support has just begun to move.  The work of a support follows its velocity by one
+step, so that all of the energy may be out of balance."""
 
-MOST = 0.5
-"""Share of the largest energy that is a verdict even while the energy grows so fast."""
+CERTAIN_SHARE = 0.5
+"""Imbalance over the largest energy that is judged even while the energy grows so fast."""
 
 
 class MotionAuditor(EquilibriumAuditor):
@@ -61,7 +61,7 @@ class MotionAuditor(EquilibriumAuditor):
         self._du: FloatArray = np.empty(0)
         self._worst = [0.0, 0.0]
         self._reasons: dict[str, str] = {}
-        self._off = self._scale = 0.0
+        self._last_imbalance = self._scale = 0.0
 
     def add_step(self, forces: Forces, du: FloatArray) -> None:
         """Checks the balance of forces and moments of a step. Collective.
@@ -100,8 +100,8 @@ class MotionAuditor(EquilibriumAuditor):
         reasons = dict(self._reasons)
         stabilised = self._problem.unknowns.stabilised
         if not (stabilised or self._problem.eigenstrains):
-            off = balance.off(energies)
-            reasons.update(self._lasting(self._energy(off), off, balance.scale, t))
+            off = balance.relative_imbalance(energies)
+            reasons.update(self._persistent(self._energy(off), off, balance.scale, t))
         if self._forces is not None and (reason := self._rotation.reason(self._du)):
             reasons["chords"] = reason
         force, moment = self._worst
@@ -110,10 +110,10 @@ class MotionAuditor(EquilibriumAuditor):
         self._reasons, self._worst = {}, [0.0, 0.0]
         strain = energies["strain"]
         found = StepBalance(force, moment, energies["external"], energies["total"])
-        self._strains.look(self._when(t))
+        self._strains.check(self._when(t))
         return self._verdict(t, reasons, found, self._notes(strain))
 
-    def _lasting(
+    def _persistent(
         self, reasons: dict[str, str], off: float, scale: float, t: float
     ) -> dict[str, str]:
         """Reasons that hold in two successive states, or in the last one.
@@ -127,17 +127,17 @@ class MotionAuditor(EquilibriumAuditor):
             scale: The largest energy so far [J].
             t: Time [s].
         """
-        before, settled = self._off, scale <= GROWS * self._scale
-        self._off, self._scale = abs(off) if reasons else 0.0, scale
+        before, settled = self._last_imbalance, scale <= GROWTH * self._scale
+        self._last_imbalance, self._scale = abs(off) if reasons else 0.0, scale
         last = t >= self._end * (1 - 1e-9)
-        again = before > 0.0 and (settled or min(before, self._off) > MOST)
+        again = before > 0.0 and (settled or min(before, self._last_imbalance) > CERTAIN_SHARE)
         return reasons if last or again else {}
 
     def _energy(self, off: float) -> dict[str, str]:
-        if off > GAINED:
+        if off > MAX_ENERGY_GAIN:
             what = f"{100 * off:.3g} % of the energy has come from nowhere: a smaller dt is needed"
             return {"energy": what}
-        if off < -LOST and not self._parameters.damps:
+        if off < -MAX_ENERGY_LOSS and not self._parameters.damps:
             radius = ", or a larger spectral_radius," if self._parameters.can_damp_less else ""
             what = (
                 f"the scheme has damped {-100 * off:.3g} % of the energy away: a smaller dt"
@@ -149,7 +149,7 @@ class MotionAuditor(EquilibriumAuditor):
     def _when(self, t: float) -> str:
         return f"t = {t:.6g} s"
 
-    # --- restarts ---
+    # --- restarts: keys are those of checkpoint format 3 ---
 
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`. Not collective."""
@@ -158,7 +158,7 @@ class MotionAuditor(EquilibriumAuditor):
             "worst": self._worst,
             "reasons": dict(self._reasons),
             "far": self._strains.note,
-            "off": self._off,
+            "off": self._last_imbalance,
             "scale": self._scale,
             "chords": self._rotation.restart_state(),
         }
@@ -168,5 +168,5 @@ class MotionAuditor(EquilibriumAuditor):
         self._warned, self._reasons = dict(saved["warned"]), dict(saved["reasons"])
         self._worst = [float(value) for value in saved["worst"]]
         self._strains.restore(str(saved.get("far", "")))
-        self._off, self._scale = float(saved["off"]), float(saved["scale"])
+        self._last_imbalance, self._scale = float(saved["off"]), float(saved["scale"])
         self._rotation.restore(saved["chords"])

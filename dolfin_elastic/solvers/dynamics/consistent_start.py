@@ -120,8 +120,8 @@ def settle_auxiliary_fields(problem: Problem, assembler: Assembler) -> None:
         or assembler.max_displacement() == 0.0
     ):
         return
-    still = Assembler(problem, still=True)
-    newton = Newton(still, choose(problem, LinearSettings(method="direct")), Tolerance())
+    fixed = Assembler(problem, displacement_fixed=True)
+    newton = Newton(fixed, choose(problem, LinearSettings(method="direct")), Tolerance())
     start = problem.dirichlet.values.x.array.copy()
     try:
         problem.dirichlet.values.x.array[:] = problem.u.x.array
@@ -129,7 +129,7 @@ def settle_auxiliary_fields(problem: Problem, assembler: Assembler) -> None:
     finally:
         problem.dirichlet.values.x.array[:] = start
         newton.destroy()
-        still.destroy()
+        fixed.destroy()
     assembler.residual.assemble()
 
 
@@ -146,7 +146,7 @@ class _IncompressibleStart:
         self._x, self._b = self._a.create_vector(), self._a.create_vector()
         moving.velocity_shift.value = 0.0
         diagonal = self._diagonal()
-        self._pure = diagonal[moving.auxiliary_dofs] == 0.0
+        self._no_compliance = diagonal[moving.auxiliary_dofs] == 0.0
         mass = moving.mass.array_r[moving.displacement_dofs]
         massive = mass > 0.0
         fastest = np.max(
@@ -189,7 +189,7 @@ class _IncompressibleStart:
         if step > 0.0 and not self._problem.unknowns.stabilised:
             rate = self._derivative(FIRST, step) / step
             self._b.set(0.0)
-            self._b.array_w[self._moving.auxiliary_dofs] = np.where(self._pure, -rate, 0.0)
+            self._b.array_w[self._moving.auxiliary_dofs] = np.where(self._no_compliance, -rate, 0.0)
             self._solve("initial velocity")
             change = self._x.array_r[self._moving.displacement_dofs].copy()
             self._v += change
@@ -197,9 +197,9 @@ class _IncompressibleStart:
             v.x.scatter_forward()
             self._report(self._largest(change), speed)
             step = self._step(self._largest(self._v))
-        self._curved: FloatArray = np.zeros(len(self._moving.auxiliary_dofs))
+        self._second_derivative: FloatArray = np.zeros(len(self._moving.auxiliary_dofs))
         if step > 0.0 and (self._problem.eigenstrains or not self._problem.linear):
-            self._curved = np.asarray(self._derivative(SECOND, step) / step**2)
+            self._second_derivative = np.asarray(self._derivative(SECOND, step) / step**2)
 
     def _step(self, speed: float) -> float:
         """Step of the differences in time for a speed [m/s]; 0 where nothing changes [s]."""
@@ -261,11 +261,11 @@ class _IncompressibleStart:
             rows: Residual of the rows of the pressure [N].
             first: It is the first solve.
         """
-        rows = np.where(self._pure, 0.0, rows)
+        rows = np.where(self._no_compliance, 0.0, rows)
         if self._problem.unknowns.stabilised and wholly_incompressible(self._problem):
             found = total(self._moving.comm, np.array([rows.sum(), float(len(rows))]))
             rows = rows - found[0] / found[1]
-        return rows + self._curved / self._s if first else rows
+        return rows + self._second_derivative / self._s if first else rows
 
     def correct(self, a: fem.Function, *, first: bool) -> None:
         """Corrects acceleration and pressure by one solve. Collective.

@@ -32,7 +32,7 @@ SHARE = 0.06
 The largest strain is that of the extremes of the motion; over the mean strain the error is about
 twice as much."""
 
-GROWS = 2.0
+GROWTH = 2.0
 """Growth of the largest strain from one state to the next above which the error is no verdict."""
 
 
@@ -45,10 +45,10 @@ class RotationError:
     """
 
     def __init__(self, problem: Problem, alpha_f: float) -> None:
-        self._problem, self._most, self._seen = problem, 0.0, False
+        self._problem, self._largest_strain, self._exceeded = problem, 0.0, False
         self._share = alpha_f * (1 - alpha_f) / 2
-        feels = any(not part.law.linear for part in problem.regions)
-        self._needed = self._share > 0.0 and feels
+        nonlinear = any(not part.law.linear for part in problem.regions)
+        self._needed = self._share > 0.0 and nonlinear
         if not self._needed:
             return
         mesh = problem.body.mesh
@@ -57,8 +57,8 @@ class RotationError:
         self._change = fem.Function(problem.V)
         D, F = ufl.grad(self._change), problem.weak_form.F(problem.w)
         change, strain = D.T * D, (F.T * F - ufl.Identity(3)) / 2
-        seen = ufl.as_vector([ufl.inner(change, change), ufl.inner(strain, strain)])
-        self._look = compile_expression(mesh.comm, seen, points, problem.jit)
+        squares = ufl.as_vector([ufl.inner(change, change), ufl.inner(strain, strain)])
+        self._expression = compile_expression(mesh.comm, squares, points, problem.jit)
         self._cells = problem.body.owned_cells()
 
     def reason(self, du: FloatArray) -> str:
@@ -71,19 +71,19 @@ class RotationError:
             return ""
         self._change.x.array[: len(du)] = du
         self._change.x.scatter_forward()
-        found = self._look.eval(self._problem.body.mesh, self._cells).reshape(-1, 2)
+        found = self._expression.eval(self._problem.body.mesh, self._cells).reshape(-1, 2)
         squares = np.nan_to_num(found).max(axis=0, initial=0.0)
         turn, strain = (largest(self._problem.body.comm, float(s)) ** 0.5 for s in squares)
-        settled = strain <= GROWS * self._most
-        self._most = max(self._most, strain)
+        settled = strain <= GROWTH * self._largest_strain
+        self._largest_strain = max(self._largest_strain, strain)
         error = self._share * turn
-        before, self._seen = self._seen, settled and error > SHARE * self._most
-        if not (before and self._seen):
+        before, self._exceeded = self._exceeded, settled and error > SHARE * self._largest_strain
+        if not (before and self._exceeded):
             return ""
-        angle = np.degrees(np.sqrt(turn / np.sqrt(2)))
+        angle, share = np.degrees(np.sqrt(turn / np.sqrt(2))), 100 * error / self._largest_strain
         return (
             f"the body rotates by {angle:.2g} degrees a step, with a strain error of {error:.2g} "
-            f"at the ends of steps, {100 * error / self._most:.2g} % of its largest strain: "
+            f"at the ends of steps, {share:.2g} % of its largest strain: "
             "stresses and reactions are off by as much and more; a smaller dt, or scheme = "
             "'newmark', whose forces are those at the ends of steps"
         )
@@ -92,8 +92,8 @@ class RotationError:
 
     def restart_state(self) -> list[float]:
         """See `Restartable`. Not collective."""
-        return [self._most, float(self._seen)]
+        return [self._largest_strain, float(self._exceeded)]
 
     def restore(self, saved: list[float]) -> None:
         """See `Restartable`. Not collective."""
-        self._most, self._seen = float(saved[0]), bool(saved[1])
+        self._largest_strain, self._exceeded = float(saved[0]), bool(saved[1])

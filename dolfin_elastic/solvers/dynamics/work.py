@@ -207,7 +207,7 @@ class EnergyBalance:
             self.scale = max(self.scale, kinetic, abs(stored), moved)
         return found
 
-    def off(self, energies: Mapping[str, float]) -> float:
+    def relative_imbalance(self, energies: Mapping[str, float]) -> float:
         """Energy out of balance over the largest energy so far; positive: a gain. Not collective.
 
         Dissipation that is negative is a gain, too.  Round-off of the stored energy is left out:

@@ -111,7 +111,7 @@ class Buckling(PreloadedAnalysis):
     ) -> None:
         super().__init__(problem, statics, linear, petsc)
         self.settings = settings_from(BucklingSettings, settings, fields)
-        self._check_way("buckling.preload", self.settings.preload)
+        self._check_statics_keys("buckling.preload", self.settings.preload)
         refuse(problem, "buckling", loaded=True)
         _check_laws(problem)
         _check_proportional(problem)
@@ -135,7 +135,7 @@ class Buckling(PreloadedAnalysis):
             ConvergenceError: No equilibrium was found, it is unstable, or not all modes were.
         """
         check_no_rigid_motion(self.problem)
-        self._tell_dashpots("load factors")
+        self._warn_of_dashpots("load factors")
         at_rest(self.problem)
         share, opposite = self.settings.preload, list[_Buckled]()
         if share > 0.0:

@@ -113,7 +113,7 @@ class Modal(PreloadedAnalysis):
     ) -> None:
         super().__init__(problem, statics, linear, petsc)
         self.settings = settings_from(ModalSettings, settings, fields)
-        self._check_way("modal.preload", 1.0 if self.settings.preload else 0.0)
+        self._check_statics_keys("modal.preload", 1.0 if self.settings.preload else 0.0)
         refuse(problem, "modal", loaded=self.settings.preload)
         for region in problem.regions:
             problem.context.density(region)  # raises where there is none
@@ -132,7 +132,7 @@ class Modal(PreloadedAnalysis):
             InputError: The supports do not hold a body that is loaded.
             ConvergenceError: No equilibrium was found, or not all modes.
         """
-        self._tell_dashpots("undamped modes")
+        self._warn_of_dashpots("undamped modes")
         if self.settings.preload:
             if self.problem.context.linear:
                 log.warning(UNMOVED)

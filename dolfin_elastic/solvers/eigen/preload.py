@@ -41,7 +41,7 @@ class PreloadedAnalysis(ABC):
         self.statics, self.linear = statics or StaticsSettings(), linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
 
-    def _check_way(self, key: str, share: float) -> None:
+    def _check_statics_keys(self, key: str, share: float) -> None:
         """Whether all that [statics] says is about the way to the loaded state.
 
         Args:
@@ -79,8 +79,12 @@ class PreloadedAnalysis(ABC):
         """
         return shared(self.petsc)[1] if loaded else self.petsc
 
-    def _tell_dashpots(self, found: str) -> None:
-        """Warns of each that is there for nothing."""
+    def _warn_of_dashpots(self, found: str) -> None:
+        """Warns that dashpots have no effect on modes.
+
+        Args:
+            found: What the analysis computes, for the message.
+        """
         for dashpot in self.problem.dashpots:
             log.warning("the dashpot '%s' does nothing to %s", dashpot.label, found)
 

@@ -39,9 +39,9 @@ serves some fifty solutions."""
 ROOM = 15
 """Krylov vectors beyond the number of requested modes, at least."""
 
-ENDLESS = 1e13
-"""Distance from the shift, over that of the nearest eigenvalue, from which one is infinite: what
-more pressures than motions leave beside round-off."""
+INFINITE = 1e13
+"""Distance from the shift, over that of the nearest eigenvalue, from which an eigenvalue counts as
+infinite: more pressures than free displacements leave such ones, up to round-off."""
 
 
 @dataclass(frozen=True)
@@ -277,7 +277,7 @@ class Spectrum:
             norm = float(vector.norm())
             pairs.append(Pair(value, vector.array_r / norm))
         vector.destroy()
-        far = ENDLESS * min(abs(pair.value - shift) for pair in pairs)
+        far = INFINITE * min(abs(pair.value - shift) for pair in pairs)
         return sorted((p for p in pairs if abs(p.value - shift) < far), key=lambda p: p.value)
 
     def _vector(self, values: FloatArray | None) -> PETSc.Vec:

@@ -57,7 +57,7 @@ class FreeStrains:
         found, dofmap = [], self._mean.problem.W.dofmap
         size = dofmap.index_map.size_local * dofmap.index_map_bs
         for ij in self._free:
-            self._mean.choose(*ij)
+            self._mean.select(*ij)
             row = la.vector(dofmap.index_map, dofmap.index_map_bs)
             fem.assemble_vector(row.array, self._row)
             row.scatter_reverse(la.InsertMode.add)

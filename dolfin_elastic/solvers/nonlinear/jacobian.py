@@ -216,7 +216,7 @@ class SmallStrains:
         """Goes on with the note of a run that was stopped."""
         self.note = note
 
-    def look(self, when: str) -> None:
+    def check(self, when: str) -> None:
         """Evaluates the present displacement, unless there is a note already. Collective.
 
         Args:

@@ -111,7 +111,7 @@ class Explicit:
             try:
                 self.step()
             except StabilityError as error:  # of a collective look: on all ranks
-                raise Replay(self, self._monitor, self._last).refused(error) from None
+                raise Replay(self, self._monitor, self._last).unstable_step(error) from None
             if self.scheme.steps % self.every == 0 or self._ended:
                 self.scheme.synchronise()
                 state = self._checked_state()
@@ -171,7 +171,7 @@ class Explicit:
         """
         measures = self._energies.measure()
         if not self._finite(measures):
-            raise Replay(self, self._monitor, self._last).lost()
+            raise Replay(self, self._monitor, self._last).not_finite()
         self._monitor.observe(self.scheme.t, last=self._ended)
         return self._state(measures)
 
@@ -193,7 +193,7 @@ class Explicit:
             done=scheme.t / self.end,
         )
 
-    # --- restarts ---
+    # --- restarts: keys are those of checkpoint format 3 ---
 
     def restart_state(self) -> RestartState:
         """See `Restartable`; at a state that is yielded. Not collective."""

@@ -55,8 +55,8 @@ class FrequencyBound:
         )
         self._form = compiled(problem, [stiff])[0]
         bounds = [spring.bound(problem.context) for spring in problem.springs]
-        bounds += [touch.bound for touch in problem.contact_pairs]
-        self._held = rows_over_mass(assembler, bounds, mass)[::d]
+        bounds += [pair.bound for pair in problem.contact_pairs]
+        self._penalty_rows = rows_over_mass(assembler, bounds, mass)[::d]
 
     @staticmethod
     def applies(problem: Problem) -> bool:
@@ -81,9 +81,9 @@ class FrequencyBound:
         P = problem.weak_form.response(part, problem.w).stress(F)
         A = ufl.diff(P, F)
         if d == 2:
-            ways = range(2)
+            axes = range(2)
             A = ufl.as_tensor(
-                [[[[A[i, j, k, m] for m in ways] for k in ways] for j in ways] for i in ways]
+                [[[[A[i, j, k, m] for m in axes] for k in axes] for j in axes] for i in axes]
             )
         K = ufl.JacobianInverse(problem.body.mesh)
         ones = ufl.as_matrix([[1.0] * d] * d)  # gradients (-1, ..., -1) and the unit vectors
@@ -95,7 +95,10 @@ class FrequencyBound:
 
     def evaluate(self) -> FloatArray:
         """Bound of omega^2 at each owned node, at the present displacement [1/s^2]. Collective."""
-        return self._held + self._assembler.reactions.nodal(self._form)[:: self._dim] / self._mass
+        return (
+            self._penalty_rows
+            + self._assembler.reactions.nodal(self._form)[:: self._dim] / self._mass
+        )
 
     def location(self, rates: FloatArray) -> tuple[float, ...]:
         """Undeformed position of the node with the largest bound [m]. Collective.

@@ -48,7 +48,7 @@ def changes(problem: Problem) -> bool:
     return (
         (bool(problem.loads) and problem.loads_change)
         or any(not support.at_rest for support in problem.supports)
-        or any(touch.contact.values for touch in problem.contact_pairs)
+        or any(pair.contact.values for pair in problem.contact_pairs)
     )
 
 

@@ -48,24 +48,24 @@ class StabilityMonitor:
         self._states, self.inverted, self._warned = 0, "", False
         self.place: tuple[float, ...] = ()
         self._first: FloatArray | None = None
-        self._most = 0.0
+        self._largest_energy = 0.0
 
     def observe(self, t: float, *, last: bool) -> None:
         """Checks det F and the size of strains, every `INTERVAL` states. Collective.
 
-        Laws without a barrier let cells turn inside out and go on.  Linear laws have no meaningful
-        det F: of them only the strains are checked.
+        Laws without a barrier have finite forces in inverted cells.  For linear laws det F has no
+        meaning: only their strains are checked.
 
         Args:
             t: Time [s].
             last: It is the last state, which is always checked.
         """
         if self._states % INTERVAL == 0 or last:
-            self._small.look(f"t = {t:.6g} s")
-            self._look_at_volumes(t)
+            self._small.check(f"t = {t:.6g} s")
+            self._check_jacobian(t)
         self._states += 1
 
-    def _look_at_volumes(self, t: float) -> None:
+    def _check_jacobian(self, t: float) -> None:
         if self.inverted or not self.nonlinear:
             return
         J, place = self.watch.smallest()
@@ -75,7 +75,7 @@ class StabilityMonitor:
         what = f"det F = {J:.3g} at {coordinates(self.place)} m"
         self.inverted = f"cells had turned inside out by t = {t:.6g} s, {what}"
         log.warning(
-            "%s: the law lets them, but no body does so: %s",
+            "%s: the law permits it, but no body does so: %s",
             self.inverted,
             RESISTS,
         )
@@ -83,10 +83,10 @@ class StabilityMonitor:
     def drifts(self, energies: Mapping[str, float], conserved_excess: float, t: float) -> bool:
         """Whether energy may have appeared or been lost; warns if it certainly has. Collective.
 
-        The energy of the states swings, even where all is well; the one that the scheme conserves
-        (see `ExplicitScheme.conserved_excess`) does not.  A drift of either is a reason to find the
-        stable step anew: linear growth by a step that is too long leaves the conserved one as it
-        is.  Only a drift of the conserved one is reported.
+        The energy of the states oscillates even at stable steps; the energy that the scheme
+        conserves (see `ExplicitScheme.conserved_excess`) does not, so only its drift is reported.
+        A drift of either makes `StepSize` solve the eigenvalue problem again: an unstable linear
+        mode grows at constant conserved energy.
 
         Args:
             energies: Of the state [J].
@@ -100,11 +100,11 @@ class StabilityMonitor:
         if self._first is None:
             self._first = now
         sizes = (energies["kinetic"], energies["strain"], abs(energies["external"]))
-        self._most = max(self._most, *sizes)
-        seems, drifts = np.abs(now - self._first) > DRIFT * self._most
+        self._largest_energy = max(self._largest_energy, *sizes)
+        seems, drifts = np.abs(now - self._first) > DRIFT * self._largest_energy
         if seems or drifts:
             self._first = np.where([seems, drifts], now, self._first)  # each drift counts once
-            self._look_at_volumes(t)  # then that is why
+            self._check_jacobian(t)  # inverted cells explain the drift
         if drifts and not (self._warned or self.inverted):
             self._warned = True
             log.warning(
@@ -132,7 +132,7 @@ class StabilityMonitor:
         if total(problem.body.comm, int(np.sum(~np.isfinite(forces)))):
             raise load_not_finite(t)
 
-    # --- restarts ---
+    # --- restarts: keys are those of checkpoint format 3 ---
 
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`. Not collective."""
@@ -143,13 +143,13 @@ class StabilityMonitor:
             "told": self._warned,
             "states": self._states,
             "first": [] if self._first is None else self._first.tolist(),
-            "most": self._most,
+            "most": self._largest_energy,
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """See `Restartable`. Not collective."""
         self._small.note, self.inverted = saved["far"], saved["inside_out"]
         self.place = tuple(saved["place"])
-        self._warned, self._most = saved["told"], saved["most"]
+        self._warned, self._largest_energy = saved["told"], saved["most"]
         self._states = int(saved["states"])
         self._first = np.array(saved["first"]) if saved["first"] else None

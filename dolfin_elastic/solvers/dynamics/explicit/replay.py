@@ -1,8 +1,8 @@
 """Replay of the last interval of an explicit motion, to find out why its state is not finite.
 
-A value that is not finite spreads through the mesh within a few steps, and single steps are not
-checked, for that would cost as much as they do.  So the last finite state is saved; if the next one
-is not finite, the steps between them are taken again, and after each one det F, the largest
+A value that is not finite spreads through the mesh within a few steps.  Checking each step would
+double its cost, so only yielded states are checked.  The last finite one is saved; if the next one
+is not finite, the steps between them are repeated, and after each one det F, the largest
 displacement, forces and energies are checked.
 """
 
@@ -60,10 +60,11 @@ class ExplicitMarch(Restartable[RestartState, SavedState], Protocol):
 
 
 class Replay:
-    """Finds what went wrong since the last finite state of a motion.
+    """Finds the first step since the last finite state that fails, and its cause.
 
-    It is made when needed: a motion that owned its replay would be in a cycle of references, and be
-    freed at another moment on each rank.
+    It is made when needed: a motion that owned its replay would form a reference cycle with it,
+    which the garbage collector frees at different times on different ranks, but destroying PETSc
+    objects is collective.
 
     Args:
         march: The motion.
@@ -76,7 +77,7 @@ class Replay:
         self._inverted: tuple[int, str, Place] | None = None
         self._unbounded: tuple[int, str, Place] | None = None
 
-    def lost(self) -> StabilityError:
+    def not_finite(self) -> StabilityError:
         """The error for a state without finite forces or energies. Collective.
 
         The motion is at an earlier, finite state afterwards.
@@ -116,7 +117,7 @@ class Replay:
             march.step()
         return march.state(moved=march.now[0] > begin)
 
-    def refused(self, error: StabilityError) -> StabilityError:
+    def unstable_step(self, error: StabilityError) -> StabilityError:
         """The error for a step above the stable one, with state and place. Collective.
 
         If the state is not finite any more, that is the error.
@@ -126,7 +127,7 @@ class Replay:
         """
         march = self._march
         if not march.finite():
-            return self.lost()
+            return self.not_finite()
         state, place = march.state(moved=True), march.size.location()
         text = error.what + (f"; cells at {coordinates(place)} m ask for it" if place else "")
         cells = Cells(march.assembler).worst()

@@ -126,10 +126,10 @@ class ExplicitScheme(ABC):
 
     @abstractmethod
     def conserved_excess(self, dt: float) -> float:
-        """What the energy that the scheme conserves has beyond that of a state, on this rank [J].
+        """Energy that the scheme conserves minus that of the state, on this rank [J].
 
-        Of linear problems U + m v- . v+ / 2 is conserved exactly, with the velocities before and
-        after the displacement of U; the energy of one time swings about it, up to all of it.
+        In linear problems U + m v- . v+ / 2 is conserved exactly, with the velocities before and
+        after the displacement of U; the energy of one time oscillates about it.
 
         Args:
             dt: The step to come [s].
@@ -173,7 +173,7 @@ class ExplicitScheme(ABC):
         return meant if abs(meant - t) < 1e-9 * (self._chosen or self.dt) else t
 
     def _impose_motion(self, dt: float) -> None:
-        """Makes the change of velocity one that takes supports where they are prescribed to be."""
+        """Sets the velocity change at supports so that they reach their prescribed displacement."""
         dirichlet = self.problem.dirichlet
         goal = (dirichlet.targets - dirichlet.extract(self.problem.u.x.array)) / dt
         self.change += self.velocity

@@ -100,12 +100,12 @@ class StepSize:
             FrequencyBound(problem, assembler, mass) if FrequencyBound.applies(problem) else None
         )
         self._drag = self._largest_row([d.bound(problem.context) for d in problem.dashpots])
-        hits = self._largest_row([touch.bound for touch in problem.contact_pairs])
-        self.contact_limit = np.sqrt(CONTACT / hits) if hits else np.inf
+        contact_rates = self._largest_row([pair.bound for pair in problem.contact_pairs])
+        self.contact_limit = np.sqrt(CONTACT / contact_rates) if contact_rates else np.inf
         self._nodal_bounds = fem.Function(problem.V)
         self._places = slice(0, assembler.size, problem.body.dim)
         self._square = self._found_square = 0.0
-        self._interval, self._found_at, self._doubtful = CHECKS[0], 0, False
+        self._interval, self._found_at, self._bound_in_doubt = CHECKS[0], 0, False
         self.stable, self.dt, self.next_check = np.inf, np.inf, CHECKS[0]
 
     # --- frequencies ---
@@ -137,7 +137,7 @@ class StepSize:
         if self.bound is None:
             return np.inf
         with stage("stable step"):
-            return extremes(self._problem.body.comm, [_top(self.bound.evaluate())])[0]
+            return extremes(self._problem.body.comm, [_maximum(self.bound.evaluate())])[0]
 
     def step_for(self, square: float) -> float:
         """Stable step for the largest omega^2 and the dashpots' largest rate c/m [s].
@@ -222,7 +222,7 @@ class StepSize:
         Args:
             step: Number of steps done.
         """
-        self.next_check, self._doubtful = step, True
+        self.next_check, self._bound_in_doubt = step, True
 
     def update(self, step: int, t: float) -> None:
         """Finds the stable step of the present state, and the step from here on. Collective.
@@ -280,11 +280,11 @@ class StepSize:
         if self.bound is not None:
             self._nodal_bounds.x.array[self._places] = self.bound.evaluate()
         self.stable, self._found_at = self.step_for(self._square), step
-        self._doubtful = False
+        self._bound_in_doubt = False
 
     def _follow_bound(self, step: int) -> None:
         """Estimates omega_max^2 from the growth of the nodal bounds. Collective."""
-        if self.bound is None or self._doubtful:
+        if self.bound is None or self._bound_in_doubt:
             self._find_frequency(step)
             return
         with stage("stable step"):
@@ -292,7 +292,7 @@ class StepSize:
             could = rates > self._found_square
             known = self._nodal_bounds.x.array[self._places]
             worst, growth = extremes(
-                self._problem.body.comm, [_top(rates), _top(rates[could] / known[could])]
+                self._problem.body.comm, [_maximum(rates), _maximum(rates[could] / known[could])]
             )
         if step - self._found_at >= SPACING and abs(growth - 1) > RENEWAL:
             self._find_frequency(step)
@@ -316,14 +316,14 @@ class StepSize:
             "found_at": self._found_at,
             "interval": self._interval,
             "due": self.next_check,
-            "doubtful": self._doubtful,
+            "doubtful": self._bound_in_doubt,
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """See `Restartable`. Not collective."""
         self._square, self._found_square = saved["square"], saved["known_square"]
         self._found_at, self._interval = saved["found_at"], saved["interval"]
-        self.next_check, self._doubtful = saved["due"], saved["doubtful"]
+        self.next_check, self._bound_in_doubt = saved["due"], saved["doubtful"]
         self.stable = self.step_for(self._square)
         if self._chosen is None:
             self._set_step()
@@ -331,7 +331,7 @@ class StepSize:
             self.dt = self._chosen
 
 
-def _top(values: FloatArray) -> float:
+def _maximum(values: FloatArray) -> float:
     """The largest, 0 of none; what is not finite is infinite."""
     return float(np.max(np.nan_to_num(values, nan=np.inf, posinf=np.inf), initial=0.0))
 
@@ -349,7 +349,7 @@ def _largest_eigenvalue(matrix: PETSc.Mat, start: PETSc.Vec, symmetric: bool) ->
     """
     size = float(matrix.norm())
     if not np.isfinite(size):
-        raise _lost()
+        raise _no_eigenvalue()
     if size == 0.0:
         return 0.0
     eps = SLEPc.EPS().create(matrix.comm)
@@ -367,11 +367,11 @@ def _largest_eigenvalue(matrix: PETSc.Mat, start: PETSc.Vec, symmetric: bool) ->
     finally:
         eps.destroy()
     if not found:
-        raise _lost()
+        raise _no_eigenvalue()
     return value
 
 
-def _lost() -> StabilityError:
+def _no_eigenvalue() -> StabilityError:
     return StabilityError(
         "the stable step cannot be estimated: no largest eigenvalue was found",
         advice="is the displacement finite, and every density positive?",

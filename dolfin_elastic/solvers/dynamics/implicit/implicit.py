@@ -136,7 +136,7 @@ class Implicit:
         self.auditor = MotionAuditor(problem, self.moving, watch, parameters, end=settings.end)
         self.auxiliary = AuxiliaryFields(problem)
         self._newton = self._krylov = 0
-        self._usual = 0.0
+        self._first_krylov = 0.0
 
     # --- TS ---
 
@@ -271,18 +271,18 @@ class Implicit:
         self._krylov += krylov
         if ts.getConvergedReason() < 0:
             raise self._failure()
-        self._renew(krylov / max(newton, 1))
+        self._refresh_multigrid(krylov / max(newton, 1))
 
-    def _renew(self, each: float) -> None:
+    def _refresh_multigrid(self, each: float) -> None:
         """Sets multigrid up anew when iterations grow: its rigid-body modes are out of date.
 
         Args:
             each: Linear iterations of each Newton iteration.
         """
-        if self._usual and each > 1.5 * self._usual + 5:
+        if self._first_krylov and each > 1.5 * self._first_krylov + 5:
             self.newton.linear.refresh()
             each = 0.0
-        self._usual = self._usual or each
+        self._first_krylov = self._first_krylov or each
 
     def _failure(self) -> ConvergenceError:
         t = float(self.ts.getTime())
@@ -329,7 +329,7 @@ class Implicit:
             done=t / self.settings.end,
         )
 
-    # --- restarts ---
+    # --- restarts: keys are those of checkpoint format 3 ---
 
     def restart_state(self) -> RestartState:
         """See `Restartable`. Collective."""
@@ -339,7 +339,7 @@ class Implicit:
             "step": int(self.ts.getStepNumber()),
             "dt": float(self.ts.getTimeStep()),
             "scale": self.control.scale,
-            "usual": self._usual,
+            "usual": self._first_krylov,
             "ledger": self.balance.restart_state(),
             "audit": self.auditor.restart_state(),
             "newton": self.newton.restart_state(),
@@ -364,7 +364,7 @@ class Implicit:
         self.ts.setTime(numbers["t"])
         self.ts.setStepNumber(numbers["step"])
         self.ts.setTimeStep(numbers["dt"])
-        self.control.scale, self._usual = numbers["scale"], numbers["usual"]
+        self.control.scale, self._first_krylov = numbers["scale"], numbers["usual"]
         self.problem.set_time(numbers["t"])
         self.balance.restore(numbers["ledger"])
         self.auditor.restore(numbers["audit"])

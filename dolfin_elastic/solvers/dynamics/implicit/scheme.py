@@ -137,7 +137,7 @@ class ImplicitScheme(ABC):
 
     @abstractmethod
     def balance_at_end(self, t: float) -> None:
-        """Lets `assembler.residual.vector` hold the forces at the end of the step, for reactions.
+        """Assembles `assembler.residual.vector` at the end of the step, for reactions.
 
         Args:
             t: Time [s].

@@ -37,7 +37,7 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 
 
 class VolumeConstraint:
-    """Adds to the rows of the pressure at the stage what makes them those of the step.
+    """Replaces the pressure's rows at the stage by the volume constraint at the end of the step.
 
     Collective to make.
 
@@ -56,13 +56,13 @@ class VolumeConstraint:
         compressible = [part for part in parts if not is_incompressible(part.compliance)]
         forms = [_strain(self._problem, group) for group in (parts, compressible) if group]
         found = compiled(self._problem, forms)
-        self._all, self._compressible = found[0], found[1] if compressible else None
+        self._with_pressure, self._compressible = found[0], found[1] if compressible else None
         entries = np.ones(len(self._problem.w.x.array), dtype=bool)
         displacements = np.arange(len(self._problem.u.x.array), dtype=np.int32)
         entries[self._problem.unknowns.mixed_dofs(displacements)] = False
         self._scalars = entries
         self._old: FloatArray = np.empty(0)
-        self._known: FloatArray = np.zeros(assembler.size)
+        self._compressible_part: FloatArray = np.zeros(assembler.size)
         self.end = 0.0
 
     @staticmethod
@@ -78,23 +78,23 @@ class VolumeConstraint:
         return alpha_f > 0.0 and problem.mixed and not problem.unknowns.has("stretch")
 
     def begin(self, t: float) -> None:
-        """Takes in the displacement at the start of a step. Collective.
+        """Stores the displacement at the start of a step. Collective.
 
         Args:
             t: Time of the start [s].
         """
         self._problem.set_time(t)
         self._old = self._problem.w.x.array.copy()
-        self._known = self._share * self._rows(self._compressible, self._old)
+        self._compressible_part = self._share * self._rows(self._compressible, self._old)
 
     def complete(self) -> None:
-        """Brings the residual, assembled at the stage, to the equation of the step. Collective."""
+        """Adds the difference of the constraints at step and stage to the residual. Collective."""
         here, s = self._problem.w.x.array.copy(), self._share
         end = self._old + (here - self._old) / (1 - s)
-        more = self._known - self._rows(self._all, here)
+        more = self._compressible_part - self._rows(self._with_pressure, here)
         now = float(self._problem.t.value)
         self._problem.set_time(self.end)
-        more += (1 - s) * self._rows(self._all, end)
+        more += (1 - s) * self._rows(self._with_pressure, end)
         self._problem.set_time(now)
         self._problem.w.x.array[:] = here
         self._assembler.residual.vector.array[: len(more)] += more
