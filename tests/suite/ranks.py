@@ -27,6 +27,12 @@ from suite.selection import TESTS, alone, asked, whole
 RANKS = (2, 3)
 LIMIT = 3600.0
 """Seconds that a session may take."""
+SILENCE = 720.0
+"""Seconds without a word from any rank: more than one test may take, by its own timeout.
+
+That timeout comes too late for ranks that are out of step: no thread of Python runs in a rank that
+waits inside PETSc or DOLFINx.
+"""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -117,7 +123,7 @@ class _Session:
         self.session, self.config, self.ranks = session, session.config, ranks
         self.folder = Path(tempfile.mkdtemp(prefix=f"ranks{ranks}_"))
         self.begin, self.failures, self.read, self.ends = time.monotonic(), 0, [0] * ranks, 0
-        self.test = ""
+        self.heard, self.test = self.begin, ""
         with (self.folder / "out").open("w") as out:
             self.process = subprocess.Popen(
                 self._command(),
@@ -149,17 +155,28 @@ class _Session:
         ended = self.process.poll() is not None
         for rank in range(self.ranks):
             self._tell(rank)
-        late = time.monotonic() - self.begin > LIMIT
-        if late and not ended:
-            self.process.kill()
+        now = time.monotonic()
+        late = not ended and (now - self.begin > LIMIT or now - self.heard > SILENCE)
+        if late:
+            self._stop()
         elif not ended:
             return True
         bad = late or self.process.returncode not in (0, pytest.ExitCode.NO_TESTS_COLLECTED)
         if (bad and not self.failures) or self.ends < self.ranks:
-            why = f"did not end in {LIMIT:g} s" if late else f"ended with {self.process.returncode}"
+            why = f"ended with {self.process.returncode}"
+            if late:
+                why = f"took {now - self.begin:.0f} s, the last {now - self.heard:.0f} in silence"
             why += f", the last test to begin was {self.test}"
             self._fail(why, (self.folder / "out").read_text(errors="replace")[-8000:])
         return False
+
+    def _stop(self) -> None:
+        """Ends mpirun, which ends the ranks."""
+        self.process.terminate()
+        try:
+            self.process.wait(30)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
 
     def _tell(self, rank: int) -> None:
         file = self.folder / f"{rank}.jsonl"
@@ -167,6 +184,7 @@ class _Session:
         lines = text[: text.rfind("\n") + 1]
         self.read[rank] += len(lines)
         for line in lines.splitlines():
+            self.heard = time.monotonic()
             self._hear(rank, **json.loads(line))
 
     def _hear(
