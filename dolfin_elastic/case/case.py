@@ -1,4 +1,4 @@
-"""A whole case: what a case file says, as frozen records whose fields ARE the keys.
+"""`Case`: a whole case file, as frozen records whose fields are its keys.
 
     case = read_case("bracket.toml")        # from a file, one error message if it is wrong
     case = Case(mesh={"box": {"size": [2, 1, 1], "cells": [8, 4, 4]}},
@@ -127,7 +127,7 @@ class Case(AnalysisTables):
             return self.solver_for(problem, petsc)
 
     def listing(self, folder: Path) -> list[str]:
-        """What a run has written to its folder, as a user reads it. Not collective."""
+        """Names of the files that a run has written, for the list at its end. Not collective."""
         return sorted({name for file in self.files() for name in file.listing(folder)})
 
     def results_folder(self) -> Path:
@@ -167,13 +167,13 @@ def read_materials(path: str | PathLike[str]) -> dict[str, Material]:
 
 @contextmanager
 def locate_errors(file: str, key: str = "", *, exact: bool = True) -> Iterator[None]:
-    """Puts the file's name and a key in front of the place that an error inside names.
+    """Prepends the file's name and a key to the location of an error that is raised inside.
 
     Args:
         file: Name of the case file, or nothing.
         key: Dotted key.
-        exact: The place is inside of the table `key`, so both are joined; otherwise the key is
-            only where the error comes from.
+        exact: The error names a key inside the table `key`, and both are joined; otherwise `key`
+            is only the origin of the error.
     """
     try:
         yield

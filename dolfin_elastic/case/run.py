@@ -47,9 +47,9 @@ def run(
     comm: MPI.Comm = MPI.COMM_WORLD,
     asked: Callable[[], bool] | None = None,
 ) -> States:
-    """Solves a case and yields its states, and its modes, each written already.  Collective.
+    """Solves a case and yields its states and modes after they are written.  Collective.
 
-    Whoever closes it between two states leaves a checkpoint behind.
+    Closing the generator between two states writes a checkpoint.
 
     Args:
         case: From `read_case`, or made in Python.
@@ -76,10 +76,10 @@ def restart(
     comm: MPI.Comm = MPI.COMM_WORLD,
     asked: Callable[[], bool] | None = None,
 ) -> States:
-    """Goes on with a run from its last checkpoint, on any number of ranks.  Collective.
+    """Continues a run from its last checkpoint, on any number of ranks.  Collective.
 
-    The results after that checkpoint are cut off, and grow again.  What is yielded begins with
-    the step after it.
+    Results after that checkpoint are cut off and written again.  The first state that is yielded
+    is that of the step after it.
 
     Args:
         folder: Of the results; or what `unfinished` has found there.
@@ -89,8 +89,8 @@ def restart(
         asked: See `run`.
 
     Raises:
-        RestartError: There is nothing to go on from, case or mesh have changed, or a run is still
-            going there.
+        RestartError: There is no checkpoint, case or mesh have changed, or a run is still going in
+            the folder.
         InputError: The mesh is gone, or the case is wrong.
         SolveError: No solution was found; the results so far are complete.
         OutputError: Results cannot be written.
@@ -179,7 +179,7 @@ class _Run:
 
 def _steps(solver: Solver, problem: Problem, before: Unfinished | None) -> States:
     """The solver's generator, from the start or from a checkpoint."""
-    if before is None:  # after a restart it is unknown whether something touched before
+    if before is None:  # after a restart it is unknown whether there was contact before
         return warn_of_untouched(problem, cast(States, solver.steps()))
     assert isinstance(solver, RestartableSolver)  # others have no checkpoints
     return cast(States, solver.steps(before.found))

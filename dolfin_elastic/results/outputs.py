@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 
-_MANY = 4
+_MAX_LISTED = 4
 """Number of files up to which all are listed; of more the first and the last."""
 
 
@@ -186,7 +186,7 @@ class Picture(Output):
         """See `Output.listing`; of many pictures the first, the last and their number."""
         path = folder / self.file
         found = [str(p.relative_to(folder)) for p in picture_files(path)] if folder.is_dir() else []
-        if len(found) <= _MANY:
+        if len(found) <= _MAX_LISTED:
             return found
         return [f"{found[0]} ... {found[-1]} ({len(found)} pictures)"]
 
@@ -232,6 +232,6 @@ class Modes(Output):
     def listing(self, folder: Path) -> list[str]:
         """See `Output.listing`; of many animations the first and the last."""
         found = [path.name for path in animations(folder)]
-        if len(found) > _MANY:
+        if len(found) > _MAX_LISTED:
             found = [f"{found[0]} ... {found[-1]}"]
         return [*super().listing(folder), *found]

@@ -20,7 +20,7 @@ class Writer(Protocol):
     """An open output.  All of it is collective."""
 
     def write(self, state: State) -> None:
-        """Writes one converged step, or passes it over."""
+        """Writes one converged step, if it is selected."""
 
     def restart_state(self) -> Numbers:
         """Where the output ends now, for `Output.open`; brings what is written to the disk first.
@@ -33,7 +33,7 @@ class Writer(Protocol):
 
         Args:
             status: "completed", "failed" or "stopped".
-            error: What the run failed of, or "on request".
+            error: The error that ended the run, or "on request".
         """
 
 

@@ -1,4 +1,4 @@
-"""Everything that can be said about a case before anything is compiled or solved."""
+"""Checks and estimates of a case before anything is compiled or solved."""
 
 from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.case.check.report import Report, report

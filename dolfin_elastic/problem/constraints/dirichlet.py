@@ -29,8 +29,8 @@ class DirichletConditions:
     Args:
         body: The mesh and its names.
         V: Space of the displacement.
-        supports: What is prescribed; those that prescribe nothing are passed over.
-        axis: The body is axisymmetric: nothing leaves the axis.
+        supports: All supports; springs and dashpots are ignored.
+        axis: The body is axisymmetric: the radial displacement of nodes on the axis is zero.
         pinned: Of a periodic cell, which has no supports: local entries that are unknowns of its
             fixed vertex, and one of them for each such unknown that this rank owns.
 
@@ -169,7 +169,7 @@ class DirichletConditions:
         return total(self._V.mesh.comm, np.cross(arms, f[loaded]).sum(axis=0))
 
     def values_at(self, moments: Sequence[float], default: Amplitude) -> list[FloatArray]:
-        """Values at some moments, owned and ghost; all is left as it was. Not collective.
+        """Values at several times, owned and ghost; changes no state. Not collective.
 
         Args:
             moments: Times [s], or load parameters.
@@ -196,7 +196,7 @@ class DirichletConditions:
         return np.concatenate([values, self.skew.target[: self.skew.count].reshape(-1)])
 
     def targets_at(self, times: Iterable[float]) -> list[FloatArray]:
-        """The targets of some times [s], the last of which is the present one then. Local."""
+        """The targets at several times [s]; sets the last of these times. Not collective."""
         found = []
         for t in times:
             self.set_time(t)
@@ -204,7 +204,7 @@ class DirichletConditions:
         return found
 
     def extract(self, array: FloatArray) -> FloatArray:
-        """What a local vector of the displacement's space has where `targets` are prescribed."""
+        """Entries of a local vector of the displacement's space, in the layout of `targets`."""
         values = array[self.owned]
         if self.skew is None:
             return values

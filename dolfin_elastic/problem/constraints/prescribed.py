@@ -1,4 +1,4 @@
-"""Which displacement components supports prescribe, and at which nodes: found once for a body."""
+"""Displacement components that supports prescribe, with their nodes: found once for a body."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dolfin_elastic.problem.constraints.normals import surface_normals, unit_nor
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
 
 IN_PLANE = 0.7
-"""Share of a normal that has to lie in a plane of symmetry for the surface to go on beyond it."""
+"""Component of a normal in a plane of symmetry from which the mirrored surface is smooth there."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +88,8 @@ class PrescribedComponents:
     Args:
         body: The mesh and its names.
         V: Space of the displacement.
-        supports: What is prescribed; those that prescribe nothing are passed over.
-        axisymmetric: The body is one of revolution: nothing leaves the axis.
+        supports: All supports; springs and dashpots are ignored.
+        axisymmetric: The radial displacement of nodes on the axis is zero.
 
     Attributes:
         components: In the order of the supports.
@@ -187,11 +187,11 @@ class PrescribedComponents:
         return PrescribedComponent(support, NORMAL, found.nodes, found.normals, not found.flat)
 
     def _turn_into_planes(self) -> None:
-        """Turns normals of curved surfaces into the planes of symmetry and the axis they meet.
+        """Projects normals of curved surfaces onto adjacent planes of symmetry and the axis.
 
-        The surface goes on beyond a plane of symmetry, and so its normal lies in it.  The mean
-        normal at a node, taken from the facets on this side alone, leans out of the plane by half
-        the angle between facets, and the body could not slide along the plane there.
+        The mirrored surface continues beyond a plane of symmetry, so its normal lies in the plane.
+        The mean normal at a node, from the facets on this side alone, deviates from the plane by
+        half the angle between facets, which would prevent sliding along the plane.
         """
         for plane in [c for c in self.components if c.support is None or c.support.needs_flat]:
             across = np.zeros((len(self._x), self._dim))

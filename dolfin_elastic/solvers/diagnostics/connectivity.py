@@ -1,4 +1,4 @@
-"""Connected bodies: cells that hang together by shared nodes, over all ranks."""
+"""Connected bodies: sets of cells that are connected by shared nodes, over all ranks."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _JOINED = 3
 class ConnectedBodies:
     """The connected bodies of a problem. Collective.
 
-    Each rank finds its own, then those that share nodes across ranks are joined: what travels is
-    one pair of numbers for two such, however many nodes they share.
+    Each rank finds its own components; those that share nodes across ranks are joined.  The ranks
+    exchange one pair of numbers for two such components, however many nodes they share.
 
     Args:
         problem: Whose unknown nodes connect the cells: those on periodic faces are one.
@@ -78,7 +78,7 @@ class ConnectedBodies:
         self.of_node = numbers[self.of_node]
 
     def names(self) -> list[str]:
-        """What to call each body: by the regions that lie in it alone. Collective."""
+        """Name of each body, from the regions that lie in it alone. Collective."""
         if self.count == 1:
             return [""]
         cells, middle = self._cells(self._body.owned_cells()), self._middle

@@ -161,7 +161,7 @@ class _CauseSearch:
         place = place[: self.problem.body.dim]
         return Diagnosis(cause, text + self._not_examined, advice, place, self.worst)
 
-    # --- causes, in the order in which they are looked for ---
+    # --- causes, in the order of the checks ---
 
     def _loose_part(self) -> Diagnosis | None:
         if self._moving or not self.states.tangent(self.good):
@@ -197,7 +197,7 @@ class _CauseSearch:
         return self._inverted() if "inside out" in self.result.reason else None
 
     def _steps_shortened(self) -> Diagnosis | None:
-        """Step after step was shortened; a body that gives way does so too, so that comes first."""
+        """Many steps were shortened; instability shortens steps, too, and is checked before."""
         many = self.rejected.count > PATIENCE or "DOMAIN" in self.result.reason
         return self._inverted() if self.rejected.count and many else None
 
@@ -296,8 +296,8 @@ class _CauseSearch:
         return self._make("linear-solver", f"the linear solver failed: {cause}", advice)
 
     def _next_step(self) -> Diagnosis | None:
-        """What Newton's next step would run into."""
-        if self._moving:  # its tangent has the mass in it, with the factor of a step that is over
+        """Terms without a finite value after one more full Newton step. Collective."""
+        if self._moving:  # the tangent contains the mass, with the factor of the step before
             return None
         limit = LIMIT[self.problem.body.dim]
         if (

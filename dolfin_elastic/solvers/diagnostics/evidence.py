@@ -1,4 +1,4 @@
-"""What a state that is no solution looks like: its cells, and terms without a finite value."""
+"""Evidence from a failed state: cells by det F and residual, and terms without a finite value."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ WORST = 10
 """Cells that a diagnosis lists."""
 
 _SHOWN = 200
-"""Points at which an energy's operations are looked at, of each rank."""
+"""Points of each rank at which the operations of an energy are evaluated."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Fault:
 
 
 class Cells:
-    """The cells of a problem, looked at where their energy is integrated. Collective to make.
+    """Cells of a problem, evaluated at the quadrature points of the energy. Collective to make.
 
     Args:
         assembler: Of the problem.
@@ -121,7 +121,7 @@ class Cells:
 
 
 class TrialStates:
-    """Residual and tangent of a problem at states that it was or might be in.
+    """Residual and tangent of a problem at given states.
 
     Args:
         assembler: Of the problem.
@@ -222,7 +222,7 @@ def _of_material(cells: Cells, part: MaterialRegion) -> Fault | None:
 
 
 def _why(cells: Cells, part: MaterialRegion, F: FloatArray) -> str:
-    """The operation to blame, the words of the lowest rank that knows. Collective."""
+    """The operation without a finite value, by the lowest rank that has one. Collective."""
     with np.errstate(all="ignore"):
         law = with_finite_moduli(part.typical)
         operation = undefined_operation(law, F[:_SHOWN]) if len(F) else ""

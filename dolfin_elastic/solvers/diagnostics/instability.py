@@ -24,16 +24,16 @@ from dolfin_elastic.solvers.diagnostics.stability import (
 from dolfin_elastic.solvers.messages import coordinates
 
 SOFT = 0.5
-"""Share of its stiffness at rest that a motion may keep where the last iterate is unstable."""
+"""Stiffness of a mode over that at rest, below which it is lost if the last iterate is unstable."""
 
 LOST = 0.1
-"""Share below which it counts as lost whatever the last iterate is."""
+"""The same ratio, below which the stiffness is lost whatever the last iterate is."""
 
 SIDEWAYS = 0.02
 """Cosine between mode and load up to which the load does no work on the mode: a bifurcation."""
 
 HUGE = 1.0
-"""Green-Lagrange strain from which the load itself is doubted: a stretch of 1.7."""
+"""Green-Lagrange strain from which a wrong unit of a load or modulus is likely: a stretch of 1.7."""
 
 
 @dataclass(frozen=True)

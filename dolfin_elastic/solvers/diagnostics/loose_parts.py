@@ -19,8 +19,8 @@ FREE = 1e-10
 """Stiffness against a rigid motion, over that of the diagonal, which counts as none."""
 
 MANY = 50
-"""Parts above which none is examined: fragments of a broken mesh, of which each costs six products
-with the tangent."""
+"""Number of parts above which none is checked: so many are fragments of a broken mesh, and each
+costs six products with the tangent."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class LoosePart:
 
 
 def find_loose_part(assembler: Assembler) -> LoosePart | None:
-    """A part that the tangent, as it is assembled, does not hold. Collective."""
+    """A part that can move rigidly without stiffness of the assembled tangent. Collective."""
     problem = assembler.problem
     if problem.cell is not None:  # its neighbours hold it
         return None

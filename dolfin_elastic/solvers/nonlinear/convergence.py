@@ -1,4 +1,4 @@
-"""When Newton's method has found an equilibrium, and when it is given up.
+"""Convergence test of Newton's method: equilibrium found, or solve given up.
 
 The free residual is compared with the larger of the applied forces and the reactions, so that a
 mixed norm of forces and displacements decides nothing; prescribed values must hold exactly.
@@ -25,8 +25,8 @@ BEYOND = "the strain energy has no finite value: a material is beyond its limit"
 ANOTHER = "another equilibrium than that of the path"
 
 PRESCRIBED_TOLERANCE = 1e-12
-"""Error of prescribed displacements over the size of the body: Newton's first full step meets them,
-what is left is round-off."""
+"""Error of prescribed displacements over the size of the body: Newton's first full step meets them
+up to round-off."""
 
 FORCING = 1e-3
 """Relative tolerance of a linear solve inside Newton: tighter ones cost more than they save."""
@@ -38,13 +38,13 @@ STALL = 6
 """Backtracking iterations over which the residual has to fall by a third."""
 
 DIVERGENCE = 1e8
-"""Growth of the residual from which no Newton iteration comes back."""
+"""Growth of the residual from which Newton's method has diverged."""
 
 SAFETY = 4.0
 """For the cells around a node, each with a rounding error of its own."""
 
 MAX_STIFFENING = 1e6
-"""Growth of the largest stiffness beyond which a cell is crushed, and excuses nothing more."""
+"""Growth of the largest stiffness beyond which a cell is crushed: no larger round-off counts."""
 
 
 @dataclass(frozen=True)
@@ -126,11 +126,11 @@ class Inertia(Protocol):
 class RoundOff:
     """Forces out of balance that rounding errors alone leave, row by row: epsilon K_ii (h + |u|).
 
-    A row of stiff, large entries cannot come closer to zero than a rounding error of them; it is
-    no excuse for another row, of a soft material beside it.  The stress is known as well as
-    F = I + grad u is, which loses what u itself loses; a body that is carried off farther than it
-    is long has no excuse of that kind.  Rows of pressures, whose diagonal may be zero, count as a
-    mean row of displacements: pressures are scaled to be like them.
+    A row with large entries cannot come closer to zero than their rounding error, but a row of a
+    soft material beside it can.  The stress has the relative error of F = I + grad u, which grows
+    with |u|; |u| counts up to the size of the body only, or the tolerance of a body carried far
+    away would grow without bound.  Rows of pressures, whose diagonal may be zero, count as a mean
+    row of displacements, to whose magnitude they are scaled.
 
     Source: N. Higham, Accuracy and Stability of Numerical Algorithms (2002), (3.5):
     |error| <= n eps sum |K_ij| |x_j|.
@@ -278,16 +278,16 @@ class ConvergenceTest:
     def _balanced(self) -> bool:
         """The free residual is as small as wanted, but for the round-off of each row. Collective.
 
-        Statics does not compare with the norm of all round-off: stiff rows make it large, and it
-        would let a soft part beside them go out of balance by as much.  So each row is forgiven
-        its own rounding error, and what all have beyond it must be as small as wanted.  In motion
-        the round-off of inertia is known as a norm only, so the norm decides.
+        The norm of the round-off of all rows is no criterion in statics: stiff rows make it large,
+        and a soft part beside them could be out of balance by as much.  So the rounding error of
+        each row is subtracted from it, and the norm of the remainder must meet the tolerance.  In
+        motion the round-off of inertia is known as a norm only, so the norm decides.
         """
         free = self._assembler.residual.free_norm
         wanted, floor = self._tolerated(), self.round_off.norm
         if free <= wanted or self._inertia is not None:
             return free <= max(wanted, floor)
-        # So far above the floor its rows cannot make the difference: they are not looked at.
+        # So far above the norm of the round-off, subtracting it row by row cannot help.
         return free <= DIVERGENCE * floor and self.round_off.beyond() <= wanted
 
     def __call__(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
@@ -320,7 +320,7 @@ class ConvergenceTest:
         return 0
 
     def _shortened_too_often(self) -> bool:
-        """Steps are shortened again and again: a smaller load step gets there sooner."""
+        """Too many Newton steps were shortened: a smaller load step is faster."""
         guard = self._guard
         if guard is None:
             return False
@@ -331,7 +331,7 @@ class ConvergenceTest:
         return bordered is None or bordered.scalars.settled(bordered.last, self.target())
 
     def _stalled(self) -> bool:
-        """Backtracking takes ever smaller steps: a smaller load step gets there sooner."""
+        """Backtracking takes ever smaller steps: a smaller load step is faster."""
         if not self._backtracks or self._inertia is not None or len(self.residuals) <= STALL:
             return False
         return self.residuals[-1] > 0.7 * self.residuals[-1 - STALL]

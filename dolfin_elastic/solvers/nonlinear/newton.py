@@ -1,4 +1,4 @@
-"""Newton's method by PETSc SNES, judged on the forces that are out of balance.
+"""Newton's method by PETSc SNES, whose convergence test compares nodal forces.
 
 Used by statics directly and by implicit dynamics through TS.
 """
@@ -49,16 +49,16 @@ class Newton:
         inertia: In motion: it counts for what the residual is measured against, and for its
             round-off.
         scalars: Scalar unknowns beside the fields.
-        watch: Of det F: no trial state may hold a cell that is inside out.  A linear problem has
-            one solution only, which is judged when it is found.
+        watch: Of det F: steps are shortened until no cell is inside out, but in linear problems,
+            where only the solution is checked.
 
     Attributes:
         result: How the last solve ended.
         guard: Shortens steps that turn cells inside out; None without `watch`.
-        ksp: The linear solver of the fields, looked after by `linear`.
+        ksp: The linear solver of the fields, managed by `linear`.
         bordered: The system with scalar unknowns, if there are any.
         test: When a solve ends.
-        factorised: The factors are those of where the last solve has ended.
+        factorised: The factors are those of the tangent at the end of the last solve.
         shift: Share of its diagonal that was added to the last tangent.
     """
 
@@ -203,7 +203,7 @@ class Newton:
         self.test.begin(backtracks=backtracks, patient=patient, max_iterations=max_iterations)
 
     def finish(self) -> NewtonResult:
-        """Takes note of how SNES has ended. Collective."""
+        """Stores how SNES has ended as `result`. Collective."""
         number = self.snes.getConvergedReason()
         reason = snes_reason(number)
         if number == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
@@ -229,7 +229,7 @@ class Newton:
         return self.result
 
     def reject(self, jacobian: float, place: FloatArray) -> None:
-        """Takes note that what was found led to a cell that is inside out.
+        """Marks the last result as one that leads to an inverted cell.
 
         Args:
             jacobian: Smallest det F.

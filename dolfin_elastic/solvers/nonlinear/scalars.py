@@ -151,7 +151,7 @@ class CavityScalars:
                 expected="all surfaces around it, supports in planes of symmetry, and an origin "
                 "in all of them",
             )
-        log.warning("%s, so its volume is not told", text)
+        log.warning("%s, so it has no volume in the results", text)
 
     def _undeformed(self) -> tuple[float, bool]:
         """The volume [m^3] of the undeformed body, and whether it is closed. Collective."""
