@@ -52,7 +52,7 @@ class AnalysisTables(ModelTables):
     @model_validator(mode="before")
     @classmethod
     def _refuse_both(cls, tables: Any) -> Any:
-        # Before the tables are read: one of them may be left out, and then its faults matter not.
+        # Before the tables are read: errors in one that the user then leaves out do not matter.
         if isinstance(tables, Mapping) and all(
             tables.get(key) is not None for key in ("statics", "dynamics")
         ):

@@ -53,7 +53,7 @@ _THERMAL_STRAIN = 1.0
 
 
 def plausibility_notes(case: Case, body: Body) -> Iterator[str]:
-    """Values that are possible but differsly, in the order of the functions below. Collective.
+    """Values that are possible but unlikely, in the order of the functions below. Collective.
 
     Args:
         case: Consistent with the body, see `consistency.check`.

@@ -33,7 +33,7 @@ SIDEWAYS = 0.02
 """Cosine between mode and load up to which the load does no work on the mode: a bifurcation."""
 
 HUGE = 1.0
-"""Green-Lagrange strain from which a load or modulus has probably a wrong unit: a stretch of 1.7."""
+"""Green-Lagrange strain from which a unit of the load is probably wrong: a stretch of 1.7."""
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ class LinearSolver:
         self._prepared, self.direct = False, False
 
     def set_up(self) -> None:
-        """Takes its options and gives multigrid what it needs. Collective; options in force."""
+        """Reads the options in force and attaches multigrid and near null space. Collective."""
         self.ksp.setFromOptions()
         self.direct = self.ksp.getType() == "preonly"  # the user may have chosen otherwise
         self._free_parts()
@@ -49,7 +49,7 @@ class LinearSolver:
             self._set_modes()
 
     def factorise_each_tangent(self) -> None:
-        """Lets a direct solver never lag: old factors alone make no Newton's method."""
+        """Makes a direct solver factorise each tangent, for quadratic convergence."""
         if self.direct:
             self._options.update({"snes_lag_preconditioner": 1})
             with self._options.in_force():
@@ -74,7 +74,7 @@ class LinearSolver:
         self._prepared = True
 
     def refresh(self) -> None:
-        """Throws the preconditioner away and takes the rigid-body modes anew. Collective."""
+        """Rebuilds the preconditioner with the present rigid-body modes. Collective."""
         if self.direct:
             return
         self._prepared = False

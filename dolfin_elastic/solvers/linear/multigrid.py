@@ -94,7 +94,7 @@ class PMultigrid:
 
 
 def _check_levels(pc: PETSc.PC) -> None:
-    """PETSc would look for interpolations between further levels and crash."""
+    """Refuses more than two levels: PETSc would crash without further interpolations."""
     levels = PETSc.Options(pc.getOptionsPrefix()).getInt("pc_mg_levels", 2)
     if levels != 2:
         raise InputError(

@@ -25,7 +25,7 @@ from dolfin_elastic.solvers.linear.multigrid import PMultigrid, renew, rigid_bod
 
 
 class PressureSplit:
-    """Tells PCFIELDSPLIT the two fields "u" and "p", S, and multigrid of "u" what it needs.
+    """Configures PCFIELDSPLIT with the fields "u" and "p", S for "p", and multigrid for "u".
 
     Args:
         assembler: Of a problem with a pressure as the one scalar field.  Collective.
@@ -79,7 +79,7 @@ class PressureSplit:
         modes.destroy()
 
     def refresh(self) -> None:
-        """Makes multigrid begin anew, with the rigid-body modes of the current places."""
+        """Rebuilds multigrid, with the rigid-body modes of the current places."""
         if self._multigrid is not None:
             self._multigrid.refresh()
         else:

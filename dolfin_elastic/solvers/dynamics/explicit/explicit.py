@@ -1,4 +1,4 @@
-"""Explicit motion: the loop over steps, what is yielded, and restarts."""
+"""Explicit motion: the loop over steps, the yielded states, and restarts."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class Explicit:
         while not self._ended:
             try:
                 self.step()
-            except StabilityError as error:  # of a collective look: on all ranks
+            except StabilityError as error:  # raised on all ranks
                 raise Replay(self, self._monitor, self._last).unstable_step(error) from None
             if self.scheme.steps % self.every == 0 or self._ended:
                 self.scheme.synchronise()
@@ -137,7 +137,7 @@ class Explicit:
             self.size.update(scheme.steps, scheme.t)
         scheme.advance(min(self.size.dt, self.end - scheme.t))
 
-    # --- what is yielded ---
+    # --- states ---
 
     @property
     def now(self) -> tuple[int, float]:

@@ -1,4 +1,4 @@
-"""The step of explicit schemes: the stable step, and when it is found anew."""
+"""The step of explicit schemes: the stable step, and when it is computed again."""
 
 from __future__ import annotations
 
@@ -203,7 +203,7 @@ class StepSize:
             )
 
     def _where(self) -> str:
-        """What limits the step, for messages. Collective."""
+        """The cells or contacts that limit the step, for messages. Collective."""
         if self.dt == self.contact_limit:
             return "; the stiffness of contacts asks for it"
         contact = "; obstacles may be hit" if self._contact and self._safety == RESONANCE else ""

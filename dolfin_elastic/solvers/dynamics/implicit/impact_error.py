@@ -36,7 +36,7 @@ class ImpactError:
         return sum(self._moving.contact_forces(), np.zeros(len(self._moving.displacement_dofs)))
 
     def begin(self, t: float) -> None:
-        """Takes in the contact forces at the start of a step.
+        """Stores the contact forces at the start of a step.
 
         Args:
             t: Time of the start [s].
@@ -45,7 +45,7 @@ class ImpactError:
         self._first = self._contact_forces()
 
     def at_stage(self, forces: Forces) -> None:
-        """Takes in those at its stage.
+        """Stores the contact forces at its stage.
 
         Args:
             forces: Of the stage.

@@ -1,4 +1,4 @@
-"""Implicit motion by PETSc's TS: the loop over steps, what is yielded, and restarts."""
+"""Implicit motion by PETSc's TS: the loop over steps, the yielded states, and restarts."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ class Implicit:
     def _after_step(self, ts: PETSc.TS) -> None:
         ts.setMaxTime(self.settings.end)
         if ts.getConvergedReason() < 0:
-            return  # TS comes here after a step that it has given up, too
+            return  # TS calls this after a failed step, too
         forces = self.scheme.accept()
         self._stop_at_goals()
         self.control.end_step()
@@ -197,10 +197,10 @@ class Implicit:
         self.auditor.add_step(forces.stage, forces.du)
 
     def _stop_at_goals(self) -> None:
-        """Ends the march at a time that is met but for the round-off of a sum.
+        """Ends `TSSolve` at the goal, also where the time differs from it by round-off.
 
-        TS compares its time with the goal as it is: a scheme of PETSc, which adds up steps, may
-        fall short of it by a rounding error and would go on.
+        A scheme of PETSc adds up the steps and may miss the goal by a rounding error; TS, which
+        compares the times exactly, would take one more tiny step.
         """
         ts = self.ts
         ts.setTime(self.control.without_round_off(float(ts.getTime())))
@@ -245,7 +245,7 @@ class Implicit:
         self.moving.copy_to(self._U, self._V, self.v)
 
     def _march(self) -> None:
-        """Lets TS go on to the next state that is yielded; it stops at each time that is met."""
+        """Runs TS until the next output state; `TSSolve` returns at each time that is met."""
         ts = self.ts
         while True:
             step = int(ts.getStepNumber())
@@ -274,7 +274,7 @@ class Implicit:
         self._refresh_multigrid(krylov / max(newton, 1))
 
     def _refresh_multigrid(self, each: float) -> None:
-        """Sets multigrid up anew when iterations grow: its rigid-body modes are out of date.
+        """Rebuilds multigrid when iterations grow, with the rigid-body modes of the present places.
 
         Args:
             each: Linear iterations of each Newton iteration.
@@ -300,7 +300,7 @@ class Implicit:
             diagnosis=found,
         )
 
-    # --- what is yielded ---
+    # --- states ---
 
     def _state(self, *, failed: bool = False) -> State:
         step, t = int(self.ts.getStepNumber()), float(self.ts.getTime())

@@ -23,12 +23,12 @@ from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 
 FAILURES = 8
-"""Times that one step is made smaller, to a quarter each, before it is given up."""
+"""Times that a step without solution is repeated with a quarter of its size, before giving up."""
 
 
 @dataclass(frozen=True)
 class StepForces:
-    """What the balances of momentum and energy need of a step that TS has accepted.
+    """Forces of an accepted step, for the balances of momentum and energy.
 
     Attributes:
         stage: Forces at the stage, where the equation of motion holds.
@@ -43,7 +43,7 @@ class StepForces:
 
 @dataclass(frozen=True)
 class SchemeContext:
-    """What a scheme works on; all of it is owned by whoever makes the scheme.
+    """The objects that a scheme uses; it owns none of them.
 
     Attributes:
         ts: The scheme registers itself with it.
@@ -113,14 +113,14 @@ class ImplicitScheme(ABC):
 
     @abstractmethod
     def start(self, t: float) -> None:
-        """Takes in the state that the motion begins with; its forces are then in `assembler`.
+        """Initialises the scheme with the first state, whose residual is assembled.
 
         Args:
             t: Time [s].
         """
 
     def resume(self, t: float) -> None:  # noqa: B027
-        """Takes in a state that was restored.
+        """Initialises the scheme with a restored state.
 
         Args:
             t: Time [s].

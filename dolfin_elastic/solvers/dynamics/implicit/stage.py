@@ -1,4 +1,4 @@
-"""The stage of a generalized-alpha step: what it begins with, and how Newton's method finds it.
+"""The stage of a generalized-alpha step: its initial guesses, and its solution by Newton's method.
 
 The unknown of a stage is its `offset` from the predictor: displacements less those with which the
 acceleration does not change.  A body that flies through space fast has an offset of zero, so that
@@ -168,7 +168,7 @@ class StageSolver:
     # --- one step ---
 
     def begin(self, t: float) -> None:
-        """Takes in the state that a step begins with.
+        """Stores the state at the start of a step.
 
         Args:
             t: Its time [s].
@@ -186,7 +186,7 @@ class StageSolver:
             h: Length of the step [s].
         """
         p = self._parameters
-        # Before the residual of the first guess: forms of damping ask for them, too.
+        # Before the residual of the first guess: forms of damping contain the shifts.
         self._moving.velocity_shift.value, self._moving.acceleration_shift.value = p.shifts(h)
         stage = self._stage = self._prescribe(start, h)
         if self._volumes is not None:
@@ -243,7 +243,7 @@ class StageSolver:
         return result.converged
 
     def _guesses(self, stage: Stage) -> list[FloatArray]:
-        """Unknowns that Newton's method may begin with, the better ones first.
+        """Initial guesses of Newton's method, the one with the smaller residual first.
 
         The predictor is the better one of a body that flies, the old state of one that is stiff
         and is set going at once: there the predictor may turn cells inside out.

@@ -101,7 +101,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
 
     @property
     def _midpoint(self) -> bool:
-        """The stage is the middle of the step, and its forces are those whose work counts."""
+        """The stage is the middle of the step, so its forces give the work to second order."""
         return self._parameters.alpha_f == 0.5
 
     def _forces_at(self, t: float) -> Forces:
@@ -121,7 +121,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
             ts.setConvergedReason(PETSc.TS.ConvergedReason.DIVERGED_NONLINEAR_SOLVE)
 
     def _take_step(self, ts: PETSc.TS) -> bool:
-        """Takes one step; whether there was one, however small.
+        """Takes one step, as small as necessary; returns whether one was found.
 
         Two loops, for a step is made smaller for two reasons.  The inner one is TSAdapt's: the step
         was solved, but its error is too large; TSAdapt says how long the next try is, and sees to
@@ -156,7 +156,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         return False
 
     def evaluatestep(self, ts: PETSc.TS, order: int, x: PETSc.Vec) -> bool:
-        """What TSAdapt compares the step with: the displacement of one order more.
+        """The displacement of one order more, with which TSAdapt compares the step.
 
         Args:
             ts: Holds the new solution.
@@ -203,11 +203,11 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         )
 
     def _inverted(self) -> bool:
-        """Whether a cell is inside out; a linear body has none to speak of."""
+        """Whether a cell is inside out; False for linear laws, where det F has no meaning."""
         return not self.problem.linear and self.context.watch.smallest()[0] <= 0.0
 
     def _upright_at_end(self) -> bool:
-        """Whether det F > 0 at the end of the step; if not, the diagnosis is to know of it."""
+        """Whether det F > 0 at the end of the step; if not, marks Newton's result for diagnosis."""
         if self.problem.linear:
             return True
         value, place = self.context.watch.smallest()
@@ -252,7 +252,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         self._higher_order = u - free(self.problem, error)
 
     def _finish(self, ts: PETSc.TS, h: float) -> None:
-        """Takes note of a step that TSAdapt has accepted, and of the length of the next one [s]."""
+        """Stores the accepted step and the size of the next one [s]."""
         assert self._stage is not None
         assert self._stage_forces is not None
         start, end = self._stage.start, self._stage.start.t + self._stage.h
