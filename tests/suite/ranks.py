@@ -161,7 +161,9 @@ class _Session:
             self._stop()
         elif not ended:
             return True
-        bad = late or self.process.returncode not in (0, pytest.ExitCode.NO_TESTS_COLLECTED)
+        option = self.config.option
+        good = {0, pytest.ExitCode.NO_TESTS_COLLECTED} if option.keyword or option.markexpr else {0}
+        bad = late or self.process.returncode not in good
         if (bad and not self.failures) or self.ends < self.ranks:
             why = f"ended with {self.process.returncode}"
             if late:
