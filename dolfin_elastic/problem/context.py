@@ -1,4 +1,4 @@
-"""Where integrals are taken, and what loads, supports and contact pairs find on a body.
+"""Measures of a body, and the context from which loads, supports and contacts make their forms.
 
 Every set of cells or facets that is integrated over has a number of its own.  UFL would join equal
 terms on several numbers into one, and DOLFINx 0.9 then takes the wrong kernel for it where a number
@@ -135,7 +135,7 @@ class Measures:
 
 
 class FormContext:
-    """A body as terms of virtual work see it (`model.loads.LoadContext`). Collective.
+    """Fields, measures and constants for terms of virtual work; a `LoadContext`. Collective.
 
     Args:
         body: The mesh and its names.
@@ -327,7 +327,7 @@ class FormContext:
         return any(amplitude not in (None, CONSTANT) for _, amplitude in self._amplitudes)
 
     def set_time(self, t: float, default: Amplitude) -> None:
-        """Puts all amplitudes and formulas to time t. Not collective.
+        """Evaluates all amplitudes and formulas at time t. Not collective.
 
         Args:
             t: Time [s], or load parameter.

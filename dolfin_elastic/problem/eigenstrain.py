@@ -1,4 +1,4 @@
-"""The rest state of each material: what warmth and growth make of it."""
+"""The stress-free state of each material, changed by temperature and growth."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ STIFF_IN_VOLUME = 0.45
 
 @dataclass(frozen=True)
 class Plan:
-    """What is solved for beside the displacement.
+    """Auxiliary unknowns beside the displacement.
 
     Attributes:
         mixed: Names of the materials whose volumetric part a pressure carries.
@@ -150,7 +150,7 @@ def make_material_regions(
     order: int,
     geometry: Geometry,
 ) -> tuple[tuple[MaterialRegion, ...], Plan]:
-    """Binds laws to their cells and decides what is solved for. Collective.
+    """Binds laws to their cells and chooses the auxiliary unknowns. Collective.
 
     Args:
         body: The mesh and its names.

@@ -256,11 +256,11 @@ class Problem:
         )
 
     def set_time(self, t: float, *, default: Amplitude = CONSTANT) -> None:
-        """Puts loads and prescribed displacements to time t. Not collective.
+        """Evaluates loads, prescribed displacements and obstacles at time t. Not collective.
 
         Args:
             t: Time [s], or load parameter from 0 to 1.
-            default: Amplitude of all that name none.
+            default: Amplitude of loads, supports and obstacles without `curve`.
         """
         self.context.set_time(t, default)
         if self.nodal_loads is not None:

@@ -1,4 +1,4 @@
-"""What is solved for: the displacement, and scalar fields beside it where a problem needs them.
+"""Unknowns: the displacement, and auxiliary scalar fields where a problem needs them.
 
 All unknowns are lengths and all their equations forces: a scalar field is its unknown times a
 scale, so that one norm measures the whole residual.

@@ -51,7 +51,7 @@ class BodyCavity:
         self.t, self.default = t, default
 
     def set_initial_volume(self, volume: float) -> None:
-        """Takes over the volume of the undeformed cavity [m^3], once it is integrated."""
+        """Sets the volume of the undeformed cavity [m^3], once it is integrated."""
         self.initial = volume
 
     @property

@@ -111,7 +111,7 @@ class ContactPair:
         self.penalty.x.scatter_forward()
 
     def soften(self, factor: float) -> None:
-        """Makes a penalty that was chosen here `factor` times what it was at first."""
+        """Multiplies the initial penalty by a factor, unless the user has given the penalty."""
         if self.contact.stiffness is None:
             self.penalty.x.array[:] = factor * self._first[0]
             self._eps = factor * self._first[1]
@@ -221,7 +221,7 @@ class ContactPair:
         return np.asarray(self.lam.x.array[self.nodes] - self._eps * self.gaps()[0] > 0.0)
 
     def augment(self) -> None:
-        """The multiplier takes over what the penalty carries. Collective."""
+        """Uzawa's update lam <- max(0, lam - eps g). Collective."""
         lam = self.lam.x.array
         lam[self.nodes] = np.maximum(0.0, lam[self.nodes] - self._eps * self.gaps()[0])
         self.lam.x.scatter_forward()

@@ -1,4 +1,4 @@
-"""Forces at points and along lines, as nodal forces: what no integral over cells or facets gives.
+"""Forces at points and along lines as nodal forces: they are no integrals over cells or facets.
 
 The virtual work of a force f at a point X is f . v(X) = sum_a N_a(X) f . v_a over the nodes of its
 cell, so the nodal forces N_a f have its resultant and its moment exactly.  A line is cut into parts
@@ -80,7 +80,7 @@ class NodalLoads:
         return any(s.load.curve is not None or depends_on_time(s.load.values) for s in self._spread)
 
     def set_time(self, t: float, default: Amplitude) -> None:
-        """Puts all to time t. Not collective.
+        """Evaluates all forces at time t. Not collective.
 
         Args:
             t: Time [s], or load parameter.

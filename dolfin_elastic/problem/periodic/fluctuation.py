@@ -1,4 +1,4 @@
-"""What is solved for in a periodic cell: the fluctuation about the macroscopic displacement."""
+"""Unknowns of a periodic cell: the fluctuation about the macroscopic displacement."""
 
 from __future__ import annotations
 

@@ -213,7 +213,7 @@ class Buckling(PreloadedAnalysis):
 
 
 def _warn_of_strains(pairs: Sequence[Pair], straining: float, share: float) -> None:
-    """Says where what is linearised is far from what it is used for, on one side of it."""
+    """Warns where the strains between the linearised state and the nearest mode are large."""
     away = min((p.value for p in pairs), key=lambda value: abs(value - share), default=share)
     strain = abs(away - share) * straining
     if strain > LARGE:
@@ -354,7 +354,7 @@ def _check_laws(problem: Problem) -> None:
 
 
 def _check_proportional(problem: Problem) -> None:
-    """There is something to multiply, and one factor multiplies all."""
+    """Refuses a buckling analysis without loads, or with loads that one factor cannot multiply."""
     if not problem.loads and all(support.at_rest for support in problem.supports):
         raise InputError(
             "no load deforms the body",

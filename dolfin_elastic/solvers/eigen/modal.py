@@ -62,7 +62,7 @@ SOFT = 1e-3
 """First shift below zero, over the Rayleigh quotient of a smooth motion."""
 
 FAR = 30.0
-"""A shift so many times farther from zero than the first eigenvalue costs it digits."""
+"""Ratio of shift to first eigenvalue from which the eigenvalue loses digits."""
 
 NOTHING = 1e-8
 """Eigenvalues over the Rayleigh quotient of a smooth motion whose sign may be round-off."""
@@ -152,7 +152,7 @@ class Modal(PreloadedAnalysis):
 
 
 def _assembler(problem: Problem, *, loaded: bool) -> Assembler:
-    """Stiffness at the present state; without loads those that follow the body are taken off."""
+    """Stiffness of the present state, without the load stiffness of follower loads if unloaded."""
     on = [
         load
         for load in problem.loads
@@ -169,7 +169,7 @@ def _assembler(problem: Problem, *, loaded: bool) -> Assembler:
 
 
 class Vibration:
-    """Stiffness and mass of a state, and what vibrates in them. Collective; `destroy` it."""
+    """Stiffness and mass of a state, and their eigenmodes. Collective; `destroy` it."""
 
     def __init__(self, modal: Modal) -> None:
         self.problem, self.settings = modal.problem, modal.settings

@@ -1,4 +1,4 @@
-"""What modes of vibration and of buckling have in common: who has none, how many, their shapes."""
+"""Common to vibration and buckling: refused problems, completeness of modes, mode shapes."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Pencil(Protocol):
 
 
 def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
-    """Says what has no modes. Collective.
+    """Refuses problems without modes. Collective.
 
     Args:
         problem: What is to vibrate or buckle.
@@ -99,7 +99,7 @@ def shared(users: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def at_rest(problem: Problem) -> None:
-    """Puts the body to rest, without loads. Collective.
+    """Sets the undeformed state without loads. Collective.
 
     Raises:
         InputError: Growth or warmth acts from the start.

@@ -21,7 +21,7 @@ log = logging.getLogger("dolfin_elastic")
 
 
 class PreloadedAnalysis(ABC):
-    """What `Modal` and `Buckling` share: the way to the state, and whose PETSc options are whose.
+    """Base of `Modal` and `Buckling`: static path to the preload, and its share of PETSc options.
 
     Args:
         problem: What is analysed.
@@ -42,11 +42,11 @@ class PreloadedAnalysis(ABC):
         self.petsc = {**self.linear.petsc, **(petsc or {})}
 
     def _check_statics_keys(self, key: str, share: float) -> None:
-        """Whether all that [statics] says is about the way to the loaded state.
+        """Refuses keys of [statics] that have no effect on the path to the preload.
 
         Args:
             key: Dotted key of the preload.
-            share: Of the loads, in this state; at rest there is no way.
+            share: Load factor of the preload; 0: none.
 
         Raises:
             InputError: Some of it would be ignored.
@@ -72,10 +72,10 @@ class PreloadedAnalysis(ABC):
         yield from (found for found in self.steps() if isinstance(found, Mode))
 
     def of_modes(self, *, loaded: bool) -> dict[str, Any]:
-        """PETSc options for what is done about the state.
+        """PETSc options of the eigenvalue analysis.
 
         Args:
-            loaded: There is a way to it, which takes all options but SLEPc's.
+            loaded: There is a preload, whose statics take all options but SLEPc's.
         """
         return shared(self.petsc)[1] if loaded else self.petsc
 

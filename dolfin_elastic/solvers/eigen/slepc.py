@@ -124,7 +124,7 @@ def _no_factors() -> ConvergenceError:
 
 @contextmanager
 def failing() -> Iterator[None]:
-    """Lets PETSc's failure inside an eigenvalue solver be one message.
+    """Converts an error of PETSc inside an eigenvalue solver into `ConvergenceError`.
 
     Raises:
         ConvergenceError: It has failed.
@@ -249,7 +249,7 @@ class Spectrum:
         return eps
 
     def _prepare(self, transform: Any, shift: float) -> PETSc.Mat | None:
-        """Gives multigrid what it needs; returns a matrix to be destroyed afterwards."""
+        """Attaches multigrid and its near null space; returns a matrix that the caller destroys."""
         if self.counted:
             return None
         matrix = self._shifted(shift)
@@ -294,7 +294,7 @@ def _reason(eps: Any) -> str:
 
 
 def uneven(problem: Problem, seed: int) -> FloatArray:
-    """A start that is the same on any number of ranks and has a part in every mode.
+    """An initial vector with a component of every mode, the same on any number of ranks.
 
     Args:
         problem: Whose unknowns and forms.

@@ -44,7 +44,7 @@ def constrain(assembler: Assembler) -> int:
 
 
 def _is_null(assembler: Assembler, pressures: IntArray) -> bool:
-    """Nothing feels a uniform pressure. Collective."""
+    """Whether a uniform pressure exerts no force on free dofs. Collective."""
     columns = np.zeros((assembler.size, 2))
     columns[pressures, 0] = 1.0
     columns[pressures, 1] = np.arange(len(pressures)) % 2
