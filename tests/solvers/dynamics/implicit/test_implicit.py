@@ -590,8 +590,8 @@ def test_advice_names_only_keys_that_help(settings, advice):
     motion = Dynamics(oscillator(), end=0.02, dt=0.01, **settings)
     states = motion.steps()
     energies = next(states).energies
-    ledger = SimpleNamespace(off=lambda _: -0.5, scale=1.0)
-    first, audit = (motion._motion.auditor.judge(0.0, ledger, energies) for _ in range(2))
+    balance = SimpleNamespace(relative_imbalance=lambda _: -0.5, scale=1.0)
+    first, audit = (motion._motion.auditor.judge(0.0, balance, energies) for _ in range(2))
     assert first.reasons == ()  # once may be a kink's
     states.close()
     assert audit.reasons == (f"the scheme has damped 50 % of the energy away: {advice}",)
