@@ -115,6 +115,7 @@ def test_programs_know_what_ufl_can_say():
 # --- checks ---
 
 
+@pytest.mark.sample(5)
 @pytest.mark.parametrize("name", MATERIALS)
 def test_every_law_passes(name):
     found = material_report(gate.make(name))
@@ -360,6 +361,7 @@ def started(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 @ALONE
+@pytest.mark.sample(5)
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [

@@ -32,6 +32,7 @@ POINTS = {
     "model/test_amplitude.py",
     "model/test_kinematics.py",
     "solvers/dynamics/implicit/test_schemes.py",
+    "test_layout.py",
     "verification/test_manufactured.py",
 }
 """Tests of numbers and texts, and of rates, in which ranks take no part: on one rank only."""
@@ -41,8 +42,11 @@ LAWS = {
     "model/materials/test_laws.py",
     "model/materials/test_user_energy.py",
     "problem/test_dimension.py",
+    "solvers/statics/test_arc_length.py",
+    "solvers/statics/test_hard_cases.py",
 }
-"""Tests of every law, or of names, on bodies of a few cells: on several ranks in the rest only."""
+"""Tests of every law, or of names, on bodies of a few cells, and long paths: on several ranks in
+the rest only."""
 REFERENCES = {
     "verification/test_bending.py",
     "verification/test_heart.py",
