@@ -54,11 +54,6 @@ def interpolation_matrix(coarse: fem.FunctionSpace, fine: fem.FunctionSpace) -> 
     return matrix
 
 
-def jit_takes_comm() -> bool:
-    """True where `fem.form` has a `jit_comm` argument (0.11)."""
-    return "jit_comm" in inspect.signature(fem.form).parameters
-
-
 def reads_attributes_by_name() -> bool:
     """True where one of several attributes of an XDMF grid can be read (0.10)."""
     return "attribute_name" in inspect.signature(XDMFFile.read_meshtags).parameters

@@ -89,7 +89,7 @@ SHARED = {
 """Tests of what ranks share and agree upon: what three ranks can show beyond two, ranks without a
 cell or a facet of a part, it shows here."""
 
-SLOW = ("picture", "drawer", "colour", "adaptive", "second_order")
+SLOW = ("picture", "colour", "adaptive", "second_order")
 """In names of tests of drawings, which one rank makes, and of many small steps: such tests take
 long where ranks wait for each other, and belong to the rest there."""
 
