@@ -14,7 +14,7 @@ from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import Permutation, build_body
-from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
+from dolfin_elastic.mesh.formats.raw import MeshFile, assemble
 from dolfin_elastic.mesh.geometry.checks import check_cells
 
 CAD = (".geo", ".geo_unrolled", ".step", ".stp", ".brep", ".iges", ".igs")
@@ -56,8 +56,14 @@ def read_body(
 
         body = read_xdmf(path, comm=comm, scale=scale, dim=dim)
     else:
-        read, permutation = _reader(path, suffix, lambda: _cad(path, size, curved, dim), dim)
-        body = build_body(read, comm=comm, scale=scale, source=path.name, permutation=permutation)
+        read, permutation = _reader(path, suffix, lambda: _cad(path, size, curved, dim))
+        body = build_body(
+            lambda: assemble(read(), source=path.name, dim=dim),
+            comm=comm,
+            scale=scale,
+            source=path.name,
+            permutation=permutation,
+        )
     return replace(body, notes=(*body.notes, *check_cells(body, scale=scale)))
 
 
@@ -93,68 +99,41 @@ def _check_file(path: Path, size: float | None, curved: bool) -> None:
 
 
 def _reader(
-    path: Path, suffix: str, cad: Callable[[], RawMesh], dim: int | None
-) -> tuple[Callable[[], RawMesh], Permutation]:
+    path: Path, suffix: str, cad: Callable[[], MeshFile]
+) -> tuple[Callable[[], MeshFile], Permutation]:
     if suffix == ".msh":
-        return lambda: _msh(path, dim), cpp.io.perm_gmsh
+        return lambda: _msh(path), cpp.io.perm_gmsh
     if suffix in CAD:
         return cad, cpp.io.perm_gmsh
     if suffix == ".inp":
-        return lambda: _abaqus(path, dim), cpp.io.perm_vtk
-    return lambda: _meshio(path, dim), cpp.io.perm_vtk
+        return lambda: _abaqus(path), cpp.io.perm_vtk
+    return lambda: _meshio(path), cpp.io.perm_vtk
 
 
-def _msh(path: Path, dim: int | None) -> RawMesh:
+def _msh(path: Path) -> MeshFile:
     from dolfin_elastic.mesh.formats.msh import OtherVersionError, read_msh
 
     try:
-        found = read_msh(path)
+        return read_msh(path)
     except OtherVersionError:
         from dolfin_elastic.mesh.formats.cad import convert_msh
 
-        found = convert_msh(path)
-    return assemble(
-        found.points,
-        found.blocks,
-        source=path.name,
-        dim=dim,
-        notes=found.notes,
-        point_data=found.point_data,
-    )
+        return convert_msh(path)
 
 
-def _cad(path: Path, size: float | None, curved: bool, dim: int | None) -> RawMesh:
+def _cad(path: Path, size: float | None, curved: bool, dim: int | None) -> MeshFile:
     from dolfin_elastic.mesh.formats.cad import mesh_cad
 
-    found = mesh_cad(path, size=size, curved=curved, dim=dim)
-    return assemble(found.points, found.blocks, source=path.name, dim=dim, notes=found.notes)
+    return mesh_cad(path, size=size, curved=curved, dim=dim)
 
 
-def _abaqus(path: Path, dim: int | None) -> RawMesh:
+def _abaqus(path: Path) -> MeshFile:
     from dolfin_elastic.mesh.formats.abaqus import read_abaqus
 
-    found = read_abaqus(path)
-    return assemble(
-        found.points,
-        found.blocks,
-        source=path.name,
-        dim=dim,
-        notes=found.notes,
-        point_sets=found.point_sets,
-        point_data=found.point_data,
-    )
+    return read_abaqus(path)
 
 
-def _meshio(path: Path, dim: int | None) -> RawMesh:
+def _meshio(path: Path) -> MeshFile:
     from dolfin_elastic.mesh.formats.meshio import read_meshio
 
-    found = read_meshio(path)
-    return assemble(
-        found.points,
-        found.blocks,
-        source=path.name,
-        dim=dim,
-        notes=found.notes,
-        point_sets=found.point_sets,
-        point_data=found.point_data,
-    )
+    return read_meshio(path)

@@ -14,8 +14,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IntArray
-from dolfin_elastic.mesh.formats.meshio import MeshioMesh
-from dolfin_elastic.mesh.formats.raw import Block, boundary, match_rows
+from dolfin_elastic.mesh.formats.raw import Block, MeshFile, boundary, match_rows
 
 # An element type starts with one of these; what follows (H, R, M, T ...) is its formulation.
 _KINDS = {
@@ -94,7 +93,7 @@ class _Deck:
         sets.setdefault(name.upper(), []).append(numbers)
 
 
-def read_abaqus(path: Path) -> MeshioMesh:
+def read_abaqus(path: Path) -> MeshFile:
     """Reads an input file and what it includes. Local: one rank reads.
 
     Raises:
@@ -118,7 +117,7 @@ def read_abaqus(path: Path) -> MeshioMesh:
     sets = {
         deck.names[key]: _rows_of(numbers, np.concatenate(rows)) for key, rows in deck.nsets.items()
     }
-    return MeshioMesh(points, blocks, sets, _notes(deck))
+    return MeshFile(points, blocks, _notes(deck), sets)
 
 
 def _cards(path: Path, depth: int) -> Iterator[_Card]:

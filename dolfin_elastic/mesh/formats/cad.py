@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from dolfin_elastic.core.errors import MeshError
-from dolfin_elastic.mesh.formats.msh import MshFile, read_msh
+from dolfin_elastic.mesh.formats.msh import read_msh
+from dolfin_elastic.mesh.formats.raw import MeshFile
 
 _SAVE_OPTIONS = {"Mesh.MshFileVersion": 4.1, "Mesh.Binary": 1, "Mesh.SaveAll": 1}
 _OPTIONS = (*_SAVE_OPTIONS, "Mesh.MeshSizeMax", "Mesh.MeshSizeMin", "General.Terminal")
 
 
-def mesh_cad(path: Path, *, size: float | None, curved: bool, dim: int | None) -> MshFile:
+def mesh_cad(path: Path, *, size: float | None, curved: bool, dim: int | None) -> MeshFile:
     """Meshes a CAD file. Local: one rank meshes.
 
     Args:
@@ -53,7 +54,7 @@ def mesh_cad(path: Path, *, size: float | None, curved: bool, dim: int | None) -
         found = _save_and_read(gmsh)
     how = "size as in the file" if size is None else f"size {size:g} (mesh.unit)"
     how += ", cells curved" if curved else ""
-    return MshFile(found.points, found.blocks, [*found.notes, f"meshed by Gmsh, {how}"])
+    return MeshFile(found.points, found.blocks, [*found.notes, f"meshed by Gmsh, {how}"])
 
 
 def _make_quadratic(gmsh: Any, dim: int) -> None:
@@ -124,13 +125,13 @@ def _has_sizes(gmsh: Any) -> bool:
     )
 
 
-def convert_msh(path: Path) -> MshFile:
+def convert_msh(path: Path) -> MeshFile:
     """Reads a .msh file of an old version. Local: one rank reads."""
     with _gmsh(path) as gmsh:
         return _save_and_read(gmsh)
 
 
-def _save_and_read(gmsh: Any) -> MshFile:
+def _save_and_read(gmsh: Any) -> MeshFile:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "mesh.msh"
         for name, value in _SAVE_OPTIONS.items():

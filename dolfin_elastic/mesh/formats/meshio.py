@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.fields import as_columns
-from dolfin_elastic.mesh.formats.raw import Block
+from dolfin_elastic.mesh.formats.raw import Block, MeshFile
 
 # Integer cell data that are references of the format itself: their number is the name.
 _REFERENCES = ("gmsh:physical", "medit:ref", "nastran:ref", "tetgen:ref", "cell_tags")
@@ -22,26 +21,7 @@ _IGNORED = ("gmsh:geometrical",)
 _MOST = 200  # more distinct integers than this are data, not names
 
 
-@dataclass(frozen=True)
-class MeshioMesh:
-    """Content of a mesh file.
-
-    Attributes:
-        points: Coordinates in the file's unit, shape (N, 2) or (N, 3).
-        blocks: Elements with their named parts and data.
-        point_sets: Name to rows of `points`.
-        notes: Remarks for the user.
-        point_data: Name to values at the points, shape (N, columns).
-    """
-
-    points: FloatArray
-    blocks: list[Block]
-    point_sets: dict[str, IntArray] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    point_data: dict[str, FloatArray] = field(default_factory=dict)
-
-
-def read_meshio(path: Path) -> MeshioMesh:
+def read_meshio(path: Path) -> MeshFile:
     """Reads a file with meshio. Local: one rank reads.
 
     Raises:
@@ -65,7 +45,7 @@ def read_meshio(path: Path) -> MeshioMesh:
         for name, values in mesh.point_data.items()
         if name != "point_tags" and _is_number(np.asarray(values))
     }
-    return MeshioMesh(points, blocks, sets, point_data=data)
+    return MeshFile(points, blocks, point_sets=sets, point_data=data)
 
 
 def _is_number(data: AnyArray) -> bool:

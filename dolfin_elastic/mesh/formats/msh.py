@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ import numpy.typing as npt
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.mesh.formats.msh_data import View, data_rows, views
-from dolfin_elastic.mesh.formats.raw import Block
+from dolfin_elastic.mesh.formats.raw import Block, MeshFile
 
 _TYPES = {
     1: ("line", 2),
@@ -57,23 +57,6 @@ _TYPES = {
     36: ("quad16", 16),
     92: ("hexahedron64", 64),
 }
-
-
-@dataclass(frozen=True)
-class MshFile:
-    """Content of a .msh file.
-
-    Attributes:
-        points: Coordinates in the file's unit, shape (N, 3).
-        blocks: Elements with their physical groups and data.
-        notes: Remarks for the user.
-        point_data: Name to values at the points, shape (N, columns).
-    """
-
-    points: FloatArray
-    blocks: list[Block]
-    notes: list[str]
-    point_data: dict[str, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -165,7 +148,7 @@ def _numbers(data: bytes, name: str) -> FloatArray:
             raise MeshError(f"section ${name} holds something that is not a number") from None
 
 
-def read_msh(path: Path) -> MshFile:
+def read_msh(path: Path) -> MeshFile:
     """Reads a .msh file. Local: one rank reads.
 
     Raises:
@@ -334,7 +317,7 @@ def _named(
     found: list[_Run],
     names: dict[tuple[int, int], str],
     data: dict[str, View],
-) -> MshFile:
+) -> MeshFile:
     order = np.argsort(tags)
     blocks, used = [], set()
     for run in found:
@@ -352,7 +335,7 @@ def _named(
         if empty
         else []
     )
-    return MshFile(points, blocks, notes)
+    return MeshFile(points, blocks, notes)
 
 
 def _rows(tags: IntArray, order: IntArray, nodes: IntArray) -> IntArray:

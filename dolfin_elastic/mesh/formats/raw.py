@@ -61,6 +61,25 @@ class Block:
 
 
 @dataclass(frozen=True)
+class MeshFile:
+    """Content of a mesh file, as its reader finds it.
+
+    Attributes:
+        points: Coordinates in the file's unit, shape (N, 2) or (N, 3).
+        blocks: All elements, with their named parts and data.
+        notes: Remarks for the user.
+        point_sets: Name to rows of `points`; each becomes the surface of the facets within it.
+        point_data: Name to numbers of each point, shape (N, columns).
+    """
+
+    points: FloatArray
+    blocks: Sequence[Block]
+    notes: Sequence[str] = ()
+    point_sets: Mapping[str, IntArray] = field(default_factory=dict)
+    point_data: Mapping[str, FloatArray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class RawMesh:
     """One body as plain arrays.
 
@@ -90,33 +109,21 @@ class RawMesh:
         return {3: 2, 6: 2, 4: 3, 10: 3}[self.cells.shape[1]]
 
 
-def assemble(
-    points: FloatArray,
-    blocks: Sequence[Block],
-    *,
-    source: str,
-    dim: int | None = None,
-    point_sets: Mapping[str, IntArray] | None = None,
-    point_data: Mapping[str, FloatArray] | None = None,
-    notes: Iterable[str] = (),
-) -> RawMesh:
+def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh:
     """Assembles the elements of the highest dimension to one mesh.
 
-    Local.  Elements one dimension lower give the named surfaces.
+    Local.  Elements one dimension lower give the named surfaces; data of points are left out where
+    cells have data of that name.
 
     Args:
-        points: Coordinates, shape (N, 2) or (N, 3).
-        blocks: All elements of the file.
+        found: Content of the file.
         source: The file, for messages.
         dim: 2 or 3 to choose the elements; by default the highest found.
-        point_sets: Name to rows of `points`; each becomes the surface of the facets within it.
-        point_data: Name to numbers of each point; left out where cells have data of that name.
-        notes: Remarks of the reader of the file.
 
     Raises:
         MeshError: There are no triangles or tetrahedra, or others beside them.
     """
-    blocks = [b for b in blocks if len(b.nodes)]
+    blocks = [b for b in found.blocks if len(b.nodes)]
     dim = max((b.dim for b in blocks), default=0) if dim is None else dim
     solid = [b for b in blocks if b.dim == dim]
     order = _order(solid, blocks, dim, source)
@@ -125,7 +132,7 @@ def assemble(
     surfaces.update(
         {
             name: s
-            for name, s in _from_points(solid, dim, point_sets or {}).items()
+            for name, s in _from_points(solid, dim, found.point_sets).items()
             if name not in surfaces
         }
     )
@@ -133,10 +140,10 @@ def assemble(
     rows = [np.arange(len(b.nodes)) + start for b, start in zip(solid, starts, strict=False)]
     regions = {name: np.unique(r) for name, r in _gather(solid, rows).items()}
     cells = np.concatenate([b.nodes for b in solid])
-    notes = (*notes, *_left_out(blocks, dim))
+    notes = (*found.notes, *_left_out(blocks, dim))
     cell_data = _cell_data(solid)
-    at_points = {n: data for n, data in (point_data or {}).items() if n not in cell_data}
-    return RawMesh(points, cells, order, regions, surfaces, notes, cell_data, at_points)
+    at_points = {n: data for n, data in found.point_data.items() if n not in cell_data}
+    return RawMesh(found.points, cells, order, regions, surfaces, notes, cell_data, at_points)
 
 
 def _cell_data(solid: Sequence[Block]) -> dict[str, FloatArray]:

@@ -222,15 +222,7 @@ def _data_files(path: Path, root: ElementTree.Element) -> None:
 def _by_meshio(path: Path, dim: int | None) -> RawMesh:
     from dolfin_elastic.mesh.formats.meshio import read_meshio
 
-    found = read_meshio(path)
-    return assemble(
-        found.points,
-        found.blocks,
-        source=path.name,
-        dim=dim,
-        notes=found.notes,
-        point_data=found.point_data,
-    )
+    return assemble(read_meshio(path), source=path.name, dim=dim)
 
 
 def _tagged(body: Body, file: XDMFFile, contents: _Contents) -> Body:
