@@ -24,11 +24,16 @@ CASE_KEYS = {
     "snes_rtol": "statics.rtol, in motion dynamics.rtol,",
     "snes_atol": "statics.atol, in motion dynamics.atol,",
     "snes_stol": "statics.rtol, in motion dynamics.rtol,",
+    "snes_convergence_test": "statics.rtol, in motion dynamics.rtol,",
+    "snes_max_it": "statics.max_iterations, in motion dynamics.max_iterations,",
+    "snes_max_funcs": "statics.max_iterations, in motion dynamics.max_iterations,",
+    "snes_divergence_tolerance": "statics.max_iterations, in motion dynamics.max_iterations,",
 }
 """Options that a key of the case file stands for, and this key.
 
-SNES would take its tolerances without a word and not use them: Newton's method ends by forces out
-of balance over applied forces, and by no norm of the step.
+SNES would take its tolerances and limits without a word and not use them: Newton's method ends by
+forces out of balance over applied forces, by no norm of the step and by a limit of its own, and a
+test of PETSc's in place of it would take for equilibrium what is none.
 """
 
 AT_START = (

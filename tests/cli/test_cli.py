@@ -309,7 +309,7 @@ def test_petsc_options(folder: Path) -> None:
 
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("command", ["run", "check"])
-@pytest.mark.parametrize("option", ["snes_rtol", "snes_atol", "snes_stol"])
+@pytest.mark.parametrize("option", ["snes_rtol", "snes_atol", "snes_stol", "snes_max_it"])
 def test_tolerances_of_snes_are_refused(folder: Path, option: str, command: str) -> None:
     """PETSc would take them, and nothing would ask for them."""
     solver = f"\n[solver]\npetsc = {{{option} = 1e-3}}\n"
@@ -322,8 +322,22 @@ def test_tolerances_of_snes_are_refused(folder: Path, option: str, command: str)
         assert code == 2, out + err
         assert err.count(f"the PETSc option -{option} has no effect here") == 1
         assert where in err
-        assert f"statics.{option[5:] if option == 'snes_atol' else 'rtol'}" in err
+        key = {"snes_atol": "atol", "snes_max_it": "max_iterations"}.get(option, "rtol")
+        assert f"statics.{key}" in err
         assert "Traceback" not in err
+
+
+def test_options_refused_inside_a_solve(folder: Path) -> None:
+    """They ended with code 1, a number of PETSc's and a trace."""
+    petsc = "-ksp_type gmres -pc_type bjacobi -sub_pc_type ilux".split()
+    code, out, err = cli("run", "case.toml", "--", *petsc, folder=folder)
+    assert code == 2, out + err
+    assert err.count("solver.petsc: PETSc refuses the options") == 1
+    assert "Unable to find requested PC type ilux" in err.replace("\n      ", " ").replace(
+        "\n", " "
+    )
+    assert "Traceback" not in err
+    assert "error code" not in err
 
 
 def test_reading_petsc_options() -> None:

@@ -165,10 +165,15 @@ class Newton:
             max_iterations: In place of the tolerance's.
 
         Raises:
-            InputError: A load has no finite value now.
+            InputError: A load has no finite value now, or PETSc cannot do what the user's options
+                ask for: preconditioners of levels, blocks and factors are made only here.
         """
         self._shift_of = shift
-        with stage("solve"), self.options.in_force(snes_linesearch_type=line_search):
+        with (
+            stage("solve"),
+            self.options.in_force(snes_linesearch_type=line_search),
+            self.options.input_errors(),
+        ):
             self.install_test(max_iterations)
             self.snes.setFromOptions()
             self.ksp.setFromOptions()
@@ -288,10 +293,14 @@ class Newton:
             self.ksp.setTolerances(rtol=self.test.linear_tolerance())
 
     def factorise(self) -> None:
-        """Assembles and factorises the tangent where the problem is. Collective."""
+        """Assembles and factorises the tangent where the problem is. Collective.
+
+        Raises:
+            InputError: See `solve`.
+        """
         self._shift_of, self.factorised = None, True
         self._source.get(self._x)
-        with stage("solve"), self.options.in_force():
+        with stage("solve"), self.options.in_force(), self.options.input_errors():
             self._tangent(self.snes, self._x, self._matrix, self._matrix)
             self.ksp.setOperators(self.assembler.tangent.matrix)
             self.ksp.setUp()

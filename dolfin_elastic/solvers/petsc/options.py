@@ -89,13 +89,16 @@ class Options:
     def input_errors(self) -> Iterator[None]:
         """Lets PETSc's refusal of an option of the user be one message.
 
+        To be used around solves, too: PETSc reads what concerns levels, blocks and factors when
+        it makes them.
+
         Raises:
             InputError: PETSc cannot do what the user's options ask for.
         """
         try:
             yield
         except PETSc.Error as error:
-            if not self.users:
+            if not self.users or error.ierr in _NO_OPTION:
                 raise
             given = ", ".join(f"-{name} {value}" for name, value in self.users.items())
             cause = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
@@ -116,6 +119,10 @@ class Options:
             if name not in self._used and not option_used(PREFIX + name):
                 log.warning("PETSc option '-%s' was not used by any solver", name)
         self._reported = True
+
+
+_NO_OPTION = (55, 59, 78, 98)
+"""Codes that no option is to blame for: PETSC_ERR_MEM, _SIG, _MEMC and _MPI."""
 
 
 def _text(value: Any) -> Any:

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic import (
+    Dynamics,
     LinearElastic,
     NeoHookean,
     Problem,
@@ -246,14 +247,52 @@ def test_options_of_the_user_win_and_leave_no_trace(caplog):
     assert not said(caplog, "'-ksp_type'")
 
 
-@pytest.mark.parametrize("option", ["snes_rtol", "-snes_atol", "elastic_snes_stol"])
+KEYS_OF_LIMITS = {
+    "snes_rtol": "rtol",
+    "-snes_atol": "atol",
+    "elastic_snes_stol": "rtol",
+    "snes_convergence_test": "rtol",
+    "-snes_max_it": "max_iterations",
+    "snes_max_funcs": "max_iterations",
+    "snes_divergence_tolerance": "max_iterations",
+}
+
+
+@pytest.mark.parametrize("option", KEYS_OF_LIMITS)
 def test_tolerances_of_snes_are_refused(option: str) -> None:
     """They were without effect: the residual is judged on forces, by the keys of the case."""
-    name = option.lstrip("-").removeprefix("elastic_")
-    key = "atol" if name == "snes_atol" else "rtol"
+    name, key = option.lstrip("-").removeprefix("elastic_"), KEYS_OF_LIMITS[option]
     text = rf"solver\.petsc: the PETSc option -{name} has no effect here.*statics\.{key}, in motion"
     with pytest.raises(CaseError, match=text):
         list(Statics(block(NH), petsc={option: 1e-3}).steps())
+
+
+REFUSED_INSIDE = {
+    "level": ({"ksp_type": "gmres", "pc_type": "gamg"}, {"mg_coarse_pc_type": "nonsense"}),
+    "block": ({"ksp_type": "gmres", "pc_type": "bjacobi"}, {"sub_pc_type": "nonsense"}),
+    "factor": (
+        {"ksp_type": "gmres", "pc_type": "bjacobi", "sub_pc_type": "lu"},
+        {"sub_pc_factor_mat_ordering_type": "nonsense"},
+    ),
+}
+"""Options that fit, and one that PETSc reads, and refuses, only inside a solve."""
+
+
+@pytest.mark.parametrize("motion", [False, True])
+@pytest.mark.parametrize("case", REFUSED_INSIDE)
+def test_what_petsc_refuses_inside_a_solve_is_one_message(case: str, motion: bool) -> None:
+    """It was a PETSc.Error with a number and a trace."""
+    fitting, wrong = REFUSED_INSIDE[case]
+    problem, petsc = block(NeoHookean(E=E, nu=NU, density=1000)), {**fitting, **wrong}
+    with pytest.raises(InputError) as caught:
+        if motion:
+            list(Dynamics(problem, end=1e-3, dt=1e-3, petsc=petsc).steps())
+        list(Statics(problem, petsc=petsc).steps())
+    given = ", ".join(f"-{name} {value}" for name, value in petsc.items())
+    what = caught.value.what.removeprefix(f"PETSc refuses the options {given}: ")
+    assert what != caught.value.what
+    assert "nonsense" in what
+    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_a_factorisation_in_place_of_a_failed_solver_is_renewed(caplog):

@@ -257,7 +257,7 @@ class Implicit:
     def _solve(self) -> None:
         ts = self.ts
         newton, krylov = self.scheme.counts()
-        with stage("solve"), self.options.in_force():
+        with stage("solve"), self.options.in_force(), self.options.input_errors():
             ts.solve()
             while ts.getConvergedReason() < 0 and self.scheme.fall_back():
                 ts.setConvergedReason(PETSc.TS.ConvergedReason.CONVERGED_ITERATING)
