@@ -94,6 +94,11 @@ def check(
       dolfin-elastic check beam.toml --json | jq .unknowns
 
     Compares every name, unit and size with the mesh, sums up masses and loads; computes nothing.
+
+    \f
+    Args:
+        case: The case file.
+        json: Write the report as JSON.
     """
     from mpi4py import MPI
 
@@ -130,6 +135,14 @@ def new(
     \b
       dolfin-elastic new               writes case.toml
       dolfin-elastic new beam.toml
+
+    \f
+    Args:
+        file: The file to write.
+        force: Overwrite it if it exists.
+
+    Raises:
+        CaseError: It exists, or cannot be written.
     """
     from dolfin_elastic.cli.template import case_template
 

@@ -37,6 +37,15 @@ def material(
 
     Checks what every material must keep, says how far it goes, and draws its curves: uniaxial,
     equibiaxial, planar, simple shear, volumetric.
+
+    \f
+    Args:
+        context: Typer's; its remaining arguments are the constants of a law.
+        what: A case file, or the name of a law.
+        only: Name of the one material of the file that is tested.
+        stretch: Largest stretch of the curves.
+        output: Folder that curves are written to.
+        json: Write the report as JSON.
     """
     from mpi4py import MPI
 

@@ -51,6 +51,14 @@ def run(
     it after the current step, with a checkpoint from which `restart` goes on; SIGUSR1 makes a
     checkpoint and no stop.
     What follows two dashes are PETSc options; they win over the case's own.
+
+    \f
+    Args:
+        case: The case file.
+        petsc: PETSc options as they stand on the command line.
+        output: Folder of the results, in place of the case's.
+        profile: Show at the end where time and memory went.
+        quiet: Show warnings and errors only.
     """
     options, at_start = parse_arguments(petsc or [])
     start_petsc(at_start)
@@ -81,6 +89,13 @@ def restart(
 
     DIR is the folder of its results; it goes on from the last checkpoint there, and the results
     go on with it.  PETSc options of the first run hold; those after two dashes win over them.
+
+    \f
+    Args:
+        folder: Folder of the results.
+        petsc: PETSc options as they stand on the command line.
+        profile: Show at the end where time and memory went.
+        quiet: Show warnings and errors only.
     """
     options, at_start = parse_arguments(petsc or [])
     start_petsc(at_start)

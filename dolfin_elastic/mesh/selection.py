@@ -70,6 +70,12 @@ class _BoundingBox:
 
     @staticmethod
     def of(body: Body, scale: float) -> _BoundingBox:
+        """The bounding box of a body. Collective.
+
+        Args:
+            body: The body.
+            scale: Metres per unit of bare numbers in selectors.
+        """
         low, high = bounding_box(body.mesh)
         return _BoundingBox(low, high, scale)
 
@@ -81,6 +87,15 @@ class _BoundingBox:
         return metres(value, self.scale)
 
     def point(self, values: Sequence[MeshLength], key: str) -> FloatArray:
+        """A place of a selector, of shape (gdim,) [m].
+
+        Args:
+            values: Its components, in the mesh's unit or as texts with a unit.
+            key: The selector's key, for the message.
+
+        Raises:
+            MeshError: There are too few.
+        """
         dim = len(self.low)
         if len(values) < dim:
             raise MeshError(f"the body is three-dimensional, {list(values)} is not", where=key)
@@ -221,6 +236,12 @@ def _surface_criteria(
     limit = _limit(selector, space)
 
     def test(label: str, distance: Callable[[FloatArray], FloatArray]) -> _Criterion:
+        """How far the farthest corner of each facet is off.
+
+        Args:
+            label: Where facets are looked for, for the message.
+            distance: From places of shape (n, gdim) [m] to distances of shape (n,) [m].
+        """
         flat = np.abs(distance(corners.reshape(-1, corners.shape[2])))
         return _Criterion(label, flat.reshape(corners.shape[:2]).max(axis=1), limit, space.scale)
 

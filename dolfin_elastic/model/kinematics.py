@@ -86,6 +86,12 @@ def cofactor(F: Expr) -> Expr:
         return ufl.as_matrix([[F[1, 1], -F[1, 0]], [-F[0, 1], F[0, 0]]])
 
     def minor(i: int, j: int) -> Expr:
+        """The minor of F11 ... F33 with its sign.
+
+        Args:
+            i: The row that is left out, from 0.
+            j: The column that is left out, from 0.
+        """
         a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
         return F[a, c] * F[b, d] - F[a, d] * F[b, c]
 

@@ -88,7 +88,13 @@ class _Deck:
     parts: int = 0
 
     def add(self, sets: dict[str, list[IntArray]], name: str, numbers: IntArray) -> None:
-        """Adds members to a set; names keep the spelling they first had."""
+        """Adds members to a set; names keep the spelling they first had.
+
+        Args:
+            sets: The sets of one kind, `nsets` or `elsets`.
+            name: The set's name in any case.
+            numbers: Its new members in the file's numbering, of shape (n,).
+        """
         self.names.setdefault(name.upper(), name)
         sets.setdefault(name.upper(), []).append(numbers)
 

@@ -90,7 +90,15 @@ class _Numbers:
         self._values = np.empty(0) if binary else _numbers(data, name)
 
     def take(self, count: int, code: str) -> npt.NDArray[np.float64 | np.int64]:
-        """The next numbers; code i4 (int), u8 (size_t) or f8 (double)."""
+        """The next numbers, of shape (count,).
+
+        Args:
+            count: How many.
+            code: i4 (int), u8 (size_t) or f8 (double).
+
+        Raises:
+            MeshError: The section ends before.
+        """
         wide = np.dtype(self._order + code)
         size = wide.itemsize if self._binary else 1
         have = (len(self._data) if self._binary else len(self._values)) - self._at

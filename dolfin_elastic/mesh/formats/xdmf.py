@@ -182,6 +182,12 @@ def _field(body: Body, path: Path, data: _Data) -> MeshField:
     import h5py
 
     def read(start: int, stop: int) -> FloatArray:
+        """Some rows of the field, of shape (stop - start, width).
+
+        Args:
+            start: The first row.
+            stop: The row after the last one.
+        """
         with h5py.File(path.parent / data.file, "r") as file:
             rows = np.asarray(file[data.path][start:stop], dtype=np.float64)
         return rows.reshape(stop - start, data.shape[1])

@@ -200,7 +200,13 @@ class _Compliance:
         self._f = stability.assembler.create_vector()
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """See PETSc's MatMult. Collective."""
+        """Multiplies by the compliance, as PETSc's MatMult. Collective.
+
+        Args:
+            matrix: The PETSc matrix that this one is the context of.
+            x: Forces [N].
+            y: Displacements [m], which it writes.
+        """
         self._f.array_w[:] = x.array_r * self._keep
         self._of.assembler.remove_constrained(self._f)
         self._of.solve(self._f, y)

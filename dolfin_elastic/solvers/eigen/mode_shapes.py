@@ -44,7 +44,15 @@ class Pencil(Protocol):
         known: Sequence[FloatArray] = (),
         seed: int = 0,
     ) -> list[Pair]:
-        """The eigenpairs next to a shift."""
+        """The eigenpairs next to a shift. Collective.
+
+        Args:
+            shift: Where they are looked for: omega^2 [1/s^2], or a load factor.
+            count: How many are wanted.
+            room: How many there are at all.
+            known: Vectors that are found already, owned entries of each.
+            seed: Another number is another start.
+        """
 
     def below(self, number: float) -> int | None:
         """How many lie below a number."""

@@ -64,6 +64,12 @@ class Ogden(Isochoric):
             half = self.alpha[p] / 2
 
             def power(square: Expr, half: Any = half) -> Expr:
+                """A principal stretch to the power of this term's exponent.
+
+                Args:
+                    square: The squared stretch.
+                    half: Half the exponent.
+                """
                 return square**half
 
             total = shape.total(power, power_series(half))
