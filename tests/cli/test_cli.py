@@ -329,7 +329,7 @@ def test_tolerances_of_snes_are_refused(folder: Path, option: str, command: str)
 
 def test_options_refused_inside_a_solve(folder: Path) -> None:
     """They ended with code 1, a number of PETSc's and a trace."""
-    petsc = "-ksp_type gmres -pc_type bjacobi -sub_pc_type ilux".split()
+    petsc = ["-ksp_type", "gmres", "-pc_type", "bjacobi", "-sub_pc_type", "ilux"]
     code, out, err = cli("run", "case.toml", "--", *petsc, folder=folder)
     assert code == 2, out + err
     assert err.count("solver.petsc: PETSc refuses the options") == 1
