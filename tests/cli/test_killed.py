@@ -188,7 +188,7 @@ BUSY = re.compile(
 )
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_a_folder_belongs_to_one_run_at_a_time(tmp_path: Path, ranks: int) -> None:
     """Neither `run` nor `restart` touches it, on any number of ranks; a killed run frees it."""
