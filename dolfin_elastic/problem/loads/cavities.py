@@ -25,7 +25,6 @@ class BodyCavity:
         cavity: What is prescribed.
         context: The body; it has the pressure where that is an unknown.
         where: Key of its surfaces in the case.
-        initial: Volume of the undeformed cavity [m^3]; 0 before `set_initial_volume`.
         t: Time [s], or load parameter.
         default: Amplitude of a cavity that names none.
     """
@@ -37,12 +36,11 @@ class BodyCavity:
     cavity: Cavity
     context: FormContext
     where: str = "load"
-    initial: float = 0.0
     t: float = 0.0
     default: Amplitude = CONSTANT
 
     def set_time(self, t: float, default: Amplitude) -> None:
-        """Sets the time at which `goal` is taken. Not collective.
+        """Sets the time at which what is prescribed is evaluated. Not collective.
 
         Args:
             t: Time [s], or load parameter.
@@ -50,29 +48,25 @@ class BodyCavity:
         """
         self.t, self.default = t, default
 
-    def set_initial_volume(self, volume: float) -> None:
-        """Sets the volume of the undeformed cavity [m^3], once it is integrated."""
-        self.initial = volume
-
     @property
     def volume_controlled(self) -> bool:
         """The volume is prescribed, so the pressure is an unknown."""
         return self.cavity.volume_controlled
 
-    @property
-    def goal(self) -> float:
-        """The prescribed volume [m^3], or pressure [Pa]."""
-        return self.cavity.prescribed_value(self.t, self.default, self.initial)
+    def prescribed_volume(self, initial: float) -> float:
+        """The prescribed volume [m^3], from that of the undeformed cavity [m^3]."""
+        assert self.volume_controlled
+        return self.cavity.prescribed_value(self.t, self.default, initial)
 
     @property
     def pressure(self) -> float:
         """The present pressure [Pa]."""
-        return (
-            float(self.context.unknown(self.label).value) if self.volume_controlled else self.goal
-        )
+        if self.volume_controlled:
+            return float(self.context.unknown(self.label).value)
+        return self.cavity.prescribed_value(self.t, self.default, initial=0.0)
 
-    @pressure.setter
-    def pressure(self, value: float) -> None:
+    def set_pressure(self, value: float) -> None:
+        """Sets the pressure [Pa] where it is an unknown."""
         self.context.unknown(self.label).value = value
 
 

@@ -66,7 +66,6 @@ class ContactPair:
         lam: Multiplier [Pa], nodal values of the displacement's degree; 0 in motion.
         penalty: eps [Pa/m], one number a cell beside the surface.
         shift: Displacement of the obstacle [m] (UFL constant).
-        reach: Gap [m] up to which the surface is in contact (UFL constant).
         size: Mean height of the cells over the surface [m].
         tolerance: Penetration that statics leaves [m].
         nodes: Owned nodes of the surface in the space of `lam`.
@@ -95,7 +94,7 @@ class ContactPair:
         self._eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
         self._first = self.penalty.x.array.copy(), self._eps.copy()
         self.shift = context.constant([0.0] * body.dim)
-        self.reach = context.constant(SLACK * cell_size(body))
+        self._reach = context.constant(SLACK * cell_size(body))
 
     def _fill_penalty(self) -> None:
         cells, heights = self._heights
@@ -109,6 +108,15 @@ class ContactPair:
         self.penalty.x.array[dofs[cells]] = eps
         # Material regions list owned cells only: ghosts beside the surface get theirs from owners.
         self.penalty.x.scatter_forward()
+
+    @property
+    def reach(self) -> float:
+        """Gap [m] up to which the surface is in contact."""
+        return float(self._reach.value)
+
+    def set_reach(self, gap: float) -> None:
+        """Sets the gap [m] up to which the surface is in contact. Not collective."""
+        self._reach.value = gap
 
     def soften(self, factor: float) -> None:
         """Multiplies the initial penalty by a factor, unless the user has given the penalty."""
@@ -168,7 +176,7 @@ class ContactPair:
     @cached_property
     def pressure(self) -> Expr:
         """Contact pressure on the reference area [Pa]."""
-        in_contact = ufl.ge(self._trial_pressure, -self.penalty * self.reach)
+        in_contact = ufl.ge(self._trial_pressure, -self.penalty * self._reach)
         return ufl.conditional(in_contact, self._trial_pressure, 0.0)
 
     @cached_property

@@ -207,7 +207,7 @@ def constrained_directions(problem: Problem, *, reached: bool = False) -> Constr
         more.append((skew.nodes[: skew.count], skew.P[: skew.count]))
     rows += [Constraints(np.repeat(nodes, dim), P.reshape(-1, dim)) for nodes, P in more]
     for pair in problem.contact_pairs:
-        within = np.inf if reached else float(pair.reach.value)
+        within = np.inf if reached else pair.reach
         rows.append(Constraints(*near_nodes(pair, within)))
     return Constraints(
         np.concatenate([row.nodes for row in rows]).astype(np.int32),

@@ -149,14 +149,14 @@ def without_contact(problem: Problem) -> Iterator[None]:
 @contextmanager
 def _reaching(reaches: Sequence[float], problem: Problem) -> Iterator[None]:
     """Changes the gap up to which nodes of each contact are in contact [m]."""
-    before = [float(pair.reach.value) for pair in problem.contact_pairs]
+    before = [pair.reach for pair in problem.contact_pairs]
     try:
         for pair, reach in zip(problem.contact_pairs, reaches, strict=True):
-            pair.reach.value = reach
+            pair.set_reach(reach)
         yield
     finally:
         for pair, reach in zip(problem.contact_pairs, before, strict=True):
-            pair.reach.value = reach
+            pair.set_reach(reach)
 
 
 def pulled_off_obstacles(assembler: Assembler) -> bool:
@@ -301,4 +301,4 @@ def near_nodes(pair: ContactPair, within: float) -> tuple[IndexArray, FloatArray
 
 def count_touching(pair: ContactPair) -> int:
     """Number of nodes in contact. Collective."""
-    return int(total(pair.comm, int(np.sum(pair.gaps()[0] <= float(pair.reach.value)))))
+    return int(total(pair.comm, int(np.sum(pair.gaps()[0] <= pair.reach))))

@@ -100,6 +100,7 @@ class CavityScalars:
     Attributes:
         cavity: The cavity.
         closed: Its surfaces and planes of symmetry enclose it, so that it has a volume.
+        initial: Volume of the undeformed cavity [m^3].
 
     Raises:
         InputError: Its volume is prescribed, but it is open; or it has none.
@@ -116,11 +117,10 @@ class CavityScalars:
         # The residual is linear in the pressure: a large difference has no error but round-off.
         self.steps, self.signs = np.array([self._problem.stiffness]), np.array([-1.0])
         self.prescribing = np.zeros(1, dtype=bool)
-        initial, self.closed = self._undeformed()
-        cavity.set_initial_volume(initial)
-        if not cavity.initial > 0.0 and (cavity.volume_controlled or self.closed):
+        self.initial, self.closed = self._undeformed()
+        if not self.initial > 0.0 and (cavity.volume_controlled or self.closed):
             raise InputError(
-                f"the surfaces of the cavity '{cavity.label}' enclose {cavity.initial:.3g} m^3",
+                f"the surfaces of the cavity '{cavity.label}' enclose {self.initial:.3g} m^3",
                 where=cavity.where,
                 expected="all surfaces around it, and an origin in all planes of symmetry",
             )
@@ -172,11 +172,11 @@ class CavityScalars:
 
     def put(self, values: FloatArray) -> None:
         """Sets it."""
-        self.cavity.pressure = float(values[0])
+        self.cavity.set_pressure(float(values[0]))
 
     def residual(self) -> FloatArray:
         """Volume beyond the given one [m^3]. Collective."""
-        return np.array([self.volume() - self.cavity.goal])
+        return np.array([self.volume() - self._prescribed_volume])
 
     def rows(self) -> list[FloatArray]:
         """Its derivative [m^2]. Collective."""
@@ -189,7 +189,11 @@ class CavityScalars:
             residual: The equations.
             target: See `ScalarUnknowns`.
         """
-        return bool(abs(residual[0]) <= VOLUME * max(self.cavity.initial, abs(self.cavity.goal)))
+        return bool(abs(residual[0]) <= VOLUME * max(self.initial, abs(self._prescribed_volume)))
+
+    @property
+    def _prescribed_volume(self) -> float:
+        return self.cavity.prescribed_volume(self.initial)
 
 
 class RigidSurface:
