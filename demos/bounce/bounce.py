@@ -11,12 +11,12 @@ Equations
 
 Discretisation
     Some thousand linear tetrahedra of Gmsh; central differences with lumped mass, and nine tenths
-    of the stable step, which is followed as the ball deforms.
+    of the stable step, which is recomputed as the ball deforms.
 
 Result
-    Strain, kinetic and contact energy less the work of gravity stay what they were.  The centre of
-    mass rises by v^2/(2 g), v its speed when it leaves the floor; what is missing of the height it
-    came from is the energy that rings.  It is in the air for 2 v/g.
+    Strain, kinetic and contact energy minus the work of gravity are conserved.  The centre of
+    mass rises by v^2/(2 g), v its speed when it leaves the floor; the rest of the initial
+    potential energy is in its vibration.  It is in the air for 2 v/g.
 
         python3 demos/bounce/bounce.py
         mpirun -n 2 python3 demos/bounce/bounce.py

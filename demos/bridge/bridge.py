@@ -2,7 +2,7 @@
 
 Problem
     A tied arch of 40 m span, 6.5 m wide and 8 m high (`bridge.geo`: deck, two ribs, hangers and
-    struts, all of solid steel).  Its west end is held, its east end may move along the bridge.
+    struts, all of solid steel).  Its west end is clamped, its east end slides along the bridge.
     It carries its weight and a wind pressure of 1.5 kPa on every face that looks to windward.
 
 Equations

@@ -1,9 +1,9 @@
-"""A block of jelly let go under its own weight, by two schemes for the motion.
+"""A block of jelly released under its own weight, by two schemes for the motion.
 
 Problem
     A block of 10 x 10 x 15 cm of very soft rubber (E = 10 kPa, nu = 0.4, 1000 kg/m^3) stands on a
-    table that holds its base.  At t = 0 it is straight and at rest, and its weight begins to act:
-    it bounces up and down about its sagged state.
+    table that its base sticks to.  At t = 0 it is straight and at rest, and its weight begins to
+    act: it bounces up and down about its sagged state.
 
 Equations
     Neo-Hookean; motion: density * a = div P + density * g.

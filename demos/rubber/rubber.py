@@ -1,12 +1,12 @@
-"""Torsion of a rubber cylinder at nu = 0.4999: elements that lock and elements that do not.
+"""Torsion of a rubber cylinder at nu = 0.4999: elements with and without volumetric locking.
 
 Problem
-    A cylinder of radius a = 10 mm and length 10 mm whose ends are turned against each other by
-    one radian and kept at their distance.  Rubber hardly changes its volume.
+    A cylinder of radius a = 10 mm and length 10 mm whose ends are rotated against each other by
+    one radian at a fixed distance.  Rubber is nearly incompressible.
 
 Equations
-    Neo-Hookean, in two formulations.  With displacements alone, psi(F) holds the volume through
-    its large lmbda; linear tetrahedra, each keeping its own volume, then hardly deform at all.
+    Neo-Hookean, in two formulations.  With displacements alone, psi(F) penalises a change
+    of volume by its large lmbda; linear tetrahedra, each of constant volume, then lock.
     In the mixed formulation a pressure p is an unknown of its own: the energy is
     mu/2 (tr F^T F - 3) - mu ln J + p ln J - p^2/(2 lmbda).
 

@@ -1,9 +1,9 @@
 """A tuning fork for concert pitch: how long must its prongs be to sound 440 Hz?
 
 Problem
-    A fork of square steel, 5 x 5 mm, with prongs 8 mm apart, held at the end of its stem.  Of its
-    many modes one is its tone: the prongs swing against each other.  Nothing else moves, so the
-    hand at the stem does not damp it.
+    A fork of square steel, 5 x 5 mm, with prongs 8 mm apart, clamped at the end of its stem.  Of
+    its many modes one is its tone: the prongs swing against each other.  Nothing else moves, so
+    the hand at the stem does not damp it.
 
 Equations
     Small vibrations: K u = omega^2 M u.  The force of a mode on its support is measured by its
@@ -16,7 +16,7 @@ Discretisation
     extrapolated from n = 2 and 4 (434.22) is that from 4 and 6 (434.20) to 1e-4.
 
 Result
-    The length of the prongs by the secant rule, the one that stands in `fork.geo` to a hundredth of
+    The length of the prongs by the secant rule, which `fork.geo` has to a hundredth of
     a millimetre; the whole fork, of `case.toml`, has the tone within 0.1 % of 440 Hz.  Straight
     beams that are clamped where the bend begins, and as long as the axis down to the bend's
     middle, have it between them.

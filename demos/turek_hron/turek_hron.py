@@ -1,7 +1,7 @@
-"""The elastic flag of Turek & Hron, let go under its weight: CSM3, without the fluid.
+"""The elastic flag of Turek & Hron, released under its weight: CSM3, without the fluid.
 
 Problem
-    A flag 0.35 m long and 2 cm thick is held by a cylinder at its left end.  Its weight (g = 2
+    A flag 0.35 m long and 2 cm thick is clamped to a cylinder at its left end.  Its weight (g = 2
     m/s^2) begins to act at t = 0, and it swings about its sagged state, 13 cm to and fro.
 
 Equations

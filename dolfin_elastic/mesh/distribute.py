@@ -48,9 +48,9 @@ def build_body(
     raw = _on_root_only(comm, lambda: clean(read()), source)
     mesh = _distribute(comm, raw, scale, permutation)
     regions = _regions(mesh, raw)
-    surfaces, lost = _surfaces(mesh, raw)
+    surfaces, unmatched = _surfaces(mesh, raw)
     notes = comm.bcast(raw.notes if raw else None)
-    return Body(mesh, regions, surfaces, source, (*notes, *lost), distribute_fields(mesh, raw))
+    return Body(mesh, regions, surfaces, source, (*notes, *unmatched), distribute_fields(mesh, raw))
 
 
 def _on_root_only(comm: MPI.Comm, action: Callable[[], RawMesh], source: str) -> RawMesh | None:

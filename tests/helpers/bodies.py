@@ -22,7 +22,7 @@ from dolfin_elastic.mesh.distribute import make_mesh
 
 @contextmanager
 def drawing() -> Iterator[Any]:
-    """Gmsh, closed again whatever happens."""
+    """An initialised Gmsh, finalised also after an error."""
     import gmsh
 
     gmsh.initialize(readConfigFiles=False, interruptible=False)

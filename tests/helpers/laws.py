@@ -68,12 +68,12 @@ def irregular(body: Body, size: tuple[float, ...]) -> Body:
 
 def homogeneous(
     law: Law,
-    held: dict[str, list[Any]],
+    prescribed: dict[str, list[Any]],
     size: tuple[float, ...],
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Corner displacement over size, and reactions over area, of a stretched irregular body."""
     body = irregular(box_body(size=size, cells=(3,) * len(size)), size)
-    supports = [Support(on=name, displacement=values) for name, values in held.items()]
+    supports = [Support(on=name, displacement=values) for name, values in prescribed.items()]
     problem = Problem(body, law, supports=supports)
     *_, state = Statics(problem, steps=2, rtol=1e-13).steps()
     bs = len(size)
@@ -86,7 +86,7 @@ def homogeneous(
     spread = np.abs(u - places[:, :bs] * stretch).max(initial=0.0)
     assert body.comm.allreduce(spread, op=MPI.MAX) < 1e-9
     area = {"right": np.prod(size[1:]), "top": np.prod(size[:-1])}
-    return 1 + stretch, {k: state.reactions[k] / a for k, a in area.items() if k in held}
+    return 1 + stretch, {k: state.reactions[k] / a for k, a in area.items() if k in prescribed}
 
 
 SIZE = (1.0, 0.7, 0.5)

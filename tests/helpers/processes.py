@@ -12,7 +12,7 @@ PROGRAM = [sys.executable, "-m", "dolfin_elastic"]
 
 
 def clean_environment() -> dict[str, str]:
-    """The environment without what a launcher has told this process of its own run."""
+    """The environment without the variables by which a launcher describes this process."""
     pattern = re.compile(r"PMIX|PMI_|PRTE_(?!MCA)|OMPI_(?!MCA|ALLOW)")
     return {key: value for key, value in os.environ.items() if not pattern.match(key)}
 

@@ -63,7 +63,7 @@ def check_same(
 
 
 class Killed(BaseException):
-    """The end of a run, without a word."""
+    """Ends a run abruptly, as a signal that cannot be caught."""
 
 
 def case(**tables: Any) -> Case:
@@ -81,7 +81,7 @@ def case(**tables: Any) -> Case:
 
 
 def begun(case: Case, folder: Path, steps: int, **keys: Any) -> None:
-    """Computes some steps, and is killed when the last of them has been told of."""
+    """Computes some steps; the run is killed once it has yielded the last of them."""
     states = run(case, output=folder, **keys)
     while next(states).step < steps:
         pass
@@ -94,7 +94,7 @@ def kill(states: Any) -> None:
 
 
 def finished(folder: Path) -> list[int]:
-    """Goes on to the end; the steps that were made."""
+    """Restarts the run and completes it; numbers of the steps computed."""
     return [state.step for state in restart(folder)]
 
 

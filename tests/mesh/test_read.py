@@ -426,7 +426,7 @@ def test_unused_points_duplicates_and_reversed_cells_are_noted(folder: Path) -> 
     notes = " | ".join(body.notes)
     assert mesh_statistics(body).volume == pytest.approx(1 / 8)
     assert "1 of 9 points belong to no cell" in notes
-    assert "1 cells stood twice (kept once) near (0.75, 0.5, 0.25)" in notes
+    assert "1 duplicate cells (removed) near (0.75, 0.5, 0.25)" in notes
     assert "3 of 6 cells list their points the other way round (harmless" in notes
 
 
@@ -474,7 +474,7 @@ XDMF_FAULTS = {
     "nan": "not numbers",
     "range": "point 99, but there are 8",
     "twice": "point twice",
-    "duplicate": "1 cells stand twice",
+    "duplicate": "1 duplicate cells",
     "overlap": "three or more cells",
     "flat": "no volume",
     "inside out": "inside out",

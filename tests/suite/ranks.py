@@ -2,8 +2,8 @@
 
 First one rank, spread over the cores, which compiles the forms; then the sessions on several ranks,
 one after the other as long as there are no cores for both: the cores are always busy and never
-shared, which ranks that wait for each other bear badly.  What a session finds goes into files and
-is told here as if it had been found here, so that there is one verdict and one table of times.
+shared, which ranks that wait for each other bear badly.  The outcomes of a
+session are written to files and reported here, so that there is one verdict and one table of times.
 """
 
 from __future__ import annotations

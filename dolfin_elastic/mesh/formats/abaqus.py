@@ -248,10 +248,11 @@ _TAKE: dict[str, Callable[[_Deck, _Card], None]] = {
 def _rows_of(numbers: IntArray, wanted: IntArray) -> IntArray:
     """Rows of the points with the given numbers; `numbers` is sorted."""
     rows = np.minimum(np.searchsorted(numbers, wanted), len(numbers) - 1)
-    lost = np.unique(wanted[numbers[rows] != wanted])
-    if len(lost):
+    missing = np.unique(wanted[numbers[rows] != wanted])
+    if len(missing):
         raise MeshError(
-            f"elements or sets refer to {len(lost)} points that do not exist, for example {lost[0]}"
+            f"elements or sets refer to {len(missing)} points that do not exist, "
+            f"for example {missing[0]}"
         )
     return np.asarray(rows)
 

@@ -86,7 +86,7 @@ def _duplicates(raw: RawMesh) -> RawMesh:
     first[order] = np.searchsorted(keep, order[new])[np.cumsum(new) - 1]
     count = len(order) - len(keep)
     again = np.setdiff1d(np.arange(len(order)), keep)
-    note = f"{count} cells stood twice (kept once) {format_points(_midpoints(raw, again), count)}"
+    note = f"{count} duplicate cells (removed) {format_points(_midpoints(raw, again), count)}"
     regions = {name: np.unique(first[rows]) for name, rows in raw.regions.items()}
     data = {name: values[keep] for name, values in raw.cell_data.items()}
     return _noted(raw, note, cells=raw.cells[keep], regions=regions, cell_data=data)
@@ -99,10 +99,10 @@ def _used(raw: RawMesh) -> RawMesh:
     if unused == 0:
         return raw
     new = np.cumsum(used) - 1
-    surfaces, lost = {}, []
+    surfaces, dropped = {}, []
     for name, facets in raw.surfaces.items():
         inside = used[facets].all(axis=1)
-        lost += [] if inside.all() else [f"{np.count_nonzero(~inside)} of '{name}'"]
+        dropped += [] if inside.all() else [f"{np.count_nonzero(~inside)} of '{name}'"]
         surfaces[name] = new[facets[inside]]
     note = f"{unused} of {len(used)} points belong to no cell (dropped)"
     data = {name: values[used] for name, values in raw.point_data.items()}
@@ -115,7 +115,9 @@ def _used(raw: RawMesh) -> RawMesh:
         point_data=data,
     )
     return (
-        _noted(raw, f"facets that belong to no cell (dropped): {', '.join(lost)}") if lost else raw
+        _noted(raw, f"facets that belong to no cell (dropped): {', '.join(dropped)}")
+        if dropped
+        else raw
     )
 
 
@@ -207,7 +209,7 @@ def check_distributed(comm: MPI.Comm, cells: IntArray, points: int, dim: int) ->
         dim: 2 or 3.
 
     Raises:
-        MeshError: Points that do not exist, cells that stand twice, or facets between three cells.
+        MeshError: Points that do not exist, duplicate cells, or facets between three cells.
     """
     agree(comm, _out_of_range(cells, int(total(comm, points))))
     corners = np.sort(cells[:, : dim + 1], axis=1)
@@ -216,7 +218,7 @@ def check_distributed(comm: MPI.Comm, cells: IntArray, points: int, dim: int) ->
         raise MeshError(f"{collapsed} cells use the same point twice", expected="remesh")
     twice = int(total(comm, _repeated(comm, corners, 1)))
     if twice:
-        raise MeshError(f"{twice} cells stand twice", expected="save each cell once")
+        raise MeshError(f"{twice} duplicate cells", expected="save each cell once")
     facets = np.concatenate([np.delete(corners, i, axis=1) for i in range(dim + 1)])
     branching = int(total(comm, _repeated(comm, facets, 2)))
     if branching:

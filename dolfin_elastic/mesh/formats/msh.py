@@ -358,9 +358,9 @@ def _rows(tags: IntArray, order: IntArray, nodes: IntArray) -> IntArray:
         raise MeshError("the mesh has no points")
     at = np.searchsorted(tags, nodes, sorter=order)
     rows = order[np.minimum(at, len(tags) - 1)]
-    lost = np.unique(nodes[tags[rows] != nodes])
-    if len(lost):
+    missing = np.unique(nodes[tags[rows] != nodes])
+    if len(missing):
         raise MeshError(
-            f"elements refer to {len(lost)} points that do not exist, for example {lost[0]}"
+            f"elements refer to {len(missing)} points that do not exist, for example {missing[0]}"
         )
     return np.asarray(rows)
