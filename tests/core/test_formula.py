@@ -224,6 +224,7 @@ def test_numpy_and_ufl_agree(text: str, x: float, y: float) -> None:
     assert at_point == pytest.approx(number, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.sample(12)
 @pytest.mark.parametrize("name", sorted(FUNCTIONS))
 def test_compiled_code_agrees(name: str) -> None:
     """What DOLFINx makes of each function, at points that sit on the corners too."""

@@ -76,7 +76,7 @@ def lateral(problem: Problem) -> float:
     return 1 + low + comm.allreduce(float(moved.max(initial=0.0)), op=MPI.MAX)
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize(("kind", "stretch"), UNIAXIAL)
 def test_plane_stress_solves_for_the_thickness(kind, stretch, degree):
@@ -276,7 +276,7 @@ def bar(law: Any, geometry: str) -> tuple[float, float]:
     return force / area, state.energies["strain"] / area
 
 
-@pytest.mark.sample(5)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("name", "geometry"),
     [(name, "plane-stress") for name in POWERFUL if "fibre" not in MATERIALS[name].directions]

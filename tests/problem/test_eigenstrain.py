@@ -48,7 +48,7 @@ def box(dim: int) -> Any:
     return (box_body if dim == 3 else rectangle_body)(size=(1,) * dim, cells=(2,) * dim)
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("name", ["linear-elastic", "st-venant-kirchhoff", "neo-hookean-split"])
 @pytest.mark.parametrize("formulation", ["displacement", "mixed"])

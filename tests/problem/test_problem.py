@@ -135,7 +135,7 @@ def waves(problem: Problem, seed: int) -> np.ndarray:
 SPLIT = [name for name, kind in MATERIALS.items() if issubclass(kind, SplitLaw)]
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(4)
 @pytest.mark.parametrize(
     ("name", "formulation"),
     [(name, "displacement") for name in MATERIALS] + [(name, "mixed") for name in SPLIT],
@@ -198,7 +198,7 @@ LOADS = {
 }
 
 
-@pytest.mark.sample(10)
+@pytest.mark.sample(6)
 @pytest.mark.parametrize("load", [*LOADS, "all of them"])
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("materials", [1, 2])

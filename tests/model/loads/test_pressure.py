@@ -135,7 +135,7 @@ def asymmetry(problem: Problem) -> float:
     return found
 
 
-@pytest.mark.sample(6)
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("case", RIMS)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_symmetric_where_it_says_so(monkeypatch, case, degree):

@@ -114,7 +114,7 @@ STRAIGHT = {
 """Directions with which the bar stays straight."""
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", ENERGIES)
 @pytest.mark.parametrize("stretch", [0.8, 1.3])
 def test_uniaxial_states(comm, name, stretch):

@@ -84,7 +84,7 @@ def alike(found: list[tuple[np.ndarray, np.ndarray]], tolerance: float) -> None:
 # --- rollers on flat surfaces ---
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("method", ["direct", "iterative"])
 @pytest.mark.parametrize(
     ("law", "degree", "formulation"),

@@ -94,6 +94,7 @@ def cored(body: Body, low: float = 0.0, **fields: Any) -> Problem:
 # --- a homogeneous cell: P is that of the law, whatever the mesh ---
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_homogeneous(dim, degree):

@@ -142,6 +142,7 @@ def iterations(linear: LinearSolver, assembler: Assembler) -> int:
     return count
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_refreshed_multigrid_follows_rotations(kind: str) -> None:
     """Rigid-body modes of the current places: a turned body is as easy as it was."""

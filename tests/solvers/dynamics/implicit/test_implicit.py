@@ -188,6 +188,7 @@ def test_reactions_are_those_of_the_end_of_the_step():
 # --- damping ---
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("how", [{"viscosity": 200.0}, {"rayleigh": [0, 5e-3]}])
 def test_damping_inside_a_body_does_not_feel_a_rotation(how):
     """A soft brick thrown with a spin keeps both its momenta; it loses what vibrates only."""
