@@ -276,9 +276,15 @@ def _end_rows(state: State, motion: bool) -> list[tuple[str, str]]:
             rows.append((label, f"{state.energies[name]:.5g} J"))
     for name, force in state.reactions.items():
         rows.append((f"reaction of {name}", vector_text(force) + " N"))
-    if state.audit is not None:
-        rows += [("audit", reason) for reason in state.audit.so_far or ("pass",)]
-    return rows
+    return rows + audit_rows(state)
+
+
+def audit_rows(state: State) -> list[tuple[str, str]]:
+    """The worst of each check of a run, a failure first, or that all have passed."""
+    found = state.audit.so_far or ("pass",) if state.audit is not None else ()
+    if not state.failure:
+        return [("audit", reason) for reason in found]
+    return [("audit FAIL", state.failure), *(("audit", reason) for reason in found[1:])]
 
 
 def vector_text(vector: Iterable[float]) -> str:

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from dolfin_elastic.cli.console import ProgressDisplay
     from dolfin_elastic.problem.state import Mode, State
 
+AUDIT_FAILED = 5
+"""Exit code of a run that came to its end and is not to be relied on."""
+
 Petsc = Annotated[list[str] | None, typer.Argument(metavar="[-- PETSC...]", hidden=True)]
 Profile = Annotated[bool, typer.Option("--profile", help="Show where time and memory went.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only problems.")]
@@ -194,7 +197,11 @@ def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
         console.show_end(
             state, motion=motion, seconds=timing.totals(), newton=newton, since=displayed.since
         )
-    return 0
+    if state is None or not state.failure:
+        return 0
+    if displayed.quiet:
+        logging.getLogger("dolfin_elastic").error("audit FAIL: %s", state.failure)
+    return AUDIT_FAILED
 
 
 def _progress_display(motion: bool, visible: bool) -> ProgressDisplay:

@@ -18,6 +18,10 @@ def plain(t: float) -> float:
     return float(f"{t:.12g}")
 
 
+Verdict = Literal["pass", "warn", "fail"]
+"""Of an audit; what fails is not to be relied on."""
+
+
 @dataclass(frozen=True)
 class Audit:
     """Audit of a converged step: balance of forces, moments and energy, and positive volumes.
@@ -35,9 +39,10 @@ class Audit:
         max_jacobian: Largest det F there.
         min_place: Barycentre [m] of the cell with the smallest det F, reference configuration.
         max_place: Barycentre of the cell with the largest det F.
-        verdict: "pass" or "warn".
-        reasons: Reasons of the warning, at most one for each check.
-        so_far: The first reason of each check since the start.
+        verdict: Of this step.
+        reasons: Reasons against it, at most one for each check.
+        so_far: The worst reason of each check since the start, with its time; what fails first.
+        verdict_so_far: Of all steps since the start.
         notes: Checks that are left out, and why.
     """
 
@@ -49,9 +54,10 @@ class Audit:
     max_jacobian: float
     min_place: tuple[float, ...] = ()
     max_place: tuple[float, ...] = ()
-    verdict: Literal["pass", "warn"] = "pass"
+    verdict: Verdict = "pass"
     reasons: tuple[str, ...] = ()
     so_far: tuple[str, ...] = ()
+    verdict_so_far: Verdict = "pass"
     notes: tuple[str, ...] = ()
 
 
@@ -89,6 +95,8 @@ class State:
         numbers: Further results by name in SI units, for example of probes or the volume of a
             cavity.
         audit: The audit of the step; None with explicit schemes.
+        failure: Why nothing of the run so far is to be relied on, with the time of the worst; empty
+            where nothing is known against it.
         done: Completed share of the whole run, 0 to 1.
     """
 
@@ -111,6 +119,7 @@ class State:
     limit_points: tuple[float, ...] = ()
     numbers: Mapping[str, float] = field(default_factory=dict)
     audit: Audit | None = None
+    failure: str = ""
     done: float = 0.0
 
 

@@ -292,6 +292,49 @@ def test_errors_that_nobody_reads(folder: Path, redirect: str) -> None:
     assert piped(f"{redirect} | true", folder)[0] == "3\n"
 
 
+GAINS = """\
+[mesh]
+rectangle = {size = [1, 0.2], cells = [4, 1]}
+degree = 1
+[materials.soft]
+law = "linear-elastic"
+E = "1 MPa"
+nu = 0.3
+density = 1000
+[[support]]
+on = "left"
+[[load]]
+kind = "traction"
+on = "right"
+value = [0, -1]
+[dynamics]
+scheme = "newmark"
+beta = 0.1
+end = 0.3
+dt = 0.01
+"""
+"""Newmark's scheme far beyond its stable step; nothing else is wrong."""
+
+
+def test_energy_from_nowhere_has_its_own_exit_code(folder: Path) -> None:
+    """Such a run ended with code 0; its results are complete."""
+    (folder / "gains.toml").write_text(GAINS)
+    code, out, err = cli("run", "gains.toml", folder=folder)
+    assert code == 5, out + err
+    found = json.loads((folder / "gains_results/summary.json").read_text())
+    assert found["status"] == "completed"
+    assert found["audit"]["verdict"] == "fail"
+    line = found["audit"]["reasons"][0]
+    assert re.match(r"\d+ % of the energy has come from nowhere: a smaller dt is needed", line)
+    assert f"audit FAIL {line}" in " ".join(out.split())
+    rows = list(csv.DictReader((folder / "gains_results/history.csv").read_text().splitlines()))
+    assert rows[-1]["verdict"] == "fail"
+    assert float(rows[-1]["t"]) == 0.3
+    code, out, err = cli("run", "gains.toml", "-q", folder=folder)
+    assert (code, out) == (5, "")
+    assert f"audit FAIL: {line}" in err
+
+
 def test_petsc_options(folder: Path) -> None:
     """They reach the solver; there is a warning of those that no solver asks for."""
     code, _, err = cli(

@@ -273,7 +273,7 @@ class WorstAudit:
     """
 
     def __init__(self, saved: Iterable[Mapping[str, Any]] = ()) -> None:
-        self._audits = [_audit(table) for table in saved]
+        self._audits, self._failure = [_audit(table) for table in saved], ""
 
     def restart_state(self) -> list[dict[str, Any]]:
         """The worst audits so far, as JSON data."""
@@ -281,20 +281,21 @@ class WorstAudit:
 
     def add(self, state: State) -> None:
         """Takes the audit of one step, if it has one."""
+        self._failure = state.failure
         if state.audit is not None:
             self._audits = _extremes([*self._audits, state.audit])
 
     def as_json(self) -> dict[str, Any]:
         """Verdict, reasons and the worst numbers; empty where nothing is audited."""
-        if not self._audits:
-            return {}
+        if not self._audits:  # explicit motion
+            return {"verdict": "fail", "reasons": [self._failure]} if self._failure else {}
         every, last = self._audits, self._audits[-1]
         low = min(every, key=lambda audit: audit.min_jacobian)
         high = max(every, key=lambda audit: audit.max_jacobian)
         force = [audit.force for audit in every if np.isfinite(audit.force)]
         moment = [audit.moment for audit in every if np.isfinite(audit.moment)]
         return {
-            "verdict": "warn" if last.so_far else "pass",
+            "verdict": last.verdict_so_far,
             "reasons": list(last.so_far),
             "notes": list(last.notes),
             "balance_force": max(force, default=None),

@@ -11,7 +11,6 @@ within the step breaks this: the forces before and after may be alike, and yet t
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -26,11 +25,16 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
 from dolfin_elastic.solvers.assembly.assembler import Assembler, StrainEnergy
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
+from dolfin_elastic.solvers.audit.offences import (
+    Found,
+    Offence,
+    WorstOffences,
+    add_worse,
+    verdict,
+)
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import contact_gap_error
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains
-
-log = logging.getLogger("dolfin_elastic")
 
 FORCE_TOLERANCE = 1e-6
 """Unbalanced share of the forces up to which they balance: a hundred times what Newton's method
@@ -93,7 +97,7 @@ class EquilibriumAuditor:
         self._previous: _Previous | None = None
         self._work = self._stored = self._round_off_share = 0.0
         self._out_of_balance = False  # the last state was no equilibrium
-        self._warned: dict[str, str] = {}
+        self._offences = WorstOffences()
         self._strains = SmallStrains(problem, watch)
 
     def audit(self, t: float, energy: float) -> Audit:
@@ -103,7 +107,7 @@ class EquilibriumAuditor:
             t: Load parameter, for messages.
             energy: Stored energy [J]; nan where a law has none.
         """
-        reasons: dict[str, str] = {}
+        reasons: Found = {}
         self._round_off_share = 0.0
         noise, energy_noise = round_off(self._assembler)
         external, forces, u = self._present()
@@ -119,14 +123,14 @@ class EquilibriumAuditor:
         if np.isfinite(energy) or self._problem.weak_form.strain_energy is None:
             self._check_energy(forces, u, energy, energy_noise, reasons)
         else:
-            reasons["energy"] = "the strain energy has no finite value"
+            reasons["energy"] = Offence("the strain energy has no finite value", np.inf)
         stored = self._stored if np.isfinite(energy) else np.nan
         found = StepBalance(force, moment, self._work, stored)
         self._strains.check(self._when(t))
         return self._verdict(t, reasons, found, self._notes(energy))
 
     def _verdict(
-        self, t: float, reasons: dict[str, str], found: StepBalance, notes: tuple[str, ...]
+        self, t: float, reasons: Found, found: StepBalance, notes: tuple[str, ...]
     ) -> Audit:
         """The audit, with what det F has to say. Collective.
 
@@ -138,19 +142,20 @@ class EquilibriumAuditor:
         """
         low, high = self._watch.extremes()
         if not low[0] > 0.0:
-            reasons["jacobian"] = (
-                f"a cell is inside out: det F = {low[0]:.3g} at {coordinates(low[1])} m"
+            reasons["jacobian"] = Offence(
+                f"a cell is inside out: det F = {low[0]:.3g} at {coordinates(low[1])} m", -low[0]
             )
-        self._warn(t, reasons)
+        self._offences.add(reasons, self._when(t))
         return Audit(
             **vars(found),
             min_jacobian=low[0],
             max_jacobian=high[0],
             min_place=tuple(float(x) for x in low[1][: self._dim]),
             max_place=tuple(float(x) for x in high[1][: self._dim]),
-            verdict="warn" if reasons else "pass",
-            reasons=tuple(reasons.values()),
-            so_far=tuple(self._warned.values()),
+            verdict=verdict(reasons.values()),
+            reasons=tuple(offence.text for offence in reasons.values()),
+            so_far=self._offences.texts(),
+            verdict_so_far=self._offences.verdict(),
             notes=notes,
         )
 
@@ -160,7 +165,7 @@ class EquilibriumAuditor:
         return {
             "work": self._work,
             "stored": self._stored,
-            "warned": dict(self._warned),
+            "warned": self._offences.restart_state(),
             "energy": last.energy if last else 0.0,
             "change": last.change if last else 0.0,
             "unbalanced": self._out_of_balance,
@@ -174,7 +179,7 @@ class EquilibriumAuditor:
             forces = self._internal_forces(forces.shape)
         self._previous = _Previous(u, forces, saved["energy"], saved["change"])
         self._work, self._stored = saved["work"], saved["stored"]
-        self._warned = dict(saved["warned"])
+        self._offences.restore(saved["warned"])
         self._strains.restore(saved["far"])
 
     def _present(self) -> tuple[list[FloatArray], FloatArray, FloatArray]:
@@ -210,12 +215,6 @@ class EquilibriumAuditor:
             notes.append("no balance of energy: the stabilised pressure stores some of its own")
         return tuple(notes)
 
-    def _warn(self, t: float, reasons: dict[str, str]) -> None:
-        for kind, reason in reasons.items():
-            if kind not in self._warned:
-                self._warned[kind] = f"{reason} ({self._when(t)})"
-                log.warning("audit: %s", self._warned[kind])
-
     def _when(self, t: float) -> str:
         return f"load factor {t:.6g}"
 
@@ -236,14 +235,15 @@ class EquilibriumAuditor:
         forces = a.residual.owned + a.reactions.loads() + a.reactions.restraints()
         return np.asarray(forces[a.displacement_dofs].reshape(shape))
 
-    def _check_contacts(self, reasons: dict[str, str]) -> None:
+    def _check_contacts(self, reasons: Found) -> None:
         """No node that presses is farther off its obstacle than the tolerance. Collective."""
         for pair in self._problem.contact_pairs:
             if (off := contact_gap_error(pair)) > pair.tolerance:
-                reasons[f"contact {pair.label}"] = (
+                reasons[f"contact {pair.label}"] = Offence(
                     f"contact '{pair.label}': a node that presses is {off:.3g} m off the "
                     f"obstacle, above gap_tolerance = {pair.tolerance:.3g} m; a larger stiffness "
-                    "or more load steps help"
+                    "or more load steps help",
+                    off,
                 )
 
     def _forces_on_cell(self, cell: CellStress) -> tuple[FloatArray, FloatArray]:
@@ -256,22 +256,17 @@ class EquilibriumAuditor:
         here = slice(None) if self._comm.rank == 0 else slice(0)
         return np.asarray(forces[here] / length), moved[here] * length
 
-    def _force_balance(
-        self, external: list[FloatArray], noise: float, reasons: dict[str, str]
-    ) -> float:
+    def _force_balance(self, external: list[FloatArray], noise: float, reasons: Found) -> float:
         rows = external
         if self._problem.geometry == "axisymmetric":  # radial forces need not sum up to anything
             rows = [force[:, 1:] for force in external]
         share, size, allowed = self._imbalance(rows, noise)
         if share > allowed:
-            reasons["force"] = (
-                f"loads and reactions do not balance: {share:.2g} of their {size:.3g} N is left"
-            )
+            what = f"loads and reactions do not balance: {share:.2g} of their {size:.3g} N is left"
+            add_worse(reasons, {"force": Offence(what, share)})
         return share
 
-    def _moment_balance(
-        self, external: list[FloatArray], noise: float, reasons: dict[str, str]
-    ) -> float:
+    def _moment_balance(self, external: list[FloatArray], noise: float, reasons: Found) -> float:
         if self._moment_frame == "none":
             return float("nan")
         x = self._X[:, : self._dim]
@@ -281,10 +276,11 @@ class EquilibriumAuditor:
         arm = float(self._comm.allreduce(float(np.max(np.abs(x), initial=0.0)), op=MPI.MAX))
         share, size, allowed = self._imbalance(rows, noise * arm)
         if share > allowed:
-            reasons["moment"] = (
+            what = (
                 f"the moments of loads and reactions about the origin do not balance: {share:.2g} "
                 f"of their {size:.3g} N m is left"
             )
+            add_worse(reasons, {"moment": Offence(what, share)})
         return share
 
     def _displacement(self) -> FloatArray:
@@ -323,7 +319,7 @@ class EquilibriumAuditor:
         u: FloatArray,
         energy: float,
         noise: float,
-        reasons: dict[str, str],
+        reasons: Found,
     ) -> None:
         """Adds the work of a step and compares it with what has been stored. Collective.
 
@@ -354,10 +350,11 @@ class EquilibriumAuditor:
             allowed += SMALL * max(abs(energy), abs(last.energy))
         judged = not (self._problem.unknowns.stabilised or self._problem.eigenstrains)
         if abs(work - stored) > allowed and judged:
-            reasons["energy"] = (
+            reasons["energy"] = Offence(
                 f"the work of the step, {work:.4g} J, and what it has stored, {stored:.4g} J, "
                 f"differ by more than a smooth path allows ({allowed:.2g} J): the body has jumped "
-                "to another equilibrium, or a force is not what it should be"
+                "to another equilibrium, or a force is not what it should be",
+                abs(work - stored),
             )
         self._previous, self._out_of_balance = _Previous(u, forces, energy, abs(change)), False
 

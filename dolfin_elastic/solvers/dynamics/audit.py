@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor, StepBalance, round_off
+from dolfin_elastic.solvers.audit.offences import FAILING_GAIN, Found, Offence, restored
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.dynamics.rotation_error import RotationError
@@ -60,7 +62,7 @@ class MotionAuditor(EquilibriumAuditor):
         self._rotation = RotationError(problem, parameters.alpha_f)
         self._du: FloatArray = np.empty(0)
         self._worst = [0.0, 0.0]
-        self._reasons: dict[str, str] = {}
+        self._reasons: Found = {}
         self._last_imbalance = self._scale = 0.0
 
     def add_step(self, forces: Forces, du: FloatArray) -> None:
@@ -102,8 +104,8 @@ class MotionAuditor(EquilibriumAuditor):
         if not (stabilised or self._problem.eigenstrains):
             off = balance.relative_imbalance(energies)
             reasons.update(self._persistent(self._energy(off), off, balance.scale, t))
-        if self._forces is not None and (reason := self._rotation.reason(self._du)):
-            reasons["chords"] = reason
+        if self._forces is not None and (rotated := self._rotation.offence(self._du)) is not None:
+            reasons["chords"] = rotated
         force, moment = self._worst
         if self._moment_frame == "none":  # not judged, as in statics
             moment = np.nan
@@ -113,9 +115,7 @@ class MotionAuditor(EquilibriumAuditor):
         self._strains.check(self._when(t))
         return self._verdict(t, reasons, found, self._notes(strain))
 
-    def _persistent(
-        self, reasons: dict[str, str], off: float, scale: float, t: float
-    ) -> dict[str, str]:
+    def _persistent(self, reasons: Found, off: float, scale: float, t: float) -> Found:
         """Reasons that hold in two successive states, or in the last one.
 
         While the energy still grows fast they count only if most of it is out of balance: then the
@@ -133,17 +133,17 @@ class MotionAuditor(EquilibriumAuditor):
         again = before > 0.0 and (settled or min(before, self._last_imbalance) > CERTAIN_SHARE)
         return reasons if last or again else {}
 
-    def _energy(self, off: float) -> dict[str, str]:
+    def _energy(self, off: float) -> Found:
         if off > MAX_ENERGY_GAIN:
             what = f"{100 * off:.3g} % of the energy has come from nowhere: a smaller dt is needed"
-            return {"energy": what}
+            return {"energy": Offence(what, off, fails=off > FAILING_GAIN)}
         if off < -MAX_ENERGY_LOSS and not self._parameters.damps:
             radius = ", or a larger spectral_radius," if self._parameters.can_damp_less else ""
             what = (
                 f"the scheme has damped {-100 * off:.3g} % of the energy away: a smaller dt"
                 f"{radius} keeps it"
             )
-            return {"energy": what}
+            return {"energy": Offence(what, -off)}
         return {}
 
     def _when(self, t: float) -> str:
@@ -154,9 +154,9 @@ class MotionAuditor(EquilibriumAuditor):
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`. Not collective."""
         return {
-            "warned": dict(self._warned),
+            "warned": self._offences.restart_state(),
             "worst": self._worst,
-            "reasons": dict(self._reasons),
+            "reasons": {check: asdict(offence) for check, offence in self._reasons.items()},
             "far": self._strains.note,
             "off": self._last_imbalance,
             "scale": self._scale,
@@ -165,7 +165,8 @@ class MotionAuditor(EquilibriumAuditor):
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """See `Restartable`. Not collective."""
-        self._warned, self._reasons = dict(saved["warned"]), dict(saved["reasons"])
+        self._offences.restore(saved["warned"])
+        self._reasons = {check: restored(offence) for check, offence in saved["reasons"].items()}
         self._worst = [float(value) for value in saved["worst"]]
         self._strains.restore(str(saved.get("far", "")))
         self._last_imbalance, self._scale = float(saved["off"]), float(saved["scale"])

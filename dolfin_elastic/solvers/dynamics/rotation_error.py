@@ -25,6 +25,7 @@ from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.audit.offences import Offence
 
 SHARE = 0.06
 """Error over the largest strain so far up to which it is let pass.
@@ -61,14 +62,14 @@ class RotationError:
         self._expression = compile_expression(mesh.comm, squares, points, problem.jit)
         self._cells = problem.body.owned_cells()
 
-    def reason(self, du: FloatArray) -> str:
+    def offence(self, du: FloatArray) -> Offence | None:
         """The warning, if the error is too large in this state and in the one before. Collective.
 
         Args:
             du: Change of the displacement in the last step, owned entries [m].
         """
         if not self._needed:
-            return ""
+            return None
         self._change.x.array[: len(du)] = du
         self._change.x.scatter_forward()
         found = self._expression.eval(self._problem.body.mesh, self._cells).reshape(-1, 2)
@@ -79,13 +80,14 @@ class RotationError:
         error = self._share * turn
         before, self._exceeded = self._exceeded, settled and error > SHARE * self._largest_strain
         if not (before and self._exceeded):
-            return ""
+            return None
         angle, share = np.degrees(np.sqrt(turn / np.sqrt(2))), 100 * error / self._largest_strain
-        return (
+        return Offence(
             f"the body rotates by {angle:.2g} degrees a step, with a strain error of {error:.2g} "
             f"at the ends of steps, {share:.2g} % of its largest strain: "
             "stresses and reactions are off by as much and more; a smaller dt, or scheme = "
-            "'newmark', whose forces are those at the ends of steps"
+            "'newmark', whose forces are those at the ends of steps",
+            share,
         )
 
     # --- restarts ---

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from math import ceil
 
 import numpy as np
@@ -118,7 +119,7 @@ class Explicit:
                 if self._drifts(state):
                     self.size.check_before(self.scheme.steps)
                 self._last.save(self.restart_state())
-                yield state
+                yield replace(state, failure=self._monitor.failure)
 
     @property
     def _ended(self) -> bool:

@@ -12,6 +12,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.audit.offences import FAILING_GAIN, Offence, WorstOffences
 from dolfin_elastic.solvers.messages import coordinates, load_not_finite
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains
 
@@ -48,7 +49,13 @@ class StabilityMonitor:
         self._states, self.inverted, self._warned = 0, "", False
         self.place: tuple[float, ...] = ()
         self._first: FloatArray | None = None
-        self._largest_energy = 0.0
+        self._start, self._largest_energy = 0.0, 0.0
+        self._offences = WorstOffences()
+
+    @property
+    def failure(self) -> str:
+        """See `State`."""
+        return next(iter(self._offences.texts()), "")
 
     def observe(self, t: float, *, last: bool) -> None:
         """Checks det F and the size of strains, every `INTERVAL` states. Collective.
@@ -98,9 +105,10 @@ class StabilityMonitor:
         gained = energies["total"] - energies["external"]
         now = np.array([gained, gained + total(self._problem.body.comm, conserved_excess)])
         if self._first is None:
-            self._first = now
+            self._first, self._start = now, float(now[1])
         sizes = (energies["kinetic"], energies["strain"], abs(energies["external"]))
         self._largest_energy = max(self._largest_energy, *sizes)
+        self._judge(float(now[1]) - self._start, t)
         seems, drifts = np.abs(now - self._first) > DRIFT * self._largest_energy
         if seems or drifts:
             self._first = np.where([seems, drifts], now, self._first)  # each drift counts once
@@ -113,6 +121,19 @@ class StabilityMonitor:
                 t,
             )
         return bool(seems or drifts)
+
+    def _judge(self, gain: float, t: float) -> None:
+        """Whether so much energy has come from nowhere that the motion is not to be relied on.
+
+        Args:
+            gain: Of the conserved energy since the start [J].
+            t: Time [s].
+        """
+        if gain <= FAILING_GAIN * self._largest_energy:
+            return
+        share = gain / self._largest_energy
+        what = f"{100 * share:.3g} % of the energy has come from nowhere: a smaller dt or safety"
+        self._offences.add({"energy": Offence(what, share, fails=True)}, f"t = {t:.6g} s")
 
     def check_input(self, t: float) -> None:
         """Refuses supports and loads without finite values. Collective.
@@ -144,6 +165,8 @@ class StabilityMonitor:
             "states": self._states,
             "first": [] if self._first is None else self._first.tolist(),
             "most": self._largest_energy,
+            "start": self._start,
+            "offences": self._offences.restart_state(),
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -153,3 +176,5 @@ class StabilityMonitor:
         self._warned, self._largest_energy = saved["told"], saved["most"]
         self._states = int(saved["states"])
         self._first = np.array(saved["first"]) if saved["first"] else None
+        self._start = float(saved.get("start", self._first[1] if saved["first"] else 0.0))
+        self._offences.restore(saved.get("offences", {}))

@@ -309,6 +309,7 @@ class Implicit:
             self.scheme.balance_at_end(t)
         reactions = self.assembler.reactions.by_support(self.assembler.residual.owned)
         energies, momenta = self._energies.measure()
+        audit = None if failed else self.auditor.judge(t, self.balance, energies)
         return State(
             step=-1 if failed else step,
             t=t,
@@ -325,7 +326,8 @@ class Implicit:
             momenta=momenta,
             max_displacement=self.assembler.max_displacement(),
             numbers={**self._energies.numbers(), **self._scalars.numbers()},
-            audit=None if failed else self.auditor.judge(t, self.balance, energies),
+            audit=audit,
+            failure=audit.so_far[0] if audit and audit.verdict_so_far == "fail" else "",
             done=t / self.settings.end,
         )
 

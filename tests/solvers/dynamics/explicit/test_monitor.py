@@ -320,6 +320,24 @@ def test_energy_that_creeps_in_beside_swings(
     assembler.destroy()
 
 
+def test_energy_that_makes_an_explicit_motion_fail(comm: MPI.Comm) -> None:
+    """A fifth of the largest energy, and told is the worst: 2/2 at t = 2 s, not 1.5/3 after it."""
+    problem = pressed(NeoHookean(**SOFT), 1.0, comm)
+    assembler = Assembler(problem)
+    looking, again = (StabilityMonitor(problem, assembler) for _ in range(2))
+    for t, (kept, most) in enumerate([(1.0, 2.0), (1.3, 2.0), (1.5, 2.0), (3.0, 2.0), (2.5, 3.0)]):
+        assert bool(looking.failure) == (t > 2)  # 15 % before
+        energies = {"kinetic": most, "strain": 1.0, "total": kept, "external": 0.0}
+        looking.drifts(energies, 0.0, float(t))
+        again.restore(looking.restart_state())
+        assert again.failure == looking.failure
+    assert looking.failure == (
+        "100 % of the energy has come from nowhere: a smaller dt or safety "
+        "(worst at t = 3 s, since t = 2 s)"
+    )
+    assembler.destroy()
+
+
 def test_loads_whose_values_end(comm: MPI.Comm) -> None:
     problem = pressed(NeoHookean(**SOFT), 0.0, comm)
     push = Traction(on="top", value=[0, 0, "1000*sqrt(0.02 - t)"])

@@ -1,0 +1,121 @@
+"""The worst that an audit has found in a run, check by check."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from dolfin_elastic.problem.state import Verdict
+
+FAILING_GAIN = 0.2
+"""Gain of energy over the largest energy of a motion above which nothing of it is to be relied on:
+amplitudes are off by more than a tenth."""
+
+_SAME = 1e-3
+"""Relative difference of sizes that is no news."""
+
+log = logging.getLogger("dolfin_elastic")
+
+
+@dataclass(frozen=True)
+class Offence:
+    """What one check holds against one state.
+
+    Attributes:
+        text: In words.
+        size: How bad it is, to be compared with others of the same check.
+        fails: Nothing of the run is to be relied on.
+        when: Time or load factor, in words.
+        since: The same of the first offence of this check.
+    """
+
+    text: str
+    size: float
+    fails: bool = False
+    when: str = ""
+    since: str = ""
+
+    def worse_than(self, other: Offence) -> bool:
+        """Whether it is worse than another one of its check, by more than nobody means.
+
+        What fails is worse than any that does not.
+        """
+        if self.fails != other.fails:
+            return self.fails
+        return self.size > (1 + _SAME) * other.size
+
+    def __str__(self) -> str:
+        when = self.when if self.since == self.when else f"worst at {self.when}, since {self.since}"
+        return f"{self.text} ({when})"
+
+
+Found = dict[str, Offence]
+"""Offences of one state by the name of the check."""
+
+
+def add_worse(found: Found, others: Mapping[str, Offence]) -> None:
+    """Keeps the worse offence of each check.
+
+    Args:
+        found: Receives those of `others` that are worse than what it has.
+        others: By the name of the check.
+    """
+    for check, offence in others.items():
+        if check not in found or offence.worse_than(found[check]):
+            found[check] = offence
+
+
+def verdict(offences: Iterable[Offence]) -> Verdict:
+    """What some offences amount to."""
+    fails = [offence.fails for offence in offences]
+    return "fail" if any(fails) else "warn" if fails else "pass"
+
+
+class WorstOffences:
+    """The worst offence of each check since the start, with its time. Not collective."""
+
+    def __init__(self) -> None:
+        self._worst: Found = {}
+
+    def add(self, found: Mapping[str, Offence], when: str) -> None:
+        """Takes in the offences of one state, and warns of each check's first, and of a failure.
+
+        Args:
+            found: By the name of the check.
+            when: Time or load factor, in words.
+        """
+        for check, offence in found.items():
+            before = self._worst.get(check)
+            now = replace(offence, when=when, since=before.since if before else when)
+            if before is None or (offence.fails and not before.fails):
+                log.warning("audit: %s", now)
+            if before is None or now.worse_than(before):
+                self._worst[check] = now
+
+    def texts(self) -> tuple[str, ...]:
+        """All of them in words, those that fail first."""
+        ordered = sorted(self._worst.values(), key=lambda offence: not offence.fails)
+        return tuple(map(str, ordered))
+
+    def verdict(self) -> Verdict:
+        """Of the whole run so far."""
+        return verdict(self._worst.values())
+
+    def restart_state(self) -> dict[str, Any]:
+        """See `Restartable`."""
+        return {check: asdict(offence) for check, offence in self._worst.items()}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """See `Restartable`; an older checkpoint has the first offences as texts."""
+        self._worst = {check: restored(offence) for check, offence in saved.items()}
+
+
+def restored(saved: Any) -> Offence:
+    """An offence from JSON data, or from the text that older checkpoints have."""
+    if isinstance(saved, str):
+        text, _, when = saved.rpartition(" (")
+        when = when.rstrip(")")
+        return Offence(text or saved, 0.0, when=when, since=when)
+    return Offence(**saved)
