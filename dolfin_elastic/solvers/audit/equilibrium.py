@@ -30,7 +30,6 @@ from dolfin_elastic.solvers.audit.offences import (
     Offence,
     WorstOffences,
     add_worse,
-    verdict,
 )
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import contact_gap_error
@@ -145,19 +144,17 @@ class EquilibriumAuditor:
             reasons["jacobian"] = Offence(
                 f"a cell is inside out: det F = {low[0]:.3g} at {coordinates(low[1])} m", -low[0]
             )
-        self._offences.add(reasons, self._when(t))
-        return Audit(
+        if reasons:
+            self._offences.add(reasons, self._when(t))
+        audit = Audit(
             **vars(found),
             min_jacobian=low[0],
             max_jacobian=high[0],
             min_place=tuple(float(x) for x in low[1][: self._dim]),
             max_place=tuple(float(x) for x in high[1][: self._dim]),
-            verdict=verdict(reasons.values()),
-            reasons=tuple(offence.text for offence in reasons.values()),
-            so_far=self._offences.texts(),
-            verdict_so_far=self._offences.verdict(),
             notes=notes,
         )
+        return self._offences.judged(audit, reasons) if self._offences.worst else audit
 
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`; forces follow from the state itself. Not collective."""

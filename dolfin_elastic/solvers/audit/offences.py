@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from dolfin_elastic.problem.state import Verdict
+from dolfin_elastic.problem.state import Audit, Verdict
 
 FAILING_GAIN = 0.2
 """Gain of energy over the largest energy of a motion above which nothing of it is to be relied on:
@@ -73,11 +73,15 @@ def verdict(offences: Iterable[Offence]) -> Verdict:
     return "fail" if any(fails) else "warn" if fails else "pass"
 
 
+@dataclass
 class WorstOffences:
-    """The worst offence of each check since the start, with its time. Not collective."""
+    """The worst offence of each check since the start, with its time. Not collective.
 
-    def __init__(self) -> None:
-        self._worst: Found = {}
+    Attributes:
+        worst: By the name of the check; empty where nothing speaks against a run.
+    """
+
+    worst: Found = field(default_factory=dict)
 
     def add(self, found: Mapping[str, Offence], when: str) -> None:
         """Takes in the offences of one state, and warns of each check's first, and of a failure.
@@ -87,29 +91,44 @@ class WorstOffences:
             when: Time or load factor, in words.
         """
         for check, offence in found.items():
-            before = self._worst.get(check)
+            before = self.worst.get(check)
             now = replace(offence, when=when, since=before.since if before else when)
             if before is None or (offence.fails and not before.fails):
                 log.warning("audit: %s", now)
             if before is None or now.worse_than(before):
-                self._worst[check] = now
+                self.worst[check] = now
 
     def texts(self) -> tuple[str, ...]:
         """All of them in words, those that fail first."""
-        ordered = sorted(self._worst.values(), key=lambda offence: not offence.fails)
+        ordered = sorted(self.worst.values(), key=lambda offence: not offence.fails)
         return tuple(map(str, ordered))
 
     def verdict(self) -> Verdict:
         """Of the whole run so far."""
-        return verdict(self._worst.values())
+        return verdict(self.worst.values())
+
+    def judged(self, audit: Audit, found: Mapping[str, Offence]) -> Audit:
+        """An audit with its verdicts and reasons.
+
+        Args:
+            audit: What was measured of a state.
+            found: Offences of that state, taken in already.
+        """
+        return replace(
+            audit,
+            verdict=verdict(found.values()),
+            reasons=tuple(offence.text for offence in found.values()),
+            so_far=self.texts(),
+            verdict_so_far=self.verdict(),
+        )
 
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`."""
-        return {check: asdict(offence) for check, offence in self._worst.items()}
+        return {check: asdict(offence) for check, offence in self.worst.items()}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """See `Restartable`; an older checkpoint has the first offences as texts."""
-        self._worst = {check: restored(offence) for check, offence in saved.items()}
+        self.worst = {check: restored(offence) for check, offence in saved.items()}
 
 
 def restored(saved: Any) -> Offence:
