@@ -36,7 +36,7 @@ def read_body(
     become fields.
 
     Args:
-        path: .msh; .xdmf; .inp, .vtu, .vtk, .med, .mesh and whatever else meshio reads;
+        path: .msh; .xdmf; .inp, .unv, .vtu, .vtk, .med, .mesh and whatever else meshio reads;
             .geo, .step, .brep or .iges, which Gmsh meshes on the fly.
         comm: The ranks that share the mesh.
         scale: Metres per unit of length of the file.
@@ -105,9 +105,7 @@ def _reader(
         return lambda: _msh(path), cpp.io.perm_gmsh
     if suffix in CAD:
         return cad, cpp.io.perm_gmsh
-    if suffix == ".inp":
-        return lambda: _abaqus(path), cpp.io.perm_vtk
-    return lambda: _meshio(path), cpp.io.perm_vtk
+    return lambda: _other_reader(suffix)(path), cpp.io.perm_vtk
 
 
 def _msh(path: Path) -> MeshFile:
@@ -127,13 +125,20 @@ def _cad(path: Path, size: float | None, curved: bool, dim: int | None) -> MeshF
     return mesh_cad(path, size=size, curved=curved, dim=dim)
 
 
-def _abaqus(path: Path) -> MeshFile:
-    from dolfin_elastic.mesh.formats.abaqus import read_abaqus
+def _other_reader(suffix: str) -> Callable[[Path], MeshFile]:
+    """The reader of a format whose quadratic cells have their nodes in VTK's order."""
+    if suffix == ".inp":
+        from dolfin_elastic.mesh.formats.abaqus import read_abaqus
 
-    return read_abaqus(path)
+        return read_abaqus
+    if suffix == ".vtu":
+        from dolfin_elastic.mesh.formats.vtu import read_vtu
 
+        return read_vtu
+    if suffix == ".unv":
+        from dolfin_elastic.mesh.formats.unv import read_unv
 
-def _meshio(path: Path) -> MeshFile:
+        return read_unv
     from dolfin_elastic.mesh.formats.meshio import read_meshio
 
-    return read_meshio(path)
+    return read_meshio

@@ -583,7 +583,7 @@ def test_damaged_gmsh_files_are_errors(folder: Path, version: float, binary: boo
     [
         ("a.msh", "", "the file is empty"),
         ("a.msh", "hello", "not a Gmsh mesh"),
-        ("a.vtu", "hello", "meshio cannot read it"),
+        ("a.vtu", "hello", "this is no XML file"),
         ("a.mesh", "hello", "meshio cannot read it"),
         ("a.med", "hello", "meshio cannot read it"),
         ("a.inp", "hello", r"no \*NODE"),

@@ -16,8 +16,8 @@ from dolfin_elastic.mesh.fields import as_columns
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile
 
 # Integer cell data that are references of the format itself: their number is the name.
-_REFERENCES = ("gmsh:physical", "medit:ref", "nastran:ref", "tetgen:ref", "cell_tags")
-_IGNORED = ("gmsh:geometrical",)
+REFERENCES = ("gmsh:physical", "medit:ref", "nastran:ref", "tetgen:ref", "cell_tags")
+IGNORED = ("gmsh:geometrical",)
 _MOST = 200  # more distinct integers than this are data, not names
 
 
@@ -43,12 +43,13 @@ def read_meshio(path: Path) -> MeshFile:
     data = {
         str(name): as_columns(values, len(points), str(name))
         for name, values in mesh.point_data.items()
-        if name != "point_tags" and _is_number(np.asarray(values))
+        if name != "point_tags" and is_number(np.asarray(values))
     }
     return MeshFile(points, blocks, point_sets=sets, point_data=data)
 
 
-def _is_number(data: AnyArray) -> bool:
+def is_number(data: AnyArray) -> bool:
+    """Whether an array holds numbers."""
     return data.dtype.kind in "fiu"
 
 
@@ -56,10 +57,10 @@ def _cell_data(mesh: Any, i: int) -> dict[str, FloatArray]:
     """Cell data that are fields; integers name parts instead, see `sets_by_value`."""
     found = {}
     for name, blocks in mesh.cell_data.items():
-        if name in _IGNORED or name in _REFERENCES or i >= len(blocks):
+        if name in IGNORED or name in REFERENCES or i >= len(blocks):
             continue
         data = np.asarray(blocks[i])
-        if _is_number(data) and not sets_by_value(data, name, {}):
+        if is_number(data) and not sets_by_value(data, name, {}):
             found[str(name)] = as_columns(data, len(mesh.cells[i].data), str(name))
     return found
 
@@ -80,7 +81,7 @@ def _read(path: Path) -> Any:
         raise MeshError(
             f"meshio cannot read it: {_reason(path, error)}",
             where=path.name,
-            expected="formats: .msh, .xdmf, .inp, .vtu, .vtk, .med, .mesh, .bdf; "
+            expected="formats: .msh, .xdmf, .inp, .unv, .vtu, .vtk, .med, .mesh, .bdf; "
             ".geo, .step, .brep",
         ) from None
 
@@ -107,7 +108,7 @@ def _parts(mesh: Any, i: int) -> dict[str, IntArray]:
             _add(parts, str(name), np.asarray(sets[i], dtype=np.int64).reshape(-1))
     dim = Block(mesh.cells[i].type, np.empty((0, 0), dtype=np.int64)).dim
     for key, data in mesh.cell_data.items():
-        if key in _IGNORED or i >= len(data):
+        if key in IGNORED or i >= len(data):
             continue
         names = _numbered(key, mesh, dim)
         for name, rows in sets_by_value(np.asarray(data[i]), key, names).items():
@@ -143,7 +144,7 @@ def sets_by_value(
         Name to rows; empty for data that are no integers or have more than 200 values.
     """
     whole = np.issubdtype(data.dtype, np.integer) or (
-        key in _REFERENCES and bool(np.all(data == np.round(data)))
+        key in REFERENCES and bool(np.all(data == np.round(data)))
     )
     if data.ndim != 1 or not whole:
         return {}
@@ -152,9 +153,9 @@ def sets_by_value(
         return {}
     parts: dict[str, IntArray] = {}
     for value in values:
-        if key in _REFERENCES and value == 0:
+        if key in REFERENCES and value == 0:
             continue
-        plain = [str(int(value))] if key in _REFERENCES else [f"{key}_{int(value)}"]
+        plain = [str(int(value))] if key in REFERENCES else [f"{key}_{int(value)}"]
         for name in names.get(int(value), plain):
             _add(parts, name, np.flatnonzero(data == value))
     return parts

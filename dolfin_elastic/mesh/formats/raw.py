@@ -70,6 +70,7 @@ class MeshFile:
         notes: Remarks for the user.
         point_sets: Name to rows of `points`; each becomes the surface of the facets within it.
         point_data: Name to numbers of each point, shape (N, columns).
+        incomplete: Name of a set whose members are not all there, to the reason with their number.
     """
 
     points: FloatArray
@@ -77,6 +78,7 @@ class MeshFile:
     notes: Sequence[str] = ()
     point_sets: Mapping[str, IntArray] = field(default_factory=dict)
     point_data: Mapping[str, FloatArray] = field(default_factory=dict)
+    incomplete: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -136,11 +138,16 @@ def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh
             if name not in surfaces
         }
     )
+    surfaces = {name: s for name, s in surfaces.items() if name not in found.incomplete}
     starts = np.cumsum([0] + [len(b.nodes) for b in solid])
     rows = [np.arange(len(b.nodes)) + start for b, start in zip(solid, starts, strict=False)]
-    regions = {name: np.unique(r) for name, r in _gather(solid, rows).items()}
+    regions = {
+        name: np.unique(r)
+        for name, r in _gather(solid, rows).items()
+        if name not in found.incomplete
+    }
     cells = np.concatenate([b.nodes for b in solid])
-    notes = (*found.notes, *_left_out(blocks, dim))
+    notes = (*found.notes, *_incomplete(found), *_left_out(blocks, dim))
     cell_data = _cell_data(solid)
     at_points = {n: data for n, data in found.point_data.items() if n not in cell_data}
     return RawMesh(found.points, cells, order, regions, surfaces, notes, cell_data, at_points)
@@ -207,6 +214,12 @@ def _gather(blocks: Sequence[Block], items: Sequence[IntArray]) -> dict[str, Int
             if len(rows):
                 found.setdefault(name, []).append(item[rows])
     return {name: np.concatenate(parts) for name, parts in found.items()}
+
+
+def _incomplete(found: MeshFile) -> list[str]:
+    """A note on the sets that are not whole, if there are any."""
+    reasons = "; ".join(f"'{name}' ({reason})" for name, reason in found.incomplete.items())
+    return [f"named parts that are not whole (left out): {reasons}"] if reasons else []
 
 
 def _left_out(blocks: Sequence[Block], dim: int) -> list[str]:

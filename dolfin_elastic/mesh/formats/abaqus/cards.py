@@ -1,0 +1,149 @@
+"""Keyword lines of an Abaqus input file with the data lines below them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.types import FloatArray, IntArray
+
+_DEEPEST = 5  # files within files
+
+
+@dataclass
+class Card:
+    """One keyword line and the data lines below it.
+
+    Attributes:
+        word: The keyword in capitals, without its star.
+        options: Parameters of the keyword line; keys in capitals.
+        file: Name of the file that it stands in.
+        line: Number of the keyword line, from 1.
+        lines: Data lines.
+        at: Number of each data line, from 1.
+    """
+
+    word: str
+    options: dict[str, str]
+    file: str
+    line: int
+    lines: list[str] = field(default_factory=list)
+    at: list[int] = field(default_factory=list)
+
+    def error(self, what: str, *, row: int | None = None, expected: str = "") -> MeshError:
+        """An error that names the file and the line.
+
+        Args:
+            what: What is wrong.
+            row: Index of the data line that is wrong; by default the keyword line is.
+            expected: What would be right.
+        """
+        line = self.line if row is None else self.at[row]
+        return MeshError(f"*{self.word}: {what}", where=f"{self.file}:{line}", expected=expected)
+
+    def option(self, key: str) -> str:
+        """Value of a required parameter."""
+        if not self.options.get(key):
+            raise self.error(f"{key}= is missing")
+        return self.options[key]
+
+    def fields(self) -> Iterator[tuple[int, str]]:
+        """Comma-separated entries that are not blank, each after the index of its line."""
+        for row, line in enumerate(self.lines):
+            for word in line.split(","):
+                if word := word.strip():
+                    yield row, word
+
+    def integers(self, width: int) -> IntArray:
+        """All entries as integers, shape (n, width)."""
+        try:
+            numbers = np.array([word for _, word in self.fields()], dtype=np.int64)
+        except (ValueError, OverflowError):
+            row, word = next((row, word) for row, word in self.fields() if not _is_whole(word))
+            raise self.error(f"'{word}' is no whole number", row=row) from None
+        if len(numbers) % width:
+            raise self.error(
+                f"{len(numbers)} numbers do not make rows of {width}; "
+                "the file is damaged or cut short",
+                row=len(self.lines) - 1,
+            )
+        return numbers.reshape(-1, width)
+
+    def numbers(self, width: int) -> FloatArray:
+        """The first entries of each line; what is blank or left out is zero.
+
+        Args:
+            width: Number of entries; the first may not be blank.
+
+        Returns:
+            Shape (lines, width).
+        """
+        rows = [[*line.split(","), *[""] * width][:width] for line in self.lines]
+        try:
+            return np.array(rows, dtype=np.float64).reshape(-1, width)
+        except ValueError:  # blank fields, exponents of Fortran, or no numbers
+            return np.array([self._number_row(i, words) for i, words in enumerate(rows)])
+
+    def _number_row(self, row: int, words: list[str]) -> list[float]:
+        words = [words[0].strip(), *(word.strip() or "0" for word in words[1:])]
+        try:
+            return [float(word.upper().replace("D", "E", 1)) for word in words]
+        except ValueError:
+            raise self.error(
+                f"'{self.lines[row].strip()[:60]}' is not a row of numbers",
+                row=row,
+                expected="for example 12, 0.5, 0., 1.25; a blank field is zero",
+            ) from None
+
+
+def _is_whole(word: str) -> bool:
+    try:
+        return abs(int(word)) < 1 << 63
+    except ValueError:
+        return False
+
+
+def read_cards(path: Path, depth: int = 0) -> Iterator[Card]:
+    """Keywords of a file, and of those that it includes, in their order.
+
+    Args:
+        path: The file.
+        depth: How many files include this one.
+
+    Raises:
+        MeshError: A file that is included does not exist, or includes itself.
+    """
+    if depth > _DEEPEST:
+        raise MeshError("*INCLUDE goes round in a circle", where=path.name)
+    card = Card("", {}, path.name, 1)
+    continued = ""
+    for number, line in enumerate(path.read_text("latin-1").splitlines(), start=1):
+        if line.startswith("**") or not line.strip():
+            continue
+        if not continued and not line.lstrip().startswith("*"):
+            card.lines.append(line)
+            card.at.append(number)
+            continue
+        continued += line.strip()
+        if continued.endswith(","):  # the keyword line goes on
+            continue
+        if card.word != "INCLUDE":
+            yield card
+        card, continued = _card(continued, path.name, number), ""
+        if card.word == "INCLUDE":
+            inner = path.parent / card.option("INPUT")
+            if not inner.is_file():
+                raise card.error(f"there is no file '{inner}'")
+            yield from read_cards(inner, depth + 1)
+    yield card
+
+
+def _card(text: str, file: str, line: int) -> Card:
+    word, *options = (part.strip() for part in text.lstrip("*").split(","))
+    pairs = (option.partition("=") for option in options)
+    values = {key.strip().upper(): value.strip().strip('"') for key, _, value in pairs if key}
+    return Card(" ".join(word.upper().split()), values, file, line)

@@ -1,0 +1,70 @@
+"""Element types of Abaqus and their faces."""
+
+from __future__ import annotations
+
+# An element type starts with one of these; what follows (H, R, M, T ...) is its formulation.
+_TYPES = {
+    ("tetra", 4): "C3D4 DC3D4 AC3D4",
+    ("tetra10", 10): "C3D10 DC3D10 AC3D10",
+    ("triangle", 3): "CPE3 CPS3 CAX3 S3 M3D3 R3D3 SFM3D3 STRI3 DC2D3",
+    ("triangle6", 6): "CPE6 CPS6 CAX6 STRI65 M3D6 SFM3D6 DC2D6 S6",
+    ("quad", 4): "CPE4 CPS4 CAX4 S4 M3D4 R3D4 SFM3D4",
+    ("quad8", 8): "CPE8 CPS8 CAX8 S8 M3D8",
+    ("hexahedron", 8): "C3D8 DC3D8 SC8",
+    ("hexahedron20", 20): "C3D20 DC3D20",
+    ("hexahedron27", 27): "C3D27",
+    ("wedge", 6): "C3D6 DC3D6 SC6",
+    ("wedge15", 15): "C3D15",
+    ("pyramid", 5): "C3D5",
+    ("line", 2): "T3D2 T2D2 B21 B31 B33 R2D2 CONN3D2",
+    ("line3", 3): "T3D3 T2D3 B22 B32",
+    ("vertex", 1): "MASS ROTARYI SPRING1 DASHPOT1",
+}
+# Vertices of the faces S1, S2 ... in the order of the Abaqus manual.
+_TETRAHEDRON = ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0))
+_TRIANGLE = ((0, 1), (1, 2), (2, 0))
+_SHELL_SIDES = ("", "SPOS", "SNEG", "S1", "S2")
+"""Both sides of a shell in a body of tetrahedra are one and the same facet."""
+
+
+def element_kind(name: str) -> tuple[str, int] | None:
+    """Kind of an element type in the words of meshio, and its number of nodes.
+
+    Args:
+        name: For example C3D10M, in capitals.
+
+    Returns:
+        None for a type that is not known.
+    """
+    fits = [
+        (len(base), kind)
+        for kind, bases in _TYPES.items()
+        for base in bases.split()
+        if name.startswith(base) and not name[len(base) :][:1].isdigit()
+    ]
+    return max(fits)[1] if fits else None
+
+
+def stem(kind: str) -> str:
+    """The shape of a kind: tetra of tetra10."""
+    return kind.rstrip("0123456789")
+
+
+def faces(kind: str, side: str, dim: int) -> tuple[tuple[int, ...], ...] | None:
+    """Vertices of the faces that a line of a *SURFACE means of one element.
+
+    Args:
+        kind: Kind of the element.
+        side: S1, S2 ... or SPOS, SNEG of a shell; empty: all of them.
+        dim: Dimension of the body.
+
+    Returns:
+        Local vertices of each face; None if elements of this kind have no such face.
+    """
+    if stem(kind) == "triangle" and dim == 3:
+        return ((0, 1, 2),) if side in _SHELL_SIDES else None
+    known = {("tetra", 3): _TETRAHEDRON, ("triangle", 2): _TRIANGLE}.get((stem(kind), dim))
+    if known is None or not side:
+        return known
+    number = int(side[1:]) if side[:1] in "SP" and side[1:].isdigit() else 0
+    return (known[number - 1],) if 1 <= number <= len(known) else None

@@ -1,0 +1,277 @@
+"""I-DEAS universal files (.unv), as Salome, Gmsh, NX and Ansys write them.
+
+Read are nodes (datasets 15, 781, 2411), elements (780, 2412), groups (752, 2417, 2429, 2430, 2432,
+2435, 2452, 2467, 2477) and the unit of length (164); all else is passed over.
+Source: Structural Dynamics Research Corporation, Universal File Datasets, I-DEAS Master Series.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
+from dolfin_elastic.mesh.formats.labels import find, find_all, joined, missing
+from dolfin_elastic.mesh.formats.raw import Block, MeshFile
+
+_NODES = (15, 781, 2411)
+_ELEMENTS = {780: (8, 5), 2412: (6, 3)}  # numbers in the first record, and in that of beams
+_GROUPS = dict.fromkeys((752, 2417, 2429, 2430, 2432), 2) | dict.fromkeys(
+    (2435, 2452, 2467, 2477), 4
+)
+"""Numbers that each dataset of groups has for an entity."""
+_UNITS = 164
+_NODE, _ELEMENT = 7, 8  # kinds of entities in groups
+_BEAMS = range(11, 33)  # rods, beams and pipes
+
+# Descriptor of the element; quadratic ones list corners and midside nodes in turns around a face.
+_LINEAR = {
+    "triangle": (41, 51, 61, 74, 81, 91),
+    "triangle6": (42, 52, 62, 72, 82, 92),
+    "quad": (44, 54, 64, 71, 84, 94),
+    "quad8": (45, 55, 65, 75, 85, 95),
+    "tetra": (111,),
+    "tetra10": (118,),
+    "wedge": (101, 112),
+    "wedge15": (102, 113),
+    "hexahedron": (104, 115),
+    "hexahedron20": (105, 116),
+    "vertex": (161,),
+}
+_KINDS = {number: kind for kind, numbers in _LINEAR.items() for number in numbers}
+_SIZES = {
+    "vertex": 1,
+    "line": 2,
+    "line3": 3,
+    "triangle": 3,
+    "triangle6": 6,
+    "quad": 4,
+    "quad8": 8,
+    "tetra": 4,
+    "tetra10": 10,
+    "wedge": 6,
+    "wedge15": 15,
+    "hexahedron": 8,
+    "hexahedron20": 20,
+}
+_ORDER = {
+    "line3": [0, 2, 1],
+    "triangle6": [0, 2, 4, 1, 3, 5],
+    "tetra10": [0, 2, 4, 9, 1, 3, 5, 6, 7, 8],
+}
+"""Places of the nodes in the file in the order of VTK: corners, then middles of the edges."""
+
+
+@dataclass(frozen=True)
+class _Dataset:
+    """Lines of a dataset; the first of them is line `start` of the file."""
+
+    number: int
+    start: int
+    lines: list[str]
+    file: str
+
+    def error(self, what: str, row: int = 0) -> MeshError:
+        """An error that names file and line."""
+        return MeshError(f"dataset {self.number}: {what}", where=f"{self.file}:{self.start + row}")
+
+    def floats(self) -> FloatArray:
+        """All numbers in it, of any exponent letter."""
+        return np.asarray(self._numbers(np.float64), dtype=np.float64)
+
+    def integers(self, first: int = 0, last: int | None = None) -> IntArray:
+        """All whole numbers in the lines from `first` to before `last`."""
+        return np.asarray(self._numbers(np.int64, first, last), dtype=np.int64)
+
+    def _numbers(
+        self, kind: type[np.int64] | type[np.float64], first: int = 0, last: int | None = None
+    ) -> AnyArray:
+        rows = [line.upper().replace("D", "E") for line in self.lines[first:last]]
+        try:
+            return np.array(" ".join(rows).split(), dtype=kind)
+        except (ValueError, OverflowError):
+            for row, line in enumerate(rows, start=first):
+                for word in line.split():
+                    self._check(word, kind, row)
+            raise
+
+    def _check(self, word: str, kind: type[np.int64] | type[np.float64], row: int) -> None:
+        try:
+            np.array([word], dtype=kind)
+        except (ValueError, OverflowError):
+            raise self.error(f"'{word}' is no number of the expected kind", row) from None
+
+
+@dataclass
+class _Contents:
+    """Content of the file in its own numbering.
+
+    Attributes:
+        labels: Of the nodes.
+        points: Coordinates of the nodes, shape (n, 3) each.
+        elements: Descriptor and number of nodes, to labels and nodes of elements.
+        groups: Name to the labels of the nodes, and of the elements, of a group.
+        lost: Name of a group to the reason why it is not whole.
+        unit: Metres per unit of length, where the file says so.
+    """
+
+    labels: list[IntArray] = field(default_factory=list)
+    points: list[FloatArray] = field(default_factory=list)
+    elements: dict[tuple[int, int], tuple[list[int], list[list[int]]]] = field(default_factory=dict)
+    groups: dict[str, tuple[list[IntArray], list[IntArray]]] = field(default_factory=dict)
+    lost: dict[str, str] = field(default_factory=dict)
+    unit: float | None = None
+
+
+def read_unv(path: Path) -> MeshFile:
+    """Reads a universal file. Local: one rank reads.
+
+    Raises:
+        MeshError: The file is damaged, or has no nodes or elements.
+    """
+    found = _Contents()
+    for dataset in _datasets(path):
+        if dataset.number in _NODES:
+            _take_nodes(found, dataset)
+        elif dataset.number in _ELEMENTS:
+            _take_elements(found, dataset)
+        elif dataset.number in _GROUPS:
+            _take_groups(found, dataset)
+        elif dataset.number == _UNITS:
+            found.unit = _metres(dataset)
+    if not found.points or not found.elements:
+        raise MeshError(
+            "there are no nodes (dataset 2411) or no elements (dataset 2412)", where=path.name
+        )
+    return _mesh(found, path)
+
+
+def _datasets(path: Path) -> Iterator[_Dataset]:
+    """The datasets between lines with nothing but -1."""
+    lines = path.read_text("latin-1").splitlines()
+    marks = [i for i, line in enumerate(lines) if line.strip() == "-1"]
+    if len(marks) < 2:
+        raise MeshError("this is no universal file: no dataset between lines -1", where=path.name)
+    if len(marks) % 2:
+        raise MeshError("the last dataset has no end", where=f"{path.name}:{marks[-1] + 1}")
+    for first, last in zip(marks[::2], marks[1::2], strict=True):
+        head = lines[first + 1].split() if last > first + 1 else []
+        if not head or not head[0].isdigit():
+            raise MeshError("a dataset without a number", where=f"{path.name}:{first + 2}")
+        yield _Dataset(int(head[0]), first + 3, lines[first + 2 : last], path.name)
+
+
+def _take_nodes(found: _Contents, dataset: _Dataset) -> None:
+    numbers = dataset.floats()
+    if len(numbers) % 7:
+        raise dataset.error("the nodes are cut short", len(dataset.lines) - 1)
+    rows = numbers.reshape(-1, 7)
+    labels = rows[:, 0].astype(np.int64)
+    if (labels != rows[:, 0]).any():
+        raise dataset.error("a node's label is no whole number")
+    systems = np.unique(rows[:, 1])
+    if dataset.number != 2411 and (systems > 1).any():  # of 2411, coordinates are of the part
+        raise dataset.error(f"nodes in the coordinate system {systems[-1]:g}, which is not read")
+    found.labels.append(labels)
+    found.points.append(np.asarray(rows[:, 4:], dtype=np.float64))
+
+
+def _take_elements(found: _Contents, dataset: _Dataset) -> None:
+    width, beam = _ELEMENTS[dataset.number]
+    numbers = [int(n) for n in dataset.integers()]
+    at = 0
+    while at < len(numbers):
+        head = numbers[at : at + width]
+        if len(head) < width:
+            raise dataset.error("the elements are cut short", len(dataset.lines) - 1)
+        label, kind, count = head[0], head[1], head[-1]
+        at += width + (beam if kind in _BEAMS else 0)
+        if count < 0 or at + count > len(numbers):
+            raise dataset.error(f"the element {label} is cut short", len(dataset.lines) - 1)
+        labels, nodes = found.elements.setdefault((kind, count), ([], []))
+        labels.append(label)
+        nodes.append(numbers[at : at + count])
+        at += count
+
+
+def _take_groups(found: _Contents, dataset: _Dataset) -> None:
+    width, row, lines = _GROUPS[dataset.number], 0, dataset.lines
+    while row < len(lines):
+        head = dataset.integers(row, row + 1)
+        if not len(head) or row + 1 >= len(lines):
+            raise dataset.error("a group is cut short", row)
+        name, count = lines[row + 1].strip() or str(head[0]), int(head[-1])
+        last = row + 2 - (-count * width // 8)
+        if count < 0 or last > len(lines):
+            raise dataset.error(f"the group '{name}' is cut short", row)
+        numbers = dataset.integers(row + 2, last)
+        if len(numbers) != count * width:
+            raise dataset.error(f"the group '{name}' has not {count} entities of {width} numbers")
+        _take_group(found, name, numbers.reshape(-1, width))
+        row = last
+
+
+def _take_group(found: _Contents, name: str, rows: IntArray) -> None:
+    nodes, elements = found.groups.setdefault(name, ([], []))
+    nodes.append(rows[rows[:, 0] == _NODE, 1])
+    elements.append(rows[rows[:, 0] == _ELEMENT, 1])
+    others = len(rows) - len(nodes[-1]) - len(elements[-1])
+    if others:
+        found.lost[name] = f"{others} of its {len(rows)} members are neither nodes nor elements"
+
+
+def _metres(dataset: _Dataset) -> float | None:
+    """Metres per unit of length: lengths of the file are divided by the factor of length."""
+    words = dataset.lines[1].upper().replace("D", "E").split() if len(dataset.lines) > 1 else []
+    try:
+        factor = float(words[0])
+    except (ValueError, IndexError):
+        raise dataset.error("there is no factor of length", 1) from None
+    if not 0 < factor < np.inf:
+        raise dataset.error(f"the factor of length is {factor:g}", 1)
+    return 1 / factor
+
+
+def _mesh(found: _Contents, path: Path) -> MeshFile:
+    labels, first = np.unique(np.concatenate(found.labels), return_index=True)
+    if len(labels) < sum(map(len, found.labels)):
+        raise MeshError("nodes stand twice", where=path.name)
+    points = np.concatenate(found.points)[first]
+    blocks, left_out = [], []
+    members = {name: np.unique(joined(elements)) for name, (_, elements) in found.groups.items()}
+    present = []
+    for (number, count), (own, nodes) in found.elements.items():
+        kind = _kind(number, count)
+        if kind is None:
+            left_out.append(f"{len(own)} of type {number}")
+            continue
+        rows = find_all(labels, np.array(nodes, dtype=np.int64))
+        numbers = np.array(own, dtype=np.int64)
+        present.append(numbers)
+        parts = {name: np.flatnonzero(np.isin(numbers, m)) for name, m in members.items()}
+        blocks.append(Block(kind, rows[:, _ORDER.get(kind, slice(None))], parts))
+    every, lost, sets = np.unique(joined(present)), dict(found.lost), {}
+    for name, (nodes_of, _) in found.groups.items():
+        wanted = np.unique(joined(nodes_of))
+        rows = find(labels, wanted)
+        if len(wanted):
+            sets[name] = rows[rows >= 0]
+        elements = members[name]
+        reasons = [
+            missing(wanted[rows < 0], len(wanted), "nodes"),
+            missing(np.setdiff1d(elements, every), len(elements), "elements"),
+        ]
+        if any(reasons):
+            lost[name] = next(filter(None, reasons))
+    notes = [f"elements left out: {', '.join(left_out)}"] if left_out else []
+    return MeshFile(points, blocks, notes, point_sets=sets, incomplete=lost)
+
+
+def _kind(number: int, count: int) -> str | None:
+    """Kind of an element in the words of meshio; None: it is no element of a mesh."""
+    kind = {2: "line", 3: "line3"}.get(count) if number in _BEAMS else _KINDS.get(number)
+    return kind if kind and _SIZES[kind] == count else None
