@@ -69,6 +69,51 @@ _KSP = {
 }
 
 
+_ENDS = {
+    # Newton's method (SNES)
+    "DIVERGED_FNORM_NAN": "the forces out of balance grow without bound or have no value",
+    "DIVERGED_FUNCTION_DOMAIN": (
+        "step after step of Newton's method was shortened, lest cells turn inside out"
+    ),
+    "DIVERGED_LINE_SEARCH": "no step along Newton's direction brings the forces nearer to balance",
+    "DIVERGED_LOCAL_MIN": "no step along Newton's direction brings the forces nearer to balance",
+    "DIVERGED_INNER": "an inner solver of Newton's method failed",
+    "DIVERGED_TR_DELTA": "the trust region of Newton's method has become too small",
+    "DIVERGED_DTOL": "the forces out of balance grow without bound",
+    "DIVERGED_MAX_IT": "the iterations of Newton's method were not enough",
+    # time steps (TS)
+    "DIVERGED_NONLINEAR_SOLVE": "Newton's method finds no motion, however short the step",
+    "DIVERGED_STEP_REJECTED": "every step that was tried was refused, however short",
+}
+"""Ends of Newton's method and of time steps."""
+
+_EPS = {
+    "DIVERGED_ITS": "its iterations (eps_max_it) were not enough",
+    "DIVERGED_BREAKDOWN": "its iterations broke down",
+    "DIVERGED_SYMMETRY_LOST": "its matrices are not symmetric",
+}
+
+
+def in_words(reason: str) -> str:
+    """Why a solver has ended, with PETSc's name of it behind the words.
+
+    Args:
+        reason: PETSc's name of the end of a SNES or TS, that of a KSP in parentheses where it is
+            the linear solver's; other texts are returned as they are.
+    """
+    name = reason.partition(" (")[0]
+    if "LINEAR_SOLVE" in name and "NONLINEAR" not in name:
+        return f"the linear solver failed: {linear(reason)[0]}"
+    if reason in _ENDS:
+        return f"{_ENDS[reason]} ({reason})"
+    return reason
+
+
+def eigenvalues(reason: str) -> str:
+    """Why SLEPc's EPS has ended, in words with its name behind; see `in_words`."""
+    return f"{_EPS.get(reason, 'it did not converge')} ({reason})"
+
+
 def coordinates(place: Iterable[float]) -> str:
     """A place or a direction, with four digits; no zero has a sign."""
     return "(" + ", ".join(f"{x + 0.0:.4g}" for x in place) + ")"
@@ -111,6 +156,21 @@ def material(problem: Problem, names: Sequence[str]) -> str:
     if len(problem.regions) == 1 or not names:
         return "the body"
     return f"material{'s' if len(names) > 1 else ''} '{', '.join(names)}'"
+
+
+def another_law(names: Sequence[str]) -> str:
+    """Advice where a law has lost ellipticity.
+
+    Args:
+        names: Laws of the same constants that go on; none are known if empty.
+    """
+    if not names:
+        return MATERIAL
+    laws = " or ".join(f"'{name}'" for name in names)
+    return (
+        f"law = {laws} with the same constants, which stay elliptic there; or a smaller load; a "
+        "finer mesh does not help"
+    )
 
 
 def iterations(fall: str) -> str:

@@ -12,6 +12,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.assembly.tangent import TangentMatrix
+from dolfin_elastic.solvers.messages import linear
 from dolfin_elastic.solvers.petsc.options import ksp_reason
 
 TOLERANCE = 1e-14
@@ -56,7 +57,7 @@ def initial_acceleration(assembler: Assembler, prescribed: FloatArray, a: fem.Fu
     # Round-off may keep it just above the tolerance: only a breakdown is a fault.
     if reason < 0 and reason != PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
         raise ConvergenceError(
-            f"the initial acceleration cannot be found: {ksp_reason(reason)}",
+            f"the initial acceleration cannot be found: {linear(ksp_reason(reason))[0]}",
             advice="is every density positive, and are all initial values finite?",
         )
     a.x.array[:size] += found

@@ -9,7 +9,8 @@ Each cause is decided by evidence, the cheap and certain ones first:
 "inverted": solutions were refused because cells had turned inside out.
 "round-off": the residual stopped at a level that round-off explains.
 "unstable": the tangent of the last equilibrium has a negative eigenvalue, or has lost its stiffness
-    against some motion, of which there is less than none in the last iterate.
+    against some motion, of which there is less than none in the last iterate; or a material has
+    lost ellipticity there, or nearly.
 "linear-solver", "stalled", "iterations": what Newton's method itself reports.
 """
 
@@ -29,6 +30,7 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics import instability
 from dolfin_elastic.solvers.diagnostics.evidence import Cells, Fault, TrialStates, not_finite
 from dolfin_elastic.solvers.diagnostics.loose_parts import find_loose_part
+from dolfin_elastic.solvers.diagnostics.material_limit import NEARLY, softest_spot
 from dolfin_elastic.solvers.diagnostics.stability import LIMIT
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import pulled_off_obstacles, without_contact
@@ -145,6 +147,7 @@ class _CauseSearch:
             self._solution_inverted,
             self._round_off,
             self._unstable,
+            self._material_gives_way,
             self._linear_solver,
             self._next_step,
             self._steps_shortened,
@@ -194,7 +197,9 @@ class _CauseSearch:
 
     def _solution_inverted(self) -> Diagnosis | None:
         """An equilibrium was found, but its cells are inside out."""
-        return self._inverted() if "inside out" in self.result.reason else None
+        if "inside out" not in self.result.reason:
+            return None
+        return self._material_gives_way() or self._inverted()
 
     def _steps_shortened(self) -> Diagnosis | None:
         """Many steps were shortened; instability shortens steps, too, and is checked before."""
@@ -288,6 +293,25 @@ class _CauseSearch:
         if not look.text:
             return None
         return self._make("unstable", look.text, look.advice, look.place)
+
+    def _material_gives_way(self) -> Diagnosis | None:
+        """The last equilibrium has lost ellipticity, or nearly, and a later iterate has.
+
+        The body need not be unstable yet: a strip of cells may keep it, however fine the mesh.
+        """
+        if self._moving:
+            return None
+        self.states.put(self.good)
+        spot = softest_spot(self.cells)
+        if spot is None or spot.share >= NEARLY:
+            return None
+        if not spot.lost:
+            self.states.put(self.failed)
+            later = softest_spot(self.cells)
+            if later is None or not later.lost:
+                return None
+        text, advice = spot.in_words(self.problem)
+        return self._make("unstable", text, advice, spot.place)
 
     def _linear_solver(self) -> Diagnosis | None:
         if "LINEAR_SOLVE" not in self.result.reason:

@@ -8,13 +8,11 @@ import numpy as np
 
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.material_point.checks import with_finite_moduli
-from dolfin_elastic.material_point.ellipticity import acoustic_eigenvalues
-from dolfin_elastic.material_point.ufl_to_numpy import LawAtPoints
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.evidence import Cells, TrialStates
+from dolfin_elastic.solvers.diagnostics.material_limit import NEARLY, softest_spot
 from dolfin_elastic.solvers.diagnostics.stability import (
     LIMIT,
     Mode,
@@ -194,11 +192,9 @@ def _finding(
         text = "the body has a negative stiffness along the way that Newton's method went"
     if mode is None:
         return Finding(text, messages.BUCKLING)
-    if (place := _material_fails(assembler)) is not None:
-        text += (
-            f"; the material itself is unstable there (not elliptic) near {coordinates(place)} m"
-        )
-        return Finding(f"material instability: {text}", messages.MATERIAL, place)
+    if (spot := softest_spot(Cells(assembler))) is not None and spot.share < NEARLY:
+        material, advice = spot.in_words(assembler.problem)
+        return Finding(f"{material}; {text}", advice, spot.place)
     place, direction, names = _largest_motion(assembler.problem, mode.motion)
     strain = _largest_strain(assembler)
     if strain > HUGE:
@@ -271,26 +267,3 @@ def _material_at(problem: Problem, node: int) -> str:
     nodes = problem.unknowns.U.dofmap.list
     names = sorted(p.name for p in problem.regions if np.any(nodes[p.cells] == node))
     return f" ({messages.material(problem, names)})" if names else ""
-
-
-def _material_fails(assembler: Assembler) -> tuple[float, ...] | None:
-    """A place where the law is not strongly elliptic in the present state. Collective.
-
-    Cells are looked at with the mean of what varies in space; of plane and axisymmetric bodies
-    only the motions in their plane count.
-    """
-    cells = Cells(assembler)
-    F, bad = cells.gradients(), np.zeros(len(cells.own), dtype=bool)
-    flat = assembler.problem.body.dim == 2
-    for part in assembler.problem.regions:
-        if part.compliance is not None:  # the pressure of the present state is not in F
-            continue
-        inside = F[part.cells].reshape(-1, 3, 3)
-        # Many cells: the most strained are enough.
-        chosen = np.argsort(-np.linalg.norm(inside - np.eye(3), axis=(1, 2)), kind="stable")[:300]
-        least = acoustic_eigenvalues(
-            LawAtPoints(with_finite_moduli(part.typical)), inside[chosen], flat=flat
-        )
-        bad[part.cells[np.unique(chosen[least < 0.0] // F.shape[1])]] = True
-    place = cells.first(bad)
-    return place or None

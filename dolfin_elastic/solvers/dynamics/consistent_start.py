@@ -34,6 +34,7 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.mass import initial_acceleration, prescribed_acceleration
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 from dolfin_elastic.solvers.linear.choice import LAST_DIRECT, LinearSettings, choose, factorising
+from dolfin_elastic.solvers.messages import linear
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.petsc.options import Options, ksp_reason
@@ -293,7 +294,7 @@ class _IncompressibleStart:
         reason = self._ksp.getConvergedReason()
         if reason < 0 or not np.isfinite(self._x.norm()):
             raise ConvergenceError(
-                f"the {what} cannot be found: {ksp_reason(reason)}",
+                f"the {what} cannot be found: {linear(ksp_reason(reason))[0]}",
                 advice="is every density positive, and are all initial values finite?",
             )
 

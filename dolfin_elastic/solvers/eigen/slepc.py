@@ -30,6 +30,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.linear.choice import Choice, LinearSettings, factorising, multigrid
 from dolfin_elastic.solvers.linear.multigrid import PMultigrid, rigid_body_modes
+from dolfin_elastic.solvers.messages import eigenvalues
 from dolfin_elastic.solvers.petsc.options import Options
 
 DIRECT_LIMIT = {2: 600_000, 3: 100_000}
@@ -267,8 +268,8 @@ class Spectrum:
         found = int(eps.getConverged())
         if found < count:
             raise ConvergenceError(
-                f"of {count} modes only {found} were found: the eigenvalue solver ended with "
-                f"{_reason(eps)} after {eps.getIterationNumber()} iterations",
+                f"of {count} modes only {found} were found: the eigenvalue solver has failed, "
+                f"{eigenvalues(_reason(eps))}, after {eps.getIterationNumber()} iterations",
                 advice='solver.method = "direct", fewer modes, or a larger tolerance',
             )
         vector, pairs = self._vector(None), []

@@ -10,6 +10,7 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import GMRES, LAST_DIRECT, factorising
 from dolfin_elastic.solvers.linear.multigrid import PMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.linear.schur import PressureSplit
+from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.petsc.options import Options
 
 log = logging.getLogger("dolfin_elastic")
@@ -101,14 +102,14 @@ class LinearSolver:
         if self.direct or "ksp_type" in self._options.users or "pc_type" in self._options.users:
             return False
         if self.ksp.getType() == "cg":
-            log.info("conjugate gradients failed (%s): GMRES from here on", reason)
+            log.info("conjugate gradients failed (%s): GMRES from here on", in_words(reason))
             self._options.update(GMRES)
             self.refresh()
             return True
         problem = self._assembler.problem
         if problem.num_dofs > LAST_DIRECT[problem.body.dim]:
             return False
-        log.info("the iterative solver failed (%s): factorising", reason)
+        log.info("the iterative solver failed (%s): factorising", in_words(reason))
         self._options.update(factorising(problem.symmetric))
         with self._options.in_force(), self._options.input_errors():
             self.set_up()

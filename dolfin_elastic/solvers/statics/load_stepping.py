@@ -18,6 +18,7 @@ from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
 from dolfin_elastic.solvers.breakpoints import corners, within_stride
 from dolfin_elastic.solvers.diagnostics.stability import negative_eigenvalues
+from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
@@ -205,7 +206,7 @@ class LoadStepping:
                     self._jumped_to = goal, self._newton.unknowns()
                 inverted = not result.converged and (result.rejected > 0 or "NAN" in result.reason)
                 if sizes.failed(step.t, goal, inverted=inverted):
-                    log.info("load factor %.6g: %s; a smaller step", goal, refusal)
+                    log.info("load factor %.6g: %s; a smaller step", goal, in_words(refusal))
                     self._retry.undo(step.start)
                     continue
                 goal, result = self._leave_path(step, result, refusal)

@@ -11,7 +11,7 @@ from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.assembly.assembler import StrainEnergy
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
-from dolfin_elastic.solvers.messages import coordinates
+from dolfin_elastic.solvers.messages import coordinates, in_words
 from dolfin_elastic.solvers.nonlinear.contact import ContactResults
 from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
@@ -126,8 +126,8 @@ class StaticStates:
         force, place = self._assembler.residual.largest()
         return ConvergenceError(
             f"no equilibrium beyond load factor {t:.6g}: {found.text}\n  at the end: "
-            f"{result.reason}, Newton iterations: {result.newton}; the largest force out of "
-            f"balance, {force:.3g} N, is at {coordinates(place)} m",
+            f"{in_words(result.reason)}, Newton iterations: {result.newton}; the largest force "
+            f"out of balance, {force:.3g} N, is at {coordinates(place)} m",
             advice=found.advice,
             state=self.state(goal, result),
             diagnosis=found,

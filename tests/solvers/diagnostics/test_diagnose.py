@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from dolfin_elastic import (
     Energy,
     LinearElastic,
     NeoHookean,
+    Normal,
+    Pressure,
     Problem,
     Selector,
     Spring,
@@ -38,6 +41,8 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.material_point.domain import undefined_operation
 from dolfin_elastic.mesh.distribute import build_body
 from dolfin_elastic.mesh.formats.raw import RawMesh
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -470,6 +475,62 @@ def test_a_material_that_gives_way():
     assert found.cause == "unstable"
     assert "stiffness against one motion has fallen" in found.text or "negative" in found.text
     assert "load" in found.advice
+
+
+@pytest.fixture(scope="module")
+def shell() -> Body:
+    """A slice of a hollow sphere of radii 1 and 2 m, 23 degrees of its meridian."""
+    body = rectangle_body(size=(1.0, 0.4), cells=(6, 3))
+    x = body.mesh.geometry.x
+    r, angle = 1.0 + x[:, 0], x[:, 1].copy()
+    x[:, 0], x[:, 1] = r * np.cos(angle), r * np.sin(angle)
+    return body
+
+
+def inflated(body: Body, law: Law) -> Problem:
+    """It under an inner pressure of a fifth of E, on rollers that let it swell as a sphere."""
+    return Problem(
+        body,
+        law,
+        geometry="axisymmetric",
+        supports=[Normal(kind="roller", on="bottom"), Normal(kind="roller", on="top")],
+        loads=[Pressure(on="left", value=2e5)],
+        degree=2,
+    )
+
+
+def test_st_venant_kirchhoff_beyond_its_limit_load(shell: Body) -> None:
+    """A hollow sphere: its wall is squeezed below 1/sqrt(3), and the law gives way, not the mesh.
+
+    It was told that a cell turns inside out, and to take a finer mesh.
+    """
+    error = failure(inflated(shell, StVenantKirchhoff(E=1e6, nu=0.3)), max_iterations=15)
+    found = error.diagnosis
+    assert found is not None
+    assert found.cause == "unstable"
+    assert found.text.startswith("material instability: near (")
+    squeezed = re.search(r"is squeezed to (0\.\d+) of its length along \(([^)]*)\)", found.text)
+    assert squeezed is not None
+    assert float(squeezed[1]) < 1 / np.sqrt(3) + 0.02
+    along = np.array([float(x) for x in squeezed[2].split(",")])
+    place = np.array(found.place)
+    assert np.linalg.norm(place) < 1.2  # at the inner side, and along the radius
+    assert along @ place == pytest.approx(np.linalg.norm(along) * np.linalg.norm(place), rel=1e-2)
+    assert "the law 'st-venant-kirchhoff' is" in found.text
+    assert "its stress falls again below a stretch of 0.577" in found.text  # 1/sqrt(3)
+    assert found.advice.startswith("law = 'neo-hookean' or 'hencky' with the same constants")
+    assert "a finer mesh does not help" in found.advice
+    assert re.search(r"at the end: \w.* \(DIVERGED_\w+\), Newton iterations", str(error))
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("law", ["hencky", "neo-hookean"])
+def test_the_laws_that_go_on_do(shell: Body, law: str) -> None:
+    """What the advice names reaches the whole load."""
+    *_, state = Statics(inflated(shell, MATERIALS[law](E=1e6, nu=0.3))).steps()
+    assert state.load_factor == 1.0
+    assert state.audit is not None
+    assert state.audit.verdict == "pass"
 
 
 def test_a_large_body_is_judged_by_the_way_it_went(monkeypatch):

@@ -372,7 +372,8 @@ def test_a_step_without_a_solution_says_so_and_keeps_its_state(pushed, said, adv
             reached.append(state.t)
     if said:  # ever shorter steps come close to the jump
         assert reached[-1] == pytest.approx(0.015, rel=1e-3)
-    assert f"no solution for the step from t = {reached[-1]:.6g} s: DIVERGED" in str(caught.value)
+    start = f"no solution for the step from t = {reached[-1]:.6g} s: "
+    assert str(caught.value).startswith((f"{start}Newton's method finds", f"{start}every step"))
     assert said in str(caught.value)
     assert ("jumps" in str(caught.value)) == bool(said)
     assert advice in str(caught.value)

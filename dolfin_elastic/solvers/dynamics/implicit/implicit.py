@@ -39,7 +39,7 @@ from dolfin_elastic.solvers.dynamics.schemes import ImplicitRow
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.dynamics.work import EnergyBalance, EnergyBook
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
-from dolfin_elastic.solvers.messages import JUMP, coordinates
+from dolfin_elastic.solvers.messages import JUMP, coordinates, in_words
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
@@ -287,7 +287,7 @@ class Implicit:
     def _failure(self) -> ConvergenceError:
         t = float(self.ts.getTime())
         force, place = self.assembler.residual.largest()
-        reason = ts_reason(self.ts.getConvergedReason())
+        reason = in_words(ts_reason(self.ts.getConvergedReason()))
         last = self.problem.w.x.array.copy()
         found = diagnose(self.assembler, self.newton.result, good=last, failed=last, moving=True)
         if sudden := support_jump(self.problem, t, self.control.nominal):

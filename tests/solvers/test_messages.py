@@ -1,0 +1,44 @@
+"""Ends of PETSc's solvers in words."""
+
+from __future__ import annotations
+
+import pytest
+from petsc4py import PETSc
+
+from dolfin_elastic.solvers.messages import eigenvalues, in_words
+from dolfin_elastic.solvers.nonlinear.convergence import ANOTHER
+from dolfin_elastic.solvers.petsc.options import ksp_reason, snes_reason, ts_reason
+
+SNES, KSP, TS = (kind.ConvergedReason for kind in (PETSc.SNES, PETSc.KSP, PETSc.TS))
+
+
+@pytest.mark.parametrize(
+    "reason",
+    [
+        snes_reason(SNES.DIVERGED_FUNCTION_DOMAIN),
+        snes_reason(SNES.DIVERGED_FNORM_NAN),
+        snes_reason(SNES.DIVERGED_LINE_SEARCH),
+        snes_reason(SNES.DIVERGED_MAX_IT),
+        ts_reason(TS.DIVERGED_NONLINEAR_SOLVE),
+        ts_reason(TS.DIVERGED_STEP_REJECTED),
+    ],
+)
+def test_names_stand_behind_words(reason: str) -> None:
+    """They stood alone in lines for users."""
+    words, _, name = in_words(reason).partition(" (")
+    assert name == f"{reason})"
+    assert "DIVERGED" not in words
+    assert len(words.split()) > 4
+
+
+def test_the_linear_solver_is_named() -> None:
+    whole = in_words(f"DIVERGED_LINEAR_SOLVE ({ksp_reason(KSP.DIVERGED_MAX_IT)})")
+    text = "the linear solver failed: its iterations (ksp_max_it) were not enough (DIVERGED_MAX_IT)"
+    assert whole == text
+
+
+def test_other_words_stay() -> None:
+    assert in_words(ANOTHER) == ANOTHER
+    assert (
+        eigenvalues("DIVERGED_ITS") == "its iterations (eps_max_it) were not enough (DIVERGED_ITS)"
+    )
