@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from dolfinx.mesh import Mesh
@@ -13,6 +14,19 @@ from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.fields import MeshField
+
+
+@dataclass(frozen=True)
+class CadSource:
+    """The CAD file that a mesh was made of.
+
+    Attributes:
+        path: The file.
+        scale: Metres per unit of length of Gmsh's model of it.
+    """
+
+    path: Path
+    scale: float
 
 
 @dataclass(frozen=True)
@@ -28,6 +42,7 @@ class Body:
         source: Where the mesh came from, for messages.
         fields: Name to values at cells or points from the mesh file.
         notes: Remarks on faults found and corrected while reading (unused points ...).
+        cad: The CAD file it was made of, if it was.
     """
 
     mesh: Mesh
@@ -36,6 +51,7 @@ class Body:
     source: str = ""
     notes: tuple[str, ...] = ()
     fields: Mapping[str, MeshField] = field(default_factory=dict)
+    cad: CadSource | None = None
 
     @property
     def comm(self) -> MPI.Comm:

@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.body import Body, CadSource
 from dolfin_elastic.mesh.distribute import Permutation, build_body
 from dolfin_elastic.mesh.formats.raw import MeshFile, assemble
 from dolfin_elastic.mesh.geometry.checks import check_cells
@@ -64,6 +64,8 @@ def read_body(
             source=path.name,
             permutation=permutation,
         )
+        if suffix in CAD:
+            body = replace(body, cad=CadSource(path.absolute(), scale))
     return replace(body, notes=(*body.notes, *check_cells(body, scale=scale)))
 
 

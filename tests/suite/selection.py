@@ -60,6 +60,7 @@ the linear ones, which run on two so that reference cases as such do."""
 SHARED = {
     "case/test_restart.py",
     "mesh/test_read.py",
+    "mesh/test_refine.py",
     "model/loads/test_loads.py",
     "model/loads/test_pressure.py",
     "model/supports/test_supports.py",

@@ -125,6 +125,20 @@ def _has_sizes(gmsh: Any) -> bool:
     )
 
 
+@contextmanager
+def open_model(path: Path) -> Iterator[Any]:
+    """Gmsh's model of a CAD file, which is not meshed. Local.
+
+    Args:
+        path: .geo, .step, .brep or .iges.
+
+    Raises:
+        MeshError: Gmsh cannot read it.
+    """
+    with _gmsh(path) as gmsh:
+        yield gmsh.model
+
+
 def convert_msh(path: Path) -> MeshFile:
     """Reads a .msh file of an old version. Local: one rank reads."""
     with _gmsh(path) as gmsh:

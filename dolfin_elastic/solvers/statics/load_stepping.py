@@ -58,6 +58,19 @@ class _Step:
     start: FloatArray
 
 
+@dataclass(frozen=True)
+class NearEnd:
+    """Unknowns near those of the full load, as those of a coarser mesh are.
+
+    Attributes:
+        unknowns: Local array of all fields, `Problem.w`.
+        scalars: Scalar unknowns beside the fields.
+    """
+
+    unknowns: FloatArray
+    scalars: tuple[float, ...] = ()
+
+
 class LoadStepping:
     """Load steps of one run. Collective to make.
 
@@ -97,12 +110,17 @@ class LoadStepping:
         self._limits: tuple[float, ...] = ()
         self._jumps = 0
 
-    def run(self, saved: SavedState | None = None) -> Iterator[State]:
+    def run(self, saved: SavedState | None = None, near: NearEnd | None = None) -> Iterator[State]:
         """Yields the states; see `Statics.steps`. Collective.
 
         Args:
             saved: A `restart_state` from which the run continues.
+            near: Unknowns near those of the end.
         """
+        by_load = self._settings.method == "load"
+        if near is not None and by_load and (state := self._straight(near)) is not None:
+            yield state
+            return
         try:
             if self._settings.method == "arc-length":
                 others = [] if self._scalars is None else self._scalars.parts
@@ -191,6 +209,39 @@ class LoadStepping:
 
     def _join(self, w: fem.Function, scalars: Sequence[float]) -> FloatArray:
         return np.concatenate([w.x.array, np.array(scalars, dtype=np.float64)])
+
+    # --- from unknowns near those of the end ---
+
+    def _straight(self, near: NearEnd) -> State | None:
+        """The equilibrium of the full load next to a guess, None if there is none. Collective.
+
+        All unknowns are put back if there is none.
+        """
+        start, end = self._newton.unknowns(), self._settings.end
+        self._problem.set_time(end, default=PROPORTIONAL)
+        self._problem.dirichlet.check_finite()
+        result = self._retry.solve([("", self._join_arrays(near))])
+        refusal = self._refusal_of_guess() if result.converged else result.reason
+        if refusal:
+            log.info("from the coarser mesh's solution: %s; the load grows from zero", refusal)
+            self._retry.undo(start)
+            self._retry.restarted()
+            return None
+        self._t = end
+        # The auditor compares a state with the one before it: it is shown this one twice.
+        self._states.state(end, result)
+        return self._states.state(end, result, negative=negative_eigenvalues(self._newton))
+
+    def _join_arrays(self, near: NearEnd) -> FloatArray:
+        return np.concatenate([near.unknowns, np.array(near.scalars, dtype=np.float64)])
+
+    def _refusal_of_guess(self) -> str:
+        """Why the equilibrium is none that a body would be in; empty: it is. Collective."""
+        self._evaluate_start()
+        if not self._path_check.finite():
+            return BEYOND
+        linear = self._problem.linear
+        return UNSTABLE if not linear and (negative_eigenvalues(self._newton) or 0) > 0 else ""
 
     # --- the load grows ---
 

@@ -19,7 +19,7 @@ from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
-from dolfin_elastic.solvers.statics.load_stepping import LoadStepping
+from dolfin_elastic.solvers.statics.load_stepping import LoadStepping, NearEnd
 from dolfin_elastic.solvers.statics.settings import FIRST, StaticsSettings
 from dolfin_elastic.solvers.statics.step_size import StepSizes
 
@@ -55,11 +55,15 @@ class Statics:
         self.choice = choose(problem, self.linear)
         self._stepping: LoadStepping | None = None
 
-    def steps(self, saved: SavedState | None = None) -> Iterator[State]:
+    def steps(
+        self, saved: SavedState | None = None, *, near: NearEnd | None = None
+    ) -> Iterator[State]:
         """Yields the initial state and then one equilibrium a step. Collective.
 
         Args:
             saved: A `restart_state` from which the run continues, with the step after it.
+            near: Unknowns near those of the end: the equilibrium there is the only state that is
+                yielded, if it is found from them; else the load grows from zero as ever.
 
         Raises:
             InputError: The supports do not hold the body against every rigid motion.
@@ -89,7 +93,7 @@ class Statics:
                 self.settings, self._step_sizes(), newton=newton, scalars=scalars, watch=watch
             )
             owned.callback(self._forget)
-            yield from self._stepping.run(saved)
+            yield from self._stepping.run(saved, near)
 
     def _forget(self) -> None:
         self._stepping = None

@@ -1,0 +1,113 @@
+"""Names of parts go from the cells, facets, edges and nodes of a mesh to those they are divided in.
+
+Each is found from barycentric coordinates in the parent cell: a finer facet lies in facet j of the
+parent where coordinate j is zero at all its corners.  Cells carry the names of everything on them,
+so that parts which ranks share are the same on both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import basix
+import numpy as np
+from dolfinx.mesh import Mesh
+
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body
+
+_SHAPES = {2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
+Parts = Mapping[str, IndexArray]
+
+
+def carry_parts(
+    body: Body, mesh: Mesh, corners: FloatArray, of_parents: Callable[[AnyArray], AnyArray]
+) -> dict[str, dict[str, IndexArray]]:
+    """Named parts of the finer mesh: the fields of `Body` that hold such.  Collective.
+
+    Args:
+        body: The coarse body.
+        mesh: The finer mesh, with its facets.
+        corners: Barycentric coordinates of the corners of its local cells in their parents.
+        of_parents: Rows of coarse cells to rows of the parents of finer cells.
+    """
+    coarse = body.mesh
+    regions = of_parents(_of_cells(coarse, body.regions))
+    found = {"regions": _cells(body.regions, regions)}
+    d = coarse.topology.dim
+    found["surfaces"] = _entities(body.surfaces, coarse, mesh, d - 1, corners, of_parents)
+    return found
+
+
+def _of_cells(mesh: Mesh, parts: Parts) -> AnyArray:
+    """Whether each local cell belongs to each part, shape (cells, parts)."""
+    marks = np.zeros((len(mesh.geometry.dofmap), len(parts)), dtype=np.uint8)
+    for column, cells in enumerate(parts.values()):
+        marks[cells, column] = 1
+    return marks
+
+
+def _cells(parts: Parts, marks: AnyArray) -> dict[str, IndexArray]:
+    return {
+        name: np.flatnonzero(marks[:, column]).astype(np.int32) for column, name in enumerate(parts)
+    }
+
+
+def _around(mesh: Mesh, dim: int) -> IndexArray:
+    """Local facets or edges of each local cell, shape (cells, facets of a cell). Collective."""
+    d = mesh.topology.dim
+    mesh.topology.create_entities(dim)
+    mesh.topology.create_connectivity(d, dim)
+    mesh.topology.create_connectivity(dim, d)
+    return np.asarray(mesh.topology.connectivity(d, dim).array).reshape(
+        len(mesh.geometry.dofmap), -1
+    )
+
+
+def _entities(
+    parts: Parts,
+    coarse: Mesh,
+    mesh: Mesh,
+    dim: int,
+    corners: FloatArray,
+    of_parents: Callable[[AnyArray], AnyArray],
+) -> dict[str, IndexArray]:
+    """Facets or edges of the finer mesh that lie in named ones of the coarse mesh. Collective."""
+    if not parts:
+        return {}
+    d = coarse.topology.dim
+    members = _around(coarse, dim)
+    index = coarse.topology.index_map(dim)
+    marks = np.zeros((index.size_local + index.num_ghosts, len(parts)), dtype=np.uint8)
+    for column, entities in enumerate(parts.values()):
+        marks[entities, column] = 1
+    named = of_parents(marks[members])  # (finer cells, entities of a cell, parts)
+    within = _entities_within(d, dim, corners)  # (finer cells, own entity, parent's entity)
+    carried = np.einsum("cij,cjp->cip", within.astype(np.uint8), named) > 0
+    around = _around(mesh, dim)
+    return {
+        name: np.unique(around[carried[:, :, column]]).astype(np.int32)
+        for column, name in enumerate(parts)
+    }
+
+
+def _entities_within(d: int, dim: int, corners: FloatArray) -> AnyArray:
+    """Which facet or edge of the parent each facet or edge of a finer cell lies in.
+
+    Args:
+        d: Dimension of the cells.
+        dim: Of the entities.
+        corners: Barycentric coordinates of the cells' corners, shape (cells, d + 1, d + 1).
+
+    Returns:
+        Shape (cells, own entity, parent's entity).
+    """
+    entities: list[Any] = basix.topology(_SHAPES[d])[dim]
+    zero = corners == 0.0
+    found = np.zeros((len(corners), len(entities), len(entities)), dtype=bool)
+    for i, own in enumerate(entities):
+        for j, other in enumerate(entities):
+            away = [k for k in range(d + 1) if k not in other]
+            found[:, i, j] = zero[:, own][:, :, away].all(axis=(1, 2))
+    return found

@@ -1,0 +1,123 @@
+"""`refine_body`: a body with some of its cells divided, with names, fields and curved boundaries.
+
+Everything follows from the barycentric coordinates of the finer cells in the coarse ones: the
+quadratic geometry of curved cells, names of parts, and fields.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from dolfinx import fem
+
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.mesh.fields import MeshField
+from dolfin_elastic.mesh.refine.cad_surfaces import CadSurfaces
+from dolfin_elastic.mesh.refine.division import (
+    Division,
+    barycentric,
+    divide,
+    interpolated,
+    lagrange,
+)
+from dolfin_elastic.mesh.refine.links import CellLinks
+from dolfin_elastic.mesh.refine.parts import carry_parts
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """A finer body, and where its cells lie in those of the coarse one.
+
+    Attributes:
+        coarse: The body that was refined.
+        body: The finer body, distributed anew.
+        corners: As `Division.corners`, for the local cells of the finer body.
+        of_parents: Rows of the coarse body's local cells to rows of the parents of the finer body's
+            local cells.  Collective.
+    """
+
+    coarse: Body
+    body: Body
+    corners: FloatArray
+    of_parents: Callable[[AnyArray], AnyArray]
+
+    def interpolated(self, degree: int, values: AnyArray) -> FloatArray:
+        """A finite element function of the coarse body at the nodes of the finer one. Collective.
+
+        Args:
+            degree: Of its Lagrange element.
+            values: At the nodes of the local cells, shape (coarse cells, nodes, columns).
+
+        Returns:
+            At the nodes of the same element, shape (finer cells, nodes, columns).
+        """
+        d = self.body.dim
+        nodes = barycentric(lagrange(d, degree).points)
+        places = np.einsum("kv,cvj->ckj", nodes, self.corners)
+        return interpolated(d, degree, places, self.of_parents(values))
+
+
+def refine_body(body: Body, cells: IndexArray) -> Refinement:
+    """Divides cells, and as many of their neighbours as it takes to leave no node hanging.
+
+    Collective.  All edges of the cells are halved.  Cells, surfaces, edges and points keep their
+    names, fields of the mesh are interpolated, and curved cells remain the same shapes: a part of a
+    quadratic cell is a quadratic cell.  Where the mesh was made of a CAD file its boundary goes to
+    the surfaces of that.
+
+    Args:
+        body: The body.
+        cells: Local cells of this rank that are divided.
+
+    Raises:
+        MeshError: The CAD file cannot be read any more.
+    """
+    division = divide(body.mesh, cells)
+    order = int(body.mesh.geometry.cmap.degree)
+    space = fem.functionspace(division.mesh, ("Lagrange", order))
+    x, notes = _node_places(body, division, space), tuple[str, ...]()
+    if body.cad is not None:
+        x, notes = CadSurfaces(body.cad).place(body, division, space, x)
+    index = space.dofmap.index_map
+    nodes = index.local_to_global(space.dofmap.list.reshape(-1)).reshape(space.dofmap.list.shape)
+    mesh = make_mesh(body.comm, nodes, x[: index.size_local], order)
+    links = CellLinks(body.comm, len(nodes), np.asarray(mesh.topology.original_cell_index))
+
+    def of_parents(rows: AnyArray) -> AnyArray:
+        return links(rows[division.parents])
+
+    corners = np.asarray(links(division.corners))
+    parts = carry_parts(body, mesh, corners, of_parents)
+    regions, surfaces = parts["regions"], parts["surfaces"]
+    finer = replace(body, mesh=mesh, regions=regions, surfaces=surfaces, fields={}, notes=notes)
+    bare = Refinement(body, finer, corners, of_parents)
+    fields = {name: _carried_field(bare, field) for name, field in body.fields.items()}
+    return replace(bare, body=replace(finer, fields=fields))
+
+
+def _node_places(body: Body, division: Division, space: fem.FunctionSpace) -> FloatArray:
+    """Coordinates [m] of all local nodes of the finer mesh, from the geometry of the coarse one."""
+    mesh, d, order = body.mesh, body.dim, int(body.mesh.geometry.cmap.degree)
+    nodes = mesh.geometry.x[mesh.geometry.dofmap[division.parents], :d]
+    places = division.places(lagrange(d, order).points)
+    found = interpolated(d, order, places, nodes)
+    index = space.dofmap.index_map
+    x = np.zeros((index.size_local + index.num_ghosts, d))
+    x[space.dofmap.list] = found
+    return x
+
+
+def _carried_field(refinement: Refinement, field: MeshField) -> MeshField:
+    """A field of the coarse body's mesh on the finer one. Collective."""
+    if field.centre == "cell":
+        return MeshField("cell", np.asarray(refinement.of_parents(field.values)))
+    coarse, fine = refinement.coarse.mesh.geometry, refinement.body.mesh.geometry
+    degree = int(coarse.cmap.degree)
+    found = refinement.interpolated(degree, field.values[coarse.dofmap])
+    values = np.zeros((len(fine.x), field.columns))
+    values[fine.dofmap] = found
+    return MeshField("point", values)

@@ -1,0 +1,187 @@
+"""Refined bodies: shapes, names, fields and curved boundaries, on any number of ranks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.annulus import annulus
+from mpi4py import MPI
+
+from dolfin_elastic import Selector, box_body, name_parts, read_body
+from dolfin_elastic.core.parallel import on_root, total
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.mesh.fields import MeshField
+from dolfin_elastic.mesh.geometry.curved import (
+    cell_volumes,
+    facet_areas,
+    facet_points,
+    smallest_jacobians,
+)
+from dolfin_elastic.mesh.geometry.simplices import cell_corners, facet_corners
+from dolfin_elastic.mesh.refine.marking import bulk
+from dolfin_elastic.mesh.refine.refinement import refine_body
+
+WORLD = MPI.COMM_WORLD
+PIPE = """\
+SetFactory("OpenCASCADE");
+Cylinder(1) = {0, 0, 0, 0, 0, 1, 0.6, Pi/2};
+Cylinder(2) = {0, 0, 0, 0, 0, 1, 0.4, Pi/2};
+BooleanDifference(3) = { Volume{1}; Delete; }{ Volume{2}; Delete; };
+Mesh.MeshSizeMax = 0.5;
+"""
+SECTOR = """\
+Point(1) = {0, 0, 0}; Point(2) = {1, 0, 0, 0.5}; Point(3) = {2, 0, 0, 0.5};
+Point(4) = {0, 2, 0, 0.5}; Point(5) = {0, 1, 0, 0.5};
+Line(1) = {2, 3}; Circle(2) = {3, 1, 4}; Line(3) = {4, 5}; Circle(4) = {5, 1, 2};
+Curve Loop(1) = {1, 2, 3, 4}; Plane Surface(1) = {1};
+Physical Curve("inside") = {4}; Physical Curve("outside") = {2}; Physical Surface("ring") = {1};
+"""
+
+
+def near(body: Body, place: Any, radius: float) -> np.ndarray:
+    """Owned cells whose middle is near a place."""
+    middles = cell_corners(body.mesh).mean(axis=1)[: len(body.owned_cells())]
+    return np.flatnonzero(np.linalg.norm(middles - place, axis=1) < radius).astype(np.int32)
+
+
+def volume(body: Body, cells: Any = slice(None)) -> float:
+    return float(total(WORLD, cell_volumes(body.mesh)[cells].sum()))
+
+
+def area(body: Body, name: str) -> float:
+    return float(total(WORLD, facet_areas(body.mesh, body.owned_facets(name)).sum()))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_shapes_and_names(dim: int) -> None:
+    """Volumes and areas of all parts, one of them inside the body, are those before, to round-off.
+
+    A mesh with hanging nodes would have boundary facets inside: the whole boundary's area is
+    compared, too.
+    """
+    body = box_body(size=[1, 2, 3][:dim], cells=[4, 2, 3][:dim])
+    facets = np.arange(body.mesh.topology.index_map(dim - 1).size_local, dtype=np.int32)
+    inside = np.abs(facet_corners(body.mesh, facets)[:, :, 0] - 0.5).max(axis=1) < 1e-9
+    body = name_parts(
+        body.named(surfaces={"cut": facets[inside]}),
+        surfaces={"all": Selector(all=True)},
+        regions={"half": Selector(box=[[0, 0, 0][:dim], [0.5, 2, 3][:dim]])},
+    )
+    before = {name: area(body, name) for name in body.surfaces}
+    whole, half = volume(body), volume(body, body.regions["half"])
+    assert before["cut"] == pytest.approx([2, 6][dim - 2])
+    for radius in (1.2, 0.6):
+        count = body.num_cells
+        body = refine_body(body, near(body, np.zeros(dim), radius)).body
+        assert body.num_cells > count
+    again = name_parts(body, surfaces={"skin": Selector(all=True)})
+    assert {name: area(body, name) for name in before} == pytest.approx(before, rel=1e-12)
+    assert area(again, "skin") == pytest.approx(before["all"], rel=1e-12)
+    assert (volume(body), volume(body, body.regions["half"])) == pytest.approx((whole, half))
+    assert smallest_jacobians(body.mesh).min(initial=1.0) > 0
+
+
+def test_nothing_marked_changes_nothing() -> None:
+    """The same cells and names, whatever the ranks."""
+    body = box_body(size=[1, 1], cells=[3, 3])
+    same = refine_body(body, np.empty(0, dtype=np.int32)).body
+    assert same.num_cells == body.num_cells
+    assert {n: same.count(n) for n in same.surfaces} == {n: body.count(n) for n in body.surfaces}
+
+
+def test_fields_follow() -> None:
+    """Values of cells are those of the parents; at points a linear field stays linear."""
+    body = box_body(size=[1, 1, 1], cells=[2, 2, 2])
+    middles = cell_corners(body.mesh).mean(axis=1)
+    linear = body.mesh.geometry.x @ np.array([[1.0, 0], [2, 1], [3, 0]])
+    fields = {
+        "side": MeshField("cell", (middles[:, :1] > 0.5).astype(float)),
+        "T": MeshField("point", linear),
+    }
+    fine = refine_body(
+        Body(body.mesh, body.regions, body.surfaces, fields=fields), near(body, np.zeros(3), 0.8)
+    ).body
+    x = fine.mesh.geometry.x
+    assert np.allclose(fine.fields["T"].values, x @ np.array([[1.0, 0], [2, 1], [3, 0]]))
+    side = cell_corners(fine.mesh).mean(axis=1)[:, :1] > 0.5
+    assert np.array_equal(fine.fields["side"].values, side)
+
+
+def test_curved_cells_keep_their_shape() -> None:
+    """A part of a quadratic cell is a quadratic cell: its area to round-off.
+
+    The arc's length is no polynomial: the rule of degree 8 leaves 1e-9, chords would leave 1e-3.
+    """
+    body = annulus(WORLD, 2)
+    whole, arc = volume(body), area(body, "inside")
+    for _ in range(2):
+        body = refine_body(body, near(body, np.array([1.0, 0.0]), 0.8)).body
+    assert body.mesh.geometry.cmap.degree == 2
+    assert volume(body) == pytest.approx(whole, rel=1e-12)
+    assert area(body, "inside") == pytest.approx(arc, rel=1e-8)
+
+
+@pytest.mark.parametrize("curved", [False, True])
+def test_arcs_of_cad(tmp_path: Path, curved: bool) -> None:
+    """Nodes that are made on an arc lie on it; the area approaches the exact one by the rate.
+
+    Sides of chords leave h^2 of the area, quadratic ones h^4: halving h divides by 4 and 16.
+    """
+    path = on_root(WORLD, lambda: tmp_path) / "sector.geo"
+    on_root(WORLD, lambda: path.write_text(SECTOR))
+    body, off = read_body(path, curved=curved), []
+    for _ in range(3):
+        off.append(abs(volume(body) - 0.75 * np.pi))
+        for name, radius in (("inside", 1.0), ("outside", 2.0)):
+            ends = np.array([[0.0], [0.5], [1.0]] if curved else [[0.0], [1.0]])
+            x, _ = facet_points(body.mesh, body.owned_facets(name), ends)
+            assert np.allclose(np.linalg.norm(x, axis=-1), radius, rtol=0, atol=1e-9)
+        body = refine_body(body, body.owned_cells()).body
+    least = 12 if curved else 3.7
+    assert off[0] / off[1] > least
+    assert off[1] / off[2] > least
+
+
+@pytest.mark.parametrize("curved", [False, True])
+def test_surfaces_of_cad(tmp_path: Path, curved: bool) -> None:
+    """A quarter of a pipe in mm: cylinders, their circular rims, and plane ends that stay plane.
+
+    The area of the skin approaches the exact one by the rate, h^2 and h^4.
+    """
+    path = on_root(WORLD, lambda: tmp_path) / "pipe.geo"
+    on_root(WORLD, lambda: path.write_text(PIPE))
+    body = read_body(path, curved=curved, scale=1e-3)
+    surfaces = {
+        "bore": Selector(cylinder={"axis": "z", "point": [0, 0, 0], "radius": 4e-4}),
+        "skin": Selector(cylinder={"axis": "z", "point": [0, 0, 0], "radius": 6e-4}),
+        "low": Selector(plane="z", at="min"),
+    }
+    body = name_parts(body, surfaces=surfaces)
+    exact = 0.6 * np.pi / 2 * 1e-6
+    off = abs(area(body, "skin") - exact)
+    body = refine_body(body, body.owned_cells()).body
+    assert not body.notes
+    ends = np.array(
+        [[0, 0], [1, 0], [0, 1]] + curved * [[0.5, 0], [0, 0.5], [0.5, 0.5]], dtype=float
+    )
+    for name, radius in (("bore", 4e-4), ("skin", 6e-4)):
+        x, _ = facet_points(body.mesh, body.owned_facets(name), ends)
+        assert np.allclose(np.linalg.norm(x[..., :2], axis=-1), radius, rtol=0, atol=1e-9)
+    x, _ = facet_points(body.mesh, body.owned_facets("low"), ends)
+    assert np.allclose(x[..., 2], 0, rtol=0, atol=1e-12)
+    assert smallest_jacobians(body.mesh).min(initial=1.0) > 0.05
+    assert off / abs(area(body, "skin") - exact) > (10 if curved else 3)
+
+
+def test_marking_carries_its_share() -> None:
+    """As few cells as have half of the sum: those that sorting on one rank would take."""
+    every = np.random.default_rng(1).random(1000) ** 4
+    mine = every[WORLD.rank :: WORLD.size]
+    marked = bulk(WORLD, mine, 0.5)
+    descending = np.sort(every)[::-1]
+    wanted = int(np.searchsorted(np.cumsum(descending), 0.5 * every.sum())) + 1
+    assert total(WORLD, len(marked)) == wanted
+    assert not len(bulk(WORLD, np.zeros(3), 0.5))
