@@ -188,6 +188,7 @@ def test_examples_for_contributors(
         names["Foam"](mu="1 MPa", density=1000),
         supports=[Support(on="left")],
         loads=[names["Spin"](value=[0, 0, 2])],
+        degree=1,
     )
     files = [names["Energies"](), History(file="table.csv")]
     with open_outputs(files, problem, folder) as writers:
@@ -217,13 +218,13 @@ def test_constraint_of_a_contributor(contributed: dict[str, Any], comm: MPI.Comm
     law = LinearElastic(E="1 MPa", nu=0.25)
     case = Case.from_dict(
         {
-            "mesh": {"box": {"size": [1, 2, 1], "cells": [2, 3, 2]}},
+            "mesh": {"box": {"size": [1, 2, 1], "cells": [2, 3, 2]}, "degree": 1},
             "materials": {"block": {"law": "linear-elastic", "E": "1 MPa", "nu": 0.25}},
             "support": [support],
         }
     )
     assert isinstance(case.support[0], contributed["AffineMotion"])
-    problem = Problem(block, law, supports=case.support)
+    problem = Problem(block, law, supports=case.support, degree=1)
     *_, state = Statics(problem, steps=2).steps()
     X = problem.V.tabulate_dof_coordinates()
     assert np.allclose(state.u.x.array.reshape(-1, 3), X @ H.T, atol=1e-12)
@@ -241,13 +242,17 @@ def test_scheme_of_a_contributor(comm: MPI.Comm) -> None:
     """
     box, dt = box_body(size=[1, 1, 1], cells=[1, 1, 1], comm=comm), 1e-3
     law = LinearElastic(E="1 MPa", nu=0.3, density=1000)
-    falling = Problem(box, law, loads=[Gravity(value=[0, 0, -10])])
+    falling = Problem(box, law, loads=[Gravity(value=[0, 0, -10])], degree=1)
     for state in Dynamics(falling, scheme="drift-kick", end=10 * dt, dt=dt, every=1).steps():
         n = state.step
         assert state.max_displacement == pytest.approx(10 * dt**2 * n * (n - 1) / 2, abs=1e-12)
         assert np.allclose(state.v.x.array.reshape(-1, 3), [0, 0, -10 * n * dt], atol=1e-11)
     motion = Dynamics(
-        Problem(box, law), scheme="drift-kick", end=0.05, dt=dt, initial_velocity=["x", 0, 0]
+        Problem(box, law, degree=1),
+        scheme="drift-kick",
+        end=0.05,
+        dt=dt,
+        initial_velocity=["x", 0, 0],
     )
     found = []
     for state in motion.steps():

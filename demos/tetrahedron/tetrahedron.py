@@ -188,7 +188,7 @@ def compare(comm, name, law, body):
     """One law: program against hand; returns the largest relative difference."""
     from dolfin_elastic.model.kinematics import cauchy_from_first, deformation_gradient
 
-    problem = Problem(body, law)
+    problem = Problem(body, law, degree=1)
     move(problem)
     F = deformation_gradient(problem.u)
     P = problem.regions[0].law.stress(F)
@@ -219,7 +219,7 @@ def show_deformation(comm, body):
     """F and Green strain, the same for all laws; returns the largest difference."""
     from dolfin_elastic.model.kinematics import deformation_gradient, green_strain
 
-    problem = Problem(body, LAWS["neo-hookean"])
+    problem = Problem(body, LAWS["neo-hookean"], degree=1)
     move(problem)
     expression = deformation_gradient(problem.u)
     F, E = of_the_cell(problem, expression), of_the_cell(problem, green_strain(expression))

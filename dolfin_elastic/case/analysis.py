@@ -96,6 +96,24 @@ class AnalysisTables(ModelTables):
         """Motion by an explicit scheme, so that no equations are solved."""
         return self.dynamics is not None and not self.dynamics.implicit
 
+    @property
+    def degree(self) -> int:
+        """Degree of the displacement: as [mesh] says; else quadratic, linear where mass is lumped.
+
+        Linear tetrahedra are several times too stiff in bending, see `bending_notes`; quadratic
+        ones have no positive lumped mass.
+        """
+        return self.mesh.degree or (1 if self.explicit else 2)
+
+    @property
+    def curved(self) -> bool | None:
+        """Whether cells of CAD files follow curved surfaces, see `read_body`.
+
+        As [mesh] says; else where the surfaces are curved and the displacement is quadratic.  A
+        displacement that is linear in curved cells contains no rigid rotation.
+        """
+        return None if self.mesh.curved is None and self.degree > 1 else bool(self.mesh.curved)
+
     def solver_for(self, problem: Problem, petsc: Mapping[str, Any] | None) -> Solver:
         """The solver of the analysis. Collective.
 

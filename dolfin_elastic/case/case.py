@@ -98,7 +98,7 @@ class Case(AnalysisTables):
         """The mesh with all its names. Collective."""
         key = next(k for k in ("file", "box", "rectangle") if getattr(self.mesh, k) is not None)
         with locate_errors(self.file, f"mesh.{key}", exact=False):
-            body = self.mesh.body(self.folder, comm)
+            body = self.mesh.body(self.folder, comm, curved=self.curved)
         with locate_errors(self.file):
             return name_parts(
                 body, surfaces=self.surfaces, regions=self.regions, scale=self.mesh.scale
@@ -111,7 +111,7 @@ class Case(AnalysisTables):
             InputError: With the file's name and the dotted key.
         """
         with locate_errors(self.file):
-            return self.problem_on(body)
+            return self.problem_on(body, self.degree)
 
     def make_solver(self, problem: Problem, *, petsc: Mapping[str, Any] | None = None) -> Solver:
         """The solver of the case's analysis. Collective.

@@ -93,8 +93,12 @@ class ModelTables(Record):
         tables["contact"] = [table_of(item) for item in self.contact]
         return tables
 
-    def problem_on(self, body: Body) -> Problem:
+    def problem_on(self, body: Body, degree: int) -> Problem:
         """The boundary value problem on a body. Collective.
+
+        Args:
+            body: The mesh and its names.
+            degree: Degree of the displacement.
 
         Raises:
             InputError: The tables do not fit the body.
@@ -106,7 +110,7 @@ class ModelTables(Record):
             supports=self.support,
             loads=self.load,
             contacts=self.contact,
-            degree=self.mesh.degree,
+            degree=degree,
             quadrature_degree=self.mesh.quadrature_degree,
             formulation=self.mesh.formulation,
             geometry=self.mesh.geometry,

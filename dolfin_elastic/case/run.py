@@ -17,6 +17,7 @@ from dolfin_elastic.case.analysis import Solver
 from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.check import check
 from dolfin_elastic.case.check.initial_state import contact_notes
+from dolfin_elastic.case.check.mesh_quality import bending_notes, shape_notes
 from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, OutputError, SolveError
@@ -138,8 +139,9 @@ class _Run:
         for note in check(self.case, body):
             log.warning("%s", note)
         problem = self.case.make_problem(body)
-        for note in contact_notes(self.case, problem):
-            log.warning("%s", note)
+        for find in (contact_notes, bending_notes, shape_notes):
+            for note in find(self.case, problem):
+                log.warning("%s", note)
         solver = self.case.make_solver(problem, petsc=self.petsc)
         steps = _steps(solver, problem, before)
         step, settings = 0 if before is None else before.step, self.case.output.checkpoint

@@ -96,9 +96,11 @@ class MeshTable(Record):
         box: A box made on the spot.
         rectangle: A rectangle made on the spot.
         size: Size of the elements, for CAD files only.
-        curved: Whether a CAD file's cells are quadratic and follow curved surfaces.
+        curved: Whether a CAD file's cells are quadratic and follow curved surfaces; None: as
+            `AnalysisTables.curved` says.
         unit: Unit of length of the mesh and of bare numbers about it.
-        degree: Degree of the displacement in the elements, 1 or 2.
+        degree: Degree of the displacement in the elements, 1 or 2; None: as
+            `AnalysisTables.degree` says.
         formulation: "displacement", "mixed" (with a pressure, for nearly incompressible materials)
             or "auto".
         geometry: What a two-dimensional body is: "plane-strain", "plane-stress" or "axisymmetric".
@@ -110,9 +112,9 @@ class MeshTable(Record):
     box: Box | None = None
     rectangle: Rectangle | None = None
     size: MeshLength | None = None
-    curved: bool = False
+    curved: bool | None = None
     unit: str = "m"
-    degree: Literal[1, 2] = 1
+    degree: Literal[1, 2] | None = None
     formulation: Formulation = "auto"
     geometry: Geometry = "plane-strain"
     thickness: MeshLength | None = None
@@ -161,12 +163,13 @@ class MeshTable(Record):
     def _in_unit(self, length: float | str) -> float:
         return to_si(length, "m") / self.scale if isinstance(length, str) else float(length)
 
-    def body(self, folder: Path, comm: MPI.Comm) -> Body:
+    def body(self, folder: Path, comm: MPI.Comm, *, curved: bool | None) -> Body:
         """Reads or generates the mesh. Collective.
 
         Args:
             folder: Folder that `file` is relative to.
             comm: The ranks that share the mesh.
+            curved: See `read_body`.
 
         Raises:
             MeshError: The file cannot be read, or is no mesh of triangles or tetrahedra.
@@ -174,7 +177,7 @@ class MeshTable(Record):
         if self.file is not None:
             size = None if self.size is None else self._in_unit(self.size)
             return read_body(
-                folder / self.file, comm=comm, scale=self.scale, size=size, curved=self.curved
+                folder / self.file, comm=comm, scale=self.scale, size=size, curved=curved
             )
         made = self.box or self.rectangle
         assert made is not None

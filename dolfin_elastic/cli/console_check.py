@@ -45,12 +45,12 @@ def show_check(report: Report) -> None:
 
 def _head(report: Report) -> list[tuple[str, str]]:
     kind = "" if report.dim == 3 else f" ({report.geometry})"
-    whole = report.regions[0]
+    whole, elements = report.regions[0], {1: "linear", 2: "quadratic"}[report.degree]
     rows = [
         ("mesh", f"{report.mesh}, {report.dim}D{kind}, {report.cells} cells"),
         ("extent", f"{' x '.join(f'{side:.4g}' for side in report.extent)} m"),
         *([] if report.thickness is None else [("thickness", f"{report.thickness:.4g} m")]),
-        ("analysis", f"{report.analysis}, {report.unknowns} unknowns"),
+        ("analysis", f"{report.analysis}, {elements} elements, {report.unknowns} unknowns"),
         ("equations", report.linear_solver),
         ("memory", f"about {report.memory.total / 1e9:.2g} GB of all ranks together"),
     ]

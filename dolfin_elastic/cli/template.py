@@ -16,7 +16,7 @@ title = "Cantilever"
 box = {{size = [100, 10, 10], cells = [24, 3, 3]}}   # surfaces: left right front back bottom top
 # file = "part.msh"         # or .xdmf .inp .vtu .med; or CAD: .step .geo with size = "2 mm"
 unit = "mm"
-degree = 2                 # quadratic elements; 1 is faster and, in bending, far too stiff
+# degree = 1               # linear elements: faster and, in bending, far too stiff
 
 # [surfaces]               # names for places that the mesh does not name
 # foot = {{plane = "z", at = "min"}}

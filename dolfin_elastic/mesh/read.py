@@ -20,13 +20,18 @@ from dolfin_elastic.mesh.geometry.checks import check_cells
 CAD = (".geo", ".geo_unrolled", ".step", ".stp", ".brep", ".iges", ".igs")
 
 
+def is_cad(path: str | os.PathLike[str]) -> bool:
+    """Whether Gmsh meshes a file on the fly, by its suffix."""
+    return Path(path).suffix.lower() in CAD
+
+
 def read_body(
     path: str | os.PathLike[str],
     *,
     comm: MPI.Comm = MPI.COMM_WORLD,
     scale: float = 1.0,
     size: float | None = None,
-    curved: bool = False,
+    curved: bool | None = None,
     dim: int | None = None,
 ) -> Body:
     """Reads a mesh, or meshes a CAD file, with the names of the file's parts.
@@ -41,8 +46,8 @@ def read_body(
         comm: The ranks that share the mesh.
         scale: Metres per unit of length of the file.
         size: Size of the elements in the file's unit; only for CAD files.
-        curved: Quadratic cells that follow curved surfaces; only for CAD files, finished meshes
-            are as they are.
+        curved: Quadratic cells that follow curved surfaces; None: where there are any, and the
+            cells do not fold.  Only for CAD files, finished meshes are as they are.
         dim: 2 or 3 to choose the elements; by default the highest dimension in the file.
 
     Raises:
@@ -69,7 +74,7 @@ def read_body(
     return replace(body, notes=(*body.notes, *check_cells(body, scale=scale)))
 
 
-def _check_file(path: Path, size: float | None, curved: bool) -> None:
+def _check_file(path: Path, size: float | None, curved: bool | None) -> None:
     if not path.exists():
         folder = path.parent if path.parent.is_dir() else Path()
         known = [p.name for p in folder.iterdir() if p.suffix.lower() == path.suffix.lower()]
@@ -121,7 +126,7 @@ def _msh(path: Path) -> MeshFile:
         return convert_msh(path)
 
 
-def _cad(path: Path, size: float | None, curved: bool, dim: int | None) -> MeshFile:
+def _cad(path: Path, size: float | None, curved: bool | None, dim: int | None) -> MeshFile:
     from dolfin_elastic.mesh.formats.cad import mesh_cad
 
     return mesh_cad(path, size=size, curved=curved, dim=dim)

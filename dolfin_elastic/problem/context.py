@@ -155,6 +155,8 @@ class FormContext:
         unknown_numbers: Numbers that are solved for, by label.
         axisymmetric: The body is one of revolution about y.
         order: Degree of the displacement or of the mesh's curved cells, whichever is higher.
+        weight_degree: Quadrature degree of forces per volume: 2 `order`, and as much as integrates
+            a constant one exactly where the map of curved cells has a determinant of degree d.
     """
 
     def __init__(
@@ -168,7 +170,9 @@ class FormContext:
         self.body, self.unknowns, self.regions = body, unknowns, regions
         self.measures, self.geometry = measures, geometry
         self.axisymmetric = geometry == "axisymmetric"
-        self.order = max(unknowns.degree, int(body.mesh.geometry.cmap.degree))
+        curved = int(body.mesh.geometry.cmap.degree)
+        self.order = max(unknowns.degree, curved)
+        self.weight_degree = max(2 * self.order, self.order + body.dim * (curved - 1))
         self.v = unknowns.v
         self.u = unknowns.total_displacement(unknowns.w)
         self.X = ufl.SpatialCoordinate(body.mesh)
@@ -208,8 +212,8 @@ class FormContext:
         for name in regions:
             self.body.region(name)
         if not regions:
-            return self.measures.filled(None, 2 * self.order)
-        return self.measures.regions(regions, 2 * self.order)
+            return self.measures.filled(None, self.weight_degree)
+        return self.measures.regions(regions, self.weight_degree)
 
     def areas(self, surfaces: Sequence[str]) -> WeightedMeasure:
         """Reference area of surfaces."""
@@ -232,9 +236,8 @@ class FormContext:
                 if total(self.body.comm, int(np.isin(region.cells, cells).any())):
                     self.density(region)
             return [(self._density_field, self.volumes(regions))]
-        degree = 2 * self.order
         return [
-            (self.density(region), self.measures.filled(region.marker, degree))
+            (self.density(region), self.measures.filled(region.marker, self.weight_degree))
             for region in self.regions
         ]
 

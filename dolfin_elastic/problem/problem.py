@@ -58,7 +58,8 @@ class Problem:
             prescribed twice, the later one counts.
         loads: External forces.
         contacts: Contact of surfaces with rigid obstacles.
-        degree: Degree of the displacement on tetrahedra or triangles, 1 or 2.
+        degree: Degree of the displacement on tetrahedra or triangles, 1 or 2; explicit schemes
+            need 1.
         quadrature_degree: Overrides the law's own choice for the internal forces.
         formulation: "displacement"; "mixed", with a pressure for nearly incompressible materials;
             or "auto": what the materials need.
@@ -97,7 +98,7 @@ class Problem:
         supports: Sequence[Restraint] = (),
         loads: Sequence[Load] = (),
         contacts: Sequence[Contact] = (),
-        degree: int = 1,
+        degree: int = 2,
         quadrature_degree: int | None = None,
         formulation: Formulation = "auto",
         geometry: Geometry = "plane-strain",

@@ -27,6 +27,7 @@ title = "Block"
 [mesh]
 box = {size = [2, 1, 1], cells = [2, 1, 1]}
 unit = "mm"
+degree = 1
 [surfaces]
 foot = {plane = "z", at = "min"}
 [regions]
@@ -273,7 +274,7 @@ MISTAKES = {
         "mesh: no mesh is given; expected exactly one of file, box, rectangle",
     ),
     "mesh table missing": (
-        '[mesh]\nbox = {size = [2, 1, 1], cells = [2, 1, 1]}\nunit = "mm"\n',
+        '[mesh]\nbox = {size = [2, 1, 1], cells = [2, 1, 1]}\nunit = "mm"\ndegree = 1\n',
         "",
         "mesh: this key is missing",
     ),
@@ -293,13 +294,13 @@ MISTAKES = {
         "mesh.unit: 'qq' is no unit of length; expected for example \"mm\"",
     ),
     "degree": (
-        'unit = "mm"',
-        'unit = "mm"\ndegree = 3',
+        "degree = 1",
+        "degree = 3",
         "mesh.degree: 3 is wrong; expected 1 or 2",
     ),
     "degree text": (
-        'unit = "mm"',
-        'unit = "mm"\ndegree = "two"',
+        "degree = 1",
+        'degree = "two"',
         'mesh.degree: "two" is wrong; expected 1 or 2',
     ),
     "box 2 sizes": (
@@ -454,12 +455,12 @@ MISTAKES = {
     "toml": (
         "steps = 2",
         "steps 2",
-        "line 21: expected '=' after a key in a key/value pair\n    steps 2\n          ^",
+        "line 22: expected '=' after a key in a key/value pair\n    steps 2\n          ^",
     ),
     "toml twice": (
         "steps = 2",
         "steps = 2\nsteps = 3",
-        "line 22: this key stands here for the second time\n    steps = 3\n             ^",
+        "line 23: this key stands here for the second time\n    steps = 3\n             ^",
     ),
     "toml string": (
         'title = "Block"',
@@ -485,7 +486,7 @@ MISTAKES = {
     "toml twice t": (
         "[solver]",
         "[mesh]\n[solver]",
-        "line 22: [mesh] stands here for the second time\n    [mesh]\n         ^",
+        "line 23: [mesh] stands here for the second time\n    [mesh]\n         ^",
     ),
     "density": (
         "[statics]",
@@ -541,14 +542,14 @@ MOTION = GOOD.replace("nu = 0.3", "nu = 0.3\ndensity = 7850").replace(
             "dynamics.initial_velocity: 2 components; the body is 3-dimensional, expected 3",
         ),
         (
-            "[surfaces]",
+            "degree = 1\n[surfaces]",
             'degree = 2\n[dynamics]\nscheme = "symplectic-euler"\nend = 1\n[surfaces]',
             "mesh.degree: symplectic-euler has a lumped mass, for linear elements only; "
             "use degree = 1 or generalized-alpha",
         ),
         *(
             (
-                "[surfaces]",
+                "degree = 1\n[surfaces]",
                 f'{more}[dynamics]\nscheme = "central-differences"\nend = 1\n'
                 '[materials.gel]\nlaw = "neo-hookean"\nE = 1e6\nnu = 0.5\ndensity = 1e3\n'
                 'on = "core"\n[surfaces]',
@@ -717,14 +718,14 @@ def test_round_trip(folder: Path) -> None:
 def test_case_in_python() -> None:
     """The same records without a file; errors name the key alone."""
     case = Case(
-        mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}},
+        mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}, "degree": 1},
         materials={"m": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3}},
         support=[{"on": "left"}],
     )
     assert case.results_folder() == Path("case_results")
     assert report(case).unknowns == 24
     with pytest.raises(InputError) as caught:
-        Case(mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}}, materials={"m": 3})
+        Case(mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}, "degree": 1}, materials={"m": 3})
     assert str(caught.value) == "materials.m: 3 is no material; write its table as [materials.NAME]"
 
 
@@ -737,7 +738,7 @@ def test_starter(folder: Path) -> None:
 def test_support_without_displacement_in_the_plane(folder: Path) -> None:
     """It holds as many components as the body has."""
     text = (
-        "[mesh]\nrectangle = {size = [2, 1], cells = [2, 1]}\n[materials.m]\n"
+        "[mesh]\nrectangle = {size = [2, 1], cells = [2, 1]}\ndegree = 1\n[materials.m]\n"
         'law = "neo-hookean"\nE = 1\nnu = 0.3\n[[support]]\non = "left"\n'
     )
     case = case_of(folder, text)

@@ -105,6 +105,7 @@ def pressed() -> Problem:
                 name="ball",
             ),
         ],
+        degree=1,
     )
 
 
@@ -143,6 +144,7 @@ def blown() -> Problem:
             Support(on="top", displacement=[0, FREE]),
         ],
         loads=[Cavity(on="left", volume_ratio=2.0, name="bore")],
+        degree=1,
     )
 
 
@@ -155,14 +157,16 @@ def bulky() -> Problem:
     """A block whose tangents are solved with by iteration."""
     body = box_body(size=(1, 1, 1), cells=(3, 3, 3))
     loads = [Traction(on="top", value=[2e5, 0, -1e5])]
-    return Problem(body, NeoHookean(E=E, nu=0.3), supports=[Support(on="bottom")], loads=loads)
+    return Problem(
+        body, NeoHookean(E=E, nu=0.3), supports=[Support(on="bottom")], loads=loads, degree=1
+    )
 
 
 def linear() -> Problem:
     """One solve, one tangent for all steps."""
     body = box_body(size=(2, 1, 1), cells=(3, 2, 2))
     law = LinearElastic(E=E, nu=0.3, density=1e3)
-    return Problem(body, law, supports=[Support(on="left")], loads=[Gravity()])
+    return Problem(body, law, supports=[Support(on="left")], loads=[Gravity()], degree=1)
 
 
 SOLVES: dict[str, tuple[Callable[[], Problem], dict[str, Any]]] = {
@@ -309,7 +313,7 @@ def test_a_motion_goes_on(name: str, folder: Path) -> None:
     """Velocities, step sizes and work so far, too; fields thinned as in one run."""
     rubber = {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3, "density": 1000}
     moving = case(
-        mesh={"rectangle": {"size": [1, 0.2], "cells": [5, 1]}},
+        mesh={"rectangle": {"size": [1, 0.2], "cells": [5, 1]}, "degree": 1},
         materials={"rubber": rubber},
         statics=None,
         dynamics=MOTIONS[name],
@@ -325,7 +329,7 @@ def test_a_motion_goes_on(name: str, folder: Path) -> None:
 
 def moved(body: Body, scheme: str, petsc: dict[str, Any]) -> Dynamics:
     """A square stretched so far that a law for small strains says so at once."""
-    problem = Problem(body, LinearElastic(E=E, nu=0.3, density=1e3))
+    problem = Problem(body, LinearElastic(E=E, nu=0.3, density=1e3), degree=1)
     keys: dict[str, Any] = {"end": 1e-3, "dt": 1e-4, "initial_displacement": ["0.2*x", 0]}
     return Dynamics(problem, scheme=scheme, petsc=petsc, **keys)
 

@@ -39,7 +39,7 @@ ARC = {"method": "arc-length"}
 def case(**tables: Any) -> Case:
     """A square that is held and pulled."""
     tables = {
-        "mesh": {"rectangle": {"size": [1, 1], "cells": [1, 1]}},
+        "mesh": {"rectangle": {"size": [1, 1], "cells": [1, 1]}, "degree": 1},
         "materials": {"gel": {"law": "neo-hookean", "E": 1e6, "nu": 0.3, "density": 1000}},
         "support": [{"on": "left"}],
         "load": [{"kind": "traction", "on": "right", "value": [1e3, 0]}],
@@ -193,15 +193,18 @@ OTHERS: list[tuple[dict[str, Any], str]] = [
         {"support": [{"kind": "rotation", "on": "left", "point": [0, 0], "angle": "x y"}]},
         r"support\[0\].angle: an operator is missing",
     ),
-    ({"mesh": {"rectangle": {"size": [1, "q"], "cells": [1, 1]}}}, r"mesh.rectangle.size\[1\]: "),
+    (
+        {"mesh": {"rectangle": {"size": [1, "q"], "cells": [1, 1]}, "degree": 1}},
+        r"mesh.rectangle.size\[1\]: ",
+    ),
     ({"surfaces": {"a": {"plane": "y", "at": []}}}, "surfaces.a.at: "),
     ({"statics": {"times": [True]}}, r"statics.times\[0\]: true is wrong; expected a number"),
     (
-        {"mesh": {"rectangle": {"size": [1, 1], "cells": [1, True]}}},
+        {"mesh": {"rectangle": {"size": [1, 1], "cells": [1, True]}, "degree": 1}},
         r"mesh.rectangle.cells\[1\]: true is wrong; expected a whole number",
     ),
     (
-        {"mesh": {"rectangle": {"size": [1, True], "cells": [1, 1]}}},
+        {"mesh": {"rectangle": {"size": [1, True], "cells": [1, 1]}, "degree": 1}},
         r"mesh.rectangle.size\[1\]: a number is needed, or a length",
     ),
     ({"output": {"probes": {"tip": [1, True]}}}, r"output.probes.tip.at\[1\]: "),
@@ -336,6 +339,7 @@ def square() -> Problem:
         NeoHookean(E=1e6, nu=0.3, density=1000),
         supports=[Support(on="left")],
         loads=[Traction(on="right", value=[1e4, 0])],
+        degree=1,
     )
 
 

@@ -27,6 +27,7 @@ pytestmark = pytest.mark.skipif(
 CASE = """\
 [mesh]
 box = {size = [2, 1, 1], cells = [4, 2, 2]}
+degree = 1
 [materials.rubber]
 law = "neo-hookean"
 E = "1 MPa"

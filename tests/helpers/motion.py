@@ -47,7 +47,7 @@ def oscillator(viscosity: float | None = None, **more: Any) -> Problem:
             Support(on="bottom", displacement=[FREE, 0]),
             Support(on="left", displacement=[0, 0]),
         ],
-        **more,
+        **{"degree": 1, **more},
     )
 
 
@@ -86,7 +86,7 @@ CENTRE, SPIN, DRIFT = np.array([0.5, 0.3, 0.15]), np.array([3.0, -2, 5]), np.arr
 
 def brick(**law: Any) -> tuple[Problem, dict[str, Any]]:
     """A neo-Hookean brick thrown with a spin."""
-    problem = Problem(box_body(**BRICK), NeoHookean(E=1e5, nu=NU, density=RHO, **law))
+    problem = Problem(box_body(**BRICK), NeoHookean(E=1e5, nu=NU, density=RHO, **law), degree=1)
     x = ["x - 0.5", "y - 0.3", "z - 0.15"]
     velocity = [
         f"{DRIFT[i]} + ({SPIN[j]})*({x[k]}) - ({SPIN[k]})*({x[j]})"

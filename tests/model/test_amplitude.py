@@ -140,7 +140,7 @@ def test_time_in_formulas_is_seen():
 
 # --- curves in files ---
 
-TABLES = {"mesh": {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}}}
+TABLES = {"mesh": {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}, "degree": 1}}
 TABLES |= {"materials": {"steel": {"law": "linear-elastic", "E": "1 GPa", "nu": 0.3}}}
 
 

@@ -197,7 +197,7 @@ def test_two_named_regions_of_a_real_file() -> None:
     body = name_parts(body, surfaces={"outside": Selector(all=True)})
     laws = {"upper": TWO["one"], "lower": TWO["two"]}
     held = [Support(on="outside"), Support(on="interface", displacement=[0, 0, 0.01])]
-    *_, state = Statics(Problem(body, laws, supports=held)).steps()
+    *_, state = Statics(Problem(body, laws, supports=held, degree=1)).steps()
     force = (ONE + OTHER) / 6 * 0.01
     assert state.reactions["interface"][2] == pytest.approx(force, rel=1e-10)
     assert state.reactions["outside"][2] == pytest.approx(-force, rel=1e-10)
@@ -254,7 +254,7 @@ def test_weight_of_a_region_with_varying_density() -> None:
 def test_explicit_motion_of_a_varying_material() -> None:
     """Momentum of a free fall is g M t whatever varies."""
     law = LinearElastic(E="1e5*(1 + x)", nu=0.2, density="1000*(2 - x)")
-    problem = Problem(bar(4), law, loads=[Gravity()])
+    problem = Problem(bar(4), law, loads=[Gravity()], degree=1)
     *_, state = Dynamics(problem, end=1e-3, scheme="symplectic-euler").steps()
     assert state.momenta["linear"][2] == pytest.approx(-9.81 * 15 * 1e-3, rel=1e-9)
 
@@ -277,7 +277,7 @@ def test_any_two_constants_that_vary(pair: tuple[str, str]) -> None:
 
 def test_another_formula_compiles_nothing() -> None:
     problems = [
-        Problem(bar(2), NeoHookean(E=E, nu=nu, density=rho), loads=[Gravity()])
+        Problem(bar(2), NeoHookean(E=E, nu=nu, density=rho), loads=[Gravity()], degree=1)
         for E, nu, rho in (("1e6*(1 + x)", 0.3, "10*(1 + y)"), ("sin(x) + 7e5", 0.1, "5 + z"))
     ]
     for name in ("residual", "tangent", "strain_energy", "external"):
@@ -452,7 +452,7 @@ def test_a_case_over_fields_of_a_file(folder: Path) -> None:
         material = {"law": "linear-elastic", "E": E, "nu": 0.3, "density": density}
         case = Case.from_dict(
             {
-                "mesh": {"file": "a.vtu"},
+                "mesh": {"file": "a.vtu", "degree": 1},
                 "surfaces": {
                     n: {"plane": "z", "at": at} for n, at in (("foot", "min"), ("lid", "max"))
                 },
@@ -493,7 +493,7 @@ def complaint(law: dict[str, Any], **fields: np.ndarray) -> str:
     """What making a problem says, the same on all ranks."""
     with pytest.raises(InputError) as caught:
         body = with_fields(bar(4), **fields)
-        Problem(body, LinearElastic(**{"E": 1e9, "nu": 0.3, **law}))
+        Problem(body, LinearElastic(**{"E": 1e9, "nu": 0.3, **law}), degree=1)
     said = COMM.allgather(str(caught.value))
     assert len(set(said)) == 1
     assert caught.value.exit_code == 2
@@ -553,7 +553,7 @@ def test_values_and_places_are_told() -> None:
 
 def test_an_unstable_pair_is_told() -> None:
     with pytest.raises(InputError, match="no stable elastic solid: "):
-        Problem(bar(4), LinearElastic(E=2e6, K="1e4 + 1e6*x"))
+        Problem(bar(4), LinearElastic(E=2e6, K="1e4 + 1e6*x"), degree=1)
 
 
 def test_names_are_looked_up_by_check(folder: Path) -> None:
@@ -561,7 +561,7 @@ def test_names_are_looked_up_by_check(folder: Path) -> None:
     made(lambda: write_meshio(folder / "a.vtu"))
     case = Case.from_dict(
         {
-            "mesh": {"file": "a.vtu"},
+            "mesh": {"file": "a.vtu", "degree": 1},
             "materials": {"hard bone": {"law": "linear-elastic", "E": "1e9*roh", "nu": 0.3}},
         },
         folder,
@@ -677,8 +677,8 @@ def test_bounds_of_a_law_hold_where_it_varies() -> None:
             Fibres(**{key: -1, "fibre": [1, 0, 0]})
     law = Fibres(mu="1e6*(0.5 - x)", fibre=[1, 0, 0])
     with pytest.raises(InputError, match="mu: -437500 at .* mu must be above 0"):
-        Problem(bar(4), law)
-    Problem(bar(4), Fibres(mu="1e6*(2 - x)", fibre=[1, 0, 0]))
+        Problem(bar(4), law, degree=1)
+    Problem(bar(4), Fibres(mu="1e6*(2 - x)", fibre=[1, 0, 0]), degree=1)
 
 
 # --- results ---
@@ -709,7 +709,7 @@ def test_safety_factor_and_constants_as_fields(folder: Path) -> None:
 
 def test_safety_factor_in_a_case(folder: Path) -> None:
     tables: dict[str, Any] = {
-        "mesh": {"box": {"size": [1, 0.1, 0.1], "cells": [4, 1, 1]}},
+        "mesh": {"box": {"size": [1, 0.1, 0.1], "cells": [4, 1, 1]}, "degree": 1},
         "materials": {
             "part": {"law": "linear-elastic", "E": "1 GPa", "nu": 0, "allowable": "40 MPa"}
         },

@@ -120,7 +120,9 @@ def test_linear_plane_stress_has_its_modulus():
         Support(on="left", displacement=[0, FREE]),
         Support(on="right", displacement=[1e-3, FREE]),
     ]
-    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=held, geometry="plane-stress")
+    problem = Problem(
+        body, LinearElastic(E=E, nu=NU), supports=held, geometry="plane-stress", degree=1
+    )
     *_, state = Statics(problem).steps()
     assert state.reactions["right"][0] == pytest.approx(1e-3 * E / (1 - NU**2), rel=1e-10)
 
@@ -178,6 +180,7 @@ def test_axisymmetric_bar():
             Support(on="top", displacement=[FREE, 0.5]),
         ],
         geometry="axisymmetric",
+        degree=1,
     )
     *_, state = Statics(problem, steps=2, rtol=1e-13).steps()
     assert state.reactions["top"][1] == pytest.approx(P11 * np.pi / 4, rel=1e-10)
@@ -215,10 +218,12 @@ def test_axisymmetric_weight_and_fall():
     body = rectangle_body(size=(1.0, 0.5), cells=(4, 2), origin=(1.0, 0.0))
     mass = np.pi * 3 * 0.5 * 1000
     how: dict[str, Any] = {"loads": [Gravity()], "geometry": "axisymmetric"}
-    standing = Problem(body, law, supports=[Support(on="bottom", displacement=[FREE, 0])], **how)
+    standing = Problem(
+        body, law, supports=[Support(on="bottom", displacement=[FREE, 0])], degree=1, **how
+    )
     *_, state = Statics(standing).steps()
     assert state.reactions["bottom"][1] == pytest.approx(mass * 9.81, rel=1e-10)
-    falling = Problem(body, law, **how)
+    falling = Problem(body, law, degree=1, **how)
     *_, state = Dynamics(falling, end=0.1, dt=0.05, rtol=1e-12).steps()
     assert state.energies["kinetic"] == pytest.approx(mass * 0.981**2 / 2, rel=1e-8)
 
@@ -270,7 +275,7 @@ def bar(law: Any, geometry: str) -> tuple[float, float]:
             Support(on="top", displacement=[FREE, 0.2]),
         ]
     area = np.pi if geometry == "axisymmetric" else 1.0
-    problem = Problem(body, law, supports=held, formulation="displacement", **how)
+    problem = Problem(body, law, supports=held, formulation="displacement", **{"degree": 1, **how})
     *_, state = Statics(problem, steps=2, rtol=1e-12).steps()
     force = np.linalg.norm(state.reactions[pull])
     return force / area, state.energies["strain"] / area
@@ -306,12 +311,12 @@ def test_every_law_is_the_same_in_every_geometry(name, geometry):
 def test_refusals(origin, dim, how, message):
     body = box_body(size=(1.0,) * dim, cells=(2,) * dim, origin=(origin,) + (0.0,) * (dim - 1))
     with pytest.raises(InputError, match=message):
-        Problem(body, LinearElastic(E=E, nu=NU), **how)
+        Problem(body, LinearElastic(E=E, nu=NU), degree=1, **how)
 
 
 def test_an_axisymmetric_body_may_move_along_its_axis_only():
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
-    problem = Problem(body, LinearElastic(E=E, nu=NU), geometry="axisymmetric")
+    problem = Problem(body, LinearElastic(E=E, nu=NU), geometry="axisymmetric", degree=1)
     with pytest.raises(InputError, match="it can move along y;"):
         next(Statics(problem).steps())
 
@@ -329,7 +334,7 @@ def test_the_textbook_square_pressed_and_turned():
     F = turn @ np.diag([0.5, 1.0])
     np.testing.assert_allclose(F, [[0.433012701892, -0.5], [0.25, 0.866025403784]], atol=1e-12)
     body = rectangle_body(size=(1.0, 1.0), cells=(3, 3))
-    problem = Problem(body, Textbook(E=1e7, nu=0.4999))
+    problem = Problem(body, Textbook(E=1e7, nu=0.4999), degree=1)
     u = fem.Function(problem.V)
     u.interpolate(lambda x: (F - np.eye(2)) @ x[:2])
     state = State(step=1, t=1.0, u=u)

@@ -90,6 +90,7 @@ def test_clamped_all_around(geometry):
         supports=[Support(on=["left", "right", "bottom", "top"] + ["front", "back"] * (dim == 3))],
         loads=[Thermal(value=WARMER)],
         geometry="plane-strain" if dim == 3 else geometry,
+        degree=1,
     )
     assert problem.linear
     *_, state = Statics(problem).steps()
@@ -105,6 +106,7 @@ def test_bar_between_walls():
         LinearElastic(**ALIKE),
         supports=[*planes(3), Support(on="right", displacement=[0, FREE, FREE])],
         loads=[Thermal(value=f"{WARMER}*t")],
+        degree=1,
     )
     *_, state = Statics(problem).steps()
     assert state.reactions["right"][0] == pytest.approx(-E * STRAIN, rel=1e-11)
@@ -121,6 +123,7 @@ def test_large_growth_held():
         law,
         supports=[Support(on=["left", "right", "bottom", "top", "front", "back"])],
         loads=[Growth(value=[[g, 0, 0], [0, g, 0], [0, 0, g]])],
+        degree=1,
     )
     *_, state = Statics(problem).steps()
     stress = Evaluator(problem, ["cauchy_stress"])(state)["cauchy_stress"]
@@ -178,6 +181,7 @@ def test_only_where_it_is_said():
             Support(on=["bottom"], displacement=[FREE, 0]),
         ],
         loads=[Growth(on="east", value=[1.1, 1]), Growth(on="east", value=[1.2, 1])],
+        degree=1,
     )
     [*_] = Statics(problem, steps=2, rtol=1e-12).steps()
     x = problem.V.tabulate_dof_coordinates()[:, 0]
@@ -187,7 +191,7 @@ def test_only_where_it_is_said():
 
 def test_warmth_needs_a_coefficient():
     with pytest.raises(InputError) as caught:
-        Problem(box(2), LinearElastic(E=E, nu=NU), loads=[Thermal(value=3)])
+        Problem(box(2), LinearElastic(E=E, nu=NU), loads=[Thermal(value=3)], degree=1)
     assert "materials.body.expansion: load[0] (thermal) needs a coefficient" in str(caught.value)
 
 

@@ -69,15 +69,15 @@ def dot(problem: Problem, a: np.ndarray, b: np.ndarray) -> float:
 def test_every_cell_needs_exactly_one_material():
     soft = LinearElastic(E=E, nu=NU)
     with pytest.raises(MeshError) as caught:
-        Problem(square(), {"west": soft})
+        Problem(square(), {"west": soft}, degree=1)
     assert "16 of 32 cells have no material" in str(caught.value)
     with pytest.raises(MeshError) as caught:
-        Problem(square(), {"west": soft, "east": soft, "south": soft})
+        Problem(square(), {"west": soft, "east": soft, "south": soft}, degree=1)
     assert "16 cells have more than one material" in str(caught.value)
     with pytest.raises(MeshError) as caught:
-        Problem(square(), {"wset": soft, "east": soft})
+        Problem(square(), {"wset": soft, "east": soft}, degree=1)
     assert "did you mean 'west'" in str(caught.value)
-    Problem(square(), {"west": soft, "east": soft})
+    Problem(square(), {"west": soft, "east": soft}, degree=1)
 
 
 def test_unknown_names_and_wrong_vectors():
@@ -91,18 +91,18 @@ def test_unknown_names_and_wrong_vectors():
         ({"loads": [Gravity()]}, "density"),
     ):
         with pytest.raises(InputError) as caught:
-            Problem(square(), law, **wrong)
+            Problem(square(), law, degree=1, **wrong)
         assert says in str(caught.value)
 
 
 def test_missing_density_names_its_material():
     laws = {"west": LinearElastic(E=E, nu=NU, density=1.0), "east": LinearElastic(E=E, nu=NU)}
     with pytest.raises(InputError) as caught:
-        Problem(square(), laws, loads=[Gravity()])
+        Problem(square(), laws, loads=[Gravity()], degree=1)
     assert "materials.east" in str(caught.value)
     # Weight on the region that has a density is as good as it was.
     with pytest.raises(InputError):
-        Problem(square(), laws, loads=[Gravity(on="east")])
+        Problem(square(), laws, loads=[Gravity(on="east")], degree=1)
 
 
 # --- one sum of terms, with consistent derivatives ---
@@ -262,7 +262,7 @@ def test_internal_forces_are_the_derivative_of_the_energy(name):
 
 def test_energy_and_residual_see_the_same_laws():
     """A rigid rotation costs nothing; a law without energy leaves none to ask for."""
-    problem = Problem(square(), StVenantKirchhoff(E=E, nu=NU))
+    problem = Problem(square(), StVenantKirchhoff(E=E, nu=NU), degree=1)
     x = problem.V.tabulate_dof_coordinates()[:, :2]
     c, s = np.cos(1.0), np.sin(1.0)
     problem.u.x.array[:] = (x @ np.array([[c, s], [-s, c]]) - x).ravel()
@@ -272,9 +272,14 @@ def test_energy_and_residual_see_the_same_laws():
     )
     assert abs(integral(problem, energy)) < 1e-25 * E
     assert dot(problem, *[assembled(problem, force)] * 2) < (1e-14 * E) ** 2
-    assert Problem(square(), MATERIALS["textbook"](E=E, nu=NU)).weak_form.strain_energy is None
+    assert (
+        Problem(square(), MATERIALS["textbook"](E=E, nu=NU), degree=1).weak_form.strain_energy
+        is None
+    )
     assert not Problem(
-        square(), {"west": NeoHookean(E=E, nu=NU), "east": MATERIALS["textbook"](E=E, nu=NU)}
+        square(),
+        {"west": NeoHookean(E=E, nu=NU), "east": MATERIALS["textbook"](E=E, nu=NU)},
+        degree=1,
     ).has_energy
 
 
@@ -305,7 +310,7 @@ def test_the_later_support_holds():
     left = Support(on="left", displacement=[0, 0])
     top = Support(on="top", displacement=[0.2, FREE], name="lid")
     for order, value in (((left, top), 0.2), ((top, left), 0.0)):
-        problem = Problem(body, law, supports=order)
+        problem = Problem(body, law, supports=order, degree=1)
         *_, state = Statics(problem).steps()
         x = problem.V.tabulate_dof_coordinates()
         corner = np.flatnonzero((np.abs(x[:, 0]) < 1e-9) & (np.abs(x[:, 1] - 1) < 1e-9))
@@ -332,6 +337,7 @@ def forms_of(**numbers: Any) -> Problem:
             Gravity(),
             BodyForce(value=[numbers["pull"] * 2, "x*t"]),
         ],
+        degree=1,
     )
 
 
@@ -360,6 +366,7 @@ def test_the_cache_does_not_grow(comm, folder, monkeypatch):
             LinearElastic(E=E * number, nu=NU / number),
             supports=[Support(on="left", displacement=[0, 0])],
             loads=[Traction(on="right", value=[number, "y*t"])],
+            degree=1,
         )
         _ = [*Statics(problem, steps=3).steps()]
         counts.append(count())
@@ -377,6 +384,7 @@ def test_time_moves_loads_and_supports():
             Traction(on="right", value=[1.0, 0], curve="t^2"),
             Traction(on="right", value=[0, "10*t"]),
         ],
+        degree=1,
     )
     form = compile_forms(body.comm, [problem.weak_form.external], problem.jit)[0]
     for t in (0.0, 0.5, 2.0):
@@ -428,11 +436,11 @@ def test_weight_of_a_region_needs_its_density_only():
     )
     laws = {"low": LinearElastic(E=1e4, nu=0.3, density=3), "high": LinearElastic(E=1e4, nu=0.3)}
     held = [Support(on="bottom")]
-    problem = Problem(body, laws, supports=held, loads=[Gravity(on="low")])
+    problem = Problem(body, laws, supports=held, loads=[Gravity(on="low")], degree=1)
     *_, state = Statics(problem).steps()
     assert state.reactions["bottom"][1] == pytest.approx(3 * 9.81 / 2, rel=1e-10)
     with pytest.raises(InputError, match="materials.high"):
-        Problem(body, laws, supports=held, loads=[Gravity(on="high")])
+        Problem(body, laws, supports=held, loads=[Gravity(on="high")], degree=1)
 
 
 def test_a_body_that_nothing_holds_is_refused():
@@ -440,6 +448,7 @@ def test_a_body_that_nothing_holds_is_refused():
         rectangle_body(size=(1.0, 1.0), cells=(2, 2)),
         LinearElastic(E=1, nu=0.3),
         supports=[Support(on="left", displacement=[0, "free"])],
+        degree=1,
     )
     with pytest.raises(InputError, match="as a rigid body it can move along y"):
         next(Statics(problem).steps())

@@ -124,7 +124,7 @@ def test_every_law_has_stresses() -> None:
     body = make_body(3)
     for law in MATERIALS.values():
         try:
-            problem = Problem(body, law(E=E_MODULUS, nu=NU))
+            problem = Problem(body, law(E=E_MODULUS, nu=NU), degree=1)
         except InputError:
             continue  # laws with other constants
         state = make_state(problem, lambda x: 0 * x)
@@ -133,7 +133,7 @@ def test_every_law_has_stresses() -> None:
 
 def test_stress_follows_the_law_of_each_region() -> None:
     laws = {"left": LinearElastic(E=E_MODULUS, nu=NU), "right": LinearElastic(E=3e3, nu=NU)}
-    problem = Problem(make_body(3), laws)
+    problem = Problem(make_body(3), laws, degree=1)
     state = make_state(problem, lambda x: H @ x)
     values = Evaluator(problem, ["von_mises", "region", "material", "rank"])(state)
     right = values["region"][:, 0] == 1
@@ -170,7 +170,7 @@ def test_nodal_von_mises() -> None:
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_reactions_balance(dim: int) -> None:
-    problem = Problem(make_body(dim), StVenantKirchhoff(E=E_MODULUS, nu=NU))
+    problem = Problem(make_body(dim), StVenantKirchhoff(E=E_MODULUS, nu=NU), degree=1)
     state = make_state(problem, lambda x: gradient(dim) @ x)
     forces = Evaluator(problem, ["reaction"])(state)["reaction"]
     assert np.abs(COMM.allreduce(forces.sum(axis=0))).max() < 1e-12 * E_MODULUS
@@ -181,7 +181,7 @@ def test_reactions_balance(dim: int) -> None:
 
 
 def test_motion_has_velocities_and_statics_has_none() -> None:
-    problem = Problem(make_body(2), LinearElastic(E=1.0, nu=NU, density=2.0))
+    problem = Problem(make_body(2), LinearElastic(E=1.0, nu=NU, density=2.0), degree=1)
     v = fem.Function(problem.V)
     v.interpolate(lambda x: (x[0], 2 + 0 * x[0]))
     moving = make_state(problem, lambda x: 0 * x, v=v, a=v)
@@ -216,7 +216,7 @@ def test_extremes_and_their_places(degree: int) -> None:
 def test_unknown_fields_are_refused() -> None:
     with pytest.raises(InputError, match="did you mean 'von_mises'"):
         check_field_names(["von_misses"])
-    problem = Problem(make_body(2), Textbook(E=1.0, nu=NU))
+    problem = Problem(make_body(2), Textbook(E=1.0, nu=NU), degree=1)
     with pytest.raises(InputError, match="no strain energy"):
         Evaluator(problem, ["energy_density"])
 

@@ -216,7 +216,11 @@ def test_linear_elements_do_not_hold_the_quadratic_patch(comm):
         on="top", displacement=[f"-{NU * c * L}*x", f"-{NU * c * L}*y", f"{c / 2 * NU}*(x^2 + y^2)"]
     )
     problem = Problem(
-        body, LinearElastic(E=E, nu=NU), supports=[top], loads=[BodyForce(value=[0, 0, -9810])]
+        body,
+        LinearElastic(E=E, nu=NU),
+        supports=[top],
+        loads=[BodyForce(value=[0, 0, -9810])],
+        degree=1,
     )
     _ = [*Statics(problem).steps()]
     error = off(

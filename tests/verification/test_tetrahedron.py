@@ -58,7 +58,7 @@ class Tetrahedron:
         root = comm.rank == 0
         cells = np.array([[0, 1, 2, 3]] if root else np.empty((0, 4)), dtype=np.int64)
         self.mesh = make_mesh(comm, cells, CORNERS if root else np.empty((0, 3)), 1)
-        self.comm, self.problem = comm, Problem(Body(self.mesh), law(E=E, nu=nu))
+        self.comm, self.problem = comm, Problem(Body(self.mesh), law(E=E, nu=nu), degree=1)
         wanted = [self.problem.weak_form.internal]
         if self.problem.has_energy:
             wanted.append(self.problem.weak_form.strain_energy)

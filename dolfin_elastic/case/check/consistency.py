@@ -73,7 +73,7 @@ def _check_explicit(case: Case) -> None:
                 expected='a nu below 0.5, such as 0.49, or dynamics.scheme = "generalized-alpha" '
                 'with mesh.formulation = "mixed"',
             )
-    if case.mesh.degree > 1:
+    if case.degree > 1:
         raise CaseError(
             f"{scheme} has a lumped mass, for linear elements only",
             where="mesh.degree",
@@ -284,7 +284,7 @@ def _check_constants(case: Case, body: Body) -> None:
     Raises:
         InputError: A value is out of range, or a field of the mesh is missing.
     """
-    binder = CoefficientBinder(body, max(case.mesh.degree, int(body.mesh.geometry.cmap.degree)))
+    binder = CoefficientBinder(body, max(case.degree, int(body.mesh.geometry.cmap.degree)))
     owned = len(body.owned_cells())
     filled = [_marked(body, material.regions, owned) for material in case.materials.values()]
     unnamed = ~np.any(filled, axis=0)

@@ -1,4 +1,4 @@
-"""Quality of a mesh: empty parts, surfaces inside the body, thin cells."""
+"""Quality of a mesh: empty parts, thin cells, cells that are too few or too straight."""
 
 from __future__ import annotations
 
@@ -7,15 +7,37 @@ from collections.abc import Iterator
 import numpy as np
 from dolfinx.mesh import exterior_facet_indices
 
+from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.mesh.geometry.quality import worst_cells
-from dolfin_elastic.mesh.geometry.simplices import cell_corners, prepare_facets, qualities
+from dolfin_elastic.mesh.geometry.ridges import ridge_angles
+from dolfin_elastic.mesh.geometry.simplices import (
+    boundary_facets,
+    cell_corners,
+    facet_corners,
+    prepare_facets,
+    qualities,
+)
+from dolfin_elastic.mesh.geometry.thickness import Thickness, local_thickness
+from dolfin_elastic.mesh.read import is_cad
+from dolfin_elastic.model.supports.springs import ResistingSupport
+from dolfin_elastic.problem.material_regions import STIFF_IN_VOLUME, poisson
+from dolfin_elastic.problem.problem import Problem
 
 THIN = 0.05
 """Quality (1 is regular) below which results near a cell are poor: a needle of one to twenty."""
 _SHOWN = 5
 """Thin cells that are listed with their places."""
+_FLAT, _SHARP = 0.5, 35.0
+"""Angles [degrees] between facets of a plane, and from which on an edge is one of the body."""
+_FEW = 0.02
+"""Share of edges between these that may be anything else, such as chamfers."""
+_SLENDER = 4.0
+"""Length over thickness from which on a body bends more than it shears."""
+_TOO_STIFF = 1.15
+"""Bending stiffness over the true one that is worth a note: some five linear cells across."""
 
 
 def part_notes(body: Body) -> Iterator[str]:
@@ -51,6 +73,132 @@ def cell_notes(body: Body) -> Iterator[str]:
             f"{count} of {body.num_cells} cells are thin (quality below {THIN:g}; 1 is regular): "
             f"{places}{more} m"
         )
+
+
+def shape_notes(case: Case, problem: Problem) -> list[str]:
+    """Whether the cells' shape and the degree of the displacement fit each other. Collective.
+
+    Straight cells of size h along a curved surface err in its place by h^2, and in its normal by h.
+    The functions of linear elements in curved cells contain no rotation of a rigid body.
+
+    Source: P. G. Ciarlet and P.-A. Raviart, Comput. Methods Appl. Mech. Eng. 1 (1972) 217.
+
+    Args:
+        case: Where its mesh comes from.
+        problem: Made of the case.
+    """
+    mesh = problem.body.mesh
+    curved = int(mesh.geometry.cmap.degree) > 1
+    if curved and problem.degree == 1:
+        return [
+            "linear elements in curved cells: they cannot even turn without strain; use "
+            + ("straight cells" if case.explicit else "mesh.degree = 2")
+        ]
+    if curved or problem.degree == 1 or not case.mesh.file or is_cad(case.mesh.file):
+        return []
+    angles = np.degrees(ridge_angles(mesh))
+    round_ones = angles[(angles > _FLAT) & (angles < _SHARP)]
+    count, all_of_them, sums = total(
+        problem.body.comm, np.array([len(round_ones), len(angles), round_ones.sum()])
+    )
+    if count <= _FEW * all_of_them:
+        return []
+    return [
+        f"straight cells along curved surfaces: {count:.0f} of {all_of_them:.0f} edges of the "
+        f"boundary are bent, by {sums / count:.2g} degrees in the mean, and quadratic elements "
+        "converge there as on a polyhedron: stress with the first power of the cell size; export "
+        "quadratic cells (Gmsh: Mesh.ElementOrder = 2), or give the CAD file"
+    ]
+
+
+def bending_notes(case: Case, problem: Problem) -> list[str]:
+    """How much too stiff linear elements make a slender body in bending. Collective.
+
+    Args:
+        case: Its unit of length and its scheme.
+        problem: Made of the case.
+    """
+    if problem.degree > 1 or problem.cell is not None:
+        return []
+    found = local_thickness(problem.body.mesh, _held_facets(problem))
+    stiffness, size = bending_stiffness(found, _ratios(problem)), span(problem.body)
+    # Where a moment runs through parts of several thicknesses, a cell takes part in the compliance
+    # by its volume over the fourth power of its thickness.
+    thick = np.minimum(found.thickness / size, 1e3)
+    shares = found.volumes / thick**4
+    terms = [np.ones_like(shares), 1 / stiffness, thick, _ACROSS * size * thick / found.across]
+    sums = total(problem.body.comm, np.array([shares @ term for term in terms]))
+    factor, thickness, count = sums[0] / sums[1], size * sums[2] / sums[0], sums[3] / sums[0]
+    if factor < _TOO_STIFF or size < _SLENDER * thickness:
+        return []
+    needed = int(np.ceil(max(count, 1) * np.sqrt((factor - 1) / (_TOO_STIFF - 1))))
+    advice = "use mesh.degree = 2"
+    if case.explicit:
+        advice = f"use {needed} of them across, or an implicit scheme with mesh.degree = 2"
+    return [
+        f"linear elements bend too stiffly: with about {max(count, 1):.2g} of them across its thin "
+        f"parts ({thickness / case.mesh.scale:.3g} {case.mesh.unit}), expect the body to be about "
+        f"{factor:.2g} times too stiff in bending; {advice}"
+    ]
+
+
+_ACROSS = 0.7
+"""Root mean square of an edge's extent across layers of cells, over their height (0.58 to 0.75)."""
+
+
+def bending_stiffness(found: Thickness, ratios: FloatArray) -> FloatArray:
+    """Bending stiffness of linear elements over the true one, around each cell.
+
+    A linear element has a constant strain, and what bending adds to it is an error: its energy is
+    that of the cell's extent across, through which the strain changes, and along, over which shear
+    is left behind.  Relative to the energy of bending it goes with the squares of both over that of
+    the thickness t, and the stiffness with it: 1 + c (4 a^2 + 1.6 b^2)/t^2, a and b the root mean
+    squares of the edges across and along.  Lateral contraction counts by the modulus M of uniaxial
+    strain, c = 1 + 0.6 (M/E - 1), since a constant strain cannot follow it.
+
+    Source: the form is that of the interpolation error, G. Strang and G. J. Fix, An Analysis of the
+    Finite Element Method (1973), section 3.2, and of the parasitic shear of R. D. Cook et al.,
+    Concepts and Applications of Finite Element Analysis (2002), section 3.6.  The three numbers are
+    fitted to cantilevers of ten thicknesses, solved with linear and with quadratic elements: bars
+    and plates of one to four layers of bricks in six tetrahedra, one to four times as long as high,
+    strips of one to eight layers of triangles, and irregular meshes of Gmsh, nu = 0 to 0.45.  They
+    are met within a third of the excess; the bracket of L shape, 10 mm thick, in 12 mm cells has
+    2.8, and the estimate is 2.9.
+
+    Args:
+        found: Of the mesh.
+        ratios: Poisson's ratio of the cells, shape (n,).
+    """
+    modulus = (1 - ratios) / ((1 + ratios) * (1 - 2 * ratios))
+    with np.errstate(divide="ignore"):
+        across, along = found.across / found.thickness, found.along / found.thickness
+    return np.asarray(1 + (1 + 0.6 * (modulus - 1)) * (4 * across**2 + 1.6 * along**2))
+
+
+def _ratios(problem: Problem) -> FloatArray:
+    """Poisson's ratio of the owned cells; of nearly incompressible ones locking tells."""
+    ratios = np.zeros(len(problem.body.owned_cells()))
+    for region in problem.regions:
+        nu = 0.3 if region.compliance is not None else poisson(region.typical)
+        ratios[region.cells] = np.clip(nu, 0, STIFF_IN_VOLUME)
+    return ratios
+
+
+def _held_facets(problem: Problem) -> IndexArray:
+    """Local facets that are held, as planes of symmetry are, and those on an axis. Collective."""
+    body = problem.body
+    names = [
+        name
+        for support in problem.supports
+        if not isinstance(support, ResistingSupport)
+        for name in support.surfaces
+    ]
+    found = [body.surface(name) for name in names]
+    if problem.geometry == "axisymmetric":
+        facets = boundary_facets(body.mesh)
+        radius = facet_corners(body.mesh, facets)[:, :, 0].max(axis=1)
+        found.append(facets[radius < 1e-9 * cell_size(body)])
+    return np.unique(np.concatenate([np.empty(0, dtype=np.int32), *found]))
 
 
 def _place(point: tuple[float, ...]) -> str:

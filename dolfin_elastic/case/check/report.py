@@ -19,7 +19,12 @@ from dolfin_elastic.case.check.initial_state import (
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.loads import LoadSum, load_sums, stress_notes
 from dolfin_elastic.case.check.memory import Memory, memory
-from dolfin_elastic.case.check.mesh_quality import cell_notes, part_notes
+from dolfin_elastic.case.check.mesh_quality import (
+    bending_notes,
+    cell_notes,
+    part_notes,
+    shape_notes,
+)
 from dolfin_elastic.case.check.sizes import (
     PartSize,
     material_sizes,
@@ -57,6 +62,7 @@ class Report:
         extent: Sides of the body's bounding box [m].
         geometry: "solid", or what a plane mesh is.
         cells: Cells on all ranks.
+        degree: Of the displacement in the elements, 1 or 2.
         unknowns: Degrees of freedom on all ranks.
         analysis: "statics", "dynamics", "modal" or "buckling".
         linear_solver: Which linear solver, and why.
@@ -79,6 +85,7 @@ class Report:
     geometry: str
     extent: tuple[float, ...]
     cells: int
+    degree: int
     unknowns: int
     analysis: str
     linear_solver: str
@@ -179,6 +186,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         geometry=case.mesh.geometry if body.dim == 2 else "solid",
         extent=extent(body),
         cells=body.num_cells,
+        degree=problem.degree,
         unknowns=problem.num_dofs,
         analysis=case.analysis,
         linear_solver="none: explicit scheme" if choice is None else choice.why,
@@ -188,6 +196,8 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
             *body.notes,
             *notes,
             *locking_notes(body, problem.regions, problem.degree, problem.geometry),
+            *bending_notes(case, problem),
+            *shape_notes(case, problem),
             *stress_notes(case, integrals, sums),
             *part_notes(body),
             *cell_notes(body),

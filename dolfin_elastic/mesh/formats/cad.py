@@ -8,7 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.mesh.formats.msh import read_msh
 from dolfin_elastic.mesh.formats.raw import MeshFile
 
@@ -16,14 +19,15 @@ _SAVE_OPTIONS = {"Mesh.MshFileVersion": 4.1, "Mesh.Binary": 1, "Mesh.SaveAll": 1
 _OPTIONS = (*_SAVE_OPTIONS, "Mesh.MeshSizeMax", "Mesh.MeshSizeMin", "General.Terminal")
 
 
-def mesh_cad(path: Path, *, size: float | None, curved: bool, dim: int | None) -> MeshFile:
+def mesh_cad(path: Path, *, size: float | None, curved: bool | None, dim: int | None) -> MeshFile:
     """Meshes a CAD file. Local: one rank meshes.
 
     Args:
         path: .geo, .step, .brep or .iges.
         size: Size of the elements, in the file's unit; where the file asks for finer ones, that
             holds.  None: as the file says, or a tenth of its diagonal.
-        curved: Quadratic cells that follow curved surfaces.
+        curved: Quadratic cells that follow curved surfaces; None: where there are any, and the
+            cells do not fold.
         dim: 2 or 3; by default 3 where there are volumes.
 
     Raises:
@@ -49,25 +53,105 @@ def mesh_cad(path: Path, *, size: float | None, curved: bool, dim: int | None) -
             _check_count(gmsh, size, dim, path.name)
         if not len(gmsh.model.mesh.getElements(dim)[0]):  # a .geo file may mesh by itself
             gmsh.model.mesh.generate(dim)
-        if curved:
-            _make_quadratic(gmsh, dim)
+        how = "size as in the file" if size is None else f"size {size:g} (mesh.unit)"
+        if curved is not False:
+            how += _follow_curves(gmsh, dim, curved)
         found = _save_and_read(gmsh)
-    how = "size as in the file" if size is None else f"size {size:g} (mesh.unit)"
-    how += ", cells curved" if curved else ""
     return MeshFile(found.points, found.blocks, [*found.notes, f"meshed by Gmsh, {how}"])
 
 
-def _make_quadratic(gmsh: Any, dim: int) -> None:
+_LEAST = 0.1
+"""Smallest over largest determinant of the map of a curved cell; in straight ones it is 1."""
+
+
+def _follow_curves(gmsh: Any, dim: int, curved: bool | None) -> str:
     """Makes the cells quadratic, with their boundary nodes on the CAD surfaces.
 
-    Where a cell would have a negative Jacobian, in a thin wall or at a small fillet, Gmsh moves its
-    nodes and, if that fails, makes its edges straight.
+    Where cells would fold, in a thin wall or at a small fillet, Gmsh moves nodes inside the body as
+    if it were elastic, and what still folds gets straight edges.  (Gmsh's other optimisation,
+    "HighOrder", can end the process: it throws in a thread of OpenMP.)
+
+    Args:
+        gmsh: Gmsh with a mesh.
+        dim: 2 or 3.
+        curved: None: only if a face of the body is curved.
+
+    Returns:
+        What has been done, for the note.
     """
+    flat = "Plane" if dim == 3 else "Line"
+    properties = map(gmsh.model.mesh.getElementProperties, gmsh.model.mesh.getElementTypes(dim))
+    if curved is None and (
+        any(order > 1 for _, _, order, *_ in properties)  # as a .geo file says
+        or all(gmsh.model.getType(*face) == flat for face in gmsh.model.getEntities(dim - 1))
+    ):
+        return ""
     gmsh.model.mesh.setOrder(2)
-    _, tags, _ = gmsh.model.mesh.getElements(dim)
-    cells = [tag for some in tags for tag in some]
-    if min(gmsh.model.mesh.getElementQualities(cells, "minSJ"), default=1.0) <= 0.0:
-        gmsh.model.mesh.optimize("HighOrder")
+    if curved is None and not _is_curved(gmsh, dim):
+        gmsh.model.mesh.setOrder(1)
+        return ""
+    if len(_folded(gmsh, dim)):
+        gmsh.model.mesh.optimize("HighOrderElastic")
+    count = _straighten_folded(gmsh, dim)
+    return ", cells curved" + (f", but for {count} that would fold" if count else "")
+
+
+_EDGES = {
+    1: [(0, 1, 2)],
+    2: [(0, 1, 3), (1, 2, 4), (2, 0, 5)],
+    3: [(0, 1, 4), (1, 2, 5), (2, 0, 6), (3, 0, 7), (3, 2, 8), (3, 1, 9)],
+}
+"""Ends and middle of the edges of Gmsh's quadratic line, triangle and tetrahedron."""
+_KINDS = {1: 8, 2: 9, 3: 11}
+"""Their types."""
+
+
+def _nodes(gmsh: Any, dim: int) -> tuple[IntArray, IntArray, FloatArray]:
+    """Tags, nodes of shape (n, k) and their places (n, k, 3) of the quadratic cells of a kind."""
+    cells, nodes = gmsh.model.mesh.getElementsByType(_KINDS[dim])
+    tags, places, _ = gmsh.model.mesh.getNodes()
+    order = np.argsort(tags)
+    nodes = np.asarray(nodes).reshape(len(cells), -1)
+    at = order[np.searchsorted(tags, nodes, sorter=order)]
+    return np.asarray(cells), nodes, np.asarray(places).reshape(-1, 3)[at]
+
+
+def _is_curved(gmsh: Any, dim: int) -> bool:
+    """Whether a quadratic facet of the boundary has a middle node off its straight edge."""
+    _, _, x = _nodes(gmsh, dim - 1)
+    return any(
+        np.any(
+            np.linalg.norm(x[:, c] - (x[:, a] + x[:, b]) / 2, axis=1)
+            > 1e-6 * np.linalg.norm(x[:, b] - x[:, a], axis=1)
+        )
+        for a, b, c in _EDGES[dim - 1]
+    )
+
+
+def _folded(gmsh: Any, dim: int) -> IntArray:
+    """Positions of the cells whose map is singular, or almost, somewhere in them."""
+    tags = gmsh.model.mesh.getElementsByType(_KINDS[dim])[0].tolist()
+    low, high = (
+        np.asarray(gmsh.model.mesh.getElementQualities(tags, name))
+        for name in ("minDetJac", "maxDetJac")
+    )
+    # Cells that run the other way round have negative determinants throughout.
+    side = np.sign(low + high)
+    smallest, largest = np.minimum(low * side, high * side), np.maximum(np.abs(low), np.abs(high))
+    return np.flatnonzero(smallest < _LEAST * largest)
+
+
+def _straighten_folded(gmsh: Any, dim: int) -> int:
+    """Makes the edges of folded cells straight, and of those that then fold; their number."""
+    straight: set[int] = set()
+    while new := set(_folded(gmsh, dim).tolist()) - straight:
+        straight |= new
+        _, nodes, x = _nodes(gmsh, dim)
+        at = sorted(new)
+        for a, b, c in _EDGES[dim]:
+            for tag, place in zip(nodes[at, c], (x[at, a] + x[at, b]) / 2, strict=True):
+                gmsh.model.mesh.setNode(int(tag), place.tolist(), [])
+    return len(straight)
 
 
 MAX_CELLS = 5e7

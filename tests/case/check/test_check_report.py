@@ -45,7 +45,7 @@ FREE = "free"
 def case(**tables: Any) -> Case:
     """A block of 2 x 1 x 3 m held at its bottom, with changes."""
     defaults: dict[str, Any] = {
-        "mesh": {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}},
+        "mesh": {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}, "degree": 1},
         "materials": {"rubber": RUBBER},
         "support": [{"on": "bottom"}],
     }
@@ -61,7 +61,7 @@ def meshed(folder: Path, geo: str, **tables: Any) -> Case:
     on_root(COMM, lambda: (folder / "body.geo").write_text(geo))
     return Case.from_dict(
         {
-            "mesh": {"file": "body.geo", "geometry": "plane-strain"},
+            "mesh": {"file": "body.geo", "geometry": "plane-strain", "degree": 1},
             "materials": {"rubber": RUBBER},
             **tables,
         },
@@ -75,7 +75,7 @@ def meshed(folder: Path, geo: str, **tables: Any) -> Case:
 def test_loads_beyond_the_full_one(comm):
     """Statics beyond the full load: loads and obstacles are those of its end."""
     tables = {
-        "mesh": {"rectangle": {"size": [1, 1], "cells": [2, 2]}},
+        "mesh": {"rectangle": {"size": [1, 1], "cells": [2, 2]}, "degree": 1},
         "materials": {"rubber": {"law": "neo-hookean", "E": 1e6, "nu": 0.3}},
         "support": [{"on": "bottom"}],
         "load": [{"kind": "traction", "on": "top", "value": [1e3, 0]}],
@@ -154,7 +154,7 @@ def test_without_density():
 
 def test_axisymmetric_and_thickness():
     """What the mesh does not show counts: a ring of 1 to 2 m, 1 m high, and a thin plate."""
-    mesh = {"rectangle": {"size": [1, 1], "cells": [2, 2], "origin": [1, 0]}}
+    mesh = {"rectangle": {"size": [1, 1], "cells": [2, 2], "origin": [1, 0]}, "degree": 1}
     ring = report(case(mesh={**mesh, "geometry": "axisymmetric"})).regions[0]
     assert ring.mass == pytest.approx(3000 * np.pi, rel=EXACT)
     assert ring.centre_of_mass == pytest.approx((0, 0.5), rel=EXACT)
@@ -222,9 +222,12 @@ def test_loads_and_their_sum():
 
 
 MESHES: dict[str, dict[str, Any]] = {
-    "space": {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}},
-    "plane-strain": {"rectangle": {"size": [2, 1], "cells": [2, 1]}, "thickness": 0.5},
-    "axisymmetric": {"rectangle": {"size": [2, 1], "cells": [2, 1], "origin": [1, 0.5]}},
+    "space": {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}, "degree": 1},
+    "plane-strain": {"rectangle": {"size": [2, 1], "cells": [2, 1]}, "thickness": 0.5, "degree": 1},
+    "axisymmetric": {
+        "rectangle": {"size": [2, 1], "cells": [2, 1], "origin": [1, 0.5]},
+        "degree": 1,
+    },
 }
 
 
@@ -301,7 +304,7 @@ def test_peak_of_a_curve_in_a_file(folder: Path):
 
 def test_in_the_plane():
     """Thickness counts, the moment is about z; round an axis there is none."""
-    mesh = {"rectangle": {"size": [2, 1], "cells": [2, 1]}}
+    mesh = {"rectangle": {"size": [2, 1], "cells": [2, 1]}, "degree": 1}
     load = [{"kind": "traction", "on": "right", "value": [0, "1 kPa"]}]
     (row,) = report(case(mesh={**mesh, "thickness": 0.5}, load=load)).loads
     assert (row.force, row.moment) == (pytest.approx((0, 500)), pytest.approx((1000,)))
@@ -412,7 +415,7 @@ def test_force_on_a_rigid_surface():
 )
 def test_open_cavities(support, keys, found):
     """Between planes at y = 0 and 1, of which one does not go through the origin."""
-    mesh = {"rectangle": {"size": [1, 1], "cells": [2, 2]}}
+    mesh = {"rectangle": {"size": [1, 1], "cells": [2, 2]}, "degree": 1}
     load = {"kind": "cavity", "on": "right", "name": "air", **keys}
     held = [*support, {"on": "left", "displacement": [0, FREE]}, {"on": "bottom"}]
     (note,) = report(case(mesh=mesh, support=held, load=[{**load, "pressure": 1}])).notes or ("",)
@@ -498,7 +501,7 @@ def test_forgotten_units():
     (note,) = report(case(load=[{**load[0], "value": [0, 0, "0.49 MPa"]}])).notes or ("",)
     assert note == ""
     for unit, start in (("km", "the body is 3e+03 m long"), ("nm", "the body is 3e-09 m at most")):
-        mesh = {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}, "unit": unit}
+        mesh = {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}, "unit": unit, "degree": 1}
         notes = report(case(mesh=mesh, load=[{"kind": "gravity"}])).notes
         assert any(note.startswith(start) for note in notes)
     (note,) = report(case(support=[{"on": "bottom", "displacement": [0, 0, 5]}])).notes
@@ -511,7 +514,10 @@ THICK = {"law": "linear-elastic", "E": E, "nu": 0.3}
 @pytest.mark.parametrize(
     ("tables", "start"),
     [
-        ({"mesh": {"box": {"size": [90, 10, 10], "cells": [9, 1, 1]}}}, "the body is 90 m long, "),
+        (
+            {"mesh": {"box": {"size": [90, 10, 10], "cells": [9, 1, 1]}, "degree": 1}},
+            "the body is 90 m long, ",
+        ),
         (
             {"support": [{"on": "left"}, {"on": "right", "kind": "normal", "displacement": 5}]},
             "support[1].displacement: 5 m is more than",
@@ -636,7 +642,7 @@ def test_memory(n, dim, degree, direct, measured):
 
 def test_places_in_another_unit():
     """Beside the error that a point is off the body, and by itself where any point will do."""
-    box = {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}, "unit": "mm"}
+    box = {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}, "unit": "mm", "degree": 1}
     push = {"kind": "line-force", "start": [0, 0, 3], "end": [2, 0, 3], "value": [0, 0, 1]}
     with pytest.raises(InputError, match=r"load\[0\]\.end: on the line \(.*off the body") as caught:
         report(case(mesh=box, load=[push]))

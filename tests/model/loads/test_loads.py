@@ -78,7 +78,7 @@ def test_every_kind_has_an_example():
 def test_tangent_of_every_load(monkeypatch, kind, dim):
     """Against differences of fourth order; and symmetric exactly where it says so."""
     law = StVenantKirchhoff(E=E, nu=NU, density=RHO, expansion="1000 ppm/K")
-    problem = Problem(body(dim), law, loads=[example(kind, dim)])
+    problem = Problem(body(dim), law, loads=[example(kind, dim)], degree=1)
     symmetric = problem.symmetric
     monkeypatch.setattr(Problem, "symmetric", False)
     problem.set_time(1.0)
@@ -132,7 +132,7 @@ def test_tangent_of_every_load(monkeypatch, kind, dim):
 )
 def test_numbers_beside_formulas_grow(terms):
     """At half the load 4 t is 2, and the number beside it half of its own."""
-    problem = Problem(body(2), LinearElastic(E=E, nu=NU), **terms)
+    problem = Problem(body(2), LinearElastic(E=E, nu=NU), degree=1, **terms)
     problem.set_time(0.5, default=RAMP)
     if "loads" in terms:
         _, nodal = forces(problem)
@@ -146,7 +146,7 @@ def test_numbers_beside_formulas_grow(terms):
 def test_stretches_beside_formulas_grow():
     """1 + t is 1.5 at half the load, and the stretch of 3 is 2."""
     law = LinearElastic(E=E, nu=NU)
-    problem = Problem(body(2), law, loads=[Growth(value=["1 + t", 3])])
+    problem = Problem(body(2), law, loads=[Growth(value=["1 + t", 3])], degree=1)
     problem.set_time(0.5, default=RAMP)
     (G,) = problem.eigenstrains.values()
     form = compiled(problem, [G[0, 0] * G[1, 1] * G[2, 2] * problem.weak_form.volume(None, 2)])[0]
@@ -164,6 +164,7 @@ def test_total_force_in_a_plane(geometry, thickness):
         loads=[Traction(on=["top", "right"], force=["3 kN", -2])],
         geometry=geometry,
         thickness=thickness,
+        degree=1,
     )
     _, nodal = forces(problem)
     np.testing.assert_allclose(total(problem, nodal), [3000, -2], rtol=1e-13)
@@ -214,7 +215,7 @@ def test_line_force_keeps_force_and_moment(dim):
     for start, end in (([0.1, 0.2, 0.3], [0.9, 0.5, 0.3]), ([0, 1, 1], [1, 1, 1])):
         a, b = (np.array(p, dtype=float)[:dim] for p in (start, end))
         load = LineForce(start=list(a), end=list(b), value=[0, "6*t", 0][:dim])
-        problem = Problem(body(dim), law, loads=[load])
+        problem = Problem(body(dim), law, loads=[load], degree=1)
         problem.set_time(0.5)
         x, nodal = forces(problem)
         length = np.linalg.norm(b - a)
@@ -235,7 +236,7 @@ def test_line_force_is_a_traction_on_a_narrow_strip():
         Traction(on="top", value=[2.0, -3.0]),
         LineForce(start=[0, 1], end=[1, 1], value=[2.0, -3.0]),
     ):
-        problem = Problem(rectangle_body(size=(1, 1), cells=(4, 4)), law, loads=[load])
+        problem = Problem(rectangle_body(size=(1, 1), cells=(4, 4)), law, loads=[load], degree=1)
         problem.set_time(1.0)
         found.append(forces(problem)[1])
     np.testing.assert_allclose(found[0], found[1], atol=1e-13)
@@ -248,6 +249,7 @@ def test_supports_carry_a_point_force():
         LinearElastic(E=E, nu=NU),
         supports=[Support(on="left")],
         loads=[PointForce(at=[2, 0.5, 1], value=["1 kN", 0, -500], curve="load-unload")],
+        degree=1,
     )
     for state in Statics(problem, steps=4).steps():
         share = 1 - abs(2 * state.t - 1)
@@ -323,6 +325,7 @@ def test_spin_about_an_axis_in_space():
         body(3),
         LinearElastic(E=E, nu=NU, density=RHO),
         loads=[Centrifugal(value=2, axis=[1, 2, 2], point=list(point))],
+        degree=1,
     )
     _, nodal = forces(problem)
     r = np.array([0.5, 0.5, 0.5]) - point
@@ -384,7 +387,7 @@ def test_loads_that_do_not_fit_the_body(load, says):
     law = LinearElastic(E=E, nu=NU, density=RHO if "point" in load.vectors else None)
     with pytest.raises(InputError) as caught:
         cube = body(3).named(surfaces={"none": np.empty(0, dtype=np.int32)})
-        Problem(cube, law, loads=[BodyForce(value=[0, 0, 1]), load])
+        Problem(cube, law, loads=[BodyForce(value=[0, 0, 1]), load], degree=1)
     assert says in str(caught.value)
 
 
@@ -396,6 +399,7 @@ def test_weight_of_a_body_of_revolution_is_along_its_axis():
             LinearElastic(E=E, nu=NU, density=RHO),
             loads=[weight],
             geometry="axisymmetric",
+            degree=1,
         )
 
 
@@ -413,13 +417,17 @@ def test_a_surface_inside_the_body_has_no_normal(terms, where):
     cube = body(3)
     cut = locate_entities(cube.mesh, 2, lambda x: np.isclose(x[0], 0.5))
     with pytest.raises(InputError, match="'cut' lies inside the body") as caught:
-        Problem(cube.named(surfaces={"cut": np.sort(cut)}), LinearElastic(E=E, nu=NU), **terms)
+        Problem(
+            cube.named(surfaces={"cut": np.sort(cut)}), LinearElastic(E=E, nu=NU), degree=1, **terms
+        )
     assert caught.value.where == where
 
 
 def test_a_tolerance_lets_points_lie_off_the_body():
     load = PointForce(at=[1.5, 0.5, 0.5], value=[1, 0, 0], tolerance="0.6 m")
-    problem = Problem(body(3), LinearElastic(E=E, nu=NU), loads=[load, Pressure(on="top", value=0)])
+    problem = Problem(
+        body(3), LinearElastic(E=E, nu=NU), loads=[load, Pressure(on="top", value=0)], degree=1
+    )
     problem.set_time(1.0)
     x, nodal = forces(problem)
     place = total(problem, x * nodal[:, :1])

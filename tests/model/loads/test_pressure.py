@@ -39,7 +39,7 @@ def test_nodal_forces_of_a_tetrahedron(comm, law):
     problem of the undeformed ones.  Areas by hand from the corners (1, 1, 0), ...
     """
     body = made(comm, [[0, 1, 2, 3]], CORNERS)
-    problem = Problem(body, law(E=E, nu=NU), loads=[Pressure(on="all", value=1.0)])
+    problem = Problem(body, law(E=E, nu=NU), loads=[Pressure(on="all", value=1.0)], degree=1)
     x = problem.V.tabulate_dof_coordinates()
     corner = np.array([np.linalg.norm(CORNERS - p, axis=1).argmin() for p in x], dtype=int)
     shift = np.array([[0, 0, 0], [0, 0, 0], [0, -1, 0], [0, 0, 0]])
@@ -178,6 +178,7 @@ def test_symmetric_in_a_plane(comm, monkeypatch, geometry, on, supports, symmetr
         supports=supports,
         loads=[Pressure(on=on, value="20 kPa")],
         geometry=geometry,
+        degree=1,
     )
     assert problem.symmetric == symmetric
     monkeypatch.setattr(Problem, "symmetric", False)
@@ -193,8 +194,8 @@ def test_linear_problem_stays_linear(comm):
     body = box_body(size=(1, 1, 1), cells=(1, 1, 1), comm=comm)
     how: dict[str, Any] = {"supports": [Support(on="bottom")]}
     load = Pressure(on="top", value="1e3*x")
-    small = Problem(body, LinearElastic(E=E, nu=NU), loads=[load], **how)
-    large = Problem(body, StVenantKirchhoff(E=E, nu=NU), loads=[load], **how)
+    small = Problem(body, LinearElastic(E=E, nu=NU), loads=[load], degree=1, **how)
+    large = Problem(body, StVenantKirchhoff(E=E, nu=NU), loads=[load], degree=1, **how)
     assert (small.linear, small.symmetric, small.loads_change) == (True, True, False)
     assert (large.linear, large.symmetric, large.loads_change) == (False, False, True)
 
@@ -309,6 +310,7 @@ def test_sheet_drawn_on_its_edges(comm):
         ],
         loads=[Pressure(on=["right", "top"], value=-2.339894681426e5 / (1.2 * 0.842587004051))],
         geometry="plane-stress",
+        degree=1,
     )
     *_, _ = Statics(problem, steps=3, rtol=1e-12).steps()
     x = problem.V.tabulate_dof_coordinates()[:, :2]
@@ -322,7 +324,7 @@ def test_sheet_drawn_on_its_edges(comm):
 def test_case_with_pressure(comm):
     """A case file's table, back and forth; formulas in x, y, z and t."""
     case = Case(
-        mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}},
+        mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}, "degree": 1},
         materials={"rubber": {"law": "st-venant-kirchhoff", "E": "1 MPa", "nu": 0.3}},
         support=[{"on": "bottom"}],
         load=[

@@ -47,7 +47,7 @@ F = I + 0.25 * np.random.default_rng(3).uniform(-1, 1, (6, 3, 3))
 
 def case_of(material: dict[str, Any], file: str = "") -> Case:
     tables = {
-        "mesh": {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}},
+        "mesh": {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}, "degree": 1},
         "materials": {"gel": material},
         "support": [{"on": "left"}],
         "load": [{"kind": "traction", "on": "right", "value": [1e3, 0, 0]}],
@@ -283,7 +283,7 @@ def test_no_run_starts_with_it(comm, energy, reason):
     assert str(caught.value).startswith("gel.toml: materials.gel.energy: ")
     assert reason in str(caught.value)
     with pytest.raises(InputError):
-        Problem(body, read_energy(material), supports=[Support(on="left")])
+        Problem(body, read_energy(material), supports=[Support(on="left")], degree=1)
 
 
 def test_case_reads_back():
@@ -302,6 +302,7 @@ def test_the_command_line_stops_at_once(command, ranks, tmp_path):
     text = """\
 [mesh]
 box = {size = [1, 1, 1], cells = [2, 2, 2]}
+degree = 1
 [materials.gel]
 energy = "mu/2*(I1 - 3) + k/2*ln(J)^2"
 parameters = {mu = "0.4 MPa", k = "2 MPa"}
@@ -363,7 +364,7 @@ def test_other_numbers_compile_nothing(comm):
             }
         )
         body = rectangle_body(size=(1.0, 1.0), cells=(1, 1), comm=comm)
-        return Problem(body, law, supports=[Support(on="left", displacement=[0, 0])])
+        return Problem(body, law, supports=[Support(on="left", displacement=[0, 0])], degree=1)
 
     one, two = forms(1e6, 1e7, [1, 0, 0]), forms(3.0, 8.0, [1, 1, 0])
     for name in ("residual", "tangent", "strain_energy"):

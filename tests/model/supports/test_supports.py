@@ -159,13 +159,14 @@ def ring(cells: int = 16, inner: float = 1.0, outer: float = 2.0) -> Body:
 def test_ring_on_its_inner_circle():
     """No node of the inner circle moves radially, and only turning about the centre is free."""
     body, held = ring(), Normal(on="inner")
-    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[held])
+    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[held], degree=1)
     assert free_motions(problem) == ["turn about z through (0, 0) m"]
     problem = Problem(
         body,
         LinearElastic(E=E, nu=NU),
         supports=[held, Spring(on="outer", tangential="10 kPa/m")],
         loads=[BodyForce(value=[1e4, "3e3*x"])],
+        degree=1,
     )
     assert not free_motions(problem)
     state = last(problem)
@@ -246,7 +247,7 @@ def test_oblique_directions_at_one_node():
         x[:, 1] += 0.5 * x[:, 0]
         slanted = Normal(on="bottom", displacement=0.02)
         wall = Support(on="left", displacement=[0.03, FREE])
-        problem = Problem(body, NeoHookean(E=E, nu=NU), supports=[slanted, wall][::order])
+        problem = Problem(body, NeoHookean(E=E, nu=NU), supports=[slanted, wall][::order], degree=1)
         state = last(problem)
         X = problem.V.tabulate_dof_coordinates()
         n = np.array([0.5, -1.0]) / np.hypot(0.5, 1.0)
@@ -328,7 +329,7 @@ def test_half_a_turn(dim):
         angle="180 deg",
         displacement=list(shift),
     )
-    problem = Problem(body, NeoHookean(E=E, nu=NU), supports=[held])
+    problem = Problem(body, NeoHookean(E=E, nu=NU), supports=[held], degree=1)
     X = problem.V.tabulate_dof_coordinates()[:, :dim]
     K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     for state in Statics(problem, steps=6, rtol=1e-10).steps():
@@ -356,7 +357,7 @@ def test_a_dashpot_that_does_nothing_is_told_of_once(tables, said, folder, caplo
     """By `check`, by a run, and by a solver in Python; also where a preload comes first."""
     read = Case.from_dict(
         {
-            "mesh": {"rectangle": {"size": [4, 1], "cells": [8, 2]}},
+            "mesh": {"rectangle": {"size": [4, 1], "cells": [8, 2]}, "degree": 1},
             "materials": {"gel": {"law": "neo-hookean", "E": 1e6, "nu": 0.3, "density": 1000}},
             "support": [
                 {"on": "left"},
@@ -402,7 +403,7 @@ def bar(law: Any, *more: Any, load: float = 0.0, **fields: Any) -> Problem:
         law,
         supports=[Symmetry(on=["front", "bottom"]), *more],
         loads=[Traction(on="right", value=[load, 0, 0])] if load else [],
-        **fields,
+        **{"degree": 1, **fields},
     )
 
 
@@ -429,7 +430,10 @@ def test_base_that_moves():
         on="left", stiffness=["1 MPa/m", "2 MPa/m", "3 MPa/m"], displacement=[0.1, 0.2, -0.1]
     )
     problem = Problem(
-        box_body(size=(1.0, 1.0, 1.0), cells=(2, 1, 1)), NeoHookean(E=E, nu=NU), supports=[spring]
+        box_body(size=(1.0, 1.0, 1.0), cells=(2, 1, 1)),
+        NeoHookean(E=E, nu=NU),
+        supports=[spring],
+        degree=1,
     )
     for state in Statics(problem, steps=2).steps():
         assert off(problem, np.array([0.1, 0.2, -0.1]) * state.load_factor) < 1e-9
@@ -440,7 +444,7 @@ def test_what_holds_a_body():
     body = box_body(size=(1.0, 1.0, 1.0), cells=(1, 1, 1))
 
     def free(*supports: Any) -> list[str]:
-        return free_motions(Problem(body, LinearElastic(E=E, nu=NU), supports=supports))
+        return free_motions(Problem(body, LinearElastic(E=E, nu=NU), supports=supports, degree=1))
 
     across = ["move along y", "move along z", "turn about x through (0.5, 0.5, 0.5) m"]
     assert free(Normal(on="left")) == across
@@ -472,6 +476,7 @@ def test_mass_on_a_dashpot(scheme):
         body,
         LinearElastic(E=1e8, nu=0.0, density=RHO),
         supports=[Dashpot(on="left", viscosity=[1000.0, 0, 0], total=True)],
+        degree=1,
     )
     dt = 0.02 if scheme == "generalized-alpha" else 1e-3
     states = Dynamics(
@@ -496,13 +501,14 @@ def test_dashpots_lower_the_stable_step():
             body,
             LinearElastic(E=E, nu=NU, density=RHO),
             supports=[Dashpot(on="left", normal=c)],
+            degree=1,
         )
         march = Explicit(
             problem, fem.Function(problem.V), SymplecticEuler, end=1.0, dt=None, safety=1.0, every=1
         )
         found.append(march.size.dt)
         march.assembler.destroy()
-    plain = Problem(body, LinearElastic(E=E, nu=NU, density=RHO))
+    plain = Problem(body, LinearElastic(E=E, nu=NU, density=RHO), degree=1)
     march = Explicit(
         plain, fem.Function(plain.V), SymplecticEuler, end=1.0, dt=None, safety=1.0, every=1
     )
@@ -530,6 +536,7 @@ def test_turned_block_moves_alike(scheme):
                 Dashpot(on="right", normal=2e3, tangential=1e3),
             ],
             loads=[BodyForce(value=list(R @ [1e4, 0, 5e4]))],
+            degree=1,
         )
         first, *_, state = Dynamics(
             problem,
@@ -589,7 +596,7 @@ ROWS = [
 def case(*supports: Any, **more: Any) -> Case:
     return Case.from_dict(
         {
-            "mesh": {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}},
+            "mesh": {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}, "degree": 1},
             "materials": {"a": {"law": "linear-elastic", "E": "1 MPa", "nu": 0.3}},
             "support": list(supports),
             **more,
@@ -617,7 +624,9 @@ def test_a_curve_fails_on_all_ranks(held, angle):
     """Also on those that own no node of the surface, here at the far end."""
     body = rectangle_body(size=(8, 1), cells=(16, 1))
     turned(body, [0, 0, 1], angle)
-    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[Support(on="left"), held])
+    problem = Problem(
+        body, LinearElastic(E=E, nu=NU), supports=[Support(on="left"), held], degree=1
+    )
     said = r"support 'right': 'sqrt\(t - 0.1\)' is not a real number at t = 0.05"
     with pytest.raises(InputError, match=said):
         problem.set_time(0.05)
@@ -632,6 +641,7 @@ def test_looking_at_a_rim_changes_nothing():
         NeoHookean(E=E, nu=NU),
         supports=[Normal(on="bottom", displacement="t"), Rigid(on="right", displacement=["t", 0])],
         loads=[Pressure(on="left", value=1.0)],
+        degree=1,
     )
     problem.set_time(0.5)
     prescribed = problem.dirichlet
@@ -702,7 +712,7 @@ def test_a_value_that_is_none_is_told_with_its_support_and_place(comm: MPI.Comm)
     """The lowest place of them, on any number of ranks."""
     body = rectangle_body(size=(1, 1), cells=(2, 3), comm=comm)
     supports = [Support(on="left"), Support(on="right", displacement=["0.01*log(0.6 - y)", 0])]
-    problem = Problem(body, NeoHookean(E=1e6, nu=0.3), supports=supports)
+    problem = Problem(body, NeoHookean(E=1e6, nu=0.3), supports=supports, degree=1)
     with pytest.raises(InputError) as caught:
         _ = [*Statics(problem, steps=1).steps()]
     assert str(caught.value) == (

@@ -180,6 +180,7 @@ def test_no_obstacle_jumps_over_a_surface():
                 name="rod",
             )
         ],
+        degree=1,
     )
     states = list(Statics(problem).steps())
     assert states[-1].reactions["rod"][1] < -1e-3 * E
@@ -195,6 +196,7 @@ def test_weight_on_the_floor():
         supports=[Support(on="left", displacement=[0, FREE])],
         loads=[Gravity()],
         contacts=[FLOOR],
+        degree=1,
     )
     state = last(problem)
     # 1e-8 of the norm of the nodal forces, summed over five nodes.
@@ -210,6 +212,7 @@ def test_pulled_off_again():
             Support(on="top", displacement=[0, 0.1], curve=[[0, 0], [0.5, -1], [1, 1]]),
         ],
         contacts=[FLOOR],
+        degree=1,
     )
     states = [
         (state.reactions["floor"][1], state.numbers["contact_area_floor"])
@@ -274,6 +277,7 @@ def test_hertz(geometry, folder, comm):
         ],
         contacts=[Contact(on="arc", plane={"axis": "y", "at": 0}, name="floor")],
         geometry=geometry,
+        degree=1,
     )
     P, effective = last(problem).reactions["floor"][1], E / (1 - NU**2)
     touch = problem.contact_pairs[0]
@@ -369,6 +373,7 @@ def test_the_whole_way_round_a_ball():
                 name="ball",
             )
         ],
+        degree=1,
     )
     forces = []
     for state in Statics(problem, steps=10).steps():
@@ -406,6 +411,7 @@ def test_tangent(shape):
         rectangle_body(size=(1, 1), cells=(3, 3)),
         NeoHookean(E=E, nu=NU),
         contacts=[Contact(on="bottom", name="it", **shape)],
+        degree=1,
     )
     assert problem.symmetric
     assert not problem.linear
@@ -450,6 +456,7 @@ def test_a_block_bounces(scheme):
         body,
         NeoHookean(E=E, nu=NU, density=1000),
         contacts=[Contact(on="bottom", plane={"axis": "y", "at": -0.02}, name="floor")],
+        degree=1,
     )
     settings: dict[str, Any] = {"scheme": scheme, "end": 0.15, "initial_velocity": [0, -1.0]}
     if scheme == "generalized-alpha":
@@ -502,6 +509,7 @@ def test_a_node_in_the_middle_of_a_hollow(shape):
             NeoHookean(E=E, nu=NU),
             supports=[Support(on="top", displacement=[0, 0.1])],
             contacts=contacts,
+            degree=1,
         )
         found.append(last(problem).max_displacement)
         for touch in problem.contact_pairs:
@@ -518,6 +526,7 @@ def test_weights_near_the_axis(n, on):
         LinearElastic(E=E, nu=NU),
         contacts=[Contact(on=on, plane={"axis": "y", "at": -1})],
         geometry="axisymmetric",
+        degree=1,
     )
     areas = {"right": 2 * np.pi, "bottom": np.pi, "top": np.pi}
     one = problem.constant(1.0)
@@ -539,6 +548,7 @@ def test_obstacles_that_do_not_fit(keys, said):
             rectangle_body(size=(1, 1), cells=(1, 1)),
             LinearElastic(E=E, nu=NU),
             contacts=[Contact(on="bottom", **keys)],
+            degree=1,
         )
     assert said in str(caught.value)
 
@@ -550,6 +560,7 @@ def resting(at: float) -> Problem:
         supports=[Support(on="left", displacement=[0, FREE])],
         loads=[Gravity()],
         contacts=[Contact(on="bottom", plane={"axis": "y", "at": at}, name="floor")],
+        degree=1,
     )
 
 
@@ -568,7 +579,7 @@ def test_an_obstacle_that_does_not_touch_yet():
 
 
 TABLES: dict[str, Any] = {
-    "mesh": {"rectangle": {"size": [1, 1], "cells": [2, 2]}},
+    "mesh": {"rectangle": {"size": [1, 1], "cells": [2, 2]}, "degree": 1},
     "materials": {"rubber": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3}},
     "support": [{"on": "top", "displacement": [0, "-1 cm"]}],
     "contact": [{"on": "bottom", "plane": {"axis": "y", "at": 0}, "name": "floor"}],

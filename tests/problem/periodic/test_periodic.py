@@ -88,7 +88,7 @@ def rubber(core: float, low: float = 0.0, dim: int = 3) -> NeoHookean:
 
 def cored(body: Body, low: float = 0.0, **fields: Any) -> Problem:
     """A unit cell with a soft core, a quarter of its side off the middle unless `low` is 0.25."""
-    return Problem(body, rubber(0.1, low, body.dim), **fields)
+    return Problem(body, rubber(0.1, low, body.dim), **{"degree": 1, **fields})
 
 
 # --- a homogeneous cell: P is that of the law, whatever the mesh ---
@@ -129,6 +129,7 @@ def test_thickness_and_plane_stress():
         geometry="plane-stress",
         thickness=0.02,
         periodic=periodic,
+        degree=1,
     )
     numbers = last(problem).numbers
     # A linear problem in one step; the mean is exact but for round-off.
@@ -171,7 +172,9 @@ def test_laminate():
         ([[1 + eps, 0], [0, 1]], "P11", mean * eps),
         ([[1, eps], [0, 1]], "P12", harmonic * eps / 2),
     ):
-        problem = Problem(layered(), laws, periodic=Periodic(pairs=PAIRS, gradient=gradient))
+        problem = Problem(
+            layered(), laws, periodic=Periodic(pairs=PAIRS, gradient=gradient), degree=1
+        )
         numbers = last(problem).numbers
         # The exact field is linear in each layer, so linear elements hold it.
         assert numbers[place] == pytest.approx(wanted, rel=1e-9)
@@ -185,7 +188,7 @@ def test_large_laminate():
     E1, E2 = 1e6, 5e6
     laws = {"lower": StVenantKirchhoff(E=E1, nu=0), "upper": StVenantKirchhoff(E=E2, nu=0)}
     periodic = Periodic(pairs=PAIRS, gradient=[[1, 0], [0, 1.4]])
-    numbers = last(Problem(layered(), laws, periodic=periodic)).numbers
+    numbers = last(Problem(layered(), laws, periodic=periodic, degree=1)).numbers
     low, high = 1.4, 1.8  # stretch of the soft layer, by halving; both share 2 x 1.4
     for _ in range(60):
         middle = (low + high) / 2
@@ -227,7 +230,7 @@ def test_prescribed_stress():
         stress=[["1 kPa", 200], [0, 0]],
     )
     body = rectangle_body(size=(2, 1), cells=(2, 2))
-    numbers = last(Problem(body, LinearElastic(E=E, nu=NU), periodic=periodic)).numbers
+    numbers = last(Problem(body, LinearElastic(E=E, nu=NU), periodic=periodic, degree=1)).numbers
     # eps11 = (1 - nu^2)/E sigma, eps22 = -nu (1 + nu)/E sigma, F12 = 200/G.
     assert numbers["P11"] == pytest.approx(sigma, rel=1e-8)
     assert numbers["F11"] - 1 == pytest.approx((1 - NU**2) / E * sigma, rel=1e-8)
@@ -334,7 +337,7 @@ def test_audit_sees_the_whole_deformation():
     """A homogeneous cell has no displacement but the macroscopic one: det F is that of F."""
     body = rectangle_body(size=(1, 1), cells=(2, 2))
     F = [[0.6, 0], [0, 1.1]]
-    problem = Problem(body, rubber(1, dim=2), periodic=Periodic(pairs=PAIRS, gradient=F))
+    problem = Problem(body, rubber(1, dim=2), periodic=Periodic(pairs=PAIRS, gradient=F), degree=1)
     audits = [state.audit for state in Statics(problem, steps=2).steps()]
     assert [audit.min_jacobian for audit in audits] == pytest.approx([1, 0.8 * 1.05, 0.6 * 1.1])
 
@@ -405,7 +408,9 @@ def refused(match: str, **fields: Any) -> None:
     given = {"pairs": PAIRS, "gradient": PLANE, **fields}
     more = {key: given.pop(key) for key in ("supports", "loads", "contacts") if key in given}
     with pytest.raises((InputError, MeshError), match=match):
-        problem = Problem(body, rubber(1, dim=2), periodic=Periodic(**given), **more)
+        problem = Problem(
+            body, rubber(1, dim=2), periodic=Periodic(**given), **{"degree": 1, **more}
+        )
         if solved:
             last(problem)
 
@@ -461,11 +466,11 @@ def test_a_loose_body_in_a_cell():
     """An island in a hole floats; two halves that hang together through the faces do not."""
     periodic = Periodic(pairs=PAIRS, gradient=PLANE)
     frame = "fffff" + "f...f" + "f.i.f" + "f...f" + "fffff"
-    problem = Problem(squares(frame), rubber(1, dim=2), periodic=periodic)
+    problem = Problem(squares(frame), rubber(1, dim=2), periodic=periodic, degree=1)
     assert [(b.name, bool(b.motions)) for b in free_bodies(problem)] == [("f", False), ("i", True)]
     with pytest.raises(InputError, match="periodic: `i` can float about: the cell has 2 bodies"):
         last(problem)
-    halves = Problem(squares("l...r" * 5), rubber(1, dim=2), periodic=periodic)
+    halves = Problem(squares("l...r" * 5), rubber(1, dim=2), periodic=periodic, degree=1)
     assert [body.motions for body in free_bodies(halves)] == [()]
 
 
@@ -476,13 +481,13 @@ def test_unlike_meshes():
     x[np.isclose(x[:, 0], 1) & np.isclose(x[:, 1], 0.5), 1] = 0.55
     periodic = Periodic(pairs=PAIRS, gradient=PLANE)
     with pytest.raises(InputError, match=r"periodic.pairs\[0\].*\(0, 0.5\).*0.05 m"):
-        Problem(body, rubber(1, dim=2), periodic=periodic)
+        Problem(body, rubber(1, dim=2), periodic=periodic, degree=1)
 
 
 def test_analyses_refused():
     body = rectangle_body(size=(1, 1), cells=(2, 2))
     law = rubber(1, dim=2)
-    problem = Problem(body, law, periodic=Periodic(pairs=PAIRS, gradient=PLANE))
+    problem = Problem(body, law, periodic=Periodic(pairs=PAIRS, gradient=PLANE), degree=1)
     with pytest.raises(InputError, match="arc-length|by its length"):
         list(Statics(problem, method="arc-length").steps())
     with pytest.raises(InputError, match="no motion"):
@@ -492,7 +497,7 @@ def test_analyses_refused():
 # --- case files ---
 
 CASE: dict[str, Any] = {
-    "mesh": {"rectangle": {"size": [1, 1], "cells": [2, 2]}},
+    "mesh": {"rectangle": {"size": [1, 1], "cells": [2, 2]}, "degree": 1},
     "materials": {"rubber": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3}},
     "periodic": {
         "pairs": PAIRS,

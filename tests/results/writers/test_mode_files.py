@@ -121,7 +121,13 @@ Transfinite Curve {1:8} = 3;
 def test_two_bodies(folder: Path, comm: MPI.Comm) -> None:
     """Each has its rigid modes, by name, and every frequency is there twice."""
     on_root(comm, lambda: (folder / "two.geo").write_text(TWO) and None)
-    tables = {**TABLES, "mesh": {"file": "two.geo"}, "support": [], "load": [], "modal": {}}
+    tables = {
+        **TABLES,
+        "mesh": {"file": "two.geo", "degree": 1},
+        "support": [],
+        "load": [],
+        "modal": {},
+    }
     both = Case.from_dict(tables, folder)
     problem = both.make_problem(both.read_body(comm))
     found = [mode for mode in both.make_solver(problem).steps() if isinstance(mode, Mode)]

@@ -47,7 +47,7 @@ def block(law: Any = None, **more: Any) -> Problem:
     """A block that is held on the left and pulled on the right."""
     defaults: dict[str, Any] = {"supports": [Support(on="left")], "loads": [PULL]}
     body = more.pop("body", None) or box_body(size=(2, 1, 1), cells=(2, 1, 1))
-    return Problem(body, law or NeoHookean(E=E, nu=NU), **{**defaults, **more})
+    return Problem(body, law or NeoHookean(E=E, nu=NU), **{"degree": 1, **defaults, **more})
 
 
 def bar(force: float = 1e4) -> Problem:
@@ -107,6 +107,7 @@ def test_small_strain_law_at_large_strains_in_motion(scheme, said):
         problem = Problem(
             rectangle_body(size=(1.0, 1.0), cells=(2, 2)),
             LinearElastic(E=E, nu=NU, density=1000.0),
+            degree=1,
         )
         start = {"initial_displacement": [f"{size}*x", 0]}
         dt = 1e-5 if scheme == "generalized-alpha" else None

@@ -89,7 +89,7 @@ def held(law: Any, right: list[Any], **more: Any) -> Problem:
     """A square held on the left and moved on the right."""
     body = rectangle_body(size=(1.0, 1.0), cells=(4, 4))
     supports = [Support(on="left", displacement=[0, 0]), Support(on="right", displacement=right)]
-    return Problem(body, law, supports=supports, **more)
+    return Problem(body, law, supports=supports, **{"degree": 1, **more})
 
 
 # --- inverted ---
@@ -154,6 +154,7 @@ def test_an_energy_is_left_behind():
             Support(on="left", displacement=[0, 0]),
             Support(on="right", displacement=[3.0, FREE]),
         ],
+        degree=1,
     )
     found = diagnosis(problem, steps=4, min_step=1 / 16)
     assert found.cause == "nan"
@@ -227,6 +228,7 @@ def test_a_piece_that_nothing_holds(law):
         law(E=E, nu=NU),
         supports=[Support(on="left", displacement=[0, 0])],
         loads=[Traction(on="end", value=[1e3, 0])],
+        degree=1,
     )
     found = diagnosis(problem, min_step=1 / 2)
     assert found.cause == "rigid-motion"
@@ -244,6 +246,7 @@ def test_a_body_that_is_lifted_off():
         supports=[Support(on="left", displacement=[0, "free"])],
         loads=[Traction(on="top", value=[0, 1e3], curve=[[0, 0], [0.5, -1], [1, 1]])],
         contacts=[Contact(on="bottom", plane={"axis": "y", "at": 0}, name="floor")],
+        degree=1,
     )
     with pytest.raises(ConvergenceError) as caught:
         _ = [*Statics(problem).steps()]
@@ -266,6 +269,7 @@ def test_a_piece_that_can_slide():
             Support(on="foot", displacement=[FREE, 0]),
         ],
         loads=[Traction(on="end", value=[1e3, 0])],
+        degree=1,
     )
     found = diagnosis(problem, min_step=1 / 2)
     assert found.cause == "rigid-motion"
@@ -282,6 +286,7 @@ def test_pieces_that_are_held_are_not_loose(law):
             Support(on="left", displacement=[0, 0]),
             Support(on="foot", displacement=[0, 0]),
         ],
+        degree=1,
     )
     assembler = Assembler(problem)
     try:
@@ -303,6 +308,7 @@ def test_a_spring_holds_a_piece():
             Support(on="left", displacement=[0, 0]),
             Spring(on="foot", stiffness=[1.0, 1.0]),
         ],
+        degree=1,
     )
     assembler = Assembler(problem)
     try:
@@ -319,7 +325,7 @@ def test_supports_that_lean(surfaces, motions):
     c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
     x = body.mesh.geometry.x
     x[:, :2] = x[:, :2] @ np.array([[c, s], [-s, c]])
-    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[Symmetry(on=surfaces)])
+    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[Symmetry(on=surfaces)], degree=1)
     assembler = Assembler(problem)
     assert TrialStates(assembler).tangent(problem.w.x.array)
     found = find_loose_part(assembler)
@@ -464,6 +470,7 @@ def crushed(law: Any = None, load: float = 2.0) -> Problem:
             Support(on="bottom", displacement=[FREE, 0]),
         ],
         loads=[Traction(on="right", value=[-load * limit, 0])],
+        degree=1,
     )
 
 
@@ -552,6 +559,7 @@ def test_a_linear_solver_that_gives_up():
         NeoHookean(E=E, nu=NU),
         supports=[Support(on="left", displacement=[0, 0])],
         loads=[Traction(on="right", value=[E / 100, 0])],
+        degree=1,
     )
     found = diagnosis(
         problem,
@@ -573,6 +581,7 @@ def test_round_off():
         NeoHookean(E=E, nu=NU),
         supports=[Support(on="left", displacement=[1e6, 0])],
         loads=[Traction(on="right", value=[0.1, 0])],
+        degree=1,
     )
     error = failure(problem, min_step=1)
     found = error.diagnosis
@@ -589,6 +598,7 @@ def test_too_few_iterations():
         NeoHookean(E=E, nu=NU),
         supports=[Support(on="left", displacement=[0, 0])],
         loads=[Traction(on="right", value=[E / 10, 0])],
+        degree=1,
     )
     found = diagnosis(problem, steps=1, min_step=1, max_iterations=3, rtol=1e-12, snap=False)
     assert found.cause == "iterations"
@@ -617,6 +627,7 @@ def test_motion():
 CASE = """
 [mesh]
 rectangle = {size = [1, 1], cells = [2, 2]}
+degree = 1
 [materials.rubber]
 law = "linear-elastic"
 E = "1 MPa"
@@ -663,6 +674,7 @@ def test_the_field_of_forces_out_of_balance():
         LinearElastic(E=E, nu=NU),
         supports=[Support(on="left", displacement=[0, 0])],
         loads=[Traction(on=["left", "right"], value=[1e3, 0])],
+        degree=1,
     )
     evaluate = Evaluator(problem, ["residual", "reaction"])
     states = Statics(problem).steps()

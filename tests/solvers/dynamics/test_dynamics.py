@@ -162,7 +162,7 @@ def test_the_last_step_ends_exactly():
 @pytest.mark.parametrize("radius", [1.0, 0.8])
 def test_free_fall_is_exact(radius):
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
-    problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), loads=[Gravity()])
+    problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), loads=[Gravity()], degree=1)
     for state in Dynamics(
         problem, end=0.5, dt=0.1, spectral_radius=radius, rtol=1e-12, initial_velocity=[2.0, 3.0]
     ).steps():
@@ -181,6 +181,7 @@ def test_equilibrium_stays(law):
         law(E=1e5, nu=NU, density=RHO),
         loads=[Gravity()],
         supports=[Support(on="bottom", displacement=[0, 0])],
+        degree=1,
     )
     *_, static = Statics(problem, rtol=1e-13).steps()
     deflection, reaction = static.max_displacement, static.reactions["bottom"][1]
@@ -202,6 +203,7 @@ def test_the_initial_state_knows_its_reactions(scheme):
         LinearElastic(E=1e5, nu=NU, density=RHO),
         loads=[Gravity()],
         supports=[Support(on="bottom", displacement=[0, 0])],
+        degree=1,
     )
     _ = [*Statics(problem, rtol=1e-13).steps()]
     first = next(Dynamics(problem, scheme=scheme, end=0.01, dt=1e-4).steps())
@@ -213,7 +215,7 @@ def test_moving_supports_hold_at_every_step(scheme):
     """A formula in t is met exactly at t_n; its velocity agrees to the scheme's order."""
     body = rectangle_body(size=(1.0, 0.5), cells=(4, 2))
     moved = Support(on="left", displacement=["0.01*sin(200*t)", "0.02*(1 - cos(100*t))*y"])
-    problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), supports=[moved])
+    problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), supports=[moved], degree=1)
     dt = {} if scheme == "symplectic-euler" else {"dt": 1e-3}
     held = problem.dirichlet
     places = problem.V.tabulate_dof_coordinates()
@@ -322,7 +324,7 @@ def test_settings_are_checked():
 
 def test_motion_needs_a_density():
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
-    problem = Problem(body, LinearElastic(E=E, nu=NU))
+    problem = Problem(body, LinearElastic(E=E, nu=NU), degree=1)
     with pytest.raises(InputError, match="density"):
         _ = [*Dynamics(problem, end=1.0, dt=0.1).steps()]
 
@@ -333,7 +335,7 @@ def test_adaptive_steps_with_moving_supports():
     moved = Support(on="left", displacement=["0.01*sin(200*t)", 0])
     ends = []
     for tolerance in (1e-3, 1e-5):
-        problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), supports=[moved])
+        problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), supports=[moved], degree=1)
         held = problem.dirichlet.owned
         worst = 0.0
         for state in Dynamics(
@@ -365,6 +367,7 @@ def test_a_step_without_a_solution_says_so_and_keeps_its_state(pushed, said, adv
             Support(on="left", displacement=[0, 0]),
             Support(on="right", displacement=[pushed, 0]),
         ],
+        degree=1,
     )
     reached = []
     with pytest.raises(ConvergenceError) as caught:
@@ -396,6 +399,7 @@ def test_a_formula_without_a_value_later_on_is_said():
         loaded.body,
         LinearElastic(E=E, nu=NU, density=RHO),
         supports=[Support(on="left", displacement=["sqrt(0.025 - t)*1e-3", 0])],
+        degree=1,
     )
     with pytest.raises(InputError, match=r"support 'left': .* not finite at .0, 0. m at t = 0.03"):
         _ = [*Dynamics(held, end=0.1, dt=0.01).steps()]
@@ -448,7 +452,9 @@ def test_steps_leave_no_cycles(solver):
     """
     body = box_body(size=(1.0, 0.6, 0.3), cells=(2, 1, 1))
     law = NeoHookean(E=1e5, nu=NU, density=RHO)
-    steps = solver(Problem(body, law, supports=[Support(on="left")], loads=[Gravity()])).steps()
+    steps = solver(
+        Problem(body, law, supports=[Support(on="left")], loads=[Gravity()], degree=1)
+    ).steps()
     _ = [next(steps) for _ in range(3)]
     automatic, flags = gc.isenabled(), gc.get_debug()
     gc.collect()

@@ -38,7 +38,7 @@ SOFT = {"E": 1e6, "nu": 0.3, "density": 1000.0}
 
 def strip(comm: MPI.Comm, cells: tuple[int, int] = (8, 2), **keys: Any) -> Problem:
     body = rectangle_body(size=(1, 0.2), cells=cells, comm=comm)
-    return Problem(body, NeoHookean(**SOFT), **keys)
+    return Problem(body, NeoHookean(**SOFT), **{"degree": 1, **keys})
 
 
 def warned(problem: Problem, **settings: Any) -> tuple[list[str], State]:
@@ -69,7 +69,7 @@ def test_work_of_a_spring_and_a_dashpot(scheme: str, radius: float, comm: MPI.Co
         Dashpot(kind="dashpot", on="bottom", viscosity=[2e3, 2e3], total=True),
     ]
     law = LinearElastic(E=1e11, nu=0.3, density=1000)
-    problem = Problem(body, law, thickness=2.0, supports=holders)
+    problem = Problem(body, law, thickness=2.0, supports=holders, degree=1)
     settings = {"end": 2.0, "dt": 5e-3, "spectral_radius": radius, "scheme": scheme}
     worst = 0.0
     for state in Dynamics(problem, initial_velocity=[0, 0.7], **settings).steps():
@@ -113,7 +113,7 @@ def test_a_body_that_is_carried(comm: MPI.Comm) -> None:
     body = rectangle_body(size=(1, 1), cells=(1, 1), comm=comm)
     push = Support(on=["left", "right"], displacement=[1, 0], curve=[[0, 0], [0.1, 0], [1, 0.9]])
     for scheme in ("generalized-alpha", "newmark", "alpha2"):
-        problem = Problem(body, NeoHookean(**SOFT), supports=[push])
+        problem = Problem(body, NeoHookean(**SOFT), supports=[push], degree=1)
         *_, state = Dynamics(problem, end=0.2, dt=1e-2, scheme=scheme).steps()
         energies = state.energies
         assert energies["external"] == pytest.approx(energies["kinetic"], rel=1e-9, abs=1e-6)
@@ -141,7 +141,7 @@ def test_newmark_with_a_limit(comm: MPI.Comm, caplog: pytest.LogCaptureFixture) 
     body = rectangle_body(size=(1, 0.2), cells=(8, 2), comm=comm)
     load = Traction(on="right", value=[0, -1.0])
     law = LinearElastic(**SOFT)
-    problem = Problem(body, law, supports=[Support(on="left")], loads=[load])
+    problem = Problem(body, law, supports=[Support(on="left")], loads=[load], degree=1)
     found, _ = warned(problem, scheme="newmark", beta=0.1, end=0.1, dt=5e-3)
     assert any("come from nowhere" in reason for reason in found)
     said = comm.bcast(list(caplog.messages))
@@ -149,7 +149,7 @@ def test_newmark_with_a_limit(comm: MPI.Comm, caplog: pytest.LogCaptureFixture) 
     with pytest.raises(InputError, match="adaptive: with beta below gamma/2"):
         Dynamics(problem, scheme="newmark", beta=0.1, end=1, dt=0.1, adaptive=True)
     tables = {
-        "mesh": {"rectangle": {"size": [1, 1], "cells": [2, 2]}},
+        "mesh": {"rectangle": {"size": [1, 1], "cells": [2, 2]}, "degree": 1},
         "materials": {"rubber": {"law": "neo-hookean", "E": 1e6, "nu": 0.3, "density": 1000}},
         "dynamics": {"scheme": "newmark", "beta": 0.1, "end": 1.0, "dt": 0.1},
     }
@@ -178,7 +178,9 @@ def test_supports_that_wind(support: Any, comm: MPI.Comm) -> None:
     """Steps are short where a formula in t may turn around; buckling has no load factor there."""
     assert driven_by_formula(strip(comm, supports=[support]))
     body = rectangle_body(size=(1, 0.2), cells=(8, 2), comm=comm)
-    problem = Problem(body, StVenantKirchhoff(**SOFT), supports=[support, Support(on="right")])
+    problem = Problem(
+        body, StVenantKirchhoff(**SOFT), supports=[support, Support(on="right")], degree=1
+    )
     with pytest.raises(InputError, match="course of its own|rigid surface|scalar|free"):
         Buckling(problem)
 
@@ -186,7 +188,7 @@ def test_supports_that_wind(support: Any, comm: MPI.Comm) -> None:
 def test_buckling_without_a_load(comm: MPI.Comm) -> None:
     body = rectangle_body(size=(1, 0.2), cells=(8, 2), comm=comm)
     with pytest.raises(InputError, match="load: no load deforms the body"):
-        Buckling(Problem(body, StVenantKirchhoff(**SOFT), supports=[Support(on="left")]))
+        Buckling(Problem(body, StVenantKirchhoff(**SOFT), supports=[Support(on="left")], degree=1))
 
 
 # --- rigid surfaces and cavities ---
@@ -197,7 +199,7 @@ def test_first_reactions(scheme: str, comm: MPI.Comm) -> None:
     """Of a body that is held all round and pushed at 1 m/s^2: its mass times that."""
     body = rectangle_body(size=(1, 1), cells=(1, 1), comm=comm)
     push = Support(on=["left", "right"], displacement=["0.5*t^2", 0], name="hand")
-    problem = Problem(body, NeoHookean(**SOFT), supports=[push])
+    problem = Problem(body, NeoHookean(**SOFT), supports=[push], degree=1)
     dt = {} if scheme == "central-differences" else {"dt": 1e-2}
     states = Dynamics(problem, end=0.1, scheme=scheme, **dt).steps()
     assert next(states).reactions["hand"][0] == pytest.approx(1000.0, rel=1e-6)
@@ -211,6 +213,7 @@ def test_cavities_are_told_of(scheme: str, comm: MPI.Comm) -> None:
         "mesh": {
             "rectangle": {"size": [1, 0.2], "cells": [4, 1]},
             "geometry": "axisymmetric",
+            "degree": 1,
         },
         "materials": {"rubber": {"law": "neo-hookean", "E": 1e6, "nu": 0.3, "density": 1000}},
         "support": [{"on": "right"}],
@@ -240,7 +243,7 @@ def test_rigid_surfaces_are_told_of(scheme: str, comm: MPI.Comm) -> None:
     body = rectangle_body(size=(1, 0.2), cells=(8, 2), comm=comm)
     turn = Rigid(on="left", point=[0, 0.1], rotation="0.5*t^2", name="hinge")
     law = NeoHookean(E=1e8, nu=0.3, density=1000.0)
-    problem = Problem(body, law, supports=[turn])
+    problem = Problem(body, law, supports=[turn], degree=1)
     every = {"every": 1} if scheme != "central-differences" else {"every": 5}
     dt = {} if scheme == "central-differences" else {"dt": 1e-3}
     moments, last = [], None

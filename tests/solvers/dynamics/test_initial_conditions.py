@@ -36,7 +36,7 @@ def start(
     body = rectangle_body(size=(2, 1), cells=(4, 2))
     x = body.mesh.geometry.x
     x[:, 1] += slope * x[:, 0]
-    problem = Problem(body, LAW, supports=supports)
+    problem = Problem(body, LAW, supports=supports, degree=1)
     s = DynamicsSettings(end=1.0, dt=0.1, **motion)
     v = fem.Function(problem.V)
     return set_initial(problem, v, s.displacement, s.velocity, s.end), v
@@ -144,12 +144,12 @@ def test_the_log_says_it_once_and_a_restart_does_not(caplog, scheme):
     dt = {"dt": 1e-3} if scheme == "generalized-alpha" else {}
     body = rectangle_body(size=(2, 1), cells=(2, 1))
     settings = DynamicsSettings(scheme=scheme, end=2e-3, initial_velocity=[0, -3], **dt)
-    first = Dynamics(Problem(body, LAW, supports=[CLAMP]), settings)
+    first = Dynamics(Problem(body, LAW, supports=[CLAMP], degree=1), settings)
     steps = first.steps()
     next(steps)
     saved = StateCopy(first.restart_state())
     steps.close()
-    next(Dynamics(Problem(body, LAW, supports=[CLAMP]), settings).steps(saved))
+    next(Dynamics(Problem(body, LAW, supports=[CLAMP], degree=1), settings).steps(saved))
     said = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
     if body.comm.rank == 0:
         (text,) = said
@@ -164,7 +164,7 @@ def test_a_check_notes_it():
     """And leaves the body where it is for what else there is to say."""
     found = report(
         Case(
-            mesh={"rectangle": {"size": [1, 1], "cells": [1, 1]}},
+            mesh={"rectangle": {"size": [1, 1], "cells": [1, 1]}, "degree": 1},
             materials={"gel": {"law": "neo-hookean", "E": 1e6, "nu": 0.3, "density": 1000}},
             support=[{"on": "left"}],
             dynamics={"end": 1, "dt": 0.1, "initial_displacement": [0.25, 0]},
@@ -193,6 +193,7 @@ def test_damping_in_plane_stress_is_refused_before_a_run(material, motion, where
             "mesh": {
                 "rectangle": {"size": [2, 1], "cells": [2, 1]},
                 "geometry": "plane-stress",
+                "degree": 1,
             },
             "materials": {
                 "body": {"law": "neo-hookean", "E": 1, "nu": 0.3, "density": 1, **material}

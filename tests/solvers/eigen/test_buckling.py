@@ -162,7 +162,11 @@ def test_strains_that_are_too_large_are_told(comm: MPI.Comm, caplog: Any) -> Non
         caplog.clear()
         found = factors(
             Problem(
-                strip(comm, (8, 1)), NeoHookean(**SOFT), supports=[Support(on="left")], loads=[load]
+                strip(comm, (8, 1)),
+                NeoHookean(**SOFT),
+                supports=[Support(on="left")],
+                loads=[load],
+                degree=1,
             ),
             count=1,
         )
@@ -179,6 +183,7 @@ def test_strains_are_told_of_either_way(comm: MPI.Comm, caplog: Any) -> None:
         NeoHookean(**SOFT),
         supports=[Support(on="left")],
         loads=[Traction(on="right", value=[1e5, 0])],
+        degree=1,
     )
     found = factors(problem, count=1, negative=True)
     assert abs(found[1]) < 0.1 * found[0]
@@ -198,7 +203,7 @@ def refused(comm: MPI.Comm, text: str, error: type[Exception] = InputError, **ke
     }
     law = whole.pop("law")
     with pytest.raises(error, match=text):
-        factors(Problem(strip(comm, (4, 1)), law, **whole), **settings)
+        factors(Problem(strip(comm, (4, 1)), law, degree=1, **whole), **settings)
 
 
 def test_refused(comm: MPI.Comm) -> None:

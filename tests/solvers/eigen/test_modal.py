@@ -129,7 +129,7 @@ def test_all_modes_without_change_of_volume(
 def test_nothing_is_free(comm: MPI.Comm) -> None:
     body = rectangle_body(size=[1, 1], cells=(1, 1), comm=comm)
     with pytest.raises(InputError, match="supports hold every node"):
-        modes(Problem(body, NeoHookean(**SOFT), supports=[Support(on=["left", "right"])]))
+        modes(Problem(body, NeoHookean(**SOFT), supports=[Support(on=["left", "right"])], degree=1))
 
 
 def test_unstable(comm: MPI.Comm, caplog: pytest.LogCaptureFixture) -> None:
@@ -173,7 +173,7 @@ def test_springs(comm: MPI.Comm) -> None:
 def test_fewer_cells_than_ranks(comm: MPI.Comm) -> None:
     """All modes of two triangles; more than there are is said."""
     body = rectangle_body(size=[1, 1], cells=[1, 1], comm=comm)
-    found = modes(Problem(body, LinearElastic(**SOFT)), count=9)
+    found = modes(Problem(body, LinearElastic(**SOFT), degree=1), count=9)
     assert [mode.kind for mode in found] == 3 * ["rigid"] + 5 * ["elastic"]
     several = elastic(found)
     assert several[0] == pytest.approx(several[1], rel=1e-9)  # a double one
@@ -221,8 +221,8 @@ def test_loads_at_rest(comm: MPI.Comm) -> None:
     """Without preload they do nothing, not even one that follows the body from the start."""
     body, law = strip(comm, (4, 1)), NeoHookean(**SOFT)
     constant = Pressure(on="right", value=1e5, curve="constant")
-    pressed = Problem(body, law, supports=LEFT, loads=[constant])
-    bare = Problem(body, law, supports=LEFT)
+    pressed = Problem(body, law, supports=LEFT, loads=[constant], degree=1)
+    bare = Problem(body, law, supports=LEFT, degree=1)
     first, second = (elastic(modes(problem, count=2)) for problem in (pressed, bare))
     assert first == pytest.approx(second, rel=1e-9)
 
@@ -284,12 +284,12 @@ def test_refused(key: str, comm: MPI.Comm) -> None:
     made, settings, text = REFUSED[key]
     keys = {"supports": LEFT, **{k: v for k, v in made.items() if k != "law"}}
     with pytest.raises(InputError, match=text):
-        modes(Problem(strip(comm, (4, 1)), made["law"], **keys), **settings)
+        modes(Problem(strip(comm, (4, 1)), made["law"], degree=1, **keys), **settings)
 
 
 def test_options_of_the_user(comm: MPI.Comm, caplog: pytest.LogCaptureFixture) -> None:
     """SLEPc takes them; what nothing takes is said."""
-    problem = Problem(strip(comm, (4, 1)), LinearElastic(**SOFT), supports=LEFT)
+    problem = Problem(strip(comm, (4, 1)), LinearElastic(**SOFT), supports=LEFT, degree=1)
     first = elastic(modes(problem, count=2))
     found = modes(problem, count=2, petsc={"eps_type": "arnoldi", "nonsense": 1})
     assert elastic(found) == pytest.approx(first, rel=1e-8)
@@ -300,7 +300,7 @@ def test_options_of_the_user(comm: MPI.Comm, caplog: pytest.LogCaptureFixture) -
 
 def test_not_found(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
     """Too few iterations, and a solver that fails: one message each, with what to try."""
-    problem = Problem(strip(comm), LinearElastic(**SOFT), supports=LEFT)
+    problem = Problem(strip(comm), LinearElastic(**SOFT), supports=LEFT, degree=1)
     with pytest.raises(ConvergenceError, match=r"of 10 modes only \d were found: .*ITS") as caught:
         modes(problem, petsc={"eps_max_it": 1, "eps_ncv": 12})
     assert "fewer modes" in caught.value.advice

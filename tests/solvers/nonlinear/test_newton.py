@@ -41,7 +41,7 @@ def block(law: Law, **more: Any) -> Problem:
         law,
         supports=[Support(on="left", displacement=[0, 0])],
         loads=[Traction(on="right", value=[0.01 * E, 0.01 * E])],
-        **more,
+        **{"degree": 1, **more},
     )
 
 
@@ -55,6 +55,7 @@ def stretched(law: Law, by: float) -> Problem:
             Support(on="left", displacement=[0, 0]),
             Support(on="right", displacement=[by, FREE]),
         ],
+        degree=1,
     )
 
 
@@ -174,6 +175,7 @@ def crushed() -> Problem:
             Support(on="bottom", displacement=[FREE, 0]),
         ],
         loads=[Traction(on="right", value=[-2 * limit, 0])],
+        degree=1,
     )
 
 
@@ -210,7 +212,9 @@ def test_the_last_states_are_right_although_the_next_one_fails():
 
 def test_a_body_that_is_not_held_is_named():
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
-    problem = Problem(body, LinearElastic(E=E, nu=NU), loads=[Traction(on="right", value=[1.0, 0])])
+    problem = Problem(
+        body, LinearElastic(E=E, nu=NU), loads=[Traction(on="right", value=[1.0, 0])], degree=1
+    )
     with pytest.raises(InputError, match="no support: as a rigid body it can move and turn freely"):
         next(Statics(problem).steps())
 
@@ -225,6 +229,7 @@ def test_no_mesh_inside_out_is_accepted():
             Support(on="left", displacement=[0, 0]),
             Support(on="right", displacement=[-1.5, 0]),
         ],
+        degree=1,
     )
     with pytest.raises(ConvergenceError) as caught:
         _ = [*Statics(problem, min_step=1 / 64).steps()]

@@ -95,6 +95,7 @@ def test_force_on_a_plate_is_the_traction_it_stands_for():
             NeoHookean(E=1e5, nu=0.3),
             supports=[Support(on="left"), Rigid(on="right", force=force, moment=[0, 0, 0])],
             loads=loads,
+            degree=1,
         )
         *_, state = Statics(problem, steps=1).steps()
         found.append(state)
@@ -114,7 +115,10 @@ def test_moment_and_rotation_are_a_pair():
     law = NeoHookean(E=1e5, nu=0.3)
     turn = [0.5, -0.2, 0.4]
     held = Problem(
-        body, law, supports=[Support(on="left"), Rigid(on="right", rotation=turn, force=[0, 0, 0])]
+        body,
+        law,
+        supports=[Support(on="left"), Rigid(on="right", rotation=turn, force=[0, 0, 0])],
+        degree=1,
     )
     *_, first = Statics(held, steps=2).steps()
     motion = held.dirichlet.rigid_motions[0]
@@ -127,6 +131,7 @@ def test_moment_and_rotation_are_a_pair():
             Support(on="left"),
             Rigid(on="right", force=[0, 0, 0], moment=(spins.T @ vector).tolist()),
         ],
+        degree=1,
     )
     *_, second = Statics(free, steps=2).steps()
     assert motion.names == ["ux", "uy", "uz", "rx", "ry", "rz"]
@@ -165,6 +170,7 @@ def test_moments_balance_where_an_oblique_support_meets_a_plate(dim):
         body,
         law,
         supports=[Normal(on="bottom"), Rigid(on="left"), Rigid(on="right", **moved)],
+        degree=1,
     )
     *_, state = Statics(problem, steps=1).steps()
     assert state.audit.verdict == "pass"
@@ -210,8 +216,10 @@ def test_a_plate_that_is_turned_is_a_rotation():
         ),
     ):
         held = [Support(on="left"), plate]
-        *_, state = Statics(Problem(body, law, supports=held), steps=1).steps()
-        *_, moving = Dynamics(Problem(body, law, supports=held), end=0.02, dt=0.01).steps()
+        *_, state = Statics(Problem(body, law, supports=held, degree=1), steps=1).steps()
+        *_, moving = Dynamics(
+            Problem(body, law, supports=held, degree=1), end=0.02, dt=0.01
+        ).steps()
         found.append(
             [state.energies["strain"], moving.energies["strain"], *state.reactions["right"]]
         )
@@ -226,12 +234,12 @@ def test_a_plate_holds_two_bodies_together(folder):
     pull = Traction(on="right", value=[1e-3, 0])
     law = StVenantKirchhoff(E=1.0, nu=0.0)
     held = Support(on="left", displacement=[0, 0])
-    problem = Problem(two, law, supports=[held, plate], loads=[pull])
+    problem = Problem(two, law, supports=[held, plate], loads=[pull], degree=1)
     *_, state = Statics(problem, steps=1).steps()
     # Of each body 1e-3 L/E, with an error of the strain's size.
     assert state.numbers["plate_ux"] == pytest.approx(1e-3, rel=2e-3)
     assert state.max_displacement == pytest.approx(2e-3, rel=2e-3)
-    loose = Problem(two, law, supports=[plate], loads=[pull])
+    loose = Problem(two, law, supports=[plate], loads=[pull], degree=1)
     with pytest.raises(InputError, match="move and turn freely"):
         _ = [*Statics(loose).steps()]
 
@@ -273,7 +281,9 @@ def test_hinged_column_buckles_at_eulers_load():
 )
 def test_a_rigid_surface_holds_only_what_is_not_free(plate, said):
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2), origin=(0.0, -0.5))
-    problem = Problem(body, NeoHookean(E=1.0, nu=0.3), supports=[Rigid(on="left", **plate)])
+    problem = Problem(
+        body, NeoHookean(E=1.0, nu=0.3), supports=[Rigid(on="left", **plate)], degree=1
+    )
     with pytest.raises(InputError, match=said):
         _ = [*Statics(problem).steps()]
 
@@ -292,7 +302,7 @@ def test_a_rigid_surface_holds_only_what_is_not_free(plate, said):
 def test_wrong_rigid_surfaces(keys, said):
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
     with pytest.raises(InputError, match=said):
-        Problem(body, NeoHookean(E=1.0, nu=0.3), supports=[Rigid(on="left", **keys)])
+        Problem(body, NeoHookean(E=1.0, nu=0.3), supports=[Rigid(on="left", **keys)], degree=1)
 
 
 # --- cavities ---
@@ -481,6 +491,7 @@ def test_pressure_is_the_derivative_of_energy_by_volume():
         NeoHookean(E=1e4, nu=0.3),
         supports=[Support(on=["left", "right", "front", "back"])],
         loads=[Cavity(on="bottom", added="-20 L", name="cone")],
+        degree=1,
     )
     states = [*Statics(problem, times=[0.98, 0.99]).steps()]
     a, b, c = states[-3:]
@@ -515,6 +526,7 @@ def test_pressure_in_an_open_cavity(caplog):
             law,
             supports=[Support(on="bottom")],
             loads=[Cavity(on="right", pressure=1e-3, origin=[2, 0], name="air")],
+            degree=1,
         )
         *_, state = Statics(problem, steps=1).steps()
         assert state.numbers == {"pressure_air": 1e-3}
@@ -545,7 +557,7 @@ def test_wrong_cavities(keys, said):
     with pytest.raises(InputError, match=said):
         load = Cavity(**{"on": "right", **keys})
         problem = Problem(
-            body, NeoHookean(E=1.0, nu=0.3), supports=[Support(on="bottom")], loads=[load]
+            body, NeoHookean(E=1.0, nu=0.3), supports=[Support(on="bottom")], loads=[load], degree=1
         )
         _ = [*Statics(problem).steps()]
 
@@ -556,13 +568,13 @@ def test_motion_has_no_scalar_unknowns(folder):
     load = Cavity(on="right", volume=1, origin=[2, 0])
     for more in ({"loads": [load]}, {"supports": [Rigid(on="left", force=[0, 0])]}):
         with pytest.raises(InputError, match="in statics only"):
-            Dynamics(Problem(body, law, **more), end=1.0, dt=0.1)
+            Dynamics(Problem(body, law, degree=1, **more), end=1.0, dt=0.1)
 
 
 def test_case_files_have_both():
     """The tables read, and read back."""
     tables = {
-        "mesh": {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}},
+        "mesh": {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}, "degree": 1},
         "materials": {"m": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3}},
         "support": [
             {"kind": "rigid", "on": "left", "rotation": [0, "5 deg", "free"], "moment": [0, 0, 2]}

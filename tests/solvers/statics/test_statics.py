@@ -104,6 +104,7 @@ def test_lateral_contraction_of_a_bar():
             Support(on="bottom", displacement=[FREE, FREE, 0]),
         ],
         loads=[Traction(on="right", value=["1 kPa", 0, 0])],
+        degree=1,
     )
     state = last(problem)
     found = displacement_at(problem, (2.0, 0.5, 0.5))
@@ -126,6 +127,7 @@ def test_reactions_carry_the_weight(law, dim):
         law(E=E, nu=NU, density=1200.0),
         loads=[Gravity()],
         supports=[Support(on="left", displacement=[0] * dim)],
+        degree=1,
     )
     state = last(problem, rtol=1e-12)
     weight = 1200.0 * 9.81 * np.prod(size)
@@ -145,7 +147,11 @@ def test_loads_add_up():
         Gravity(on="upper", value=[0, 0, 1.0]),
     ]
     problem = Problem(
-        body, LinearElastic(E=E, nu=NU, density=7.0), loads=loads, supports=[Support(on="bottom")]
+        body,
+        LinearElastic(E=E, nu=NU, density=7.0),
+        loads=loads,
+        supports=[Support(on="bottom")],
+        degree=1,
     )
     state = last(problem, rtol=1e-13)
     third = 2 / 3
@@ -193,6 +199,7 @@ def test_two_materials_in_a_row(dim):
         laws,
         supports=[Support(on="left", displacement=[0] * dim)],
         loads=[Traction(on="right", value=[100.0, 0, 0][:dim])],
+        degree=1,
     )
     state = last(problem)
     middle, end = (displacement_at(problem, (x, 1.0, 1.0)[:dim])[0] for x in (1.0, 3.0))
@@ -216,6 +223,7 @@ def test_laws_of_different_kinds_side_by_side():
             Support(on="bottom", displacement=[FREE, 0]),
         ],
         loads=[Traction(on="right", value=[0.2 * E, 0])],
+        degree=1,
     )
     last(problem, rtol=1e-12)
     middle, end = (1 + displacement_at(problem, (x, 0.0))[0] / x for x in (1.0, 2.0))
@@ -239,6 +247,7 @@ def bar(*, loads: tuple[Any, ...] = (), right: Support | None = None) -> Problem
         LinearElastic(E=E, nu=0.0),
         loads=loads,
         supports=supports + ([right] if right else []),
+        degree=1,
     )
 
 
@@ -314,7 +323,9 @@ def test_a_support_that_is_not_finite_is_refused_everywhere():
 def test_no_step_passes_over_what_a_curve_does(curve, times):
     pull = Traction(on="right", value=[1e4, 0], curve=curve)
     body = rectangle_body(size=(1, 1), cells=(1, 1))
-    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[Support(on="left")], loads=[pull])
+    problem = Problem(
+        body, LinearElastic(E=E, nu=NU), supports=[Support(on="left")], loads=[pull], degree=1
+    )
     assert [state.t for state in Statics(problem).steps()] == pytest.approx(times)
 
 

@@ -59,6 +59,7 @@ def oscillator() -> Problem:
             Support(on="bottom", displacement=[FREE, 0]),
             Support(on="left", displacement=[0, 0]),
         ],
+        degree=1,
     )
 
 
@@ -129,7 +130,7 @@ def test_energy_stays_in_a_band(scheme):
 def test_free_fall(scheme, every):
     """u_n = g dt^2 n (n + 1)/2 and g dt^2 n^2/2, exactly, however often it is looked at."""
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
-    problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), loads=[Gravity()])
+    problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), loads=[Gravity()], degree=1)
     dt = 1e-3
     for state in Dynamics(problem, scheme=scheme, end=0.05, dt=dt, every=every).steps():
         n = state.step
@@ -150,7 +151,9 @@ CENTRE, SPIN, DRIFT = np.array([0.5, 0.3, 0.15]), np.array([3.0, -2, 5]), np.arr
 def test_free_body_keeps_its_momenta(scheme):
     """A neo-Hookean brick thrown with a spin, five turns: both momenta to round-off."""
     problem = Problem(
-        box_body(size=(1.0, 0.6, 0.3), cells=(3, 2, 1)), NeoHookean(E=1e5, nu=NU, density=RHO)
+        box_body(size=(1.0, 0.6, 0.3), cells=(3, 2, 1)),
+        NeoHookean(E=1e5, nu=NU, density=RHO),
+        degree=1,
     )
     x = ["x - 0.5", "y - 0.3", "z - 0.15"]
     velocity = [
@@ -184,7 +187,7 @@ def test_stable_step_against_all_eigenvalues(comm, dim, held):
     body = box_body(size=(1.0, 0.6, 0.5)[:dim], cells=(4, 2, 2)[:dim])
     supports = [Support(on="left", displacement=[0] * dim)] if held else []
     law = LinearElastic(E=E, nu=0.4, density=RHO)
-    problem = Problem(body, law, supports=supports)
+    problem = Problem(body, law, supports=supports, degree=1)
     explicit = Explicit(
         problem, fem.Function(problem.V), SymplecticEuler, end=1.0, dt=None, safety=0.9, every=1
     )
@@ -230,7 +233,7 @@ def test_a_step_that_becomes_too_long_is_noticed():
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
     law = NeoHookean(E=E, nu=NU, density=RHO)
     left = Support(on="left", displacement=[0, 0])
-    still = Problem(body, law, supports=[left, Support(on="right", displacement=[0, 0])])
+    still = Problem(body, law, supports=[left, Support(on="right", displacement=[0, 0])], degree=1)
     explicit = Explicit(
         still, fem.Function(still.V), SymplecticEuler, end=1.0, dt=None, safety=1.0, every=1
     )
@@ -238,7 +241,9 @@ def test_a_step_that_becomes_too_long_is_noticed():
     explicit.assembler.destroy()
     # Late enough that the next look at the stable step comes before the instability has grown.
     crush = f"-0.3*smoothstep((t - {180 * dt})/{19 * dt})"
-    problem = Problem(body, law, supports=[left, Support(on="right", displacement=[crush, 0])])
+    problem = Problem(
+        body, law, supports=[left, Support(on="right", displacement=[crush, 0])], degree=1
+    )
     with pytest.raises(StabilityError) as caught:
         _ = [*Dynamics(problem, scheme=SCHEME, end=300 * dt, dt=dt).steps()]
     assert "stable step has fallen to" in str(caught.value)
@@ -261,6 +266,7 @@ def test_a_chosen_step_follows_a_body_that_stiffens():
             Support(on="left", displacement=[0, 0]),
             Support(on="right", displacement=["-0.5*smoothstep(t)", 0]),
         ],
+        degree=1,
     )
     times = [0.0]
     for state in Dynamics(problem, scheme=SCHEME, end=1.2).steps():
@@ -285,6 +291,7 @@ def test_work_of_loads_becomes_energy():
         NeoHookean(E=1e5, nu=NU, density=RHO),
         loads=[Gravity()],
         supports=[Support(on="left", displacement=[0, 0])],
+        degree=1,
     )
     *_, state = Dynamics(problem, scheme=SCHEME, end=0.2, safety=0.2).steps()
     gained, work = state.energies["total"], state.energies["external"]
@@ -300,6 +307,7 @@ def test_laws_without_energy_move_too():
         Textbook(E=E, nu=NU, density=RHO),
         loads=[Gravity()],
         supports=[Support(on="left", displacement=[0, 0])],
+        degree=1,
     )
     *_, state = Dynamics(problem, scheme=SCHEME, end=0.01).steps()
     assert np.isnan(state.energies["strain"])
@@ -315,6 +323,7 @@ def test_work_of_a_moving_support_becomes_energy():
             body,
             NeoHookean(E=1e5, nu=NU, density=RHO),
             supports=[Support(on="left", displacement=["0.1*sin(10*t)", "0.05*t"])],
+            degree=1,
         )
         states = Dynamics(problem, scheme=SCHEME, end=0.3, safety=safety, every=every).steps()
         start = next(states).energies["total"]  # its left end moves already

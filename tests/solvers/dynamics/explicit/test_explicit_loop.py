@@ -55,7 +55,7 @@ def test_one_tetrahedron_as_in_a_textbook():
     P of the neo-Hookean solid: mu (F - F^-T) + lmbda ln(J) F^-T.
     """
     law = NeoHookean(E=E, nu=NU, density=RHO)
-    problem = Problem(tetrahedron(), law, loads=[Gravity()])
+    problem = Problem(tetrahedron(), law, loads=[Gravity()], degree=1)
     v0 = np.array([3.0, -1.0, 0.5])  # times the reference place: stretches and turns it
     x, v = CORNERS.copy(), np.outer(CORNERS[:, 1], v0) - np.outer(CORNERS[:, 2], v0[::-1])
     dt, g = 1e-3, np.array([0, 0, -9.81])
@@ -95,7 +95,9 @@ def loaded(body: Body | None = None, **more: Any) -> Problem:
         "loads": [Gravity(), Traction(on="right", value=[0, 0, -50.0])],
         "contacts": [Contact(on="bottom", plane={"axis": "z", "at": -0.01}, name="floor")],
     } | more
-    return Problem(body or block(), NeoHookean(E=E, nu=NU, density=RHO), **settings)
+    return Problem(
+        body or block(), NeoHookean(E=E, nu=NU, density=RHO), **{"degree": 1, **settings}
+    )
 
 
 @BOTH
@@ -141,7 +143,9 @@ def peak_memory() -> int:
 def test_memory_and_energy_stay_over_ten_thousand_steps(scheme):
     """A free brick that turns and swings, D-3: momenta and energy, and no byte more in use."""
     problem = Problem(
-        box_body(size=(1.0, 0.6, 0.3), cells=(2, 1, 1)), NeoHookean(E=1e5, nu=NU, density=1000)
+        box_body(size=(1.0, 0.6, 0.3), cells=(2, 1, 1)),
+        NeoHookean(E=1e5, nu=NU, density=1000),
+        degree=1,
     )
     velocity = ["1 - 2*(z - 0.15) - 5*(y - 0.3)", "2 + 5*(x - 0.5) - 3*(z - 0.15)"]
     velocity.append("-0.5 + 3*(y - 0.3) + 2*(x - 0.5)")
@@ -262,7 +266,7 @@ def test_states_do_not_change_the_motion():
 
 def test_about_two_hundred_states_by_default():
     problem = Problem(
-        rectangle_body(size=(1, 1), cells=(1, 1)), LinearElastic(E=E, nu=NU, density=RHO)
+        rectangle_body(size=(1, 1), cells=(1, 1)), LinearElastic(E=E, nu=NU, density=RHO), degree=1
     )
     for scheme in EXPLICIT:
         steps = [s.step for s in Dynamics(problem, scheme=scheme, end=1.0, dt=2.5e-4).steps()]

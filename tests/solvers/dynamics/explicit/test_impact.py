@@ -42,7 +42,7 @@ BOTH = pytest.mark.parametrize(
 def bar(**more: Any) -> Problem:
     """N squares of two triangles; without lateral contraction it is a bar exactly."""
     body = rectangle_body(size=(L, HIGH), cells=(N, 1))
-    return Problem(body, LinearElastic(E=E, nu=0.0, density=RHO), **more)
+    return Problem(body, LinearElastic(E=E, nu=0.0, density=RHO), **{"degree": 1, **more})
 
 
 def hit(scheme: str, v0: float, stiffness: float | None = None, **settings: Any) -> np.ndarray:
@@ -122,6 +122,7 @@ def test_a_block_bounces_off_any_obstacle(shape, scheme):
         NeoHookean(E=1e5, nu=0.3, density=RHO),
         loads=[Gravity()],
         contacts=[Contact(on=["bottom", "left", "right"], name="obstacle", **shape)],
+        degree=1,
     )
     rows, impulse, before, last = [], np.zeros(3), np.zeros(3), 0.0
     short = 0.05 if scheme == "symplectic-euler" else 0.5
@@ -157,6 +158,7 @@ def test_obstacles_do_work_only_where_they_move(scheme):
             NeoHookean(E=1e5, nu=0.3, density=RHO),
             loads=[Gravity()],
             contacts=[Contact(on="bottom", name="floor", plane=floor, stiffness=1e7, **motion)],
+            degree=1,
         )
         radius = {"spectral_radius": 1.0} if scheme != "newmark" else {}
         rows = [
@@ -193,6 +195,7 @@ def test_obstacles_are_assembled_once(monkeypatch):
             Contact(on="bottom", name="floor", plane={"axis": "y", "at": 0.1}, stiffness=1e4),
             Contact(on="left", name="wall", plane={"axis": "x", "at": 0.2}, stiffness=1e4),
         ],
+        degree=1,
     )
     problem.u.x.array[:] = np.random.default_rng(1).uniform(0.0, 0.01, problem.u.x.array.size)
     problem.u.x.scatter_forward()
@@ -219,6 +222,7 @@ def test_where_an_obstacle_may_be_met_unseen(scheme, looks):
         rectangle_body(size=(1, 1), cells=(1, 1)),
         NeoHookean(E=1e5, nu=0.3, density=RHO),
         contacts=[floor],
+        degree=1,
     )
     motion = Dynamics(problem, scheme=scheme, end=0.1, dt=0.01, adaptive=True)
     states = motion.steps()
@@ -262,7 +266,7 @@ def test_a_cube_that_bounces_keeps_its_energy(comm: MPI.Comm, caplog) -> None:
         floor = Contact(on="bottom", plane={"axis": "z", "at": 0})
         body = box_body(size=(0.1, 0.1, 0.1), cells=(8, 8, 8), origin=(0, 0, 0.05), comm=comm)
         law = NeoHookean(E=1e5, nu=0.3, density=1000)
-        return Problem(body, law, loads=[Gravity()], contacts=[floor])
+        return Problem(body, law, loads=[Gravity()], contacts=[floor], degree=1)
 
     with caplog.at_level("INFO", logger="dolfin_elastic"):
         states = Dynamics(cube(), **given).steps()

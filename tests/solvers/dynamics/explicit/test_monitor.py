@@ -50,7 +50,7 @@ def told(comm: MPI.Comm, caplog: pytest.LogCaptureFixture, words: str) -> list[s
 def pressed(law: Law, pressure: float, comm: MPI.Comm) -> Problem:
     body = box_body(size=(1, 1, 1), cells=(2, 2, 2), comm=comm)
     load = Traction(on="top", value=[0, 0, -pressure])
-    return Problem(body, law, supports=[Support(on="bottom")], loads=[load])
+    return Problem(body, law, supports=[Support(on="bottom")], loads=[load], degree=1)
 
 
 def run(problem: Problem, **settings: Any) -> list[State]:
@@ -83,7 +83,9 @@ def struck(comm: MPI.Comm) -> Problem:
     """Pressed so hard at once that the step is too long for it."""
     body = box_body(size=(1, 1, 1), cells=(2, 2, 2), comm=comm)
     load = Traction(on="top", value=[9e4, 6e4, -3e5])
-    return Problem(body, NeoHookean(**SOFT), supports=[Support(on="bottom")], loads=[load])
+    return Problem(
+        body, NeoHookean(**SOFT), supports=[Support(on="bottom")], loads=[load], degree=1
+    )
 
 
 def lost(problem: Problem, **settings: Any) -> tuple[StabilityError, Diagnosis, State]:
@@ -146,7 +148,7 @@ def test_a_formula_without_a_value(comm: MPI.Comm) -> None:
     body = box_body(size=(1, 1, 1), cells=(2, 2, 2), comm=comm)
     pull = Traction(on="top", value=[0, 0, 3e5])
     law = Gent(mu=1e5, limit=0.5, nu=0.4, density=1000.0)
-    problem = Problem(body, law, supports=[Support(on="bottom")], loads=[pull])
+    problem = Problem(body, law, supports=[Support(on="bottom")], loads=[pull], degree=1)
     error, found, _ = lost(problem, scheme=CENTRAL, end=0.3, every=9)
     assert found.cause == "nan"
     assert "the formula of its energy takes the ln of a negative number" in str(error)
@@ -158,7 +160,7 @@ def test_a_motion_without_bounds(scheme: str, comm: MPI.Comm) -> None:
     """What is linear has no cells inside out; a support runs away until energies overflow."""
     body = rectangle_body(size=(1, 1), cells=(2, 2), comm=comm)
     away = Support(on="right", displacement=["1e-9*(exp(4000*t) - 1)", 0])
-    problem = Problem(body, LinearElastic(**SOFT), supports=[Support(on="left"), away])
+    problem = Problem(body, LinearElastic(**SOFT), supports=[Support(on="left"), away], degree=1)
     _, found, last = lost(problem, scheme=scheme, end=0.2, every=1000)
     assert found.cause == "unbounded"
     assert "grown beyond all bounds in the step to t = " in found.text
@@ -222,7 +224,9 @@ def test_a_sound_motion_is_not_accused(
     """
     body = box_body(size=(2, 1, 1), cells=(8, 4, 4), comm=comm)
     load = Traction(on="right", value=[10, 0, 0])
-    problem = Problem(body, NeoHookean(**SOFT), supports=[Support(on="left")], loads=[load])
+    problem = Problem(
+        body, NeoHookean(**SOFT), supports=[Support(on="left")], loads=[load], degree=1
+    )
     run(problem, scheme=scheme, end=0.05, every=1)
     assert not told(comm, caplog, "nowhere")
 
@@ -237,6 +241,7 @@ def test_warmth_brings_energy_without_work(
         NeoHookean(**SOFT, expansion=1e-4),
         supports=[Support(on=["left", "right"])],
         loads=[warm],
+        degree=1,
     )
     run(problem, scheme=CENTRAL, end=0.1)
     assert not told(comm, caplog, "nowhere")
@@ -247,7 +252,9 @@ def test_the_first_acceleration(scheme: str, comm: MPI.Comm) -> None:
     """Of what is free by the forces, of supports by their motion: 0.2 t^2, exact at any step."""
     body = rectangle_body(size=(1, 1), cells=(2, 2), comm=comm)
     push = Support(on="left", displacement=["0.2*t^2", 0])
-    problem = Problem(body, NeoHookean(**SOFT), supports=[push], loads=[Gravity(value=[0, -9.81])])
+    problem = Problem(
+        body, NeoHookean(**SOFT), supports=[push], loads=[Gravity(value=[0, -9.81])], degree=1
+    )
     states = Dynamics(problem, scheme=scheme, end=0.1).steps()
     first = next(states)
     assert first.a is not None
@@ -268,7 +275,7 @@ def test_supports_whose_values_end(scheme: str, comm: MPI.Comm) -> None:
         body = rectangle_body(size=(1, 1), cells=(2, 2), comm=comm)
         lift = Support(on="top", displacement=[0, f"20*({until} - t)^1.5"], name="lift")
         still = Support(on="bottom")
-        return Problem(body, NeoHookean(**SOFT), supports=[lift, still])
+        return Problem(body, NeoHookean(**SOFT), supports=[lift, still], degree=1)
 
     motion = {"scheme": scheme, "end": 0.05, "initial_velocity": [0, "-30*sqrt(0.05)*y"]}
     start = {"initial_displacement": [0, "20*0.05^1.5*y"]}
@@ -295,7 +302,9 @@ def test_supports_whose_values_end(scheme: str, comm: MPI.Comm) -> None:
 def test_formulas_without_a_place(scheme: str, support: Any, comm: MPI.Comm) -> None:
     """They raise where they have no value, and are asked for none before the start or the end."""
     body = rectangle_body(size=(1, 1), cells=(2, 2), comm=comm)
-    last = run(Problem(body, NeoHookean(**SOFT), supports=[support]), scheme=scheme, end=0.05)[-1]
+    last = run(
+        Problem(body, NeoHookean(**SOFT), supports=[support], degree=1), scheme=scheme, end=0.05
+    )[-1]
     assert last.t == 0.05
     assert last.a is not None
     assert np.all(np.isfinite(last.a.x.array))
@@ -341,7 +350,9 @@ def test_energy_that_makes_an_explicit_motion_fail(comm: MPI.Comm) -> None:
 def test_loads_whose_values_end(comm: MPI.Comm) -> None:
     problem = pressed(NeoHookean(**SOFT), 0.0, comm)
     push = Traction(on="top", value=[0, 0, "1000*sqrt(0.02 - t)"])
-    problem = Problem(problem.body, NeoHookean(**SOFT), supports=problem.supports, loads=[push])
+    problem = Problem(
+        problem.body, NeoHookean(**SOFT), supports=problem.supports, loads=[push], degree=1
+    )
     with pytest.raises(InputError, match="a load has no finite value at t = 0.0"):
         run(problem, scheme=CENTRAL, end=0.05)
 
@@ -350,7 +361,7 @@ def test_every_node_is_held(comm: MPI.Comm) -> None:
     """Then the cells alone say how long a step may be."""
     body = rectangle_body(size=(1, 1), cells=(1, 1), comm=comm)
     supports = [Support(on="left"), Support(on="right", displacement=["0.1*t^2", 0])]
-    problem = Problem(body, NeoHookean(**SOFT), supports=supports)
+    problem = Problem(body, NeoHookean(**SOFT), supports=supports, degree=1)
     states = run(problem, scheme=CENTRAL, end=0.1)
     assert len(states) > 4
     assert states[-1].max_displacement == pytest.approx(1e-3, rel=1e-12)
@@ -361,7 +372,7 @@ def test_a_section_has_no_momenta(scheme: str, comm: MPI.Comm) -> None:
     """Of a ring those across its axis are zero, and so is what turns about another."""
     body = rectangle_body(size=(1, 1), cells=(2, 2), comm=comm)
     load = Traction(on="right", value=[1e3, 1e3])
-    problem = Problem(body, NeoHookean(**SOFT), loads=[load], geometry="axisymmetric")
+    problem = Problem(body, NeoHookean(**SOFT), loads=[load], geometry="axisymmetric", degree=1)
     last = run(problem, scheme=scheme, end=0.01)[-1]
     assert last.momenta["linear"][0] == 0.0
     # 2 pi of the outer surface, over 10 ms.

@@ -92,6 +92,7 @@ def test_a_front_arrives_on_time():
             Support(on="left", displacement=[0, 0]),
         ],
         loads=[Traction(on="right", value=[1e4, 0])],
+        degree=1,
     )
     speed = np.sqrt(STIFF / RHO)
     dt, rows = 1 / speed / 80, []
@@ -148,6 +149,7 @@ def test_prescribed_motion_has_its_velocity_and_acceleration():
             rectangle_body(size=(1.0, 0.5), cells=(2, 1)),
             LinearElastic(E=E, nu=NU, density=RHO),
             supports=[Support(on="left", displacement=[f"{A}*(1 - cos({w}*t))", 0])],
+            degree=1,
         )
         worst = np.zeros(3)
         for state in Dynamics(problem, end=0.2, dt=0.2 / n, spectral_radius=0.8).steps():
@@ -169,6 +171,7 @@ def test_reactions_are_those_of_the_end_of_the_step():
         rectangle_body(size=(1.0, 1.0), cells=(1, 1)),
         LinearElastic(E=1e12, nu=0.0, density=RHO),
         supports=[Support(on=["left", "right"], displacement=[f"0.01*sin({w}*t)^2", 0])],
+        degree=1,
     )
     rows = [
         (
@@ -281,6 +284,7 @@ def test_long_steps_do_not_jump_into_an_obstacle():
         rectangle_body(size=(1.0, 1 / cells), cells=(cells, 1)),
         LinearElastic(E=rho * speed**2, nu=0.0, density=rho),
         contacts=[wall],
+        degree=1,
     )
     pushed = []
     for state in Dynamics(
@@ -306,6 +310,7 @@ def test_a_cell_that_turns_inside_out_makes_the_step_smaller():
         rectangle_body(size=(1.0, 0.5), cells=(2, 1)),
         NeoHookean(E=1e5, nu=NU, density=RHO),
         supports=[Support(on="left", displacement=[0, 0])],
+        degree=1,
     )
     states = list(
         Dynamics(
@@ -397,7 +402,7 @@ def column(body: Body, **more: Any) -> Problem:
             Dashpot(on="right", normal=2e3, tangential=1e3),
         ],
         contacts=[Contact(on="top", plane={"point": [0, 1.001], "normal": [0, -1]}, name="lid")],
-        **more,
+        **{"degree": 1, **more},
     )
 
 
@@ -432,6 +437,7 @@ def test_strain_error_of_a_stiff_body_that_rotates(scheme, turns, says):
     problem = Problem(
         rectangle_body(size=(0.1, 0.1), cells=(2, 2), origin=(-0.05, -0.05)),
         StVenantKirchhoff(E=2e11, nu=NU, density=7850),
+        degree=1,
     )
     dt = turns / 300
     settings = {"end": 60 * dt, "dt": dt, "initial_velocity": ["-300*y", "300*x"]}
@@ -452,6 +458,7 @@ def test_little_energy_is_judged_like_much():
             LinearElastic(E=2.1e11, nu=NU, density=7850),
             supports=[Support(on="left", displacement=[0, 0])],
             loads=[Gravity(value=[0, -g])],
+            degree=1,
         )
         *_, state = Dynamics(problem, end=0.1, dt=2e-3).steps()
         said.append([reason[:21] for reason in state.audit.so_far])
@@ -544,7 +551,9 @@ def test_momenta_and_memory_over_ten_thousand_steps(comm):
     step would take more.
     """
     problem = Problem(
-        box_body(size=(1.0, 0.6, 0.3), cells=(2, 1, 1)), NeoHookean(E=1e5, nu=NU, density=1000)
+        box_body(size=(1.0, 0.6, 0.3), cells=(2, 1, 1)),
+        NeoHookean(E=1e5, nu=NU, density=1000),
+        degree=1,
     )
     velocity = ["1 - 2*(z - 0.15) - 5*(y - 0.3)", "2 + 5*(x - 0.5) - 3*(z - 0.15)"]
     velocity.append("-0.5 + 3*(y - 0.3) + 2*(x - 0.5)")
@@ -606,6 +615,7 @@ def test_moments_round_an_axis_are_not_judged():
         geometry="axisymmetric",
         supports=[Support(on="bottom", displacement=["free", 0])],
         loads=[Traction(on="top", value=[0, 1e3])],
+        degree=1,
     )
     found = [state.audit for state in Dynamics(problem, end=0.01, dt=5e-3).steps()]
     assert all(np.isnan(audit.moment) for audit in found)

@@ -111,6 +111,7 @@ def test_constant_forces_are_exact(scheme):
         rectangle_body(size=(1.0, 1.0), cells=(1, 1)),
         NeoHookean(E=E, nu=NU, density=RHO),
         loads=[Gravity()],
+        degree=1,
     )
     for state in Dynamics(problem, scheme=scheme, end=0.5, dt=0.05, rtol=1e-12).steps():
         n = state.step * (state.step + 1) / 2 if scheme == "implicit-euler" else state.step**2 / 2
@@ -266,6 +267,7 @@ def test_a_first_try_that_is_taken_back_says_nothing_of_later_steps():
             rectangle_body(size=(0.1, 0.1), cells=(1, 1)),
             LinearElastic(E=1e5, nu=NU, density=RHO),
             loads=[Gravity(), Traction(on="right", value=["2000*sin(60*t)", 0])],
+            degree=1,
         )
         *_, state = Dynamics(problem, end=0.5, dt=dt, adaptive=True).steps()
         counts.append(state.step)
@@ -276,7 +278,7 @@ def test_supports_begin_with_their_own_acceleration_whatever_the_step():
     """Not with that of a first try as long as half a period: 900 m/s^2, 1206 then."""
     moved = Support(on="left", displacement=["0.01*(1 - cos(300*t))", 0])
     body = rectangle_body(size=(1, 0.5), cells=(2, 1))
-    problem = Problem(body, LinearElastic(E=E, nu=NU, density=RHO), supports=[moved])
+    problem = Problem(body, LinearElastic(E=E, nu=NU, density=RHO), supports=[moved], degree=1)
     motion = Dynamics(problem, end=0.1, dt=0.03, adaptive=True)
     first = next(motion.steps())
     most = largest(problem.body.comm, float(np.abs(first.a.x.array).max(initial=0.0)))
