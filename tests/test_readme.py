@@ -25,7 +25,7 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.run import open_outputs
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula_functions import FUNCTIONS
-from dolfin_elastic.mesh import Cylinder, Selector, Sphere
+from dolfin_elastic.mesh import Cylinder, EdgeSelector, PointSelector, Selector, Sphere
 from dolfin_elastic.model.contact import (
     Contact,
     CylinderObstacle,
@@ -102,7 +102,16 @@ def test_selectors() -> None:
     """The example of names by geometry is read as it stands."""
     (text,) = blocks("toml-part")
     parts = tomllib.loads(text)
-    assert all(tables.selectors(value) for table in parts.values() for value in table.values())
+    read = tables.selectors(Selector)
+    assert all(read(value) for table in parts.values() for value in table.values())
+
+
+def test_selectors_of_edges_and_points() -> None:
+    """So are those of edges and points."""
+    (text,) = blocks("toml-edges")
+    parts = tomllib.loads(text)
+    for key, kind in (("edges", EdgeSelector), ("points", PointSelector)):
+        assert all(tables.selectors(kind)(value) for value in parts[key].values())
 
 
 def test_material_that_varies() -> None:

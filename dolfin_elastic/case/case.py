@@ -6,8 +6,8 @@
                 support=[{"on": "left"}])   # the same in Python
     Path("copy.toml").write_text(case.to_toml())
 
-Bare numbers under [mesh], [surfaces] and [regions] are in the mesh's unit; all others are SI.
-Any number may be a text with a unit of its own ("2 mm").
+Bare numbers under [mesh], [surfaces], [regions], [edges] and [points] are in the mesh's unit; all
+others are SI.  Any number may be a text with a unit of its own ("2 mm").
 """
 
 from __future__ import annotations
@@ -101,7 +101,12 @@ class Case(AnalysisTables):
             body = self.mesh.body(self.folder, comm, curved=self.curved)
         with locate_errors(self.file):
             return name_parts(
-                body, surfaces=self.surfaces, regions=self.regions, scale=self.mesh.scale
+                body,
+                surfaces=self.surfaces,
+                regions=self.regions,
+                edges=self.edges,
+                points=self.points,
+                scale=self.mesh.scale,
             )
 
     def make_problem(self, body: Body) -> Problem:

@@ -24,7 +24,7 @@ from dolfin_elastic.case.tables import (
 )
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record
-from dolfin_elastic.mesh import Body, Selector
+from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector, Selector
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import LOADS, Load
 from dolfin_elastic.model.materials.law import Law
@@ -42,6 +42,8 @@ class ModelTables(Record):
         mesh: The body's mesh.
         surfaces: Name to selector, or to a list of selectors that are joined.
         regions: The same for cells.
+        edges: The same for edges of solids.
+        points: The same for nodes.
         materials: Name to law and place; together they fill the body exactly once.
         support: What holds surfaces; where displacements are prescribed twice the later one holds.
         load: External forces.
@@ -53,6 +55,8 @@ class ModelTables(Record):
     mesh: MeshTable
     surfaces: dict[str, list[Selector]] = Field(default={})
     regions: dict[str, list[Selector]] = Field(default={})
+    edges: dict[str, list[EdgeSelector]] = Field(default={})
+    points: dict[str, list[PointSelector]] = Field(default={})
     materials: dict[str, Material]
     support: list[Restraint] = Field(default=[])
     load: list[Load] = Field(default=[])
@@ -62,7 +66,17 @@ class ModelTables(Record):
     @field_validator("surfaces", "regions", mode="before")
     @classmethod
     def _selectors(cls, tables: Any) -> dict[str, list[Selector]]:
-        return read_named(tables, selectors)
+        return read_named(tables, selectors(Selector))
+
+    @field_validator("edges", mode="before")
+    @classmethod
+    def _edges(cls, tables: Any) -> dict[str, list[EdgeSelector]]:
+        return read_named(tables, selectors(EdgeSelector))
+
+    @field_validator("points", mode="before")
+    @classmethod
+    def _points(cls, tables: Any) -> dict[str, list[PointSelector]]:
+        return read_named(tables, selectors(PointSelector))
 
     @field_validator("materials", mode="before")
     @classmethod
@@ -84,7 +98,7 @@ class ModelTables(Record):
         """Nested dictionaries that are read back to equal tables; without [periodic]."""
         tables: dict[str, Any] = {"title": self.title} if self.title else {}
         tables["mesh"] = table_of(self.mesh)
-        for key in ("surfaces", "regions"):
+        for key in ("surfaces", "regions", "edges", "points"):
             named = {n: [table_of(s) for s in rows] for n, rows in getattr(self, key).items()}
             tables[key] = {n: rows[0] if len(rows) == 1 else rows for n, rows in named.items()}
         tables["materials"] = {name: item.table() for name, item in self.materials.items()}

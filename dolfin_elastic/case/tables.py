@@ -28,12 +28,11 @@ from dolfin_elastic.core.schema import (
 from dolfin_elastic.core.units import to_si
 from dolfin_elastic.mesh import (
     Body,
-    Selector,
     box_body,
     read_body,
     rectangle_body,
 )
-from dolfin_elastic.mesh.selectors import MeshLength
+from dolfin_elastic.mesh.selectors import MeshLength, Place
 from dolfin_elastic.model.dimension import Geometry
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
@@ -55,6 +54,7 @@ from dolfin_elastic.results.probes import Probe, ProbePoint, check_places
 from dolfin_elastic.results.writer import Steps
 
 T = TypeVar("T")
+P = TypeVar("P", bound=Place)
 Count = Annotated[int, Field(gt=0)]
 
 
@@ -403,14 +403,20 @@ def _at(key: str, read: Callable[[Any], T], table: Any) -> T:
         raise within(key, error) from None
 
 
-def selectors(value: Any) -> list[Selector]:
-    """One selector, or several whose parts are joined."""
-    return read_list(value, selector) if isinstance(value, list | tuple) else [selector(value)]
+def selectors(kind: type[P]) -> Callable[[Any], list[P]]:
+    """Reads one selector, or several whose parts are joined.
 
+    Args:
+        kind: `Selector`, `EdgeSelector` or `PointSelector`.
+    """
 
-def selector(value: Any) -> Selector:
-    """One selector."""
-    return value if isinstance(value, Selector) else Selector(**as_table(value))
+    def one(value: Any) -> P:
+        return value if isinstance(value, kind) else kind(**as_table(value))
+
+    def read(value: Any) -> list[P]:
+        return read_list(value, one) if isinstance(value, list | tuple) else [one(value)]
+
+    return read
 
 
 def table_of(record: Record) -> dict[str, Any]:

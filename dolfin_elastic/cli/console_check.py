@@ -27,6 +27,8 @@ def show_check(report: Report) -> None:
     span = max(report.extent)
     area, volume = ("m^2", "m^3") if report.dim == 3 else ("m", "m^2")
     show_table(screen, _parts("surface", area, report.surfaces, span))
+    show_table(screen, _parts("edge", "m", report.edges, span))
+    show_table(screen, _parts("point", "", report.points, span))
     show_table(screen, _parts("region", volume, report.regions, span))
     show_table(screen, _parts("material", volume, report.materials, span))
     if report.loads:
@@ -74,11 +76,12 @@ def _place(point: Sequence[float], span: float) -> str:
 
 
 def _parts(kind: str, unit: str, parts: Sequence[PartSize], span: float) -> Table:
-    things = "facets" if kind == "surface" else "cells"
+    things = {"surface": "facets", "edge": "mesh edges", "point": "nodes"}.get(kind, "cells")
     has_mass = any(part.mass is not None for part in parts)
     table = Table(kind, box=SIMPLE_HEAD, pad_edge=False)
     table.add_column(things, justify="right")
-    table.add_column(f"[{unit}]", justify="right")
+    if unit:
+        table.add_column(f"[{unit}]", justify="right")
     table.add_column("centroid [m]")
     if has_mass:
         table.add_column("mass [kg]", justify="right")
@@ -86,7 +89,8 @@ def _parts(kind: str, unit: str, parts: Sequence[PartSize], span: float) -> Tabl
     for part in parts:
         mass = ["" if part.mass is None else f"{part.mass:.4g}"] if has_mass else []
         middle = _place(part.centroid, span) if part.centroid else ""
-        table.add_row(part.name, str(part.count), f"{part.measure:.4g}", middle, *mass, part.use)
+        size = [f"{part.measure:.4g}"] if unit else []
+        table.add_row(part.name, str(part.count), *size, middle, *mass, part.use)
     return table
 
 

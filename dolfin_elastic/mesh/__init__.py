@@ -5,12 +5,14 @@ from dolfin_elastic.mesh.generate import box_body, rectangle_body
 from dolfin_elastic.mesh.geometry.quality import MeshStatistics, mesh_statistics
 from dolfin_elastic.mesh.read import read_body
 from dolfin_elastic.mesh.selection import name_parts
-from dolfin_elastic.mesh.selectors import Cylinder, Selector, Sphere
+from dolfin_elastic.mesh.selectors import Cylinder, EdgeSelector, PointSelector, Selector, Sphere
 
 __all__ = [
     "Body",
     "Cylinder",
+    "EdgeSelector",
     "MeshStatistics",
+    "PointSelector",
     "Selector",
     "Sphere",
     "box_body",

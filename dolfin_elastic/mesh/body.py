@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,6 +14,9 @@ from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.fields import MeshField
+
+_A = {"region": "a region", "surface": "a surface", "edge": "an edge", "point": "a point"}
+"""Kinds of parts with their article."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,8 @@ class CadSource:
 class Body:
     """A distributed mesh in the reference configuration, in metres, with named parts.
 
-    Regions and surfaces may overlap: each is a set of cells or facets, not a tag.
+    Parts may overlap: each is a set of cells, facets, edges or nodes, not a tag.  A name may stand
+    for parts of several dimensions, such as a set of nodes and the surface that they hold.
 
     Attributes:
         mesh: Tetrahedra (3D) or triangles (2D), of geometric degree 1 or 2.
@@ -43,6 +47,12 @@ class Body:
         fields: Name to values at cells or points from the mesh file.
         notes: Remarks on faults found and corrected while reading (unused points ...).
         cad: The CAD file it was made of, if it was.
+        edges: Name to the local mesh edges of this rank (owned and ghost), sorted; in 3D only, the
+            edges of a plane body are its surfaces.
+        points: Name to the local nodes of the mesh's geometry (rows of `mesh.geometry.x`), owned
+            and ghost, sorted: vertices, and midside nodes of quadratic cells.
+        uncovered: Name of a set of nodes that is a surface too, to how many of its nodes no facet
+            of the surface holds: whatever needs its area is refused.
     """
 
     mesh: Mesh
@@ -52,6 +62,9 @@ class Body:
     notes: tuple[str, ...] = ()
     fields: Mapping[str, MeshField] = field(default_factory=dict)
     cad: CadSource | None = None
+    edges: Mapping[str, IndexArray] = field(default_factory=dict)
+    points: Mapping[str, IndexArray] = field(default_factory=dict)
+    uncovered: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def comm(self) -> MPI.Comm:
@@ -69,31 +82,84 @@ class Body:
         """Number of cells on all ranks."""
         return int(self.mesh.topology.index_map(self.mesh.topology.dim).size_global)
 
-    def region(self, name: str) -> IndexArray:
-        """Local cells of a named region.
+    # --- named parts ---
+
+    @property
+    def parts(self) -> dict[str, Mapping[str, IndexArray]]:
+        """Kind of part to all parts of that kind, the highest dimension first."""
+        return {
+            "region": self.regions,
+            "surface": self.surfaces,
+            "edge": self.edges,
+            "point": self.points,
+        }
+
+    def kinds(self, name: str) -> tuple[str, ...]:
+        """The kinds of part that a name stands for, of "region", "surface", "edge", "point"."""
+        return tuple(kind for kind, parts in self.parts.items() if name in parts)
+
+    def part(self, kind: str, name: str) -> IndexArray:
+        """Local cells, facets, edges or nodes of a part.
+
+        Args:
+            kind: "region", "surface", "edge" or "point".
+            name: Of the part.
 
         Raises:
-            MeshError: The name does not exist.
+            MeshError: There is none, or it is of another kind; or the area is needed of a set of
+                nodes that facets do not cover.
         """
-        if name not in self.regions:
-            raise MeshError(
-                f"no region '{name}' in {self.source or 'the mesh'}",
-                expected=nearest(name, self.regions),
-            )
-        return self.regions[name]
+        if name in self.parts[kind]:
+            if kind == "surface" and (missed := self.uncovered.get(name)):
+                raise MeshError(
+                    f"the set of nodes '{name}' is no surface: no facet of it holds "
+                    f"{missed} of its nodes",
+                    expected="a displacement can be prescribed on it; for all else, a surface",
+                )
+            return self.parts[kind][name]
+        others = self.kinds(name)
+        if others:
+            raise MeshError(f"'{name}' is {_A[others[0]]}, not {_A[kind]}")
+        every = [n for parts in self.parts.values() for n in parts]
+        raise MeshError(
+            f"no {kind} '{name}' in {self.source or 'the mesh'}", expected=nearest(name, every)
+        )
+
+    def common_kind(self, names: Sequence[str]) -> str:
+        """The kind of highest dimension, but for regions, that all names stand for.
+
+        Args:
+            names: At least one.
+
+        Raises:
+            MeshError: There is none.
+        """
+        for kind in ("surface", "edge", "point"):
+            if all(name in self.parts[kind] for name in names):
+                return kind
+        for name in names:
+            if not set(self.kinds(name)) - {"region"}:
+                self.surface(name)  # raises
+        raise MeshError(
+            f"{', '.join(repr(name) for name in names)} are of several dimensions",
+            expected="name surfaces, edges and points apart",
+        )
+
+    def region(self, name: str) -> IndexArray:
+        """Local cells of a named region; see `part`."""
+        return self.part("region", name)
 
     def surface(self, name: str) -> IndexArray:
-        """Local facets of a named surface.
+        """Local facets of a named surface; see `part`."""
+        return self.part("surface", name)
 
-        Raises:
-            MeshError: The name does not exist.
-        """
-        if name not in self.surfaces:
-            raise MeshError(
-                f"no surface '{name}' in {self.source or 'the mesh'}",
-                expected=nearest(name, self.surfaces),
-            )
-        return self.surfaces[name]
+    def edge(self, name: str) -> IndexArray:
+        """Local mesh edges of a named edge of a three-dimensional body; see `part`."""
+        return self.part("edge", name)
+
+    def point(self, name: str) -> IndexArray:
+        """Local geometry nodes of a named point or set of nodes; see `part`."""
+        return self.part("point", name)
 
     def mesh_field(self, name: str) -> MeshField:
         """A field that the mesh came with.
@@ -122,26 +188,43 @@ class Body:
         size = self.mesh.topology.index_map(self.mesh.topology.dim - 1).size_local
         return np.asarray(facets[facets < size])
 
+    def owned_edges(self, name: str) -> IndexArray:
+        """Local mesh edges of a named edge that this rank owns."""
+        edges = self.edge(name)
+        return np.asarray(edges[edges < self.mesh.topology.index_map(1).size_local])
+
+    def owned_points(self, name: str) -> IndexArray:
+        """Local geometry nodes of a named point that this rank owns."""
+        nodes = self.point(name)
+        return np.asarray(nodes[nodes < self.mesh.geometry.index_map().size_local])
+
     def count(self, name: str) -> int:
         """Number of facets of a surface on all ranks. Collective."""
-        return int(total(self.comm, len(self.owned_facets(name))))
+        facets, size = self.surfaces[name], self.mesh.topology.index_map(self.dim - 1).size_local
+        return int(total(self.comm, int(np.count_nonzero(facets < size))))
 
     def named(
         self,
         *,
         regions: Mapping[str, IndexArray] | None = None,
         surfaces: Mapping[str, IndexArray] | None = None,
+        edges: Mapping[str, IndexArray] | None = None,
+        points: Mapping[str, IndexArray] | None = None,
     ) -> Body:
-        """The body with further named parts; those of the same name are replaced.
+        """The body with further named parts; those of the same name and kind are replaced.
 
         Args:
             regions: Name to local cells, sorted.
             surfaces: Name to local facets, sorted.
+            edges: Name to local mesh edges, sorted.
+            points: Name to local geometry nodes, sorted.
         """
         return replace(
             self,
             regions={**self.regions, **(regions or {})},
             surfaces={**self.surfaces, **(surfaces or {})},
+            edges={**self.edges, **(edges or {})},
+            points={**self.points, **(points or {})},
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import basix.ufl
 import numpy as np
@@ -18,7 +18,12 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.fields import distribute_fields
 from dolfin_elastic.mesh.formats.cleaning import clean
 from dolfin_elastic.mesh.formats.raw import RawMesh, match_rows
-from dolfin_elastic.mesh.geometry.simplices import facet_nodes, prepare_facets
+from dolfin_elastic.mesh.geometry.simplices import (
+    edge_nodes,
+    facet_nodes,
+    prepare_edges,
+    prepare_facets,
+)
 
 Permutation = Callable[[CellType, int], IndexArray]
 
@@ -48,9 +53,22 @@ def build_body(
     raw = _on_root_only(comm, lambda: clean(read()), source)
     mesh = _distribute(comm, raw, scale, permutation)
     regions = _regions(mesh, raw)
-    surfaces, unmatched = _surfaces(mesh, raw)
+    surfaces, lost = _entities(
+        mesh, comm.bcast(raw.surfaces if raw else None), mesh.topology.dim - 1
+    )
+    edges, lost_edges = _entities(mesh, comm.bcast(raw.edges if raw else None), 1)
     notes = comm.bcast(raw.notes if raw else None)
-    return Body(mesh, regions, surfaces, source, (*notes, *unmatched), distribute_fields(mesh, raw))
+    return Body(
+        mesh,
+        regions,
+        surfaces,
+        source,
+        (*notes, *lost, *lost_edges),
+        distribute_fields(mesh, raw),
+        edges=edges,
+        points=_points(mesh, comm.bcast(raw.nodes if raw else None)),
+        uncovered=comm.bcast(raw.uncovered if raw else None),
+    )
 
 
 def _on_root_only(comm: MPI.Comm, action: Callable[[], RawMesh], source: str) -> RawMesh | None:
@@ -133,40 +151,73 @@ def _regions(mesh: Mesh, raw: RawMesh | None) -> dict[str, IndexArray]:
     return found
 
 
-def _surfaces(mesh: Mesh, raw: RawMesh | None) -> tuple[dict[str, IndexArray], list[str]]:
-    """Local facets of each surface, also shared ones, and notes on facets that do not exist."""
-    comm = mesh.comm
-    named = comm.bcast(raw.surfaces if raw else None)
+def _entities(
+    mesh: Mesh, named: Mapping[str, IntArray], dim: int
+) -> tuple[dict[str, IndexArray], list[str]]:
+    """Local facets or edges of each name, also shared ones, and notes on those that do not exist.
+
+    Collective.
+
+    Args:
+        mesh: The mesh.
+        named: Name to the vertices of each, by their rows in the file; the same on all ranks.
+        dim: Dimension of the entities.
+    """
     if not named:
         return {}, []
-    facets, keys = _candidates(mesh, np.unique(np.concatenate([f.ravel() for f in named.values()])))
-    surfaces, notes = {}, []
-    for name, rows in named.items():
-        wanted = np.unique(np.sort(rows, axis=1), axis=0)
+    rows = np.unique(np.concatenate([f.ravel() for f in named.values()]))
+    entities, keys = _candidates(mesh, rows, dim)
+    things = "facets" if dim == mesh.topology.dim - 1 else "edges"
+    parts, notes = {}, []
+    for name, ends in named.items():
+        wanted = np.unique(np.sort(ends, axis=1), axis=0)
         at = match_rows(keys, wanted)
         hit = np.ascontiguousarray(at >= 0, dtype=np.int32)
-        comm.Allreduce(MPI.IN_PLACE, hit, op=MPI.MAX)
+        mesh.comm.Allreduce(MPI.IN_PLACE, hit, op=MPI.MAX)
         missed = int(np.count_nonzero(hit == 0))
         if missed < len(wanted):
-            surfaces[name] = np.sort(facets[at[at >= 0]]).astype(np.int32)
+            parts[name] = np.sort(entities[at[at >= 0]]).astype(np.int32)
         if missed:
             notes.append(
-                f"{missed} of {len(wanted)} facets of '{name}' are no facets of a cell (dropped)"
+                f"{missed} of {len(wanted)} {things} of '{name}' are no {things} of a cell "
+                "(dropped)"
             )
-    return surfaces, notes
+    return parts, notes
 
 
-def _candidates(mesh: Mesh, nodes: IntArray) -> tuple[IndexArray, IntArray]:
-    """Local facets all vertices of which are in a set of points, and these vertices, sorted.
+def _candidates(mesh: Mesh, nodes: IntArray, dim: int) -> tuple[IndexArray, IntArray]:
+    """Local facets or edges all vertices of which are in a set of points, and these vertices.
+
+    Collective.
 
     Args:
         mesh: The mesh.
         nodes: Points by their rows in the file.
+        dim: Dimension of the entities.
     """
-    index = mesh.topology.index_map(mesh.topology.dim - 1)
-    facets = np.arange(index.size_local + index.num_ghosts, dtype=np.int32)
-    if len(facets) == 0:
-        return facets, np.empty((0, mesh.topology.dim), dtype=np.int64)
-    original = np.asarray(mesh.geometry.input_global_indices)[facet_nodes(mesh, facets)]
+    facets = dim == mesh.topology.dim - 1
+    if not facets:
+        prepare_edges(mesh)
+    index = mesh.topology.index_map(dim)
+    every = np.arange(index.size_local + index.num_ghosts, dtype=np.int32)
+    if len(every) == 0:
+        return every, np.empty((0, dim + 1), dtype=np.int64)
+    vertices = (facet_nodes if facets else edge_nodes)(mesh, every)
+    original = np.asarray(mesh.geometry.input_global_indices)[vertices]
     inside = np.isin(original, nodes).all(axis=1)
-    return facets[inside], np.sort(original[inside], axis=1)
+    return every[inside], np.sort(original[inside], axis=1)
+
+
+def _points(mesh: Mesh, named: Mapping[str, IntArray]) -> dict[str, IndexArray]:
+    """Local geometry nodes of each name, also shared ones, sorted. Not collective.
+
+    Args:
+        mesh: The mesh.
+        named: Name to rows of the file's points; the same on all ranks.
+    """
+    rows = np.asarray(mesh.geometry.input_global_indices)
+    return {
+        name: np.flatnonzero(np.isin(rows, nodes)).astype(np.int32)
+        for name, nodes in named.items()
+        if len(nodes)
+    }

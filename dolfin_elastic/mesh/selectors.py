@@ -6,6 +6,10 @@
     rim   = [{plane = "x", at = 10}, {normal = [0, 1, 0], box = [[0, 0, 0], [10, 10, 2]]}]
     [regions]
     core  = {sphere = {center = [0, 0, 0], radius = "2 mm"}}
+    [edges]
+    seam  = {between = ["foot", "bore"]}
+    [points]
+    tip   = {nearest = [10, 0, 0]}
 
 The keys of one selector must all hold; of a list of selectors one is enough.  A bare length is in
 the mesh's unit, one with a unit ("2 mm") is what it says.
@@ -14,7 +18,7 @@ the mesh's unit, one with a unit ("2 mm") is what it says.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
@@ -89,18 +93,15 @@ class Cylinder(Record):
     radius: Size
 
 
-class Selector(Record):
-    """Facets of the boundary, or cells, picked by geometry; all keys given must hold.
+class Place(Record):
+    """What all selectors have in common; all keys given must hold.
 
     Attributes:
-        plane: Facets on the plane x, y or z = `at`.
+        plane: On the plane x, y or z = `at`.
         at: "min" or "max" (of the whole body), or a coordinate.
-        box: Two opposite corners: facets with all vertices, cells with their midpoint, inside.
-        sphere: Facets on the sphere; cells with their midpoint inside.
-        cylinder: Facets on the cylinder; cells with their midpoint inside.
-        normal: Facets whose outward normal is within `angle` degrees of this direction.
-        angle: Degrees, 20 by default.
-        all: The whole boundary, or all cells.
+        box: Two opposite corners.
+        sphere: On the sphere; of cells, midpoint inside.
+        cylinder: On the cylinder; of cells, midpoint inside.
         of: Search only this part, which has its name already.
         tolerance: How far off a vertex may lie; by default 1e-6 of the body's diagonal.
     """
@@ -110,26 +111,99 @@ class Selector(Record):
     box: tuple[Point, Point] | None = None
     sphere: Sphere | None = None
     cylinder: Cylinder | None = None
-    normal: Annotated[Direction, AfterValidator(_nonzero)] | None = None
-    angle: Annotated[float, Field(gt=0, le=180)] | None = None
-    all: bool = False
     of: str | None = None
     tolerance: Size | None = None
 
     @model_validator(mode="after")
-    def _whole(self) -> Selector:
+    def _level_of_plane(self) -> Self:
         if (self.plane is None) != (self.at is None):
             raise ValueError('plane and at belong together, as in {plane = "z", at = "min"}')
-        if self.angle is not None and self.normal is None:
-            raise ValueError("angle goes with normal")
-        if not (self.all or self.of or self.given()):
-            raise ValueError("say where: plane and at, box, sphere, cylinder, normal, of, or all")
         return self
 
     def given(self) -> list[str]:
         """The geometric keys that were given."""
         return [
             key
-            for key in ("plane", "box", "sphere", "cylinder", "normal")
-            if getattr(self, key) is not None
+            for key in ("plane", "box", "sphere", "cylinder", "normal", "line", "nearest")
+            if getattr(self, key, None) is not None
         ]
+
+
+class Selector(Place):
+    """Facets of the boundary, or cells, picked by geometry; all keys given must hold.
+
+    A box takes facets with all vertices, cells with their midpoint, inside.
+
+    Attributes:
+        normal: Facets whose outward normal is within `angle` degrees of this direction.
+        angle: Degrees, 20 by default.
+        all: The whole boundary, or all cells.
+    """
+
+    normal: Annotated[Direction, AfterValidator(_nonzero)] | None = None
+    angle: Annotated[float, Field(gt=0, le=180)] | None = None
+    all: bool = False
+
+    @model_validator(mode="after")
+    def _whole(self) -> Selector:
+        if self.angle is not None and self.normal is None:
+            raise ValueError("angle goes with normal")
+        if not (self.all or self.of or self.given()):
+            raise ValueError("say where: plane and at, box, sphere, cylinder, normal, of, or all")
+        return self
+
+
+class Line(Record):
+    """A straight line."""
+
+    start: Point
+    end: Point
+
+
+class EdgeSelector(Place):
+    """Mesh edges of the boundary of a solid that lie on lines; all keys given must hold.
+
+    Of the mesh edges on a plane, sphere or cylinder those remain that do not lie inside of an area
+    on it: its outline, and where it cuts other surfaces.
+
+    Attributes:
+        between: Edges that belong to each of these surfaces.
+        line: Edges on this straight line.
+        all: All sharp edges.
+        angle: Degrees between the normals on both sides from which an edge is sharp, 30 by default;
+            if it is given, edges that are not sharp are left out.
+    """
+
+    between: Annotated[list[str], Field(min_length=2)] | None = None
+    line: Line | None = None
+    all: bool = False
+    angle: Annotated[float, Field(gt=0, lt=180)] | None = None
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> EdgeSelector:
+        if not (self.all or self.of or self.between or self.given()):
+            raise ValueError(
+                "say where: between, line, plane and at, box, sphere, cylinder, of, or all"
+            )
+        return self
+
+
+class PointSelector(Place):
+    """Vertices of cells; all keys given must hold.
+
+    Attributes:
+        nearest: The one vertex nearest to this place, at most `tolerance` away; by default the mean
+            length of a cell.
+        between: Vertices that belong to each of these surfaces, edges or points.
+    """
+
+    nearest: Point | None = None
+    between: Annotated[list[str], Field(min_length=2)] | None = None
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> PointSelector:
+        if not (self.of or self.between or self.given()):
+            raise ValueError(
+                "say where: nearest, between, plane and at, box, sphere, cylinder, or of"
+            )
+        return self

@@ -11,7 +11,7 @@ from dolfin_elastic.core.schema import Record
 
 
 class OnSurfaces(Record):
-    """A record that acts on surfaces.
+    """A record that acts on surfaces; supports may act on edges and points, too.
 
     Attributes:
         on: Name of a surface, or several.
@@ -29,7 +29,7 @@ class OnSurfaces(Record):
 
     @property
     def surfaces(self) -> tuple[str, ...]:
-        """Names of its surfaces."""
+        """Names of its surfaces, edges and points."""
         return (self.on,) if isinstance(self.on, str) else tuple(self.on)
 
     @property

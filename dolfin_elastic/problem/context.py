@@ -27,6 +27,12 @@ from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.dimension import Geometry, WeightedMeasure, full_gradient
 from dolfin_elastic.model.values import Component, depends_on_time
 from dolfin_elastic.problem.coefficients import CoefficientBinder
+from dolfin_elastic.problem.loads.edges_points import (
+    HeldPart,
+    PointIntegrals,
+    SummedMeasure,
+    extent,
+)
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.spaces import Unknowns
 
@@ -37,7 +43,7 @@ class Measures:
     Args:
         body: The mesh and its names.
         fillings: The cells of each material, in the order of their numbers from 1.
-        loaded: Names of the parts of each load.
+        loaded: Names of the parts of each load, and of each spring and dashpot.
         weight: Factor of every integrand, see `model.dimension.weight`.
         contacts: Names of the surfaces of each contact, whose integrals have rules of their own.
     """
@@ -55,6 +61,14 @@ class Measures:
         regions = [names for names in sets if all(n in body.regions for n in names)]
         surfaces = [names for names in sets if all(n in body.surfaces for n in names)]
         self._regions = {names: len(fillings) + 2 + i for i, names in enumerate(regions)}
+        others = [names for names in sets if names not in surfaces]
+        self._lower: dict[tuple[str, ...], PointIntegrals] = {}
+        first = len(fillings) + 2 + len(regions)
+        for names in others:
+            if all(set(body.kinds(n)) & {"edge", "point"} for n in names):
+                lower = PointIntegrals(body, body.common_kind(names), names, first)
+                self._lower[names] = lower
+                first += len(lower.cells)
         self._surfaces = {names: 1 + i for i, names in enumerate(surfaces)}
         first = 1 + len(surfaces)
         self._contacts = {names: first + i for i, names in enumerate(dict.fromkeys(contacts))}
@@ -62,7 +76,7 @@ class Measures:
     @property
     def _plain(self) -> bool:
         """A single material fills the body: one unnumbered measure, for which nothing is packed."""
-        return len(self._fillings) == 1 and not self._regions
+        return len(self._fillings) == 1 and not self._regions and not self._lower
 
     @cached_property
     def _dx(self) -> ufl.Measure:
@@ -75,6 +89,7 @@ class Measures:
             (marker, np.unique(np.concatenate([self._body.owned_cells(n) for n in names])))
             for names, marker in self._regions.items()
         ]
+        cells += [pair for lower in self._lower.values() for pair in lower.cells.items()]
         return ufl.Measure("dx", domain=mesh, subdomain_data=cells)
 
     @cached_property
@@ -121,6 +136,15 @@ class Measures:
         """
         rule = {"quadrature_degree": degree}
         return WeightedMeasure(self._weight, self._ds(self._surfaces[tuple(names)], metadata=rule))
+
+    def lower(self, names: Sequence[str], degree: int) -> SummedMeasure:
+        """Length of edges, or the number of points, of a spring or dashpot.
+
+        Args:
+            names: Of its edges or points.
+            degree: Quadrature degree along straight edges.
+        """
+        return self._lower[tuple(names)].measure(self._dx, degree)
 
     def contact_area(self, names: Sequence[str], rule: Mapping[str, object]) -> WeightedMeasure:
         """Area of surfaces in contact, with a quadrature rule as UFL's metadata.
@@ -227,6 +251,17 @@ class FormContext:
         form = self.constant(1.0) * self.areas(surfaces)
         value = compile_forms(comm, [form], options(comm))[0]
         return self.constant(float(total(comm, float(fem.assemble_scalar(value)))))
+
+    def held(self, names: Sequence[str]) -> HeldPart:
+        """Area of surfaces, length of edges or number of points that a spring holds."""
+        kind = self.body.common_kind(names)
+        if kind == "surface":
+            return HeldPart(kind, self.areas(names), lambda: self.area(names))
+        return HeldPart(
+            kind,
+            self.measures.lower(names, 2 * self.order),
+            lambda: self.constant(extent(self.body, kind, names)),
+        )
 
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, WeightedMeasure]]:
         """Density and reference volume, material by material."""

@@ -138,7 +138,7 @@ class Problem:
             body,
             [region.cells for region in self.regions],
             [
-                *(term.parts for term in self.loads),
+                *(term.parts for term in self.loads if not term.concentrated),
                 *(s.surfaces for s in self.supports if isinstance(s, ResistingSupport)),
             ],
             weight(self.geometry, ufl.SpatialCoordinate(body.mesh), depth),

@@ -18,7 +18,10 @@ from dolfinx.fem import Constant
 from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
 
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body
 
 Element = Any
 
@@ -162,3 +165,50 @@ class Unknowns:
         """Copies the displacement into all unknowns, after it was changed."""
         if self._dofs is not None:
             self.w.x.array[self._dofs] = self.u.x.array
+
+
+def part_nodes(body: Body, V: fem.FunctionSpace, name: str) -> IndexArray:
+    """Nodes, owned and ghost, sorted, of all parts of a name that are no regions. Collective.
+
+    Of quadratic elements the midside nodes of facets and edges are among them, but of a set of
+    nodes only those that are nodes of the mesh, too.
+
+    Args:
+        body: The mesh and its names.
+        V: A space of Lagrange elements.
+        name: Of surface, edge, point, or several of them.
+
+    Raises:
+        MeshError: There is no such part, or it has no node in the space.
+    """
+    found = [np.empty(0, dtype=np.int32)]
+    kinds = [kind for kind in body.kinds(name) if kind != "region"]
+    if not kinds:
+        body.surface(name)  # raises
+    if "surface" in kinds:
+        facets = body.surfaces[name]
+        found.append(fem.locate_dofs_topological(V, body.mesh.topology.dim - 1, facets))
+    if "edge" in kinds:
+        found.append(fem.locate_dofs_topological(V, 1, body.edges[name]))
+    if "point" in kinds:
+        nodes = _of_geometry(body, V)[body.points[name]]
+        found.append(nodes[nodes >= 0])
+    nodes = np.unique(np.concatenate(found)).astype(np.int32)
+    if kinds == ["point"] and not total(body.comm, len(nodes)):
+        raise MeshError(
+            f"'{name}' holds midside nodes only, which linear elements do not have",
+            expected="mesh.degree = 2",
+        )
+    return nodes
+
+
+def _of_geometry(body: Body, V: fem.FunctionSpace) -> IndexArray:
+    """Node of a space at each local node of the mesh's geometry; -1: none.
+
+    Both number the nodes of a cell in the order vertices, edges.
+    """
+    rows, nodes = np.asarray(body.mesh.geometry.dofmap), np.asarray(V.dofmap.list)
+    width = min(rows.shape[1], nodes.shape[1])
+    found = np.full(len(body.mesh.geometry.x), -1, dtype=np.int32)
+    found[rows[:, :width]] = nodes[:, :width]
+    return found

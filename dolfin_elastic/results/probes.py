@@ -12,14 +12,15 @@ from dolfinx import fem, la
 from pydantic import Field as Key
 from pydantic import field_validator, model_validator
 
-from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.errors import InputError, MeshError, nearest
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.schema import Record, within
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.mesh.geometry.locate import LocatedPoint, locate
 from dolfin_elastic.mesh.selectors import MeshLength, metres
+from dolfin_elastic.problem.loads.edges_points import points_of
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
 from dolfin_elastic.results.fields import FIELDS
@@ -36,15 +37,17 @@ _WHERE = "output.probes"
 
 
 class ProbePoint(Record):
-    """A point of the undeformed body where fields are evaluated, or a surface for their means.
+    """A point of the undeformed body where fields are evaluated, or a part for their means.
 
     Attributes:
         at: The point's coordinates, bare numbers in the mesh's unit.
-        surface: Name of the surface, in place of a point.
+        on: Name of a surface, edge or point in place of coordinates.
+        surface: The same for a surface.
         fields: Names from `FIELDS`: displacement, velocity, acceleration and those of cells.
     """
 
     at: Annotated[list[MeshLength], Key(min_length=2, max_length=3)] | None = None
+    on: str | None = None
     surface: str | None = None
     fields: tuple[str, ...] = ("displacement",)
 
@@ -61,10 +64,16 @@ class ProbePoint(Record):
 
     @model_validator(mode="after")
     def _one(self) -> Self:
-        if (self.at is None) == (self.surface is None):
-            what = "at and surface are given together" if self.at else "no place is given"
-            raise InputError(what, expected="at = [x, y, z], or surface with a name")
+        given = [key for key in ("at", "on", "surface") if getattr(self, key) is not None]
+        if len(given) != 1:
+            what = f"{given[0]} and {given[1]} are given together" if given else "no place is given"
+            raise InputError(what, expected="at = [x, y, z], or on with the name of a part")
         return self
+
+    @property
+    def part(self) -> str | None:
+        """Name of the part over which means are taken."""
+        return self.on if self.surface is None else self.surface
 
     def place(self, scale: float) -> list[float]:
         """Coordinates [m] of a probe that is a point.
@@ -95,6 +104,47 @@ def check_places(probes: Mapping[str, ProbePoint], body: Body, scale: float) -> 
     for name, probe in probes.items():
         if probe.surface is not None:
             check_surface(body, probe.surface, f"{name}.surface")
+        elif probe.on is not None and _kind(body, probe.on, f"{name}.on") == "surface":
+            check_surface(body, probe.on, f"{name}.on")
+
+
+def _kind(body: Body, name: str, where: str = "") -> str:
+    """Whether a name is that of a surface, edge or point, in this order."""
+    try:
+        return body.common_kind([name])
+    except MeshError as error:
+        raise within(where, error) from None
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Points of an edge or of a set of nodes, the same on every rank.
+
+    Attributes:
+        points: Name of a sample to its place [m].
+        weights: Of each, with the sum 1.
+    """
+
+    points: Mapping[str, FloatArray]
+    weights: FloatArray
+
+    @classmethod
+    def of(cls, name: str, body: Body, kind: str, on: str, degree: int) -> Self:
+        """Gauss points of all mesh edges, or all nodes, in the order of their places. Collective.
+
+        Args:
+            name: Of the probe.
+            body: The mesh and its names.
+            kind: "edge" or "point".
+            on: Name of the part.
+            degree: Of polynomials whose means are exact on straight edges.
+        """
+        own = points_of(body, kind, [on], degree)
+        rows = np.column_stack([own.X.reshape(-1, body.dim), own.weights.ravel()])
+        every = np.concatenate(body.comm.allgather(rows))
+        every = every[np.lexsort(every[:, ::-1].T)]
+        points = {f"{name} {i}": row for i, row in enumerate(every[:, :-1])}
+        return cls(points, every[:, -1] / every[:, -1].sum())
 
 
 def check_readable(names: Iterable[str]) -> tuple[str, ...]:
@@ -126,6 +176,7 @@ class Probe:
         points: Name to coordinates [m] in the reference configuration.
         fields: Fields at all points, or name of the point to its fields.
         surfaces: Name to a surface and the fields whose means over it are evaluated.
+        samples: Name to those of the points of which the weighted mean is evaluated.
 
     Raises:
         InputError: A field cannot be evaluated at a point.
@@ -138,10 +189,12 @@ class Probe:
         points: Mapping[str, Sequence[float]],
         fields: Iterable[str] | Mapping[str, Iterable[str]] = ("displacement",),
         surfaces: Mapping[str, tuple[str, Sequence[str]]] | None = None,
+        samples: Mapping[str, _Samples] | None = None,
     ) -> None:
         self.problem, self.dim = problem, problem.body.dim
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
         self.fields = {name: check_readable(of[name]) for name in points}
+        self._samples = samples or {}
         self.places = locate(problem.body, points, _materials(problem))
         names = dict.fromkeys(n for row in self.fields.values() for n in row if n not in NODAL)
         self._cells = _CellFields(problem, self.places, tuple(names)) if names else None
@@ -159,9 +212,19 @@ class Probe:
             problem: The problem that is solved.
             scale: Metres per unit of the mesh.
         """
-        points = _points(probes, scale)
-        surfaces = {n: (p.surface, p.fields) for n, p in probes.items() if p.surface is not None}
-        return cls(problem, points, {name: probes[name].fields for name in points}, surfaces)
+        places, body = _points(probes, scale), problem.body
+        parts = {n: (p.part, p.fields) for n, p in probes.items() if p.part is not None}
+        kinds = {n: _kind(body, on) for n, (on, _) in parts.items()}
+        surfaces = {n: part for n, part in parts.items() if kinds[n] == "surface"}
+        samples = {
+            n: _Samples.of(n, body, kinds[n], on, problem.context.order)
+            for n, (on, _) in parts.items()
+            if kinds[n] != "surface"
+        }
+        points = {**places, **{k: list(x) for s in samples.values() for k, x in s.points.items()}}
+        fields = {n: probes[n].fields for n in places}
+        fields |= {k: probes[n].fields for n, s in samples.items() for k in s.points}
+        return cls(problem, points, fields, surfaces, samples)
 
     def __call__(self, state: State) -> dict[str, FloatArray]:
         """Column stem "POINT_FIELD" to the field's components in SI units, the same on every rank.
@@ -174,7 +237,12 @@ class Probe:
                 for name, mean in self._means.items()
                 for field, values in mean(state).items()
             }
-        return {**self._at_points(state), **means}
+        found = self._at_points(state)
+        for name, sample in self._samples.items():
+            for field in self.fields[next(iter(sample.points))]:
+                rows = np.array([found.pop(f"{point}_{field}") for point in sample.points])
+                means[f"{name}_{field}"] = sample.weights @ rows
+        return {**found, **means}
 
     def _at_points(self, state: State) -> dict[str, FloatArray]:
         if not self.fields:

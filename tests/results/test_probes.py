@@ -22,8 +22,10 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.case.check import check
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.mesh import EdgeSelector, PointSelector, name_parts
 from dolfin_elastic.mesh.geometry.locate import locate
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.probes import ProbePoint
 
 FREE = "free"
 
@@ -264,3 +266,36 @@ def test_exactly_one_rank_has_a_point():
     place = locate(body, {"middle": [0.5, 0.5, 0.5]})["middle"]
     assert body.comm.allreduce(int(place.cell >= 0)) == 1
     assert (place.cell >= 0) == (place.rank == body.comm.rank)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_means_over_edges_and_points(degree: int) -> None:
+    """Of linear fields: their values at the middle of an edge, and at the mean of the nodes."""
+    problem, state = affine(3, degree)
+    body = name_parts(
+        problem.body,
+        edges={"seam": EdgeSelector(between=["left", "top"])},
+        points={"tip": PointSelector(nearest=(1, 1, 1)), "face": PointSelector(of="right")},
+    )
+    problem = Problem(body, NeoHookean(E=1e6, nu=0.3), degree=degree)
+    fields = ("displacement", "jacobian")
+    probes = {name: ProbePoint(on=name, fields=fields) for name in ("seam", "tip", "face", "right")}
+    found = Probe.of(probes, problem, 1.0)(state)
+    H = np.array([[0.2, 0.1, 0], [0.05, -0.1, 0], [0, 0, 0.1]])
+    for name, X in (("seam", [0, 0.5, 1]), ("tip", [1, 1, 1]), ("face", [1, 0.5, 0.5])):
+        np.testing.assert_allclose(found[f"{name}_displacement"], H @ X, atol=1e-12)
+        np.testing.assert_allclose(found[f"{name}_jacobian"], np.linalg.det(np.eye(3) + H))
+    np.testing.assert_allclose(found["right_displacement"], found["face_displacement"], atol=1e-12)
+
+
+def test_probes_by_name_that_fail() -> None:
+    with pytest.raises(InputError, match="at and on are given together"):
+        ProbePoint(at=[0, 0], on="left")
+    case = Case(
+        mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}},
+        materials={"a": {"law": "linear-elastic", "E": 1, "nu": 0}},
+        support=[{"on": "left"}],
+        output={"probes": {"tip": {"on": "lft"}}},
+    )
+    with pytest.raises(InputError, match=r"output.probes.tip.on: no surface 'lft' .* 'left'"):
+        check(case, case.read_body())

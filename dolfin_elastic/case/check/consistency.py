@@ -85,23 +85,51 @@ def _check_explicit(case: Case) -> None:
 
 
 def _check_names(case: Case, body: Body) -> None:
-    """Every `on` names a surface or region of the body that is not empty. Collective."""
+    """Every `on` names a part of the body of the right kind that is not empty. Collective."""
     for i, support in enumerate(case.support):
         for where, name in _names(f"support[{i}].on", support.on):
-            _check_name(where, name, "surface", "a support holds surfaces", body)
+            rule = f"{_a(support.kind)} holds {_listed(support.part_kinds)}"
+            _check_name(where, name, support.part_kinds, rule, body)
     for i, contact in enumerate(case.contact):
         for where, name in _names(f"contact[{i}].on", contact.on):
-            _check_name(where, name, "surface", "a contact holds surfaces", body)
+            _check_name(where, name, ("surface",), "a contact holds surfaces", body)
     for i, load in enumerate(case.load):
-        kind = "surface" if acts_on_surfaces(load) else "region"
+        kinds = load_kinds(load)
         for where, name in _names(f"load[{i}].on", getattr(load, "on", None)):
-            _check_name(where, name, kind, f"a {load.kind} acts on {kind}s", body)
+            rule = f"{_a(load.kind)} acts on {_listed(kinds)}{_instead(load, name, body)}"
+            _check_name(where, name, kinds, rule, body)
     for k, pair in enumerate(case.periodic.pairs if case.periodic else ()):
         for where, name in _names(f"periodic.pairs[{k}]", pair):
-            _check_name(where, name, "surface", "surfaces come in pairs", body)
+            _check_name(where, name, ("surface",), "surfaces come in pairs", body)
     for name, material in case.materials.items():
         for where, region in _names(f"materials.{key_text(name)}.on", material.on):
-            _check_name(where, region, "region", "a material fills regions", body)
+            _check_name(where, region, ("region",), "a material fills regions", body)
+
+
+def load_kinds(load: Load) -> tuple[str, ...]:
+    """Kinds of part that a load acts on."""
+    return load.part_kinds or (("surface",) if acts_on_surfaces(load) else ("region",))
+
+
+_FORCES = {"surface": "traction", "edge": "line-force", "point": "point-force"}
+"""Kind of part to the kind of a force on it."""
+
+
+def _instead(load: Load, name: str, body: Body) -> str:
+    """Which kind of force acts on a part of another dimension, in words."""
+    kinds = [kind for kind in body.kinds(name) if kind in _FORCES]
+    if not kinds or load.kind not in (*_FORCES.values(), "pressure"):
+        return ""
+    return f'; on {_a(kinds[0])} use kind = "{_FORCES[kinds[0]]}"'
+
+
+def _a(word: str) -> str:
+    return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
+
+
+def _listed(kinds: Sequence[str]) -> str:
+    plural = [f"{kind}s" for kind in kinds]
+    return " and ".join([", ".join(plural[:-1]), plural[-1]] if len(plural) > 1 else plural)
 
 
 def acts_on_surfaces(load: Load) -> bool:
@@ -122,19 +150,31 @@ def _names(key: str, on: str | Sequence[str] | None) -> Iterator[tuple[str, str]
         yield f"{key}[{index}]", name
 
 
-def _check_name(where: str, name: str, kind: str, rule: str, body: Body) -> None:
-    here, there = (
-        (body.surfaces, body.regions) if kind == "surface" else (body.regions, body.surfaces)
-    )
-    if name not in here and name in there:
-        other = "region" if kind == "surface" else "surface"
-        raise MeshError(f"'{name}' is a {other}", where=where, expected=rule)
-    if name not in here:
-        suggestion = _suggestion(name, here)
-        raise MeshError(f"there is no {kind} '{name}'", where=where, expected=suggestion)
-    owned = body.owned_facets(name) if kind == "surface" else body.owned_cells(name)
-    if not total(body.comm, len(owned)):
-        raise MeshError(f"the {kind} '{name}' is empty", where=where)
+def _check_name(where: str, name: str, kinds: Sequence[str], rule: str, body: Body) -> None:
+    """A part of one of the kinds has the name, and is not empty. Collective."""
+    here = [kind for kind in kinds if name in body.parts[kind]]
+    if not here and (others := body.kinds(name)):
+        raise MeshError(f"'{name}' is {_a(others[0])}", where=where, expected=rule)
+    if not here:
+        every = {n: part for parts in body.parts.values() for n, part in parts.items()}
+        raise MeshError(
+            f"there is no {kinds[0]} '{name}'", where=where, expected=_suggestion(name, every)
+        )
+    if not sum(_count(body, kind, name) for kind in here):
+        raise MeshError(f"the {here[0]} '{name}' is empty", where=where)
+    if len(kinds) == 1:
+        try:
+            body.part(here[0], name)
+        except MeshError as error:  # a set of nodes that is no surface
+            raise error.at(where) from None
+
+
+def _count(body: Body, kind: str, name: str) -> int:
+    """Number of entities of a part. Collective."""
+    if kind == "surface":
+        return body.count(name)
+    pick = {"region": body.owned_cells, "edge": body.owned_edges, "point": body.owned_points}
+    return int(total(body.comm, len(pick[kind](name))))
 
 
 def _suggestion(name: str, names: Mapping[str, IndexArray]) -> str:

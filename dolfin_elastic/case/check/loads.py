@@ -77,7 +77,8 @@ def stress_notes(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) ->
         integrals: Of the case's problem.
         sums: Of the loads, see `load_sums`.
     """
-    names = [name for support in case.support for name in support.surfaces]
+    surfaces = integrals.body.surfaces.keys() - integrals.body.uncovered.keys()
+    names = [name for support in case.support for name in support.surfaces if name in surfaces]
     forces = [row.force for row in sums if row.force is not None]
     if not names or not forces:
         return
@@ -177,10 +178,15 @@ def _resultant(
     """Force and moment about the origin, shape (dim + 3,), in a plane (3,). Collective."""
     if points is None:
         assert isinstance(load, ConcentratedLoad)
-        X, weights = load.samples()
-        return _force_and_moment(
+        if load.on is None:
+            X, weights = load.samples()
+        else:
+            assert integrals.problem.nodal_loads is not None
+            X, weights = integrals.problem.nodal_loads.samples(load)
+        sums = _force_and_moment(
             X[None], weights[None, :, None] * vector_at(load.values, X[None], t)
         )
+        return sums if load.on is None else np.asarray(total(integrals.body.comm, sums))
     density = integrals.density(points) if load.needs_density else None
     weights = integrals.full_weights(points)
     axisymmetric = integrals.problem.geometry == "axisymmetric"

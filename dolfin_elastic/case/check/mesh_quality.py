@@ -47,7 +47,7 @@ def part_notes(body: Body) -> Iterator[str]:
             yield f"the region '{name}' is empty: no cell carries it"
     prepare_facets(body.mesh)
     outside = exterior_facet_indices(body.mesh.topology)
-    for name in sorted(body.surfaces):
+    for name in sorted(body.surfaces.keys() - body.uncovered.keys()):
         facets = body.owned_facets(name)
         inside = int(np.count_nonzero(~np.isin(facets, outside)))
         count, inside = total(body.comm, np.array([len(facets), inside]))

@@ -16,7 +16,8 @@ from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, extent
-from dolfin_elastic.mesh.selection import bounding_box
+from dolfin_elastic.mesh.criteria import bounding_box
+from dolfin_elastic.mesh.point_selection import vertices_of
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.loads import ConcentratedLoad, Load
 from dolfin_elastic.model.materials.law import Law
@@ -65,6 +66,7 @@ def plausibility_notes(case: Case, body: Body) -> Iterator[str]:
     yield from _material_notes(case, body)
     yield from _loads_on_supports(case, body)
     yield from _contradictions(case, body)
+    yield from _singular_supports(case, body)
 
 
 # --- lengths ---
@@ -233,7 +235,8 @@ def _loads_on_supports(case: Case, body: Body) -> Iterator[str]:
     """Loads on surfaces where all displacements are prescribed. Collective."""
     names = [name for s in case.support if _prescribes_all(s, body.dim) for name in s.surfaces]
     empty = np.empty(0, dtype=np.int32)
-    prescribed = np.concatenate([empty, *(body.owned_facets(name) for name in names)])
+    held = [body.surfaces[name] for name in names if name in body.surfaces]
+    prescribed = np.concatenate([empty, *held])
     for i, load in enumerate(case.load):
         on = type(load).model_fields.get("on")
         if on is None or not on.is_required():
@@ -244,6 +247,26 @@ def _loads_on_supports(case: Case, body: Body) -> Iterator[str]:
             yield (
                 f"load[{i}] ({load.kind}) acts on '{', '.join(load.parts)}', where supports "
                 "prescribe the displacement: it changes nothing but the reaction"
+            )
+
+
+def _singular_supports(case: Case, body: Body) -> Iterator[str]:
+    """Displacements prescribed on edges and points, where the force has no area.
+
+    The stress at the distance r of a force on a line goes as 1/r, of a force at a point of a solid
+    as 1/r^2.  Source: Timoshenko & Goodier, Theory of Elasticity (1970), sections 36 and 138.
+    """
+    for i, support in enumerate(case.support):
+        if not isinstance(support, PrescribingSupport):
+            continue
+        for name in support.surfaces:
+            kinds = [kind for kind in body.kinds(name) if kind != "region"]
+            if "surface" in kinds and name not in body.uncovered:
+                continue
+            what = "edge" if kinds[0] == "edge" else "point" if kinds == ["point"] else "nodes"
+            yield (
+                f"support[{i}] holds the {what} '{name}': its reaction is exact, but where it is "
+                "not zero the stress beside it is singular and grows with every refinement"
             )
 
 
@@ -263,14 +286,13 @@ def _contradictions(case: Case, body: Body) -> Iterator[str]:
     ]
     for (i, one, first), (j, two, second) in combinations(supports, 2):
         shared = np.intersect1d(first, second)
-        x = np.zeros((len(shared), 3))
-        x[:] = body.mesh.geometry.x[_geometry_nodes(body, shared)]
+        x = np.asarray(body.mesh.geometry.x[shared])
         differs = np.zeros(len(shared), dtype=bool)
         tolerance = 1e-9 * max(extent(body))
         for k in {*one.prescribed_components(body.dim)} & {*two.prescribed_components(body.dim)}:
             difference = _final_value(case, one, k, x) - _final_value(case, two, k, x)
             differs |= np.abs(difference) > tolerance
-        owned = shared < body.mesh.topology.index_map(0).size_local
+        owned = shared < body.mesh.geometry.index_map().size_local
         if count := int(total(body.comm, int(np.count_nonzero(differs & owned)))):
             yield (
                 f"support[{i}] and support[{j}] prescribe different displacements at "
@@ -289,19 +311,6 @@ def _final_value(
 
 
 def _vertices(body: Body, support: Restraint) -> IndexArray:
-    """Local vertices of a support's surfaces."""
-    topology = body.mesh.topology
-    topology.create_connectivity(body.dim - 1, 0)
-    links = topology.connectivity(body.dim - 1, 0)
-    facets = np.concatenate([body.surface(name) for name in support.surfaces])
-    return np.unique([v for facet in facets for v in links.links(facet)]).astype(np.int32)
-
-
-def _geometry_nodes(body: Body, vertices: IndexArray) -> IndexArray:
-    """Indices of local vertices among the nodes of the mesh's geometry."""
-    topology, dim = body.mesh.topology, body.mesh.topology.dim
-    topology.create_connectivity(dim, 0)
-    cells = topology.connectivity(dim, 0).array.reshape(-1, dim + 1)
-    number = np.full(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, -1)
-    number[cells.ravel()] = body.mesh.geometry.dofmap[:, : dim + 1].ravel()
-    return np.asarray(number[vertices], dtype=np.int32)
+    """Local vertices of a support's parts, as nodes of the geometry. Collective."""
+    found = [np.flatnonzero(vertices_of(body, name)) for name in support.surfaces]
+    return np.unique(np.concatenate(found)).astype(np.int32)

@@ -27,6 +27,7 @@ from dolfin_elastic.case.check.mesh_quality import (
 )
 from dolfin_elastic.case.check.sizes import (
     PartSize,
+    lower_sizes,
     material_sizes,
     region_sizes,
     surface_sizes,
@@ -67,6 +68,8 @@ class Report:
         analysis: "statics", "dynamics", "modal" or "buckling".
         linear_solver: Which linear solver, and why.
         surfaces: The named surfaces.
+        edges: The named edges of a solid.
+        points: The named points, but for sets of nodes that are surfaces.
         regions: The named regions.
         notes: What is allowed but probably not meant, and what a user should know.
         fields: Name, place and range of each field that the mesh carries.
@@ -90,6 +93,8 @@ class Report:
     analysis: str
     linear_solver: str
     surfaces: tuple[PartSize, ...]
+    edges: tuple[PartSize, ...]
+    points: tuple[PartSize, ...]
     regions: tuple[PartSize, ...]
     notes: tuple[str, ...]
     fields: tuple[str, ...]
@@ -191,6 +196,8 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         analysis=case.analysis,
         linear_solver="none: explicit scheme" if choice is None else choice.why,
         surfaces=surface_sizes(case, integrals),
+        edges=lower_sizes(case, integrals, "edge"),
+        points=lower_sizes(case, integrals, "point"),
         regions=region_sizes(case, body, integrals),
         notes=(
             *body.notes,

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check.consistency import acts_on_surfaces
+from dolfin_elastic.case.check.consistency import load_kinds
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.problem.loads.edges_points import points_of
 
 WHOLE = "(whole body)"
 
@@ -22,9 +23,9 @@ class PartSize:
 
     Attributes:
         name: Its name.
-        count: Facets or cells on all ranks.
+        count: Cells, facets, mesh edges or nodes on all ranks.
         measure: Area or volume [m^2, m^3], of curved cells too; length or area of a plane body
-            [m, m^2].
+            [m, m^2]; length of an edge [m]; of points their number.
         use: What refers to it: "support", "contact", "periodic", names of loads and materials;
             empty if nothing does.
         centroid: Centroid in the undeformed body [m]; empty if the part is empty.
@@ -50,11 +51,31 @@ def surface_sizes(case: Case, integrals: Integrals) -> tuple[PartSize, ...]:
         integrals: Of the case's problem.
     """
     body, sizes = integrals.body, []
-    for name in sorted(body.surfaces):
+    for name in sorted(body.surfaces.keys() - body.uncovered.keys()):
         points = integrals.facets([name])
         sums = total(body.comm, _moments(points.X, points.weights).sum(axis=0))
-        use = references(case, name, surface=True)
+        use = references(case, name, "surface")
         sizes.append(PartSize(name, body.count(name), float(sums[0]), use, _centroid(sums)))
+    return tuple(sizes)
+
+
+def lower_sizes(case: Case, integrals: Integrals, kind: str) -> tuple[PartSize, ...]:
+    """All named edges, or all points but those sets of nodes that are surfaces. Collective.
+
+    Args:
+        case: What refers to them.
+        integrals: Of the case's problem.
+        kind: "edge" or "point".
+    """
+    body, sizes = integrals.body, []
+    covered = (body.surfaces.keys() | body.edges.keys()) - body.uncovered.keys()
+    names = body.edges.keys() if kind == "edge" else body.points.keys() - covered
+    for name in sorted(names):
+        points = points_of(body, kind, [name], 2 * integrals.problem.context.order)
+        sums = total(body.comm, _moments(points.X, points.weights).sum(axis=0))
+        count = int(total(body.comm, len(points.cells)))
+        use = references(case, name, kind)
+        sizes.append(PartSize(name, count, float(sums[0]), use, _centroid(sums)))
     return tuple(sizes)
 
 
@@ -70,7 +91,7 @@ def region_sizes(case: Case, body: Body, integrals: Integrals) -> tuple[PartSize
     return (
         cells.size(WHOLE, body.owned_cells(), ""),
         *(
-            cells.size(name, body.owned_cells(name), references(case, name, surface=False))
+            cells.size(name, body.owned_cells(name), references(case, name, "region"))
             for name in sorted(body.regions)
         ),
     )
@@ -84,28 +105,28 @@ def material_sizes(integrals: Integrals) -> tuple[PartSize, ...]:
     )
 
 
-def references(case: Case, name: str, *, surface: bool) -> str:
+def references(case: Case, name: str, kind: str) -> str:
     """Kinds of supports, contacts and loads, and names of materials, that refer to a part.
 
     Args:
         case: The case.
         name: Of the part.
-        surface: It is a surface; otherwise a region.
+        kind: "region", "surface", "edge" or "point".
     """
-    loads = [
-        load.kind for load in case.load if acts_on_surfaces(load) == surface and name in load.parts
+    loads = [load.kind for load in case.load if kind in load_kinds(load) and name in load.parts]
+    if kind == "region":
+        return ", ".join([key for key, m in case.materials.items() if name in m.regions] + loads)
+    supports = [
+        "support" if s.kind == "displacement" else s.kind
+        for s in case.support
+        if kind in s.part_kinds and name in s.surfaces
     ]
-    if surface:
-        supports = [
-            "support" if s.kind == "displacement" else s.kind
-            for s in case.support
-            if name in s.surfaces
-        ]
-        contacts = ["contact" for c in case.contact if name in c.surfaces]
-        pairs = case.periodic.pairs if case.periodic else ()
-        periodic = ["periodic"] if any(name in pair for pair in pairs) else []
-        return ", ".join(supports + contacts + loads + periodic)
-    return ", ".join([key for key, m in case.materials.items() if name in m.regions] + loads)
+    if kind != "surface":
+        return ", ".join(supports + loads)
+    contacts = ["contact" for c in case.contact if name in c.surfaces]
+    pairs = case.periodic.pairs if case.periodic else ()
+    periodic = ["periodic"] if any(name in pair for pair in pairs) else []
+    return ", ".join(supports + contacts + loads + periodic)
 
 
 class _CellMoments:

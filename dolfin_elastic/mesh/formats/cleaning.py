@@ -99,11 +99,14 @@ def _used(raw: RawMesh) -> RawMesh:
     if unused == 0:
         return raw
     new = np.cumsum(used) - 1
-    surfaces, dropped = {}, []
-    for name, facets in raw.surfaces.items():
-        inside = used[facets].all(axis=1)
-        dropped += [] if inside.all() else [f"{np.count_nonzero(~inside)} of '{name}'"]
-        surfaces[name] = new[facets[inside]]
+    kept: dict[str, dict[str, IntArray]] = {"surfaces": {}, "edges": {}, "nodes": {}}
+    lost: dict[str, list[str]] = {"facets": [], "edges": [], "nodes": []}
+    for parts, losses in zip(kept, lost.values(), strict=True):
+        for name, rows in getattr(raw, parts).items():
+            inside = used[rows].reshape(len(rows), -1).all(axis=1)
+            if not inside.all():
+                losses.append(f"{np.count_nonzero(~inside)} of '{name}'")
+            kept[parts][name] = new[rows[inside]]
     note = f"{unused} of {len(used)} points belong to no cell (dropped)"
     data = {name: values[used] for name, values in raw.point_data.items()}
     raw = _noted(
@@ -111,14 +114,14 @@ def _used(raw: RawMesh) -> RawMesh:
         note,
         points=raw.points[used],
         cells=new[raw.cells],
-        surfaces=surfaces,
         point_data=data,
+        **kept,
     )
-    return (
-        _noted(raw, f"facets that belong to no cell (dropped): {', '.join(dropped)}")
-        if dropped
-        else raw
-    )
+    for things, losses in lost.items():
+        if losses:
+            note = f"{things} that belong to no cell (dropped): {', '.join(losses)}"
+            raw = _noted(raw, note)
+    return raw
 
 
 def _numbers(raw: RawMesh) -> RawMesh:

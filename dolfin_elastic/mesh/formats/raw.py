@@ -68,7 +68,8 @@ class MeshFile:
         points: Coordinates in the file's unit, shape (N, 2) or (N, 3).
         blocks: All elements, with their named parts and data.
         notes: Remarks for the user.
-        point_sets: Name to rows of `points`; each becomes the surface of the facets within it.
+        point_sets: Name to rows of `points`; each becomes a set of nodes, and the
+            surface of the boundary's facets within it if there are any.
         point_data: Name to numbers of each point, shape (N, columns).
         incomplete: Name of a set whose members are not all there, to the reason with their number.
     """
@@ -94,6 +95,10 @@ class RawMesh:
         notes: Remarks on faults found and corrected.
         cell_data: Name to numbers of each cell, shape (M, columns).
         point_data: Name to numbers of each point, shape (N, columns).
+        edges: In 3D, name to both end vertices of each edge (rows of `points`), shape (E, 2).
+        nodes: Name to rows of `points`, midside nodes too, shape (n,).
+        uncovered: Name of a set of nodes that is in `surfaces` too, to how many of its nodes no
+            facet of it holds; only where there are some.
     """
 
     points: FloatArray
@@ -104,6 +109,9 @@ class RawMesh:
     notes: tuple[str, ...] = ()
     cell_data: Mapping[str, FloatArray] = field(default_factory=dict)
     point_data: Mapping[str, FloatArray] = field(default_factory=dict)
+    edges: Mapping[str, IntArray] = field(default_factory=dict)
+    nodes: Mapping[str, IntArray] = field(default_factory=dict)
+    uncovered: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def dim(self) -> int:
@@ -114,8 +122,8 @@ class RawMesh:
 def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh:
     """Assembles the elements of the highest dimension to one mesh.
 
-    Local.  Elements one dimension lower give the named surfaces; data of points are left out where
-    cells have data of that name.
+    Local.  Elements one dimension lower give the named surfaces, lines in 3D the edges, and
+    elements of one node the points; data of points are left out where cells have data of that name.
 
     Args:
         found: Content of the file.
@@ -131,14 +139,20 @@ def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh
     order = _order(solid, blocks, dim, source)
     below = [b for b in blocks if b.dim == dim - 1]
     surfaces = _gather(below, [b.nodes[:, :dim] for b in below])
-    surfaces.update(
-        {
-            name: s
-            for name, s in _from_points(solid, dim, found.point_sets).items()
-            if name not in surfaces
-        }
-    )
-    surfaces = {name: s for name, s in surfaces.items() if name not in found.incomplete}
+    lines = [b for b in blocks if b.dim == 1 < dim - 1]
+    edges = _gather(lines, [b.nodes[:, :2] for b in lines])
+    single = [b for b in blocks if b.dim == 0]
+    nodes = {n: np.unique(rows) for n, rows in _gather(single, [b.nodes for b in single]).items()}
+    uncovered = {}
+    for name, rows in found.point_sets.items():
+        nodes[name] = np.union1d(nodes.get(name, rows), rows)
+    for name, (facets, missed) in _from_points(solid, dim, found.point_sets).items():
+        if name not in surfaces:
+            surfaces[name] = facets
+            uncovered |= {name: missed} if missed else {}
+    for parts in (surfaces, edges, nodes, uncovered):
+        for name in parts.keys() & found.incomplete.keys():
+            del parts[name]
     starts = np.cumsum([0] + [len(b.nodes) for b in solid])
     rows = [np.arange(len(b.nodes)) + start for b, start in zip(solid, starts, strict=False)]
     regions = {
@@ -150,7 +164,10 @@ def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh
     notes = (*found.notes, *_incomplete(found), *_left_out(blocks, dim))
     cell_data = _cell_data(solid)
     at_points = {n: data for n, data in found.point_data.items() if n not in cell_data}
-    return RawMesh(found.points, cells, order, regions, surfaces, notes, cell_data, at_points)
+    lower = {"edges": edges, "nodes": nodes, "uncovered": uncovered}
+    return RawMesh(
+        found.points, cells, order, regions, surfaces, notes, cell_data, at_points, **lower
+    )
 
 
 def _cell_data(solid: Sequence[Block]) -> dict[str, FloatArray]:
@@ -223,21 +240,53 @@ def _incomplete(found: MeshFile) -> list[str]:
 
 
 def _left_out(blocks: Sequence[Block], dim: int) -> list[str]:
-    low = sorted({name for b in blocks if b.dim < dim - 1 for name in b.parts})
     high = sorted({name for b in blocks if b.dim > dim for name in b.parts})
-    out = [f"left out, of too low a dimension: {', '.join(low)}"] if low else []
-    return out + ([f"left out, of too high a dimension: {', '.join(high)}"] if high else [])
+    return [f"left out, of too high a dimension: {', '.join(high)}"] if high else []
+
+
+_MIDSIDES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+"""End vertices of the midside nodes of quadratic cells in the order of Abaqus, VTK and MED."""
 
 
 def _from_points(
     solid: Sequence[Block], dim: int, point_sets: Mapping[str, IntArray]
-) -> dict[str, IntArray]:
-    """The boundary facets all of whose vertices are in a set of points."""
+) -> dict[str, tuple[IntArray, int]]:
+    """The boundary facets within each set of points, and how many points none of them holds.
+
+    Of quadratic cells a set has all midside nodes of a facet, or no midside node at all.
+    """
     if not point_sets:
         return {}
     facets = boundary([b.nodes[:, : dim + 1] for b in solid])
-    picked = {n: facets[np.isin(facets, rows).all(axis=1)] for n, rows in point_sets.items()}
-    return {name: rows for name, rows in picked.items() if len(rows)}
+    midsides = _midsides(solid, dim, facets)
+    found = {}
+    for name, rows in point_sets.items():
+        held = np.isin(facets, rows).all(axis=1)
+        if np.isin(midsides, rows).any():
+            held &= np.isin(midsides, rows).all(axis=1)
+        if held.any():
+            nodes = np.concatenate([facets[held].ravel(), midsides[held].ravel()])
+            found[name] = (facets[held], len(np.setdiff1d(rows, nodes)))
+    return found
+
+
+def _midsides(solid: Sequence[Block], dim: int, facets: IntArray) -> IntArray:
+    """Midside nodes of facets, shape (F, sides); of linear cells (F, 0).
+
+    Args:
+        solid: The cells.
+        dim: Their dimension.
+        facets: Vertices, sorted, shape (F, dim).
+    """
+    if solid[0].nodes.shape[1] == dim + 1:
+        return np.empty((len(facets), 0), dtype=np.int64)
+    columns = _MIDSIDES[: solid[0].nodes.shape[1] - dim - 1]
+    ends = np.concatenate([np.sort(b.nodes[:, pair], axis=1) for b in solid for pair in columns])
+    middles = np.concatenate([b.nodes[:, dim + 1 + k] for b in solid for k in range(len(columns))])
+    ends, first = np.unique(ends, axis=0, return_index=True)
+    sides = [(0, 1), (0, 2), (1, 2)] if dim == 3 else [(0, 1)]
+    at = [match_rows(ends, facets[:, side]) for side in sides]
+    return np.asarray(middles[first][np.stack(at, axis=1)])
 
 
 def boundary(cells: Sequence[IntArray]) -> IntArray:

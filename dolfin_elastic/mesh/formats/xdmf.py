@@ -22,6 +22,7 @@ from dolfin_elastic.mesh.distribute import build_body, make_mesh
 from dolfin_elastic.mesh.fields import MeshField, distribute_rows
 from dolfin_elastic.mesh.formats.cleaning import check_distributed
 from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
+from dolfin_elastic.mesh.geometry.simplices import prepare_edges, vertex_nodes
 
 _DIMS = {
     "tetrahedron": 3,
@@ -233,14 +234,19 @@ def _by_meshio(path: Path, dim: int | None) -> RawMesh:
 
 def _tagged(body: Body, file: XDMFFile, contents: _Contents) -> Body:
     for tags in contents.tags:
+        parts = _parts(body.mesh, file, tags)
         low = contents.dim - tags.dim
-        if low in (0, 1):
-            parts = _parts(body.mesh, file, tags)
-            body = body.named(**{"regions" if low == 0 else "surfaces": parts})
+        kind = "points" if tags.dim == 0 else {0: "regions", 1: "surfaces"}.get(low, "edges")
+        if kind == "points":
+            nodes = vertex_nodes(body.mesh)
+            parts = {name: np.sort(nodes[vertices]) for name, vertices in parts.items()}
+        body = body.named(**{kind: parts})
     return body
 
 
 def _parts(mesh: Mesh, file: XDMFFile, tags: _Tags) -> dict[str, IndexArray]:
+    if tags.dim == 1 and mesh.topology.dim == 3:
+        prepare_edges(mesh)
     found = read_meshtags(file, mesh, tags.grid, tags.attribute)
     values = np.unique(np.concatenate(mesh.comm.allgather(np.unique(found.values))))
     if len(values) > _MOST:

@@ -9,7 +9,12 @@ import numpy as np
 from dolfinx.mesh import Mesh
 
 from dolfin_elastic.core.types import FloatArray, IndexArray
-from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets
+from dolfin_elastic.mesh.geometry.simplices import (
+    EDGE_ENDS,
+    cells_beside_edges,
+    cells_beside_facets,
+    node_cells,
+)
 
 _SHAPES = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 
@@ -211,3 +216,79 @@ def facet_quadrature(mesh: Mesh, facets: IndexArray, degree: int) -> QuadratureP
     return QuadraturePoints(
         X, size * weights, cells, N=normals / np.where(size > 0, size, 1.0)[..., None]
     )
+
+
+@dataclass(frozen=True)
+class PointsInCells:
+    """Points of some nodes or edges, in one cell beside each.
+
+    Attributes:
+        X: Places [m], shape (entities, points, dim).
+        weights: Of each point: 1 of a node, quadrature weight times length element of an edge [m];
+            shape (entities, points).
+        cells: The cell of each entity, shape (entities,).
+        local: The points in the reference cell, shape of X.
+    """
+
+    X: FloatArray
+    weights: FloatArray
+    cells: IndexArray
+    local: FloatArray
+
+
+def node_points(mesh: Mesh, nodes: IndexArray) -> PointsInCells:
+    """Geometry nodes in the first local cell of each. Local.
+
+    Args:
+        mesh: The mesh.
+        nodes: Local geometry nodes, shape (n,).
+    """
+    d, cells, local = mesh.topology.dim, *node_cells(mesh, nodes)
+    reference = reference_nodes(mesh)[local][:, None]
+    X = np.asarray(mesh.geometry.x[nodes, :d])[:, None]
+    return PointsInCells(X, np.ones((len(nodes), 1)), cells, reference)
+
+
+def reference_nodes(mesh: Mesh) -> FloatArray:
+    """Nodes of the geometry in the reference cell, shape (nodes of a cell, dim)."""
+    points = _element(mesh.topology.dim, mesh.geometry.cmap.degree).points
+    return np.asarray(points, dtype=np.float64)
+
+
+def edge_rule(mesh: Mesh, degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points on the edges of the reference tetrahedron.
+
+    Args:
+        mesh: Tetrahedra.
+        degree: Degree of polynomials that straight edges integrate exactly; on curved ones, where
+            the length element is no polynomial, the rule is 8 degrees higher.
+
+    Returns:
+        Points, shape (6, points, 3), weights, shape (points,), and the vectors along the edges, of
+        their length, shape (6, 3).
+    """
+    s, weights = quadrature_rule(1, degree + (8 if mesh.geometry.cmap.degree > 1 else 0))
+    corners = np.asarray(_element(3, 1).points, dtype=np.float64)
+    start, end = (corners[[ends[k] for ends in EDGE_ENDS]] for k in (0, 1))
+    along = end - start
+    return start[:, None] + s[None] * along[:, None], weights, along
+
+
+def edge_points(mesh: Mesh, edges: IndexArray, degree: int) -> PointsInCells:
+    """Quadrature points along local edges of tetrahedra. Local, after `prepare_edges`.
+
+    Args:
+        mesh: Tetrahedra.
+        edges: Local edges, shape (n,).
+        degree: See `edge_rule`.
+    """
+    points, weights, along = edge_rule(mesh, degree)
+    cells, local = cells_beside_edges(mesh, edges)
+    X, size = np.empty((len(edges), len(weights), 3)), np.empty((len(edges), len(weights)))
+    for i in range(len(EDGE_ENDS)):
+        here = local == i
+        nodes = np.asarray(mesh.geometry.x[mesh.geometry.dofmap[cells[here]]])
+        X[here] = np.einsum("pn,cnj->cpj", shape_functions(mesh, points[i]), nodes)
+        slopes = cell_gradients(nodes, mesh.geometry.cmap.degree, points[i]) @ along[i]
+        size[here] = np.linalg.norm(slopes, axis=-1) * weights
+    return PointsInCells(X, size, cells, points[local])

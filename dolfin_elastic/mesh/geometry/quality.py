@@ -9,6 +9,7 @@ import numpy as np
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.criteria import bounding_box
 from dolfin_elastic.mesh.geometry.curved import cell_volumes, facet_areas
 from dolfin_elastic.mesh.geometry.simplices import (
     boundary_facets,
@@ -17,7 +18,6 @@ from dolfin_elastic.mesh.geometry.simplices import (
     prepare_facets,
     qualities,
 )
-from dolfin_elastic.mesh.selection import bounding_box
 
 
 @dataclass(frozen=True)

@@ -103,6 +103,80 @@ def facet_nodes(mesh: Mesh, facets: IndexArray) -> IndexArray:
     return np.asarray(np.take_along_axis(nodes, others[local], axis=1))
 
 
+EDGE_ENDS = ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))
+"""Vertices of the edges of a tetrahedron, as Basix numbers them."""
+
+
+def prepare_edges(mesh: Mesh) -> None:
+    """Creates the edges of tetrahedra and their links to cells. Collective."""
+    mesh.topology.create_entities(1)
+    mesh.topology.create_connectivity(1, 3)
+    mesh.topology.create_connectivity(3, 1)
+
+
+def cells_beside_edges(mesh: Mesh, edges: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """One cell beside each local edge, and the edge's local index in it.
+
+    Local, after `prepare_edges`.
+
+    Args:
+        mesh: Tetrahedra.
+        edges: Local edges, shape (n,).
+
+    Returns:
+        Local cells and local indices, shape (n,) each.
+    """
+    links = mesh.topology.connectivity(1, 3)
+    cells = links.array[links.offsets[edges]]
+    around = mesh.topology.connectivity(3, 1).array.reshape(-1, 6)[cells]
+    local = np.argmax(around == np.asarray(edges)[:, None], axis=1)
+    return cells, local.astype(np.int32)
+
+
+def edge_nodes(mesh: Mesh, edges: IndexArray) -> IndexArray:
+    """Geometry nodes at both ends of local edges, shape (n, 2). Local, after `prepare_edges`.
+
+    Args:
+        mesh: Tetrahedra.
+        edges: Local edges, shape (n,).
+    """
+    cells, local = cells_beside_edges(mesh, edges)
+    nodes = mesh.geometry.dofmap[:, :4][cells]
+    return np.asarray(np.take_along_axis(nodes, np.array(EDGE_ENDS)[local], axis=1))
+
+
+def vertex_nodes(mesh: Mesh) -> IndexArray:
+    """Geometry node at each local vertex. Collective.
+
+    Vertices have numbers of their own in the topology.
+    """
+    d = mesh.topology.dim
+    mesh.topology.create_connectivity(d, 0)
+    cells = mesh.topology.connectivity(d, 0).array.reshape(-1, d + 1)
+    index = mesh.topology.index_map(0)
+    found = np.full(index.size_local + index.num_ghosts, -1, dtype=np.int32)
+    found[cells.ravel()] = mesh.geometry.dofmap[:, : d + 1].ravel()
+    return found
+
+
+def node_cells(mesh: Mesh, nodes: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """The first local cell with each geometry node, and the node's local index in it. Local.
+
+    Args:
+        mesh: The mesh.
+        nodes: Local geometry nodes, shape (n,).
+
+    Returns:
+        Local cells and local indices, shape (n,) each.
+    """
+    rows = np.asarray(mesh.geometry.dofmap)
+    first = np.full(len(mesh.geometry.x), rows.size, dtype=np.int64)
+    np.minimum.at(first, rows.ravel(), np.arange(rows.size))
+    places = first[nodes]
+    width = rows.shape[1]
+    return (places // width).astype(np.int32), (places % width).astype(np.int32)
+
+
 def facet_corners(mesh: Mesh, facets: IndexArray) -> FloatArray:
     """Vertex coordinates of local facets [m], shape (n, d, d). Local, after `prepare_facets`.
 

@@ -142,6 +142,8 @@ class Load(Record):
     """The load depends on the displacement, so that it has a load stiffness."""
     linearises: ClassVar[bool] = False
     """Of a follower load: where all laws are linear, it acts on the undeformed body."""
+    part_kinds: ClassVar[tuple[str, ...]] = ()
+    """Kinds of part that `on` names; empty: surfaces where `on` is needed, else regions."""
     concentrated: ClassVar[bool] = False
     """The load acts at points, not on volumes or surfaces, see `point_loads`."""
     is_eigenstrain: ClassVar[bool] = False
@@ -155,7 +157,9 @@ class Load(Record):
             raise InputError(
                 "no name is given",
                 where="on",
-                expected="a surface's name"
+                expected=f"a name of a {self.part_kinds[0]}"
+                if self.part_kinds
+                else "a surface's name"
                 if type(self).model_fields["on"].is_required()
                 else "a region's name; left out, it is the whole body",
             )

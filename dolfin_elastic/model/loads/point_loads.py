@@ -1,12 +1,12 @@
-"""Concentrated loads: forces at points and along lines."""
+"""Concentrated loads: forces at points and along lines, by place or by name."""
 
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
@@ -23,11 +23,38 @@ class ConcentratedLoad(Load):
     In a plane it is that of the whole thickness, in a body of revolution of the whole ring.
 
     Attributes:
-        tolerance: How far off the body a point may lie [m]; None: 1e-3 of the body's diagonal.
+        on: Names of points or edges of the mesh, in place of coordinates.
+        total: The value is that of all points together, or of the whole edge.
+        tolerance: How far off the body a place may lie [m]; None: 1e-3 of the body's diagonal.
     """
 
+    on: str | list[str] | None = None
+    total: bool = False
     tolerance: Length | None = Field(default=None, ge=0)
     concentrated: ClassVar[bool] = True
+    places: ClassVar[tuple[str, ...]] = ()
+    """Keys of coordinates."""
+    named: ClassVar[str] = ""
+    """What `on` names, in words."""
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        given = [key for key in self.places if getattr(self, key) is not None]
+        if self.on is not None and given:
+            raise InputError(f"on and {given[0]} are given together", where="on")
+        if self.on is None:
+            missing = [key for key in self.places if key not in given]
+            if missing:
+                raise InputError(
+                    "this key is missing",
+                    where=missing[0],
+                    expected=f"a place [m], or on with the name of {self.named}",
+                )
+            if self.total:
+                raise InputError("total goes with on", where="total", expected="leave it out")
+        elif self.tolerance is not None:
+            raise InputError("it goes with a place", where="tolerance", expected="leave it out")
+        return self
 
     def place(self, key: str) -> Point:
         """The point of a key [m], 2 or 3 coordinates.
@@ -43,11 +70,11 @@ class ConcentratedLoad(Load):
 
     @property
     def points(self) -> dict[str, Point]:
-        """Key to point: the one where the force acts, or both ends of the line."""
+        """Key to point: the one where the force acts, or both ends of the line; none by name."""
         raise TypeError(f"{type(self).__name__} has no points")
 
     def samples(self) -> tuple[FloatArray, FloatArray]:
-        """Quadrature points [m], shape (n, dim), and weights [1 or m], shape (n,)."""
+        """Quadrature points [m], shape (n, dim), and weights [1 or m], shape (n,), by place."""
         return np.array([*self.points.values()]), np.ones(len(self.points))
 
     @property
@@ -61,34 +88,49 @@ class PointForce(ConcentratedLoad):
 
     Attributes:
         at: The undeformed place [m]; the force goes with its material point.
+        on: Named points, each of whose nodes bears the force; or share it, see `total`.
     """
 
     kind: Literal["point-force"] = "point-force"
-    at: list[Any]
+    at: list[Any] | None = None
     unit: ClassVar[str] = "N"
+    part_kinds: ClassVar[tuple[str, ...]] = ("point",)
+    places: ClassVar[tuple[str, ...]] = ("at",)
+    named: ClassVar[str] = "a point"
 
     @cached_property
     def points(self) -> dict[str, Point]:
         """See `ConcentratedLoad.points`."""
-        return {"at": self.place("at")}
+        return {} if self.at is None else {"at": self.place("at")}
 
 
 class LineForce(ConcentratedLoad):
-    """A force per undeformed length [N/m] along a straight line.
+    """A force per undeformed length [N/m] along a straight line, or along edges of a solid.
 
     Attributes:
         start: Where the line begins [m].
         end: Where it ends [m].
+        on: Named edges in place of both.
     """
 
     kind: Literal["line-force"] = "line-force"
-    start: list[Any]
-    end: list[Any]
+    start: list[Any] | None = None
+    end: list[Any] | None = None
     unit: ClassVar[str] = "N/m"
+    part_kinds: ClassVar[tuple[str, ...]] = ("edge",)
+    places: ClassVar[tuple[str, ...]] = ("start", "end")
+    named: ClassVar[str] = "an edge"
+
+    @cached_property
+    def values(self) -> tuple[Component, ...]:
+        """See `Load.values`."""
+        return components(self.value, "N" if self.total else self.unit, key="value")
 
     @cached_property
     def points(self) -> dict[str, Point]:
         """See `ConcentratedLoad.points`."""
+        if self.start is None or self.end is None:
+            return {}
         start, end = self.place("start"), self.place("end")
         if start == end or len(start) != len(end):
             raise InputError("the line has no length", where="end", expected="another point")

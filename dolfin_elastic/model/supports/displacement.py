@@ -34,6 +34,9 @@ class Restraint(OnSurfaces):
 
     kind: str = ""
 
+    part_kinds: ClassVar[tuple[str, ...]] = ("surface", "edge", "point")
+    """Kinds of part that it may hold."""
+
     @property
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:
         """Keys of vectors that must have as many components as the body, with their values."""
@@ -88,7 +91,7 @@ def _evaluated(value: Component, x: FloatArray, t: float) -> FloatArray | float:
 
 
 class Support(PrescribingSupport):
-    """Displacement components prescribed on surfaces.
+    """Displacement components prescribed on surfaces, edges and points.
 
     Attributes:
         displacement: One entry a component [m]: a number, a text with a unit ("2 mm"), a formula
@@ -174,6 +177,8 @@ class Normal(PrescribingSupport):
     displacement: Any = 0.0
     curve: Curve | None = None
 
+    part_kinds: ClassVar[tuple[str, ...]] = ("surface",)
+
     @model_validator(mode="after")
     def _read(self) -> Normal:
         _ = self.value
@@ -217,6 +222,7 @@ class Symmetry(PrescribingSupport):
 
     kind: Literal["symmetry"] = "symmetry"
 
+    part_kinds: ClassVar[tuple[str, ...]] = ("surface",)
     needs_flat: ClassVar[bool] = True
 
     def prescribed_components(self, dim: int) -> tuple[int, ...]:

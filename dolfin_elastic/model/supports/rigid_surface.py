@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import model_validator
 
@@ -52,6 +52,8 @@ class Rigid(Restraint):
     force: list[Any] | None = None
     moment: Any = None
     curve: Curve | None = None
+
+    part_kinds: ClassVar[tuple[str, ...]] = ("surface",)
 
     @model_validator(mode="after")
     def _read(self) -> Rigid:

@@ -1,4 +1,4 @@
-"""Elastic foundations and dashpots on surfaces, and the table of all supports."""
+"""Springs and dashpots on surfaces, edges and points, and the table of all supports."""
 
 from __future__ import annotations
 
@@ -27,6 +27,22 @@ from dolfin_elastic.model.values import Component, component, components
 T = TypeVar("T")
 
 
+class HeldPart(Protocol):
+    """Surfaces, edges or points that a spring or dashpot holds."""
+
+    @property
+    def kind(self) -> str:
+        """It is "surface", "edge" or "point"."""
+
+    @property
+    def measure(self) -> ufl.Measure:
+        """Measure of the reference area of surfaces, the length of edges, the number of points."""
+
+    @property
+    def size(self) -> Callable[[], Any]:
+        """Gives that area, length or number as a constant [m^2, m, 1]; collective."""
+
+
 class SupportContext(Protocol):
     """What forms of springs need of the problem; `problem.context.FormContext` gives it."""
 
@@ -39,11 +55,8 @@ class SupportContext(Protocol):
     N: Expr
     """Outward unit normal of the reference surface."""
 
-    def areas(self, surfaces: Sequence[str]) -> ufl.Measure:
-        """Measure of the reference area of surfaces."""
-
-    def area(self, surfaces: Sequence[str]) -> Any:
-        """Reference area of surfaces as a constant [m^2]. Collective."""
+    def held(self, names: Sequence[str]) -> HeldPart:
+        """What the names of a support stand for."""
 
     def constant(self, value: float | Sequence[float]) -> Expr:
         """A number or vector whose value can change without a form being compiled again."""
@@ -61,15 +74,16 @@ class SupportContext(Protocol):
 
 
 class ResistingSupport(Restraint):
-    """Base of springs and dashpots: a force linear in the displacement or velocity w of a surface.
+    """Base of springs and dashpots: a force linear in the displacement or velocity w of a part.
 
     The force on the body per reference area is -(n (w . N) N + s (w - (w . N) N)) with the
-    reference normal N, or -k_i w_i along each axis.
+    reference normal N, or -k_i w_i along each axis.  On edges it is the force per reference length,
+    on points that on each node, along axes only.
 
     Attributes:
         normal: Coefficient n along the reference normal.
         tangential: Coefficient s across it.
-        total: The numbers are those of the whole surface, spread evenly over its area.
+        total: The numbers are those of the whole part, spread evenly over area, length or nodes.
     """
 
     normal: Any = None
@@ -77,7 +91,7 @@ class ResistingSupport(Restraint):
     total: bool = False
 
     unit: ClassVar[str] = ""
-    """SI unit of a coefficient of the whole surface; per area it is this over m^2."""
+    """SI unit of a coefficient of a whole part; per area it is this over m^2."""
     axes: ClassVar[str] = ""
     """Name of the field with the coefficients along the axes."""
 
@@ -103,9 +117,26 @@ class ResistingSupport(Restraint):
                 where="" if not by_normal else self.axes,
                 expected=f"'normal' and 'tangential', or '{self.axes}' with a component each",
             )
-        unit = self.unit if self.total else self.unit + "^3"
-        if not by_normal:
-            return self._checked({self.axes: _located(self.axes, components, along, unit)})
+        return next(iter(self._readings.values()))
+
+    @cached_property
+    def _readings(self) -> dict[str, tuple[Component, ...]]:
+        """Kind of part to the coefficients in its unit, where the units that are written fit."""
+        found: dict[str, tuple[Component, ...]] = {}
+        errors = []
+        for kind, power in (("surface", "^3"), ("edge", "^2"), ("point", "")):
+            try:
+                found[kind] = self._read_in(self.unit + ("" if self.total else power))
+            except InputError as error:
+                errors.append(error)
+        if not found:
+            raise errors[0]
+        return found
+
+    def _read_in(self, unit: str) -> tuple[Component, ...]:
+        if not self.by_normal:
+            written = getattr(self, self.axes)
+            return self._checked({self.axes: _located(self.axes, components, written, unit)})
         keys = ("normal", "tangential")
         return self._checked(
             {key: (_located(key, component, getattr(self, key) or 0.0, unit),) for key in keys}
@@ -138,20 +169,41 @@ class ResistingSupport(Restraint):
         return {} if self.by_normal else {self.axes: self.coefficients}
 
     def _values(self, context: SupportContext) -> list[Expr]:
-        values = [context.value(c) for c in self.coefficients]
+        held = context.held(self.surfaces)
+        self._check_kind(held.kind)
+        values = [context.value(c) for c in self._readings[held.kind]]
         if not self.total:
             return values
-        area = context.area(self.surfaces)
-        if not area.value > 0.0:
+        size = held.size()
+        if not size.value > 0.0:
             raise InputError("the surface has no area", where=f"support '{self.label}'.on")
-        return [value / area for value in values]
+        return [value / size for value in values]
+
+    def _check_kind(self, kind: str) -> None:
+        """Whether coefficients are those of a surface, edge or point."""
+        where = f"support '{self.label}'"
+        if self.by_normal and kind != "surface":
+            raise InputError(
+                f"{'an' if kind == 'edge' else 'a'} {kind} has no normal",
+                where=f"{where}.{'tangential' if self.normal is None else 'normal'}",
+                expected=f"'{self.axes}' with a component each",
+            )
+        if kind not in self._readings:
+            per = {"surface": "area", "edge": "length", "point": "node"}[kind]
+            unit = self.unit + {"surface": "^3", "edge": "^2", "point": ""}[kind]
+            article = "an" if kind == "edge" else "a"
+            raise InputError(
+                f"the unit is not that of a {self.kind} on {article} {kind}",
+                where=f"{where}.{'normal' if self.by_normal else self.axes}",
+                expected=f"per {per} {unit}; or {self.unit} of the whole with total = true",
+            )
 
     def resistance(self, context: SupportContext, w: Expr) -> Expr:
-        """Force per reference area against w [N/m^2], a UFL vector. Collective.
+        """Force against w per area [N/m^2], length or node, a UFL vector. Collective.
 
         Args:
             context: The problem's side of the form.
-            w: Displacement [m] or velocity [m/s] of the surface.
+            w: Displacement [m] or velocity [m/s] of the part.
         """
         values = self._values(context)
         if not self.by_normal:
@@ -177,7 +229,7 @@ class ResistingSupport(Restraint):
         most = values[0]
         for value in values[1:]:
             most = ufl.max_value(most, value)
-        return most * sum(context.v) * context.areas(self.surfaces)
+        return most * sum(context.v) * context.held(self.surfaces).measure
 
 
 def _located(key: str, read: Callable[[Any, str], T], written: Any, unit: str) -> T:
@@ -190,6 +242,8 @@ def _located(key: str, read: Callable[[Any, str], T], written: Any, unit: str) -
 
 class Spring(ResistingSupport):
     """Springs on a surface: an elastic foundation of given stiffness per area [N/m^3].
+
+    On an edge the stiffness is that per length [N/m^2], on a point that at each node [N/m].
 
     Source of the model: E. Winkler, Die Lehre von der Elasticitaet und Festigkeit (1867).
 
@@ -241,19 +295,20 @@ class Spring(ResistingSupport):
     def virtual_work(self, context: SupportContext) -> ufl.Form:
         """See `ResistingSupport`."""
         force = self.resistance(context, self._stretch(context))
-        return -ufl.inner(force, context.v) * context.areas(self.surfaces)
+        return -ufl.inner(force, context.v) * context.held(self.surfaces).measure
 
     def energy(self, context: SupportContext) -> ufl.Form:
         """Stored energy [J]."""
         w = self._stretch(context)
-        return 0.5 * ufl.inner(self.resistance(context, w), w) * context.areas(self.surfaces)
+        return 0.5 * ufl.inner(self.resistance(context, w), w) * context.held(self.surfaces).measure
 
 
 class Dashpot(ResistingSupport):
     """Dashpots on a surface: a force against its velocity.  They act in motion only.
 
     Attributes:
-        viscosity: Coefficients along each axis [N s/m^3] instead of along and across the normal.
+        viscosity: Coefficients along each axis [N s/m^3] instead of along and across the normal; on
+            an edge [N s/m^2], on a point [N s/m].
     """
 
     kind: Literal["dashpot"] = "dashpot"
@@ -273,9 +328,8 @@ class Dashpot(ResistingSupport):
             context: The problem's side of the form.
             velocity: Velocity of the surface [m/s], a UFL vector.
         """
-        return -ufl.inner(self.resistance(context, velocity), context.v) * context.areas(
-            self.surfaces
-        )
+        force = self.resistance(context, velocity)
+        return -ufl.inner(force, context.v) * context.held(self.surfaces).measure
 
 
 SUPPORTS: dict[str, type[Restraint]] = {

@@ -18,6 +18,7 @@ from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.model.supports.springs import Spring
+from dolfin_elastic.problem.spaces import part_nodes
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -141,7 +142,13 @@ def spring_directions(spring: Spring, body: Body, V: fem.FunctionSpace) -> Itera
     """
     dim, size = body.dim, V.dofmap.index_map.size_local
     stiff = np.array([isinstance(k, Formula) or k != 0.0 for k in spring.coefficients], float)
+    kind = body.common_kind(spring.surfaces)
     for name in spring.surfaces:
+        if kind != "surface":
+            nodes = part_nodes(body, V, name)
+            nodes = nodes[nodes < size]
+            yield nodes, np.tile(np.diag(stiff), (len(nodes), 1, 1))
+            continue
         found = surface_normals(body, V, name)
         own = found.nodes < size
         n = found.normals[own]

@@ -16,6 +16,7 @@ from dolfin_elastic.model.supports.displacement import NORMAL, PrescribingSuppor
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.problem.constraints.normals import surface_normals, unit_normals
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
+from dolfin_elastic.problem.spaces import part_nodes
 
 IN_PLANE = 0.7
 """Component of a normal in a plane of symmetry from which the mirrored surface is smooth there."""
@@ -159,10 +160,9 @@ class PrescribedComponents:
         self.components += [self._along_axis(motion, i, nodes) for i in range(self._dim)]
 
     def _nodes(self, support: Restraint) -> IndexArray:
-        """Nodes of its surfaces, owned and ghost, sorted. Collective."""
-        facets = np.unique(np.concatenate([self._body.surface(s) for s in support.surfaces]))
-        nodes = fem.locate_dofs_topological(self._V, self._body.mesh.topology.dim - 1, facets)
-        return np.sort(nodes).astype(np.int32)
+        """Nodes of its parts, owned and ghost, sorted. Collective."""
+        found = [part_nodes(self._body, self._V, name) for name in support.surfaces]
+        return np.unique(np.concatenate(found)).astype(np.int32)
 
     def _along_axis(
         self, support: PrescribingSupport | RigidMotion | None, i: int, nodes: IndexArray

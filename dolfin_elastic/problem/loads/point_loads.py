@@ -2,7 +2,8 @@
 
 The virtual work of a force f at a point X is f . v(X) = sum_a N_a(X) f . v_a over the nodes of its
 cell, so the nodal forces N_a f have its resultant and its moment exactly.  A line is cut into parts
-much shorter than a cell with two Gauss points each.  A point counts on one rank.
+much shorter than a cell with two Gauss points each, a named edge has Gauss points in each mesh
+edge.  A point counts on one rank.
 """
 
 from __future__ import annotations
@@ -14,17 +15,20 @@ import numpy as np
 from dolfinx import fem, geometry
 from mpi4py import MPI
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.core.parallel import agree
+from dolfin_elastic.core.parallel import agree, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.loads import ConcentratedLoad, Load
 from dolfin_elastic.model.values import amplitude_of, depends_on_time
+from dolfin_elastic.problem.loads.edges_points import points_of
 
 PARTS = 8
 """Parts of a line to the mean length of a cell."""
+EDGE_DEGREE = 8
+"""Degree of polynomials along a mesh edge that the forces on it are integrated exactly for."""
 NEAR = 1e-3
 """Distance over the body's diagonal that a point may be off the body."""
 
@@ -102,10 +106,10 @@ class NodalLoads:
         Ghosts have theirs too: add all of it up over the ranks.
         """
         index_map = self._V.dofmap.index_map
-        total = np.zeros((index_map.size_local + index_map.num_ghosts, self._dim))
+        sums = np.zeros((index_map.size_local + index_map.num_ghosts, self._dim))
         for spread, forces in zip(self._spread, self._forces, strict=True):
-            np.add.at(total, spread.nodes, spread.shapes[:, :, None] * forces[:, None, :])
-        return total.ravel()
+            np.add.at(sums, spread.nodes, spread.shapes[:, :, None] * forces[:, None, :])
+        return sums.ravel()
 
     # --- where they act ---
 
@@ -115,10 +119,40 @@ class NodalLoads:
                 raise InputError(
                     f"{len(vector)} components given, the body has {self._dim}", where=key
                 )
+        if load.on is not None:
+            return self._on_parts(load)
         key, points, weights = self._points(load)
         x, cells, mine = self._located(points, load, key)
         nodes, shapes = self._shapes(x[mine], cells[mine])
         return _Spread(load, points[mine], weights[mine], nodes, shapes)
+
+    def _on_parts(self, load: ConcentratedLoad) -> _Spread:
+        """Named nodes, or Gauss points of named edges, that this rank owns. Collective."""
+        kind, comm = load.part_kinds[0], self._body.comm
+        try:
+            points = points_of(self._body, kind, load.parts, EDGE_DEGREE)
+        except MeshError as error:
+            raise error.at("on") from None
+        size = total(comm, float(points.weights.sum()))
+        if not size > 0.0:
+            raise InputError("nothing of the mesh is there", where="on")
+        x = np.zeros((points.weights.size, 3))
+        x[:, : self._dim] = points.X.reshape(-1, self._dim)
+        local = points.local.reshape(-1, self._dim)
+        cells = np.repeat(points.cells, points.weights.shape[1])
+        weights = points.weights.ravel() / (size if load.total else 1.0)
+        nodes = np.asarray(self._V.dofmap.list)[cells]
+        table = self._V.element.basix_element.tabulate(0, local)[0, :, :, 0]
+        return _Spread(load, x, weights, nodes, np.asarray(table, dtype=np.float64))
+
+    def samples(self, load: Load) -> tuple[FloatArray, FloatArray]:
+        """Places and weights of a load with this rank; those of all ranks make the whole.
+
+        Returns:
+            Shapes (points, dim) [m] and (points,) [1 or m].
+        """
+        spread = next(s for s in self._spread if s.load is load)
+        return spread.x[:, : self._dim], spread.weights
 
     def _points(self, load: ConcentratedLoad) -> tuple[str, FloatArray, FloatArray]:
         """Key, places and weights of the points; the same on every rank."""

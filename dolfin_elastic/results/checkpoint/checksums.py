@@ -67,7 +67,16 @@ def fingerprint(body: Body) -> dict[str, Any]:
         "geometry": _text(total(body.comm, geometry)),
         "regions": named,
         "surfaces": {name: body.count(name) for name in sorted(body.surfaces)},
+        **_lower_parts(body),
     }
+
+
+def _lower_parts(body: Body) -> dict[str, Any]:
+    """Numbers of edges and nodes by name, if there are any. Collective."""
+    edges = {name: int(total(body.comm, len(body.owned_edges(name)))) for name in body.edges}
+    points = {name: int(total(body.comm, len(body.owned_points(name)))) for name in body.points}
+    found = {"edges": edges, "points": points}
+    return {kind: dict(sorted(parts.items())) for kind, parts in found.items() if parts}
 
 
 def _text(value: int) -> str:
