@@ -92,7 +92,7 @@ def vertices_of(body: Body, name: str) -> BoolArray:
     Raises:
         MeshError: There is no such part.
     """
-    found = [np.empty(0, dtype=np.int32)]
+    found: list[IndexArray] = [np.empty(0, dtype=np.int32)]
     kinds = [kind for kind in body.kinds(name) if kind != "region"]
     if not kinds:
         body.surface(name)  # raises

@@ -181,7 +181,7 @@ def part_nodes(body: Body, V: fem.FunctionSpace, name: str) -> IndexArray:
     Raises:
         MeshError: There is no such part, or it has no node in the space.
     """
-    found = [np.empty(0, dtype=np.int32)]
+    found: list[IndexArray] = [np.empty(0, dtype=np.int32)]
     kinds = [kind for kind in body.kinds(name) if kind != "region"]
     if not kinds:
         body.surface(name)  # raises

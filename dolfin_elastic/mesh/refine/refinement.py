@@ -93,6 +93,8 @@ def refine_body(body: Body, cells: IndexArray) -> Refinement:
     corners = np.asarray(links(division.corners))
     parts = carry_parts(body, mesh, corners, of_parents)
     regions, surfaces = parts["regions"], parts["surfaces"]
+    # Edges and points are numbered by the old mesh.
+    body = replace(body, edges={}, points={}, uncovered={})
     finer = replace(body, mesh=mesh, regions=regions, surfaces=surfaces, fields={}, notes=notes)
     bare = Refinement(body, finer, corners, of_parents)
     fields = {name: _carried_field(bare, field) for name, field in body.fields.items()}

@@ -140,10 +140,11 @@ class NodalLoads:
         x[:, : self._dim] = points.X.reshape(-1, self._dim)
         local = points.local.reshape(-1, self._dim)
         cells = np.repeat(points.cells, points.weights.shape[1])
-        weights = points.weights.ravel() / (size if load.total else 1.0)
+        share = size if load.total else 1.0
+        weights: FloatArray = points.weights.ravel() / share
         nodes = np.asarray(self._V.dofmap.list)[cells]
-        table = self._V.element.basix_element.tabulate(0, local)[0, :, :, 0]
-        return _Spread(load, x, weights, nodes, np.asarray(table, dtype=np.float64))
+        table = np.asarray(self._V.element.basix_element.tabulate(0, local)[0, :, :, 0])
+        return _Spread(load, x, weights, nodes, table)
 
     def samples(self, load: Load) -> tuple[FloatArray, FloatArray]:
         """Places and weights of a load with this rank; those of all ranks make the whole.
