@@ -16,8 +16,10 @@ from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
-from dolfin_elastic.results.fields import FIELDS, check_field_names
-from dolfin_elastic.results.grid import Grid, to_nodes
+from dolfin_elastic.results.fields import FIELDS, RecoveredField, check_field_names
+from dolfin_elastic.results.grid import Grid
+from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
+from dolfin_elastic.results.recovery.stress import NodalStress, StressRecovery
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -41,9 +43,12 @@ class Evaluator:
         self.problem, self.names = problem, check_field_names(names)
         self.grid = Grid(problem.V)
         self.w = fem.Function(problem.W)
-        needed = (other for name in self.names for other in (name, *FIELDS[name].needs))
-        self.cell_names = tuple(name for name in check_field_names(needed) if FIELDS[name].formula)
+        self.cell_names = tuple(name for name in self.names if _of_cells(name))
         self._kernels = [self._kernel(part) for part in problem.regions] if self.cell_names else []
+        self._error = ErrorEstimator(problem, self.w) if "error" in self.names else None
+        recovered = any(FIELDS[name].recovered for name in self.names)
+        alone = recovered and self._error is None
+        self._recovery = StressRecovery(problem, self.w) if alone else None
         if {"reaction", "residual"} & set(self.names):
             _ = self.residual
 
@@ -77,7 +82,9 @@ class Evaluator:
             InputError: A field of motion is asked for in statics, or the reverse.
         """
         self.w.x.array[:] = (state.w or state.u).x.array
-        source = StateSource(self, state, self._cells())
+        error = None if self._error is None else self._error(state)
+        stress = error.stress if error else self._recovery() if self._recovery else None
+        source = StateSource(self, state, self._cells(), stress, error)
         return {name: source.get(name) for name in (*self.names, *more)}
 
     def _cells(self) -> dict[str, AnyArray]:
@@ -93,6 +100,11 @@ class Evaluator:
         }
 
 
+def _of_cells(name: str) -> bool:
+    """Whether a field is evaluated by its formula, once per cell."""
+    return FIELDS[name].centre == "cell" and FIELDS[name].formula is not None
+
+
 @dataclass(frozen=True)
 class StateSource:
     """The `FieldSource` of one state.
@@ -101,11 +113,15 @@ class StateSource:
         evaluator: Has the problem, its grid and the compiled residual.
         state: The state.
         cells: Fields of cells that are evaluated already.
+        stress: The recovered stress, where a field needs it.
+        error: The estimated error, where a field needs it.
     """
 
     evaluator: Evaluator
     state: State
     cells: dict[str, AnyArray]
+    stress: NodalStress | None = None
+    error: ErrorEstimate | None = None
 
     def get(self, name: str) -> AnyArray:
         """This rank's rows of a field. Collective."""
@@ -160,10 +176,15 @@ class StateSource:
         places = self.evaluator.problem.unknowns.mixed_dofs
         return np.asarray(force.array[places(np.arange(self._own(), dtype=np.int32))])
 
-    def averaged(self, name: str) -> AnyArray:
+    def recovered(self, name: RecoveredField) -> AnyArray:
         """See `FieldSource`."""
-        grid = self.evaluator.grid
-        return to_nodes(grid.V, self.cells[name])[: grid.own_points]
+        assert self.stress is not None
+        return self.stress.rows(name)
+
+    def stress_error(self) -> AnyArray:
+        """See `FieldSource`."""
+        assert self.error is not None
+        return self.error.stress_in_cells[:, None]
 
     def region(self) -> AnyArray:
         """See `FieldSource`; the last region where several overlap."""

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from dolfinx.mesh import Mesh
 
-from dolfin_elastic.core.types import AnyArray
+from dolfin_elastic.core.types import AnyArray, IntArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.results.recovery.stress import StressRecovery
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -23,7 +24,7 @@ class Extreme:
     Attributes:
         value: In the field's SI unit.
         place: Node or barycentre of a cell [m], reference configuration.
-        part: Name of the material region; empty for values of nodes.
+        part: Name of the material region; empty for displacements.
     """
 
     value: float
@@ -40,10 +41,9 @@ class Extremes:
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
-        names = ["displacement", "von_mises", "jacobian"]
-        if any(part.law.allowable is not None for part in problem.regions):
-            names.append("safety_factor")
-        self.evaluate = Evaluator(problem, names)
+        self.evaluate = Evaluator(problem, ["displacement", "jacobian"])
+        self._recovery = StressRecovery(problem, self.evaluate.w)
+        self._limited = any(part.law.allowable is not None for part in problem.regions)
 
     def of(self, state: State) -> dict[str, Extreme]:
         """Name to extreme: the same on all ranks.
@@ -52,16 +52,17 @@ class Extremes:
         a material has an allowable stress the smallest ``safety_factor``.
         """
         values = self.evaluate(state)
+        stress = self._recovery()
         J = values["jacobian"][:, 0]
         lengths = np.linalg.norm(values["displacement"], axis=1)
         found = {
-            "von_mises": self._in_cells(values["von_mises"][:, 0]),
+            "von_mises": self._at_nodes(stress.rows("von_mises")[:, 0], stress.region),
             "displacement": self._at_nodes(lengths),
             "min_jacobian": self._in_cells(J, sign=-1),
             "max_jacobian": self._in_cells(J),
         }
-        if "safety_factor" in values:
-            found["safety_factor"] = self._in_cells(values["safety_factor"][:, 0], sign=-1)
+        if self._limited:
+            found["safety_factor"] = self._at_nodes(stress.safety, stress.safety_region, sign=-1)
         return found
 
     def _in_cells(self, values: AnyArray, *, sign: int = 1) -> Extreme:
@@ -70,11 +71,15 @@ class Extremes:
         part = next((p.name for p in self.problem.regions if cell in p.cells), "")
         return self._largest(Extreme(sign * value, _numbers(centre), part), sign)
 
-    def _at_nodes(self, values: AnyArray) -> Extreme:
-        node, value = _first_largest(values)
+    def _at_nodes(
+        self, values: AnyArray, regions: IntArray | None = None, *, sign: int = 1
+    ) -> Extreme:
+        node, value = _first_largest(sign * values)
         dim = self.problem.body.dim
         place = self.evaluate.grid.points()[node, :dim] if node >= 0 else np.zeros(0)
-        return self._largest(Extreme(value, _numbers(place)), 1)
+        region = -1 if regions is None or node < 0 else int(regions[node])
+        part = self.problem.regions[region].name if region >= 0 else ""
+        return self._largest(Extreme(sign * value, _numbers(place), part), sign)
 
     def _largest(self, own: Extreme, sign: int) -> Extreme:
         found: list[Extreme] = [e for e in self.problem.body.comm.allgather(own) if e.place]

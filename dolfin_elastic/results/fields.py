@@ -1,10 +1,10 @@
 """The table `FIELDS` of the fields that can be written and drawn.
 
-Stress and strain are evaluated once per cell: they are constant in linear elements, and taken at
-the barycentre of quadratic ones.  No projection or smoothing takes place, but for the field that
-says so in its name.  Tensors are 3x3 also in a plane body, with the stress across the plane.  A law
-that is linear in the displacement gradient has one stress, for reference and current configuration
-coincide: its Cauchy stress.
+The Cauchy stress and what follows from it are recovered at the nodes, see `results/recovery`.
+Fields of cells are evaluated once per cell: they are constant in linear elements, and taken at the
+barycentre of quadratic ones.  Tensors are 3x3 also in a plane body, with the stress across the
+plane.  A law that is linear in the displacement gradient has one stress, for reference and current
+configuration coincide: its Cauchy stress.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from dolfin_elastic.model.materials.law import Law
 
 SHAPES = {"scalar": 1, "vector": 3, "tensor": 9}
 
+RecoveredField = Literal["von_mises", "cauchy_stress", "pressure", "safety_factor"]
+
 
 class FieldSource(Protocol):
     """One state on this rank, as fields without a formula read it.
@@ -39,8 +41,11 @@ class FieldSource(Protocol):
     def residual(self) -> AnyArray:
         """The same with zeros where supports prescribe the displacement."""
 
-    def averaged(self, name: str) -> AnyArray:
-        """A field of cells, averaged at the points."""
+    def recovered(self, name: RecoveredField) -> AnyArray:
+        """A field of the recovered stress at the points."""
+
+    def stress_error(self) -> AnyArray:
+        """Estimated error of each cell's stress [Pa], shape (cells, 1)."""
 
     def region(self) -> AnyArray:
         """Number of each cell's region, shape (cells, 1)."""
@@ -54,17 +59,18 @@ class FieldSource(Protocol):
 
 @dataclass(frozen=True)
 class Field:
-    """One row of `FIELDS`; exactly one of `formula` and `values` is given.
+    """One row of `FIELDS`; fields of cells have a `formula` or `values`, those of nodes `values`.
 
     Attributes:
         shape: Scalar, vector (3 components also in 2D) or tensor (9, row by row).
         centre: Whether there is a value for each node or for each cell.
         unit: SI unit.
         description: One line for listings.
-        formula: Of a field of cells: law and 3x3 deformation gradient to a UFL expression; None
-            for a law without such a quantity, whose cells get NaN.
-        values: Of any other field: this rank's rows from a `FieldSource`.
-        needs: Fields of cells that `values` reads.
+        formula: Law and 3x3 deformation gradient to a UFL expression; None for a law without such
+            a quantity, whose cells get NaN.  Of a field of nodes it gives the value inside a cell.
+        values: Of a field of nodes, and of cells without a formula: this rank's rows from a
+            `FieldSource`.
+        recovered: It follows from the recovered stress.
         motion: Exists in motion only.
         statics: Exists in statics only.
         fixed: The same at every step: written once.
@@ -76,7 +82,7 @@ class Field:
     description: str
     formula: Callable[[Law, Expr], Expr | None] | None = None
     values: Callable[[FieldSource], AnyArray] | None = None
-    needs: tuple[str, ...] = ()
+    recovered: bool = False
     motion: bool = False
     statics: bool = False
     fixed: bool = False
@@ -123,6 +129,30 @@ def _safety_factor(law: Law, F: Expr) -> Expr | None:
     return law.allowable / ufl.max_value(stress, law.allowable / SAFEST)
 
 
+def _von_mises(law: Law, F: Expr) -> Expr:
+    return kinematics.von_mises(cauchy_stress(law, F))
+
+
+_FORMULAS: dict[RecoveredField, Callable[[Law, Expr], Expr | None]] = {
+    "von_mises": _von_mises,
+    "cauchy_stress": cauchy_stress,
+    "pressure": _pressure,
+    "safety_factor": _safety_factor,
+}
+
+
+def _recovered(name: RecoveredField, description: str) -> Field:
+    return Field(
+        "tensor" if name == "cauchy_stress" else "scalar",
+        "node",
+        "" if name == "safety_factor" else "Pa",
+        description,
+        _FORMULAS[name],
+        values=lambda source: source.recovered(name),
+        recovered=True,
+    )
+
+
 FIELDS: dict[str, Field] = {
     "displacement": Field(
         "vector", "node", "m", "displacement", values=lambda source: source.nodal("u")
@@ -154,23 +184,16 @@ FIELDS: dict[str, Field] = {
         statics=True,
         values=lambda source: source.residual(),
     ),
-    "von_mises": Field(
-        "scalar",
-        "cell",
-        "Pa",
-        "von Mises stress, from the Cauchy stress",
-        lambda law, F: kinematics.von_mises(cauchy_stress(law, F)),
+    "von_mises": _recovered("von_mises", "von Mises stress, from the recovered Cauchy stress"),
+    "von_mises_nodal": _recovered("von_mises", "the same as von_mises"),
+    "von_mises_cell": Field(
+        "scalar", "cell", "Pa", "von Mises stress of the cell, not recovered", _von_mises
     ),
-    "von_mises_nodal": Field(
-        "scalar",
-        "node",
-        "Pa",
-        "von Mises stress, averaged at the nodes",
-        values=lambda source: source.averaged("von_mises"),
-        needs=("von_mises",),
+    "cauchy_stress": _recovered(
+        "cauchy_stress", "recovered Cauchy stress: force over current area"
     ),
-    "cauchy_stress": Field(
-        "tensor", "cell", "Pa", "Cauchy stress: force over current area", cauchy_stress
+    "cauchy_stress_cell": Field(
+        "tensor", "cell", "Pa", "Cauchy stress of the cell, not recovered", cauchy_stress
     ),
     "first_piola": Field(
         "tensor",
@@ -179,7 +202,10 @@ FIELDS: dict[str, Field] = {
         "first Piola-Kirchhoff stress: force over reference area",
         lambda law, F: law.stress(F),
     ),
-    "pressure": Field("scalar", "cell", "Pa", "pressure: minus the mean Cauchy stress", _pressure),
+    "pressure": _recovered("pressure", "pressure: minus the mean recovered Cauchy stress"),
+    "pressure_cell": Field(
+        "scalar", "cell", "Pa", "pressure of the cell: minus its mean Cauchy stress", _pressure
+    ),
     "green_strain": Field(
         "tensor", "cell", "", "Green strain", lambda law, F: kinematics.green_strain(F)
     ),
@@ -197,12 +223,15 @@ FIELDS: dict[str, Field] = {
         "strain energy per reference volume",
         lambda law, F: law.energy(F),
     ),
-    "safety_factor": Field(
+    "safety_factor": _recovered(
+        "safety_factor", "allowable stress of the material over the von Mises stress, 1000 at most"
+    ),
+    "error": Field(
         "scalar",
         "cell",
-        "",
-        "allowable stress of the material over the von Mises stress, 1000 at most",
-        _safety_factor,
+        "Pa",
+        "estimated error of the cell's stress: of recovered minus raw, mean square",
+        values=lambda source: source.stress_error(),
     ),
     "young_modulus": Field(
         "scalar",

@@ -24,6 +24,7 @@ from dolfin_elastic.problem.loads.edges_points import points_of
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
 from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.recovery.points import StressAtPoints, is_recovered
 from dolfin_elastic.results.surface_means import NODAL, SurfaceMean, check_surface
 from dolfin_elastic.results.writers.history import row
 
@@ -163,13 +164,14 @@ def check_readable(names: Iterable[str]) -> tuple[str, ...]:
 class Probe:
     """Evaluates fields of states at points of the undeformed body.  All of it is collective.
 
-    The displacement is evaluated by the shape functions.  A field of cells is extrapolated
-    linearly from sampling points of the cells to their corners, averaged there over the adjacent
-    cells of the same material with their volumes as weights, and interpolated to the point.  The
-    sampling point of linear elements is the barycentre; those of quadratic elements are the points
-    of the quadrature rule of degree 2, where stresses are most accurate (J. Barlow, Int. J. Numer.
-    Meth. Eng. 10 (1976) 243).  On an interface it is the field of the material that comes first in
-    the problem.
+    The displacement is evaluated by the shape functions, and so is the stress that is recovered at
+    the nodes (`results/recovery`), from which von Mises stress, pressure and safety factor follow.
+    Another field of cells is extrapolated linearly from sampling points of the cells to their
+    corners, averaged there over the adjacent cells of the same material with their volumes as
+    weights, and interpolated to the point.  The sampling point of linear elements is the
+    barycentre; those of quadratic elements are the points of the quadrature rule of degree 2, where
+    stresses are most accurate (J. Barlow, Int. J. Numer. Meth. Eng. 10 (1976) 243).  On an
+    interface it is the field of the material that comes first in the problem.
 
     Args:
         problem: The problem that is solved.
@@ -197,7 +199,12 @@ class Probe:
         self._samples = samples or {}
         self.places = locate(problem.body, points, _materials(problem))
         names = dict.fromkeys(n for row in self.fields.values() for n in row if n not in NODAL)
-        self._cells = _CellFields(problem, self.places, tuple(names)) if names else None
+        of_cells = tuple(name for name in names if not FIELDS[name].recovered)
+        self._cells = _CellFields(problem, self.places, of_cells) if of_cells else None
+        recovered = {
+            name: place for name, place in self.places.items() if is_recovered(self.fields[name])
+        }
+        self._stress = StressAtPoints(problem, recovered) if recovered else None
         self._means = {
             name: SurfaceMean(problem, surface, check_readable(asked))
             for name, (surface, asked) in (surfaces or {}).items()
@@ -249,10 +256,15 @@ class Probe:
             return {}
         with stage("output"):
             cells = self._cells(state) if self._cells else {}
+            stress = self._stress(state) if self._stress else {}
+
+            def value(name: str, field: str) -> FloatArray:
+                if field in NODAL:
+                    return self._nodal(state, field, self.places[name])
+                return stress[name].row(field) if FIELDS[field].recovered else cells[name][field]
+
             values = {
-                f"{name}_{field}": self._nodal(state, field, self.places[name])
-                if field in NODAL
-                else cells[name][field]
+                f"{name}_{field}": value(name, field)
                 for name, row in self.fields.items()
                 for field in row
             }

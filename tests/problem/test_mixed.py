@@ -469,7 +469,7 @@ def test_the_pressure_does_not_swing_from_step_to_step():
     low = []
     for state in Dynamics(problem, end=0.01, dt=5e-4, spectral_radius=1.0).steps():
         if state.step:
-            values = Evaluator(problem, ["pressure"])(state)["pressure"]
+            values = Evaluator(problem, ["pressure_cell"])(state)["pressure_cell"]
             comm = problem.body.comm
             low.append(comm.allreduce(float(values.min(initial=np.inf)), op=MPI.MIN))
     assert np.ptp(low) < 0.6 * abs(np.median(low))

@@ -47,7 +47,11 @@ _CATEGORIES = ("material", "region")
 _LABELS = {
     "von_mises": "von Mises stress",
     "von_mises_nodal": "von Mises stress",
+    "von_mises_cell": "von Mises stress",
     "cauchy_stress": "Cauchy stress",
+    "cauchy_stress_cell": "Cauchy stress",
+    "pressure_cell": "pressure",
+    "error": "estimated error of the stress",
     "first_piola": "first Piola stress",
     "green_strain": "Green strain",
     "jacobian": "det F",

@@ -1,0 +1,1 @@
+"""Stress recovered at the nodes, and the discretisation error that is estimated from it."""

@@ -1,0 +1,278 @@
+"""An estimate of the discretisation error, from the recovered and the raw stress.
+
+The recovered stress is more accurate than the finite element solution's own, so their difference
+estimates the error of the latter.  It is measured in the energy norm,
+
+    eta^2 = 1/2 int (S* - S) : (E* - E) dV,
+
+the strain energy of the error in J, where S* and E* are recovered from the stress S and the strain
+E.  With Hooke's law S and E are the stress and strain of small strains, and since E* - E is the
+compliance times S* - S wherever the law's constants do not vary in space, this is the estimate of
+Zienkiewicz and Zhu.  With other laws S is the second Piola-Kirchhoff stress and E the Green strain:
+to the order of the error S* - S is the material tangent at the state times E* - E, so this is the
+energy norm with the present tangent, without its geometric part, the same in a turned body.  Where
+it is negative at a point, as in a law that has lost its stability, its absolute value counts.
+Growth and heat are taken out first: S and E are those of the elastic part.
+
+Where a pressure p carries the volumetric part, S : E is that of the rest of the law and
+p^2/k is added, k the modulus that belongs to p: the norm in which the perturbed Lagrangian is well
+posed, which remains a norm where nu = 1/2 and 1/k = 0.
+
+The estimate holds for the raw stress.  The largest von Mises stress is a recovered one, but on the
+surface, where peaks are, its error has the order of the raw stress: its estimate is sqrt(3) times
+the root mean square, over the cells around it, of the von Mises stress of the difference between
+recovered and raw Cauchy stress, which is the largest value of a linear function of that mean
+square whose mean is zero.
+
+Source: O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 24 (1987) 337, (13) to (17), and
+33 (1992) 1365; mixed elements: F. Brezzi and M. Fortin, Mixed and Hybrid Finite Element Methods
+(1991), section VI.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import BoolArray, FloatArray
+from dolfin_elastic.mesh.geometry.curved import cell_jacobians, quadrature_rule
+from dolfin_elastic.model.materials.growth import GrownLaw
+from dolfin_elastic.model.materials.mixed import Mixed
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.recovery.patches import cell_edges
+from dolfin_elastic.results.recovery.stress import (
+    COMPONENTS,
+    NodalStress,
+    RegionStress,
+    means_at_nodes,
+    von_mises,
+)
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem.material_regions import MaterialRegion
+    from dolfin_elastic.problem.problem import Problem
+
+_LARGEST = 3.0
+"""Square of the largest value of x over its mean square for x from -1 to 1."""
+_SHARES = (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
+"""How often each of six components stands in a symmetric tensor."""
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A largest von Mises stress.
+
+    Attributes:
+        value: Recovered stress [Pa].
+        place: Node [m], reference configuration.
+        part: Name of its material region.
+        error: Estimated error, relative to the value.
+    """
+
+    value: float
+    place: tuple[float, ...]
+    part: str
+    error: float
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """The estimated discretisation error of one state.
+
+    Attributes:
+        cells: Strain energy of the error in each owned cell [J], shape (owned cells,).
+        energy: Its sum over all cells of all ranks [J].
+        relative: Relative error in the energy norm, sqrt(energy/(energy + elastic energy)).
+        stress_in_cells: Root mean square over each owned cell of the von Mises stress of the
+            difference between recovered and raw stress [Pa].
+        stress: Recovered stress at the owned nodes.
+        stress_error: Estimated error of its von Mises stress at the owned nodes [Pa].
+    """
+
+    cells: FloatArray
+    energy: float
+    relative: float
+    stress_in_cells: FloatArray
+    stress: NodalStress
+    stress_error: FloatArray
+
+
+class ErrorEstimator:
+    """Estimates the discretisation error of a problem's states.  All of it is collective.
+
+    The constructor compiles one kernel a material.
+
+    Args:
+        problem: The problem that is solved.
+        w: All unknowns, if others share them; they are overwritten.
+    """
+
+    def __init__(self, problem: Problem, w: fem.Function | None = None) -> None:
+        self._problem = problem
+        self._w = fem.Function(problem.W) if w is None else w
+        self._regions = [_RegionError(problem, part, self._w) for part in problem.regions]
+
+    def __call__(self, state: State) -> ErrorEstimate:
+        """The estimate for one state."""
+        self._w.x.array[:] = (state.w or state.u).x.array
+        problem, V = self._problem, self._problem.V
+        own = len(problem.body.owned_cells())
+        cells, elastic, in_cells = np.zeros((3, own))
+        found, errors = [], np.zeros((len(self._regions), V.dofmap.index_map.size_local))
+        for number, region in enumerate(self._regions):
+            of = region()
+            chosen = region.part.cells
+            cells[chosen], elastic[chosen], in_cells[chosen] = of.energy, of.elastic, of.stress
+            found.append((region.part, of.recovered))
+            errors[number] = means_at_nodes(V, chosen, of.at_nodes[:, :, None])[:, 0]
+        stress = NodalStress.of(V, found)
+        energy, stored = total(problem.body.comm, np.array([cells.sum(), elastic.sum()]))
+        return ErrorEstimate(
+            cells,
+            float(energy),
+            float(np.sqrt(energy / (energy + stored))) if energy != 0 else 0.0,
+            in_cells,
+            stress,
+            errors[stress.region, np.arange(errors.shape[1])],
+        )
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The error in one region, by cell.
+
+    Attributes:
+        energy: Strain energy of the error [J], shape (cells,).
+        elastic: Strain energy in the same norm [J].
+        stress: See `ErrorEstimate.stress_in_cells`.
+        at_nodes: Estimated error of the von Mises stress [Pa], shape (cells, nodes of a cell).
+        recovered: Recovered values, see `RegionStress`.
+    """
+
+    energy: FloatArray
+    elastic: FloatArray
+    stress: FloatArray
+    at_nodes: FloatArray
+    recovered: FloatArray
+
+
+class _RegionError:
+    """The error in one material region.  All of it is collective."""
+
+    def __init__(self, problem: Problem, region: MaterialRegion, w: fem.Function) -> None:
+        dim, degree = problem.body.dim, problem.degree
+        pairs, shares = _work_pairs(problem, region, w)
+        weight = problem.measures.filled(None, 0).weight
+        self._pairs, self._shares = len(pairs), np.array(shares)
+        self._mesh = problem.body.mesh
+        # The difference has the degree of the displacement on straight cells.
+        self._points, self._weights = quadrature_rule(dim, 2 * degree)
+        self.part = RegionStress(
+            problem,
+            region,
+            w,
+            more=[a for a, _ in pairs]
+            + [b for _, b in pairs]
+            + ([] if weight is None else [weight]),
+            points=self._points,
+        )
+        self._shape = problem.V.element.basix_element.tabulate(0, self._points)[0, :, :, 0]
+        self._edges = cell_edges(dim) if degree > 1 else np.zeros((0, 2), dtype=np.int64)
+
+    def __call__(self) -> _Found:
+        """The error of the state that is in the unknowns."""
+        recovered, n = self.part(), self._pairs
+        energy, elastic, squares, volume = np.zeros((4, len(self.part.cells)))
+        for part in self.part.chunks():
+            raw = self.part.at_points(part)
+            off = self._shape @ recovered[part] - raw
+            size = np.abs(cell_jacobians(self._mesh, self._points, self.part.cells[part]))
+            size = size * self._weights
+            volume[part] = size.sum(axis=1)
+            squares[part] = (size * von_mises(off[..., :6]) ** 2).sum(axis=1)
+            if raw.shape[2] > 6 + 2 * n:
+                size = size * raw[..., -1]
+            energy[part] = (size * self._work(off)).sum(axis=1)
+            elastic[part] = (size * self._work(raw)).sum(axis=1)
+        return _Found(
+            energy, elastic, np.sqrt(squares / volume), self._at_nodes(squares, volume), recovered
+        )
+
+    def _work(self, values: FloatArray) -> FloatArray:
+        """Half the product of stresses and strains, its absolute value; shape (cells, points)."""
+        a, b = values[..., 6 : 6 + self._pairs], values[..., 6 + self._pairs : 6 + 2 * self._pairs]
+        return np.asarray(np.abs(0.5 * np.sum(self._shares * a * b, axis=2)))
+
+    def _at_nodes(self, squares: FloatArray, volume: FloatArray) -> FloatArray:
+        """Estimated error of the von Mises stress at the nodes, shape (cells, nodes of a cell).
+
+        At the middle of an edge that of one of its ends, whichever is larger.
+        """
+        sums = self.part.patches.sums(np.stack([squares, volume], axis=1))
+        corners = np.sqrt(_LARGEST * sums[..., 0] / sums[..., 1])
+        return np.concatenate([corners, corners[:, self._edges].max(axis=2)], axis=1)
+
+
+def _work_pairs(
+    problem: Problem, region: MaterialRegion, w: fem.Function
+) -> tuple[list[tuple[Expr, Expr]], list[float]]:
+    """Stresses and strains whose products are twice the strain energy of an error.
+
+    Args:
+        problem: The problem that is solved.
+        region: One of its material regions.
+        w: All unknowns.
+
+    Returns:
+        Pairs of UFL scalars, and how often each counts; see the module.
+    """
+    response, F = problem.weak_form.response(region, w), problem.weak_form.F(w)
+    volume: Expr | float = 1.0
+    if isinstance(response, GrownLaw):
+        F = response.elastic(F)
+        volume = 1.0 if response.linear else ufl.det(response.growth)
+        response = response.law
+    P = response.law.shape_stress(F) if isinstance(response, Mixed) else response.stress(F)
+    if response.linear:
+        S, E = P, (F + F.T) / 2 - ufl.Identity(3)
+    else:
+        S, E = ufl.inv(F) * P, (F.T * F - ufl.Identity(3)) / 2
+    pairs = [(volume * (S[i, j] + S[j, i]) / 2, (E[i, j] + E[j, i]) / 2) for i, j in COMPONENTS]
+    shares = list(_SHARES)
+    if isinstance(response, Mixed):
+        pairs.append((volume * response.p, response.p * response.compliance))
+        shares.append(1.0)
+    return pairs, shares
+
+
+def largest(problem: Problem, estimate: ErrorEstimate, chosen: BoolArray | None = None) -> Peak:
+    """The largest von Mises stress, on all nodes or on some. Collective.
+
+    Args:
+        problem: The problem that is solved.
+        estimate: The estimate for a state.
+        chosen: Which of the owned nodes count; by default all.
+    """
+    values = von_mises(estimate.stress.stress)
+    values = np.where(np.isfinite(values), values, -np.inf)
+    if chosen is not None:
+        values = np.where(chosen, values, -np.inf)
+    node = int(np.argmax(values)) if len(values) else -1
+    own = None
+    if node >= 0 and np.isfinite(values[node]):
+        x = problem.V.tabulate_dof_coordinates()[node, : problem.body.dim]
+        value = float(values[node])
+        own = Peak(
+            value,
+            tuple(float(a) for a in x),
+            problem.regions[int(estimate.stress.region[node])].name,
+            float(estimate.stress_error[node]) / value if value > 0 else 0.0,
+        )
+    found = [peak for peak in problem.body.comm.allgather(own) if peak is not None]
+    return max(found, key=lambda peak: peak.value, default=Peak(0.0, (), "", 0.0))

@@ -1,0 +1,251 @@
+"""The recovered stress of a state: the Cauchy stress, fitted on patches of each material.
+
+Recovered is the Cauchy stress as a function of the place in the reference configuration.  It is the
+stress that an engineer compares with a strength: the von Mises stress, the pressure and the safety
+factor are those of the recovered tensor, not means of their own, so that they belong together.
+It is symmetric, so six components suffice, and it is a smooth function of the reference place
+wherever the deformation is; patches of the reference mesh serve all states.  The von Mises stress
+itself would be a bad quantity to fit, for it has a kink where it vanishes.
+
+Materials have stresses of their own, which jump at interfaces: each is recovered from its own cells
+alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import ufl
+from dolfinx import fem, la
+from dolfinx.fem import Constant
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.jit import compile_expression
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.results.fields import SAFEST, cauchy_stress
+from dolfin_elastic.results.recovery.patches import Patches, sampling_points
+
+if TYPE_CHECKING:
+    from dolfin_elastic.model.materials.law import Law
+    from dolfin_elastic.problem.material_regions import MaterialRegion
+    from dolfin_elastic.problem.problem import Problem
+
+COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Order of the six components of a symmetric tensor: xx, yy, zz, xy, xz, yz."""
+_CHUNK = 8192
+_WHOLE = (0, 3, 4, 3, 1, 5, 4, 5, 2)
+
+
+def whole_tensor(components: FloatArray) -> FloatArray:
+    """Nine components, row by row, of six; shape (..., 9)."""
+    return np.asarray(components[..., _WHOLE])
+
+
+def von_mises(components: FloatArray) -> FloatArray:
+    """Von Mises stress of stresses of six components, shape (...)."""
+    xx, yy, zz, xy, xz, yz = np.moveaxis(components, -1, 0)
+    normal = (xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2
+    return np.asarray(np.sqrt(normal / 2 + 3 * (xy**2 + xz**2 + yz**2)))
+
+
+def safety_factor(allowable: FloatArray, stress: FloatArray) -> FloatArray:
+    """Allowable over von Mises stress, bounded; NaN without an allowable stress.
+
+    Args:
+        allowable: Stress that the material may bear [Pa].
+        stress: Von Mises stress [Pa].
+    """
+    return np.asarray(allowable / np.maximum(stress, allowable / SAFEST))
+
+
+def field_rows(name: str, stress: FloatArray, safety: FloatArray) -> FloatArray:
+    """Rows of a field that follows from the recovered stress, shape (n, 1 or 9).
+
+    Args:
+        name: Of the field.
+        stress: Cauchy stress [Pa], shape (n, 6).
+        safety: Safety factor, shape (n,).
+    """
+    if name == "cauchy_stress":
+        return whole_tensor(stress)
+    if name == "pressure":
+        return -stress[:, :3].mean(axis=1)[:, None]
+    return (safety if name == "safety_factor" else von_mises(stress))[:, None]
+
+
+@dataclass(frozen=True)
+class NodalStress:
+    """Recovered stress at this rank's owned nodes.
+
+    At a node on an interface it is that of the material with the largest von Mises stress; the
+    safety factor is the smallest one there.
+
+    Attributes:
+        stress: Cauchy stress [Pa], shape (nodes, 6).
+        region: Number of the material region that it belongs to, shape (nodes,).
+        safety: Allowable over von Mises stress, shape (nodes,); NaN without an allowable stress.
+        safety_region: Number of the region that the safety factor belongs to.
+    """
+
+    stress: FloatArray
+    region: IntArray
+    safety: FloatArray
+    safety_region: IntArray
+
+    @classmethod
+    def of(
+        cls, V: fem.FunctionSpace, found: Sequence[tuple[RegionStress, FloatArray]]
+    ) -> NodalStress:
+        """Puts the stresses of all regions together. Collective.
+
+        Args:
+            V: Space of the displacement.
+            found: Each region with its recovered values, see `RegionStress`.
+        """
+        count = V.dofmap.index_map.size_local
+        stress, region = np.full((count, 6), np.nan), np.full(count, -1)
+        safety, safety_region = np.full(count, np.nan), np.full(count, -1)
+        highest = np.full(count, -1.0)
+        for number, (part, values) in enumerate(found):
+            allowable = part.allowable()[:, :, None]
+            ones = np.ones_like(allowable)
+            table = np.concatenate([values[..., :6], allowable, ones], axis=2)
+            rows = means_at_nodes(V, part.cells, table)
+            here, value = ~np.isnan(rows[:, 7]), von_mises(rows[:, :6])
+            # Written so that a stress that is no number counts as the largest.
+            more = here & ~(value <= highest)
+            stress[more], region[more], highest[more] = rows[more, :6], number, value[more]
+            factor = safety_factor(rows[:, 6], value)
+            less = here & ~(factor >= safety) & ~np.isnan(rows[:, 6])
+            safety[less], safety_region[less] = factor[less], number
+        return cls(stress, region, safety, safety_region)
+
+    def rows(self, name: str) -> FloatArray:
+        """Rows of a field that follows from the recovered stress."""
+        return field_rows(name, self.stress, self.safety)
+
+
+class RegionStress:
+    """Recovers the Cauchy stress in one material region.  All of it is collective.
+
+    Args:
+        problem: The problem that is solved.
+        region: One of its material regions.
+        w: All unknowns of the states that are looked at.
+        cells: Owned cells of the region; by default all.
+        more: Further quantities, scalars in UFL, that are recovered beside it.
+        points: Further points of the reference cell, for `at_points`.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        region: MaterialRegion,
+        w: fem.Function,
+        cells: IndexArray | None = None,
+        *,
+        more: Sequence[Expr] = (),
+        points: FloatArray | None = None,
+    ) -> None:
+        self.region, self.cells = region, region.cells if cells is None else cells
+        self._problem, self._mesh, self._w = problem, problem.body.mesh, w
+        law = cast("Law", problem.weak_form.response(region, w))
+        sigma = cauchy_stress(law, problem.weak_form.F(w))
+        columns = [(sigma[i, j] + sigma[j, i]) / 2 for i, j in COMPONENTS] + list(more)
+        samples = sampling_points(problem.body.dim, problem.degree)
+        self._width, self._samples = len(columns), len(samples)
+        # One kernel for all points: compiling it takes longer than evaluating it.
+        everywhere = samples if points is None else np.concatenate([samples, points])
+        self._kernel = self._compiled(ufl.as_vector(columns), everywhere)
+        self.patches = Patches(problem.V, self.cells)
+        self._nodes = np.asarray(problem.V.element.basix_element.points)
+        allowable = region.law.allowable
+        self._allowable: fem.Expression | float | None
+        if allowable is None:
+            self._allowable = None
+        elif isinstance(allowable, Constant | float | int):
+            self._allowable = float(getattr(allowable, "value", allowable))
+        else:
+            self._allowable = self._compiled(allowable, self._nodes)
+
+    def _compiled(self, expression: Expr, points: FloatArray) -> fem.Expression:
+        return compile_expression(self._problem.body.comm, expression, points, self._problem.jit)
+
+    def __call__(self) -> FloatArray:
+        """Recovered values at the nodes of the cells; the first six are the Cauchy stress [Pa].
+
+        Returns:
+            Shape (cells, nodes of a cell, 6 and more).
+        """
+        parts = [self._evaluated(part)[:, : self._samples] for part in self.chunks()]
+        empty = np.zeros((0, self._samples, self._width))
+        return self.patches(np.concatenate([*parts, empty]))
+
+    def chunks(self) -> list[slice]:
+        """The cells in parts whose values need little memory."""
+        return [slice(i, i + _CHUNK) for i in range(0, len(self.cells), _CHUNK)]
+
+    def at_points(self, part: slice) -> FloatArray:
+        """Values of the finite element solution at the further points. Not collective.
+
+        Args:
+            part: One of `chunks`.
+
+        Returns:
+            Shape (cells, points, 6 and more).
+        """
+        return self._evaluated(part)[:, self._samples :]
+
+    def _evaluated(self, part: slice) -> FloatArray:
+        cells = self.cells[part]
+        values = np.asarray(self._kernel.eval(self._mesh, cells))
+        return values.reshape(len(cells), -1, self._width)
+
+    def allowable(self) -> FloatArray:
+        """Allowable stress [Pa] at the nodes of the cells, NaN without; shape (cells, nodes)."""
+        shape = (len(self.cells), len(self._nodes))
+        if isinstance(self._allowable, fem.Expression):
+            return np.asarray(self._allowable.eval(self._mesh, self.cells)).reshape(shape)
+        return np.full(shape, np.nan if self._allowable is None else self._allowable)
+
+
+class StressRecovery:
+    """Recovers the stress of a problem's states at the nodes.  All of it is collective.
+
+    Args:
+        problem: The problem that is solved.
+        w: All unknowns; it holds those of the state that is looked at.
+    """
+
+    def __init__(self, problem: Problem, w: fem.Function) -> None:
+        self._V, self._regions = problem.V, [RegionStress(problem, r, w) for r in problem.regions]
+
+    def __call__(self) -> NodalStress:
+        """The recovered stress at the owned nodes."""
+        return NodalStress.of(self._V, [(part, part()) for part in self._regions])
+
+
+def means_at_nodes(V: fem.FunctionSpace, cells: IndexArray, values: FloatArray) -> FloatArray:
+    """Means over cells of their values at nodes. Collective.
+
+    Args:
+        V: Space whose nodes they are.
+        cells: Owned cells, the same part of the body on all ranks.
+        values: Shape (cells, nodes of a cell, columns).
+
+    Returns:
+        Shape (owned nodes, columns); NaN at nodes of none of the cells.
+    """
+    width = values.shape[2] + 1
+    work = la.vector(V.dofmap.index_map, width)
+    table = work.array.reshape(-1, width)
+    nodes = V.dofmap.list[cells].reshape(-1)
+    table[:, -1] = np.bincount(nodes, minlength=len(table))
+    for column in range(width - 1):
+        table[:, column] = np.bincount(nodes, values[..., column].reshape(-1), len(table))
+    work.scatter_reverse(la.InsertMode.add)
+    own = table[: V.dofmap.index_map.size_local]
+    return np.asarray(own[:, :-1] / np.where(own[:, -1:] > 0, own[:, -1:], np.nan))
