@@ -193,7 +193,7 @@ def _held_facets(problem: Problem) -> IndexArray:
         if not isinstance(support, ResistingSupport)
         for name in support.surfaces
     ]
-    found = [body.surface(name) for name in names]
+    found = [body.surfaces[name] for name in names if name in body.surfaces]
     if problem.geometry == "axisymmetric":
         facets = boundary_facets(body.mesh)
         radius = facet_corners(body.mesh, facets)[:, :, 0].max(axis=1)
