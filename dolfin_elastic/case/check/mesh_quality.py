@@ -161,9 +161,10 @@ def bending_stiffness(found: Thickness, ratios: FloatArray) -> FloatArray:
     Concepts and Applications of Finite Element Analysis (2002), section 3.6.  The three numbers are
     fitted to cantilevers of ten thicknesses, solved with linear and with quadratic elements: bars
     and plates of one to four layers of bricks in six tetrahedra, one to four times as long as high,
-    strips of one to eight layers of triangles, plates and bars meshed by Gmsh, nu = 0 to 0.45.  They
-    are met within a third of the excess over 1, but for bars in a few irregular cells and cells
-    that are oblong across the bending, which are up to twice as good; the bracket of L shape, 10 mm thick, in 12 mm cells has 2.8 and gets 3.2.
+    strips of one to eight layers of triangles, plates and bars meshed by Gmsh, nu = 0 to 0.45.
+    They are met within a third of the excess over 1, but for bars in a few irregular cells and
+    cells that are oblong across the bending, which are up to twice as good; a bracket of L shape,
+    10 mm thick, in cells of 12 mm has 2.8 and gets 3.2.
 
     Args:
         found: Of the mesh.
@@ -192,6 +193,7 @@ def _held_facets(problem: Problem) -> IndexArray:
         for support in problem.supports
         if not isinstance(support, ResistingSupport)
         for name in support.surfaces
+        if name in body.surfaces
     ]
     found = [body.surfaces[name] for name in names if name in body.surfaces]
     if problem.geometry == "axisymmetric":

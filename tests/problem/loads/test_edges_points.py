@@ -107,7 +107,10 @@ def test_a_set_of_nodes_with_a_single_one_is_held_whole() -> None:
     """The parts of a name are held together: its facets, its edges and its nodes."""
     body = bar()
     both = body.named(surfaces={"set": body.surfaces["left"]}, points={"set": body.points["d"]})
-    held = [Problem(b, LAW, supports=[Support(on=on)]) for b, on in ((both, "set"), (body, "left"))]
+    held = [
+        Problem(b, LAW, supports=[Support(on=on)], degree=1)
+        for b, on in ((both, "set"), (body, "left"))
+    ]
     counts = [
         body.comm.allreduce(len(p.dirichlet.reaction_dofs[label]), op=MPI.SUM)
         for p, label in zip(held, ("set", "left"), strict=True)
@@ -150,7 +153,7 @@ def test_point_forces_on_nodes(degree: int) -> None:
 def test_point_force_by_name_is_that_by_place() -> None:
     body = bar()
     found = [
-        resultants(Problem(body, LAW, loads=[load]))
+        resultants(Problem(body, LAW, loads=[load], degree=1))
         for load in (PointForce(on="d", value=[1, 2, 3]), PointForce(at=[2, 1, 1], value=[1, 2, 3]))
     ]
     np.testing.assert_allclose(found[0][0], found[1][0], rtol=1e-13)
@@ -197,7 +200,7 @@ def test_three_point_springs_and_a_dashpot() -> None:
         Support(on="b", displacement=[0, "free", "free"], name="roller"),
     ]
     load = PointForce(at=[1, 0.5, 0.5], value=[0, 0, -80])
-    problem = Problem(bar(), stiff, supports=supports, loads=[load])
+    problem = Problem(bar(), stiff, supports=supports, loads=[load], degree=1)
     state = solved(problem)
     x = problem.V.tabulate_dof_coordinates()
     w = state.u.x.array.reshape(-1, 3)[:, 2]
@@ -218,6 +221,7 @@ def test_point_springs_in_a_plane_are_of_the_whole_thickness() -> None:
         ],
         loads=[PointForce(at=[0.5, 1], value=[0, -10])],
         thickness=0.01,
+        degree=1,
     )
     state = solved(problem)
     np.testing.assert_allclose(state.u.x.array.reshape(-1, 2)[:, 1], -0.1, rtol=1e-6)
@@ -281,7 +285,7 @@ def _energy_by_hand(problem: Problem, u: FloatArray) -> float:
 )
 def test_what_does_not_fit(supports: list[Any], loads: list[Any], says: str) -> None:
     with pytest.raises(InputError) as caught:
-        Problem(bar(), LAW, supports=supports, loads=loads)
+        Problem(bar(), LAW, supports=supports, loads=loads, degree=1)
     assert says in str(caught.value)
 
 
