@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from dolfinx.mesh import Mesh
@@ -15,8 +16,55 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.fields import MeshField
 
+T = TypeVar("T")
 _A = {"region": "a region", "surface": "a surface", "edge": "an edge", "point": "a point"}
 """Kinds of parts with their article."""
+
+
+class PartNames(Mapping[str, T]):
+    """Name to part.  A name is found as it is written, else as the only one that differs by case.
+
+    Names of Abaqus do not distinguish capitals, and tools write one set in several ways; names of
+    other formats that differ by case only are different names.  Iteration yields the names as the
+    file has them.
+
+    Args:
+        parts: Name to part.
+        others: Names of other parts of the same mesh: a name that is one of them is not taken for
+            another one here that differs by case.
+    """
+
+    def __init__(self, parts: Mapping[str, T], others: Iterable[str] = ()) -> None:
+        self._parts = dict(parts)
+        self._every = {*self._parts, *others}
+        self._caseless: dict[str, list[str]] = {}
+        for name in sorted(self._every):
+            self._caseless.setdefault(name.casefold(), []).append(name)
+
+    def alike(self, name: str) -> list[str]:
+        """The names that this one may mean: itself, else all that differ from it by case only."""
+        return [name] if name in self._every else self._caseless.get(name.casefold(), [])
+
+    def __getitem__(self, name: str) -> T:
+        alike = self.alike(name)
+        if len(alike) != 1:
+            raise KeyError(name)
+        return self._parts[alike[0]]
+
+    def __contains__(self, name: object) -> bool:
+        if not isinstance(name, str):
+            return False
+        alike = self.alike(name)
+        return len(alike) == 1 and alike[0] in self._parts
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._parts)
+
+    def __len__(self) -> int:
+        return len(self._parts)
+
+    def __repr__(self) -> str:
+        return f"PartNames({self._parts!r})"
 
 
 @dataclass(frozen=True)
@@ -53,6 +101,11 @@ class Body:
             and ghost, sorted: vertices, and midside nodes of quadratic cells.
         uncovered: Name of a set of nodes that is a surface too, to how many of its nodes no facet
             of the surface holds: whatever needs its area is refused.
+        incomplete: Name of a part of which the file has members that the mesh has not, to the
+            reason with their number; it is no part of the body, and whatever refers to it is
+            refused with that reason.
+
+    Names are found whatever the case of their letters, see `PartNames`.
     """
 
     mesh: Mesh
@@ -65,6 +118,13 @@ class Body:
     edges: Mapping[str, IndexArray] = field(default_factory=dict)
     points: Mapping[str, IndexArray] = field(default_factory=dict)
     uncovered: Mapping[str, int] = field(default_factory=dict)
+    incomplete: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        tables = ("regions", "surfaces", "edges", "points", "uncovered", "incomplete")
+        every = {name for table in tables for name in getattr(self, table)}
+        for table in tables:  # the only way to complete an object that is frozen
+            object.__setattr__(self, table, PartNames(getattr(self, table), every))
 
     @property
     def comm(self) -> MPI.Comm:
@@ -98,6 +158,22 @@ class Body:
         """The kinds of part that a name stands for, of "region", "surface", "edge", "point"."""
         return tuple(kind for kind, parts in self.parts.items() if name in parts)
 
+    def check_whole(self, name: str) -> None:
+        """Checks that the mesh has all members that the file gives a part of this name.
+
+        Raises:
+            MeshError: Some are missing, or the name may mean several parts.
+        """
+        if name in self.incomplete:
+            raise MeshError(
+                f"'{name}' of {self.source or 'the mesh'} is not whole: {self.incomplete[name]}",
+                expected="correct the mesh file, or name the part by where it lies",
+            )
+        alike = _alike(self, name)
+        if len(alike) > 1:
+            names = " or ".join(f"'{other}'" for other in alike)
+            raise MeshError(f"'{name}' may be {names}", expected="write it as the mesh file does")
+
     def part(self, kind: str, name: str) -> IndexArray:
         """Local cells, facets, edges or nodes of a part.
 
@@ -106,9 +182,10 @@ class Body:
             name: Of the part.
 
         Raises:
-            MeshError: There is none, or it is of another kind; or the area is needed of a set of
-                nodes that facets do not cover.
+            MeshError: There is none, or it is of another kind or not whole; or the area is needed
+                of a set of nodes that facets do not cover.
         """
+        self.check_whole(name)
         if name in self.parts[kind]:
             if kind == "surface" and (missed := self.uncovered.get(name)):
                 raise MeshError(
@@ -120,9 +197,9 @@ class Body:
         others = self.kinds(name)
         if others:
             raise MeshError(f"'{name}' is {_A[others[0]]}, not {_A[kind]}")
-        every = [n for parts in self.parts.values() for n in parts]
         raise MeshError(
-            f"no {kind} '{name}' in {self.source or 'the mesh'}", expected=nearest(name, every)
+            f"no {kind} '{name}' in {self.source or 'the mesh'}",
+            expected=nearest(name, {n for parts in self.parts.values() for n in parts}),
         )
 
     def common_kind(self, names: Sequence[str]) -> str:
@@ -219,13 +296,31 @@ class Body:
             edges: Name to local mesh edges, sorted.
             points: Name to local geometry nodes, sorted.
         """
+        given = {*(regions or ()), *(surfaces or ()), *(edges or ()), *(points or ())}
         return replace(
             self,
+            incomplete={n: why for n, why in self.incomplete.items() if n not in given},
             regions={**self.regions, **(regions or {})},
             surfaces={**self.surfaces, **(surfaces or {})},
             edges={**self.edges, **(edges or {})},
             points={**self.points, **(points or {})},
         )
+
+
+def spelling(body: Body, name: str) -> str:
+    """A part's name as the mesh has it, see `PartNames`; of an unknown part the name itself.
+
+    Args:
+        body: The body.
+        name: In any case.
+    """
+    alike = _alike(body, name)
+    return alike[0] if len(alike) == 1 else name
+
+
+def _alike(body: Body, name: str) -> list[str]:
+    assert isinstance(body.regions, PartNames)  # since it was made
+    return body.regions.alike(name)
 
 
 def extent(body: Body) -> tuple[float, ...]:

@@ -52,23 +52,36 @@ def build_body(
     """
     raw = _on_root_only(comm, lambda: clean(read()), source)
     mesh = _distribute(comm, raw, scale, permutation)
-    regions = _regions(mesh, raw)
-    surfaces, lost = _entities(
-        mesh, comm.bcast(raw.surfaces if raw else None), mesh.topology.dim - 1
+    facets, ends, nodes, notes, uncovered, incomplete = comm.bcast(
+        (raw.surfaces, raw.edges, raw.nodes, raw.notes, raw.uncovered, raw.incomplete)
+        if raw
+        else None
     )
-    edges, lost_edges = _entities(mesh, comm.bcast(raw.edges if raw else None), 1)
-    notes = comm.bcast(raw.notes if raw else None)
+    surfaces, lost = _entities(mesh, facets, mesh.topology.dim - 1)
+    edges, lost_edges = _entities(mesh, ends, 1)
+    incomplete = {**lost, **lost_edges, **incomplete}
+
+    def whole(parts: dict[str, IndexArray]) -> dict[str, IndexArray]:
+        return {name: rows for name, rows in parts.items() if name not in incomplete}
+
     return Body(
         mesh,
-        regions,
-        surfaces,
+        whole(_regions(mesh, raw)),
+        whole(surfaces),
         source,
-        (*notes, *lost, *lost_edges),
+        (*notes, *_left_out(incomplete)),
         distribute_fields(mesh, raw),
-        edges=edges,
-        points=_points(mesh, comm.bcast(raw.nodes if raw else None)),
-        uncovered=comm.bcast(raw.uncovered if raw else None),
+        edges=whole(edges),
+        points=whole(_points(mesh, nodes)),
+        uncovered=uncovered,
+        incomplete=incomplete,
     )
+
+
+def _left_out(incomplete: Mapping[str, str]) -> list[str]:
+    """A note on the parts that are not whole, if there are any."""
+    reasons = "; ".join(f"'{name}' ({reason})" for name, reason in incomplete.items())
+    return [f"named parts that are not whole (left out): {reasons}"] if reasons else []
 
 
 def _on_root_only(comm: MPI.Comm, action: Callable[[], RawMesh], source: str) -> RawMesh | None:
@@ -153,8 +166,8 @@ def _regions(mesh: Mesh, raw: RawMesh | None) -> dict[str, IndexArray]:
 
 def _entities(
     mesh: Mesh, named: Mapping[str, IntArray], dim: int
-) -> tuple[dict[str, IndexArray], list[str]]:
-    """Local facets or edges of each name, also shared ones, and notes on those that do not exist.
+) -> tuple[dict[str, IndexArray], dict[str, str]]:
+    """Local facets or edges of each name, also shared ones, and what is said of missing ones.
 
     Collective.
 
@@ -164,11 +177,11 @@ def _entities(
         dim: Dimension of the entities.
     """
     if not named:
-        return {}, []
+        return {}, {}
     rows = np.unique(np.concatenate([f.ravel() for f in named.values()]))
     entities, keys = _candidates(mesh, rows, dim)
     things = "facets" if dim == mesh.topology.dim - 1 else "edges"
-    parts, notes = {}, []
+    parts, lost = {}, {}
     for name, ends in named.items():
         wanted = np.unique(np.sort(ends, axis=1), axis=0)
         at = match_rows(keys, wanted)
@@ -178,11 +191,8 @@ def _entities(
         if missed < len(wanted):
             parts[name] = np.sort(entities[at[at >= 0]]).astype(np.int32)
         if missed:
-            notes.append(
-                f"{missed} of {len(wanted)} {things} of '{name}' are no {things} of a cell "
-                "(dropped)"
-            )
-    return parts, notes
+            lost[name] = f"{missed} of its {len(wanted)} {things} are no {things} of a cell"
+    return parts, lost
 
 
 def _candidates(mesh: Mesh, nodes: IntArray, dim: int) -> tuple[IndexArray, IntArray]:

@@ -102,7 +102,8 @@ def _named(
 
 def _check_free(body: Body, kind: str, name: str) -> None:
     """Refuses a name that is taken; but a region may have the name of a surface."""
-    taken = body.kinds(name)
+    # Names that differ by case only stay apart: the parts are not asked whether they know it.
+    taken = tuple(other for other, parts in body.parts.items() if name in list(parts))
     if kind in ("surface", "region"):
         taken = tuple(other for other in taken if other == kind)
     if taken:

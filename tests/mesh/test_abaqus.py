@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from helpers.decks import COMM, box, inp_text, made, numbers, shared_folder
+from helpers.decks import COMM, box, inp_text, made, numbers, quadratic, shared_folder
+from mpi4py import MPI
 
-from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check.consistency import check
+from dolfin_elastic.case.check.report import report
+from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import Body, mesh_statistics, read_body
 from dolfin_elastic.mesh.formats.abaqus import read_abaqus
@@ -113,7 +118,7 @@ def test_damaged_decks(folder: Path) -> None:
 
 def test_nodes_of_elements(folder: Path) -> None:
     body = deck(folder, cube("*ELSET, ELSET=two\n1, 2\n*NSET, NSET=n, ELSET=two\n"))
-    assert "n" in body.surfaces
+    assert COMM.allreduce(len(body.owned_points("n"))) == len({*CELLS[0], *CELLS[1]})
 
 
 def test_surfaces_of_mixed_parts(folder: Path) -> None:
@@ -140,9 +145,126 @@ def test_surfaces_of_nodes_have_all_their_lines(folder: Path) -> None:
     assert mesh_statistics(deck(folder, cube(more))).surfaces["foot"] == pytest.approx(1)
 
 
-def test_sets_with_members_that_do_not_exist_are_left_out(folder: Path) -> None:
-    more = "*ELSET, ELSET=part\n1, 2, 97, 98\n*SURFACE, NAME=side\n1, S1\n88, S1\n"
+INCOMPLETE = {
+    "*NSET, NSET=part\n1, 2, 99\n": "1 of its 3 nodes do not exist in the file, for example 99",
+    "*ELSET, ELSET=part\n1, 2, 97, 98\n": "2 of its 4 elements do not exist in the file",
+    "*SURFACE, NAME=part\n1, S1\n88, S1\n": "1 of its 2 elements do not exist",
+    "*ELEMENT, TYPE=T3D2\n9, 1, 2\n*ELSET, ELSET=two\n1, 9\n*SURFACE, NAME=part\ntwo, S1\n": (
+        "1 of its 2 elements do not exist, or have no such face"
+    ),
+    "*SURFACE, NAME=one\n1, S1\n*SURFACE, NAME=part, COMBINE=DIFFERENCE\none, one\n": "DIFFERENCE",
+    "*NSET, NSET=part\n": "it has no nodes",
+    "*NODE\n50, 5., 5., 5.\n*NSET, NSET=part\n1, 50\n": "1 of its 2 nodes belong to no cell",
+    "*ELEMENT, TYPE=S3, ELSET=part\n9, 1, 2, 4\n10, 2, 3, 5\n": "1 of its 2 facets are no facets",
+}
+
+
+@pytest.mark.parametrize("more", INCOMPLETE, ids=range(len(INCOMPLETE)))
+def test_sets_that_are_not_whole_are_refused_where_they_are_used(folder: Path, more: str) -> None:
     body = deck(folder, cube(more))
-    assert not body.surfaces and list(body.regions) == ["ALL"]
-    assert any("'part' (2 of its 4 elements do not exist" in note for note in body.notes)
-    assert any("'side' (1 of its 2 elements do not exist" in note for note in body.notes)
+    assert not body.kinds("part")
+    assert any(INCOMPLETE[more] in note for note in body.notes)
+    for use in (body.surface, body.region, body.point):
+        with pytest.raises(MeshError, match=r"'part' of deck\.inp is not whole") as caught:
+            use("part")
+        assert INCOMPLETE[more] in str(caught.value)
+
+
+# --- cases ---
+
+
+def case(folder: Path, **tables: Any) -> Case:
+    tables = {
+        "mesh": {"file": "deck.inp", "degree": 1},
+        "materials": {"steel": {"law": "linear-elastic", "E": "210 GPa", "nu": 0.3}},
+        "support": [{"on": "foot"}],
+        "load": [{"kind": "traction", "on": "end", "value": ["1 MPa", 0, "1 MPa"]}],
+        **tables,
+    }
+    return Case.from_dict(tables, folder, file="case.toml")
+
+
+def bar(order: int = 1, *, more: str = "") -> str:
+    """A bar of 8 x 2 x 2 little cubes: 9 nodes of the left end and one of the tip are `foot`."""
+    points, cells = box((4, 1, 1), (8, 2, 2))
+    if order == 2:
+        points, cells = quadratic(points, cells)
+    left = np.flatnonzero(points[:, 0] == 0)
+    tip = np.flatnonzero((points == [4, 0.5, 0.5]).all(axis=1))
+    right = np.flatnonzero(points[:, 0] == 4)
+    sets = {"foot": np.append(left, tip), "left": left, "tip": tip, "end": right}
+    text = "".join(f"*NSET, NSET={name}\n{numbers(rows)}\n" for name, rows in sets.items())
+    return inp_text(points, cells, text + more)
+
+
+def largest(case: Case) -> float:
+    """Largest displacement of a node [m]."""
+    problem = case.make_problem(case.read_body())
+    for _ in case.make_solver(problem).steps():
+        pass
+    return float(COMM.allreduce(np.abs(problem.u.x.array).max(initial=0), op=MPI.MAX))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_set_of_nodes_holds_its_single_nodes(folder: Path, order: int) -> None:
+    """Eight facets and one node at the tip; without that node the tip moved 56 times as far."""
+    made(lambda: (folder / "deck.inp").write_text(bar(order)))
+    mesh = {"file": "deck.inp", "degree": order}
+    whole = largest(case(folder, mesh=mesh))
+    apart = largest(case(folder, mesh=mesh, support=[{"on": "left"}, {"on": "tip"}]))
+    without = largest(case(folder, mesh=mesh, support=[{"on": "left"}]))
+    assert whole == pytest.approx(apart, rel=1e-12)
+    assert without > 20 * whole
+
+
+def test_names_in_any_case(folder: Path) -> None:
+    made(lambda: (folder / "deck.inp").write_text(bar(more="*ELSET, ELSET=Steel\nALL\n")))
+    load = {"kind": "traction", "on": "END", "value": ["1 MPa", 0, "1 MPa"]}
+    material = {"law": "linear-elastic", "E": "210 GPa", "nu": 0.3, "on": "STEEL"}
+    other = case(
+        folder,
+        support=[{"on": "FOOT", "name": "foot"}],
+        load=[load],
+        materials={"steel": material},
+    )
+    assert largest(other) == pytest.approx(largest(case(folder)), rel=1e-12)
+    found = report(other)
+    assert {part.name: part.use for part in found.surfaces} == {"left": "", "end": "traction"}
+    assert {part.name: part.use for part in found.points} == {"foot": "support", "tip": ""}
+    assert {part.name: part.use for part in found.regions} == {
+        "(whole body)": "",
+        "ALL": "",
+        "Steel": "steel",
+    }
+
+
+def test_an_exact_name_comes_first() -> None:
+    from dolfin_elastic import box_body
+
+    body = box_body(size=(1, 1, 1), cells=(1, 1, 1))
+    body = body.named(
+        surfaces={"Foot": body.surface("bottom"), "foot": body.surface("top")},
+        points={"TOP": np.empty(0, dtype=np.int32)},
+    )
+    assert np.array_equal(body.surface("Foot"), body.surface("bottom"))
+    assert np.array_equal(body.surface("foot"), body.surface("top"))
+    assert np.array_equal(body.surface("LEFT"), body.surface("left"))
+    with pytest.raises(MeshError, match="'FOOT' may be 'Foot' or 'foot'"):
+        body.surface("FOOT")
+    with pytest.raises(MeshError, match="'TOP' is a point"):
+        body.surface("TOP")
+    assert body.kinds("TOP") == ("point",)
+    assert body.kinds("Left") == ("surface",)
+
+
+def test_an_incomplete_set_is_an_error_of_its_key(folder: Path) -> None:
+    made(lambda: (folder / "deck.inp").write_text(bar(more="*NSET, NSET=part\n1, 2, 999\n")))
+    good, bad = case(folder), case(folder, support=[{"on": "foot"}, {"on": "Part"}])
+    body = good.read_body()
+    check(good, body)
+    with pytest.raises(InputError) as caught:
+        check(bad, body)
+    assert str(caught.value) == (
+        "case.toml: support[1].on: 'Part' of deck.inp is not whole: 1 of its 3 nodes do not exist "
+        "in the file, for example 999; correct the mesh file, or name the part by where it lies"
+    )

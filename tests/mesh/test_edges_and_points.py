@@ -152,11 +152,13 @@ def test_midside_nodes_of_covered_facets_are_covered() -> None:
     assert set(raw.nodes) == {"floor", "more", "top"}
 
 
-def test_edges_that_do_not_exist_are_told() -> None:
+def test_an_edge_that_is_not_whole_is_refused_where_it_is_used() -> None:
     lines = Block("line", np.array([[0, 1], [1, 7]]), {"seam": np.array([0, 1])})
     body = cube([lines])
-    assert body.notes == ("1 of 2 edges of 'seam' are no edges of a cell (dropped)",)
-    assert length(body, "seam") == pytest.approx(2.0)
+    reason = "1 of its 2 edges are no edges of a cell"
+    assert body.notes == (f"named parts that are not whole (left out): 'seam' ({reason})",)
+    with pytest.raises(MeshError, match=f"'seam' of cube is not whole: {reason}"):
+        body.owned_edges("seam")
 
 
 def test_unknown_names_and_names_of_another_kind() -> None:

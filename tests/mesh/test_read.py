@@ -535,7 +535,7 @@ def test_only_facets_named_and_names_without_elements(folder: Path) -> None:
         body.surface("foto")
 
 
-def test_a_facet_outside_the_body_is_noted(folder: Path) -> None:
+def test_a_surface_with_a_facet_outside_the_body_is_no_surface(folder: Path) -> None:
     import meshio
 
     mesh = meshio.Mesh(
@@ -545,8 +545,11 @@ def test_a_facet_outside_the_body_is_noted(folder: Path) -> None:
     )
     made(lambda: mesh.write(folder / "cube.vtu"))
     body = read_body(folder / "cube.vtu")
-    assert body.count("part_5") == 1
-    assert any("1 of 2 facets of 'part_5' are no facets of a cell" in n for n in body.notes)
+    reason = "1 of its 2 facets are no facets of a cell"
+    assert any(f"left out): 'part_5' ({reason})" in note for note in body.notes)
+    with pytest.raises(MeshError, match=f"'part_5' of cube.vtu is not whole: {reason}"):
+        body.surface("part_5")
+    assert list(body.regions) == ["part_0"]
 
 
 @pytest.mark.parametrize("version", [2.2, 4.1])

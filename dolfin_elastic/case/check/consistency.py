@@ -151,7 +151,11 @@ def _names(key: str, on: str | Sequence[str] | None) -> Iterator[tuple[str, str]
 
 
 def _check_name(where: str, name: str, kinds: Sequence[str], rule: str, body: Body) -> None:
-    """A part of one of the kinds has the name, and is not empty. Collective."""
+    """A part of one of the kinds has the name, is whole and not empty. Collective."""
+    try:
+        body.check_whole(name)
+    except MeshError as error:
+        raise error.at(where) from None
     here = [kind for kind in kinds if name in body.parts[kind]]
     if not here and (others := body.kinds(name)):
         raise MeshError(f"'{name}' is {_a(others[0])}", where=where, expected=rule)

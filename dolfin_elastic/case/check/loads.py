@@ -77,13 +77,14 @@ def stress_notes(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) ->
         integrals: Of the case's problem.
         sums: Of the loads, see `load_sums`.
     """
-    surfaces = integrals.body.surfaces.keys() - integrals.body.uncovered.keys()
-    names = [name for support in case.support for name in support.surfaces if name in surfaces]
+    body = integrals.body
+    names = [name for support in case.support for name in support.surfaces]
+    names = [n for n in names if n in body.surfaces and n not in body.uncovered]
     forces = [row.force for row in sums if row.force is not None]
     if not names or not forces:
         return
     points = integrals.facets(names)
-    area = float(total(integrals.body.comm, float(integrals.full_weights(points).sum())))
+    area = float(total(body.comm, float(integrals.full_weights(points).sum())))
     strongest = max(float(np.linalg.norm(force)) for force in forces)
     weakest = min(integrals.problem.regions, key=lambda part: young(part.typical))
     if area > 0 and strongest / area > young(weakest.typical) / 2:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from dolfin_elastic.case.check.consistency import load_kinds
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
-from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.body import Body, spelling
 from dolfin_elastic.problem.loads.edges_points import points_of
 
 WHOLE = "(whole body)"
@@ -54,7 +55,7 @@ def surface_sizes(case: Case, integrals: Integrals) -> tuple[PartSize, ...]:
     for name in sorted(body.surfaces.keys() - body.uncovered.keys()):
         points = integrals.facets([name])
         sums = total(body.comm, _moments(points.X, points.weights).sum(axis=0))
-        use = references(case, name, "surface")
+        use = references(case, body, name, "surface")
         sizes.append(PartSize(name, body.count(name), float(sums[0]), use, _centroid(sums)))
     return tuple(sizes)
 
@@ -74,7 +75,7 @@ def lower_sizes(case: Case, integrals: Integrals, kind: str) -> tuple[PartSize, 
         points = points_of(body, kind, [name], 2 * integrals.problem.context.order)
         sums = total(body.comm, _moments(points.X, points.weights).sum(axis=0))
         count = int(total(body.comm, len(points.cells)))
-        use = references(case, name, kind)
+        use = references(case, body, name, kind)
         sizes.append(PartSize(name, count, float(sums[0]), use, _centroid(sums)))
     return tuple(sizes)
 
@@ -91,7 +92,7 @@ def region_sizes(case: Case, body: Body, integrals: Integrals) -> tuple[PartSize
     return (
         cells.size(WHOLE, body.owned_cells(), ""),
         *(
-            cells.size(name, body.owned_cells(name), references(case, name, "region"))
+            cells.size(name, body.owned_cells(name), references(case, body, name, "region"))
             for name in sorted(body.regions)
         ),
     )
@@ -105,27 +106,32 @@ def material_sizes(integrals: Integrals) -> tuple[PartSize, ...]:
     )
 
 
-def references(case: Case, name: str, kind: str) -> str:
+def references(case: Case, body: Body, name: str, kind: str) -> str:
     """Kinds of supports, contacts and loads, and names of materials, that refer to a part.
 
     Args:
         case: The case.
-        name: Of the part.
+        body: Its mesh.
+        name: Of the part, as the mesh has it.
         kind: "region", "surface", "edge" or "point".
     """
-    loads = [load.kind for load in case.load if kind in load_kinds(load) and name in load.parts]
+
+    def among(names: Iterable[str]) -> bool:
+        return any(spelling(body, other) == name for other in names)
+
+    loads = [load.kind for load in case.load if kind in load_kinds(load) and among(load.parts)]
     if kind == "region":
-        return ", ".join([key for key, m in case.materials.items() if name in m.regions] + loads)
+        return ", ".join([key for key, m in case.materials.items() if among(m.regions)] + loads)
     supports = [
         "support" if s.kind == "displacement" else s.kind
         for s in case.support
-        if kind in s.part_kinds and name in s.surfaces
+        if kind in s.part_kinds and among(s.surfaces)
     ]
     if kind != "surface":
         return ", ".join(supports + loads)
-    contacts = ["contact" for c in case.contact if name in c.surfaces]
+    contacts = ["contact" for c in case.contact if among(c.surfaces)]
     pairs = case.periodic.pairs if case.periodic else ()
-    periodic = ["periodic"] if any(name in pair for pair in pairs) else []
+    periodic = ["periodic"] if any(map(among, pairs)) else []
     return ", ".join(supports + contacts + loads + periodic)
 
 

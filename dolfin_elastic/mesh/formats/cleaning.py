@@ -100,28 +100,25 @@ def _used(raw: RawMesh) -> RawMesh:
         return raw
     new = np.cumsum(used) - 1
     kept: dict[str, dict[str, IntArray]] = {"surfaces": {}, "edges": {}, "nodes": {}}
-    lost: dict[str, list[str]] = {"facets": [], "edges": [], "nodes": []}
-    for parts, losses in zip(kept, lost.values(), strict=True):
+    incomplete = dict(raw.incomplete)
+    for parts, things in zip(kept, ("facets", "edges", "nodes"), strict=True):
         for name, rows in getattr(raw, parts).items():
             inside = used[rows].reshape(len(rows), -1).all(axis=1)
             if not inside.all():
-                losses.append(f"{np.count_nonzero(~inside)} of '{name}'")
+                lost = f"{np.count_nonzero(~inside)} of its {len(rows)} {things}"
+                incomplete.setdefault(name, f"{lost} belong to no cell")
             kept[parts][name] = new[rows[inside]]
     note = f"{unused} of {len(used)} points belong to no cell (dropped)"
     data = {name: values[used] for name, values in raw.point_data.items()}
-    raw = _noted(
+    return _noted(
         raw,
         note,
         points=raw.points[used],
         cells=new[raw.cells],
         point_data=data,
+        incomplete=incomplete,
         **kept,
     )
-    for things, losses in lost.items():
-        if losses:
-            note = f"{things} that belong to no cell (dropped): {', '.join(losses)}"
-            raw = _noted(raw, note)
-    return raw
 
 
 def _numbers(raw: RawMesh) -> RawMesh:

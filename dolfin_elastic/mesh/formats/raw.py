@@ -99,6 +99,7 @@ class RawMesh:
         nodes: Name to rows of `points`, midside nodes too, shape (n,).
         uncovered: Name of a set of nodes that is in `surfaces` too, to how many of its nodes no
             facet of it holds; only where there are some.
+        incomplete: Name of a part of which members are missing, to the reason with their number.
     """
 
     points: FloatArray
@@ -112,6 +113,7 @@ class RawMesh:
     edges: Mapping[str, IntArray] = field(default_factory=dict)
     nodes: Mapping[str, IntArray] = field(default_factory=dict)
     uncovered: Mapping[str, int] = field(default_factory=dict)
+    incomplete: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def dim(self) -> int:
@@ -143,30 +145,33 @@ def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh
     edges = _gather(lines, [b.nodes[:, :2] for b in lines])
     single = [b for b in blocks if b.dim == 0]
     nodes = {n: np.unique(rows) for n, rows in _gather(single, [b.nodes for b in single]).items()}
-    uncovered = {}
+    uncovered: dict[str, int] = {}
     for name, rows in found.point_sets.items():
         nodes[name] = np.union1d(nodes.get(name, rows), rows)
     for name, (facets, missed) in _from_points(solid, dim, found.point_sets).items():
         if name not in surfaces:
             surfaces[name] = facets
             uncovered |= {name: missed} if missed else {}
-    for parts in (surfaces, edges, nodes, uncovered):
-        for name in parts.keys() & found.incomplete.keys():
-            del parts[name]
     starts = np.cumsum([0] + [len(b.nodes) for b in solid])
-    rows = [np.arange(len(b.nodes)) + start for b, start in zip(solid, starts, strict=False)]
-    regions = {
-        name: np.unique(r)
-        for name, r in _gather(solid, rows).items()
-        if name not in found.incomplete
-    }
+    own = [np.arange(len(b.nodes)) + start for b, start in zip(solid, starts, strict=False)]
+    regions = {name: np.unique(r) for name, r in _gather(solid, own).items()}
     cells = np.concatenate([b.nodes for b in solid])
-    notes = (*found.notes, *_incomplete(found), *_left_out(blocks, dim))
+    notes = (*found.notes, *_left_out(blocks, dim))
     cell_data = _cell_data(solid)
     at_points = {n: data for n, data in found.point_data.items() if n not in cell_data}
-    lower = {"edges": edges, "nodes": nodes, "uncovered": uncovered}
     return RawMesh(
-        found.points, cells, order, regions, surfaces, notes, cell_data, at_points, **lower
+        found.points,
+        cells,
+        order,
+        regions,
+        surfaces,
+        notes,
+        cell_data,
+        at_points,
+        edges=edges,
+        nodes=nodes,
+        uncovered=uncovered,
+        incomplete=found.incomplete,
     )
 
 
@@ -231,12 +236,6 @@ def _gather(blocks: Sequence[Block], items: Sequence[IntArray]) -> dict[str, Int
             if len(rows):
                 found.setdefault(name, []).append(item[rows])
     return {name: np.concatenate(parts) for name, parts in found.items()}
-
-
-def _incomplete(found: MeshFile) -> list[str]:
-    """A note on the sets that are not whole, if there are any."""
-    reasons = "; ".join(f"'{name}' ({reason})" for name, reason in found.incomplete.items())
-    return [f"named parts that are not whole (left out): {reasons}"] if reasons else []
 
 
 def _left_out(blocks: Sequence[Block], dim: int) -> list[str]:
