@@ -48,7 +48,8 @@ def plate(counts: tuple[int, int, int]) -> Body:
     The outer face and the line at its mid-height come as sets of nodes, as in a deck of Abaqus.
     """
     s, cells = quadratic_box(counts)
-    s[:, 0] **= GRADING
+    layers = np.linspace(0, 1, counts[0] + 1)
+    s[:, 0] = np.interp(s[:, 0], layers, layers**GRADING)  # midside nodes stay in the middle
     angle = np.pi / 2 * s[:, 1]
     x = np.stack(
         [
@@ -100,15 +101,16 @@ def stress_at_d(body: Body, line: str) -> tuple[float, FloatArray]:
 
 
 def test_le10() -> None:
-    """The line bears the whole pressure, pi/4 (3.25 2.75 - 2 1) m^2 MPa on the quarter.
+    """The stress at D to 3 % in 1536 cells, and the line bears the whole pressure.
 
-    The area of straight-sided quadratic cells is short of that by O(h^4).
+    Meshes of 576, 1152, 1536 and 3456 cells give 1.061, 1.036, 1.015 and 1.015 of the target: the
+    value at a corner of the body is extrapolated.  The loaded area is pi/4 (3.25 2.75 - 2 1) m^2;
+    that of quadratic cells is short of it by O(h^4).
     """
-    body = plate((4, 6, 4))
+    body = plate((8, 8, 4))
     stress, reaction = stress_at_d(body, "line")
-    print(stress / TARGET, reaction[2])
     area = np.pi / 4 * (3.25 * 2.75 - 2)
-    assert reaction[2] == pytest.approx(1e6 * area, rel=1e-4)
-    assert stress == pytest.approx(TARGET, rel=0.05)
+    assert reaction[2] == pytest.approx(1e6 * area, rel=1e-5)
+    assert stress == pytest.approx(TARGET, rel=0.03)
     by_nodes, _ = stress_at_d(body, "line of nodes")
     assert by_nodes == pytest.approx(stress, rel=1e-9)
