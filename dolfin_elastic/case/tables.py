@@ -32,6 +32,7 @@ from dolfin_elastic.mesh import (
     read_body,
     rectangle_body,
 )
+from dolfin_elastic.mesh.read import is_cad
 from dolfin_elastic.mesh.selectors import MeshLength, Place
 from dolfin_elastic.model.dimension import Geometry
 from dolfin_elastic.model.materials.law import Law
@@ -97,7 +98,7 @@ class MeshTable(Record):
         rectangle: A rectangle made on the spot.
         size: Size of the elements, for CAD files only.
         curved: Whether a CAD file's cells are quadratic and follow curved surfaces; None: as
-            `AnalysisTables.curved` says.
+            `AnalysisTables.curved` says.  Of a finished mesh, false: quadratic cells are straight.
         unit: Unit of length of the mesh and of bare numbers about it.
         degree: Degree of the displacement in the elements, 1 or 2; None: as
             `AnalysisTables.degree` says.
@@ -169,13 +170,14 @@ class MeshTable(Record):
         Args:
             folder: Folder that `file` is relative to.
             comm: The ranks that share the mesh.
-            curved: See `read_body`.
+            curved: Of CAD files, see `read_body`; of a finished mesh the key itself counts.
 
         Raises:
             MeshError: The file cannot be read, or is no mesh of triangles or tetrahedra.
         """
         if self.file is not None:
             size = None if self.size is None else self._in_unit(self.size)
+            curved = curved if is_cad(self.file) else self.curved
             return read_body(
                 folder / self.file, comm=comm, scale=self.scale, size=size, curved=curved
             )

@@ -14,7 +14,8 @@ from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh.body import Body, CadSource
 from dolfin_elastic.mesh.distribute import Permutation, build_body
-from dolfin_elastic.mesh.formats.raw import MeshFile, assemble
+from dolfin_elastic.mesh.formats.cleaning import straight
+from dolfin_elastic.mesh.formats.raw import MeshFile, RawMesh, assemble
 from dolfin_elastic.mesh.geometry.checks import check_cells
 
 CAD = (".geo", ".geo_unrolled", ".step", ".stp", ".brep", ".iges", ".igs")
@@ -47,7 +48,8 @@ def read_body(
         scale: Metres per unit of length of the file.
         size: Size of the elements in the file's unit; only for CAD files.
         curved: Quadratic cells that follow curved surfaces; None: where there are any, and the
-            cells do not fold.  Only for CAD files, finished meshes are as they are.
+            cells do not fold.  Finished meshes are as they are, but False reads their quadratic
+            cells as straight ones.
         dim: 2 or 3 to choose the elements; by default the highest dimension in the file.
 
     Raises:
@@ -60,10 +62,21 @@ def read_body(
         from dolfin_elastic.mesh.formats.xdmf import read_xdmf
 
         body = read_xdmf(path, comm=comm, scale=scale, dim=dim)
+        if curved is False and body.mesh.geometry.cmap.degree > 1:
+            raise MeshError(
+                "quadratic cells of XDMF files are not read as straight ones",
+                where=path.name,
+                expected="save the mesh as .vtu, or with linear cells",
+            )
     else:
         read, permutation = _reader(path, suffix, lambda: _cad(path, size, curved, dim))
+
+        def raw() -> RawMesh:
+            found = assemble(read(), source=path.name, dim=dim)
+            return straight(found) if curved is False and suffix not in CAD else found
+
         body = build_body(
-            lambda: assemble(read(), source=path.name, dim=dim),
+            raw,
             comm=comm,
             scale=scale,
             source=path.name,

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from helpers.bodies import ball, drawing
+from helpers.decks import box, inp_text, numbers, quadratic
 from mpi4py import MPI
 
+from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import AnyArray
@@ -636,3 +638,50 @@ def test_inside_out_cells_are_told_from_reversed_ones() -> None:
     said = [note for note in notes if "8 of 6414 cells are inside out" in note]
     assert len(said) == 1 and "(0.5537, 0.7854, 0.5163)" in said[0]
     assert not any("other way round" in note for note in notes)
+
+
+def folded(path: Path) -> None:
+    """A cube of quadratic cells, one midside node of which lies near the opposite edge."""
+    points, cells = quadratic(*box((1, 1, 1), (1, 1, 1)))
+    low = points[:, 2] == 0
+    sets = {"foot": np.flatnonzero(low), "edge": np.flatnonzero(low & (points[:, 1] == 0))}
+    points[(points == [0.5, 0, 0]).all(axis=1)] += [0, 0.9, 0.9]
+    text = "".join(f"*NSET, NSET={name}\n{numbers(rows)}\n" for name, rows in sets.items())
+    path.write_text(inp_text(points, cells, text))
+
+
+def test_folded_cells_are_read_as_straight_ones(folder: Path) -> None:
+    """They were refused without a way out."""
+    made(lambda: folded(folder / "cube.inp"))
+    with pytest.raises(MeshError, match=r"fold over themselves, .*: mesh\.curved = false"):
+        read_body(folder / "cube.inp")
+    body = read_body(folder / "cube.inp", curved=False)
+    size = mesh_statistics(body)
+    assert body.mesh.geometry.cmap.degree == 1
+    assert size.volume == pytest.approx(1) and size.surfaces == pytest.approx({"foot": 1})
+    assert body.kinds("foot") == ("surface", "point")
+    assert any("straight ones, without 19 midside nodes" in note for note in body.notes)
+    with pytest.raises(MeshError, match=r"1 of its 3 nodes are midside nodes"):
+        body.point("edge")
+
+
+def test_straight_cells_of_a_case(folder: Path) -> None:
+    """A linear displacement does not ask for them: only the key does."""
+    made(lambda: folded(folder / "cube.inp"))
+    tables = {"materials": {"a": {"law": "linear-elastic", "E": 1e9, "nu": 0.3}}}
+    mesh = {"file": "cube.inp", "degree": 1}
+    with pytest.raises(MeshError, match="mesh.file: cube.inp: 1 of 6|2 of 6 quadratic cells fold"):
+        Case.from_dict({"mesh": mesh, **tables}, folder).read_body()
+    body = Case.from_dict({"mesh": {**mesh, "curved": False}, **tables}, folder).read_body()
+    assert mesh_statistics(body).volume == pytest.approx(1)
+
+
+def test_straight_cells_are_not_for_xdmf(folder: Path) -> None:
+    import meshio
+
+    points, cells = quadratic(*box((1, 1, 1), (1, 1, 1)))
+    made(lambda: write_cube(folder / "cube.xdmf"))
+    made(lambda: meshio.Mesh(points, [("tetra10", cells)]).write(folder / "quadratic.xdmf"))
+    assert read_body(folder / "cube.xdmf", curved=False).num_cells == 6
+    with pytest.raises(MeshError, match="XDMF files are not read as straight ones"):
+        read_body(folder / "quadratic.xdmf", curved=False)

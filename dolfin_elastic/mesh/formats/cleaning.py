@@ -51,6 +51,26 @@ def clean(raw: RawMesh) -> RawMesh:
     return raw
 
 
+def straight(raw: RawMesh) -> RawMesh:
+    """The mesh with straight cells: the midside nodes of quadratic ones are left out.
+
+    Local: called on one rank.  Sets of nodes that are surfaces lose them without harm; others that
+    hold some are not whole any more.
+    """
+    if raw.order == 1:
+        return raw
+    midside = np.zeros(len(raw.points), dtype=bool)
+    midside[raw.cells] = True
+    midside[_corners(raw)] = False
+    covered = raw.surfaces.keys() - raw.uncovered.keys()
+    nodes = {n: rows[~midside[rows]] if n in covered else rows for n, rows in raw.nodes.items()}
+    note = (
+        f"quadratic cells read as straight ones, without {np.count_nonzero(midside)} midside nodes"
+    )
+    raw = _noted(raw, note, cells=_corners(raw), order=1, nodes=nodes)
+    return _restricted(raw, ~midside, "are midside nodes, which straight cells have not")
+
+
 def _noted(raw: RawMesh, note: str, **changes: object) -> RawMesh:
     return replace(raw, notes=(*raw.notes, note), **changes)  # type: ignore[arg-type]
 
@@ -98,6 +118,18 @@ def _used(raw: RawMesh) -> RawMesh:
     unused = int(np.count_nonzero(~used))
     if unused == 0:
         return raw
+    note = f"{unused} of {len(used)} points belong to no cell (dropped)"
+    return _noted(_restricted(raw, used, "belong to no cell"), note)
+
+
+def _restricted(raw: RawMesh, used: BoolArray, why: str) -> RawMesh:
+    """The mesh without some points; parts that lose members with them are not whole.
+
+    Args:
+        raw: The mesh.
+        used: Whether each point remains.
+        why: What the others are, in words.
+    """
     new = np.cumsum(used) - 1
     kept: dict[str, dict[str, IntArray]] = {"surfaces": {}, "edges": {}, "nodes": {}}
     incomplete = dict(raw.incomplete)
@@ -106,13 +138,11 @@ def _used(raw: RawMesh) -> RawMesh:
             inside = used[rows].reshape(len(rows), -1).all(axis=1)
             if not inside.all():
                 lost = f"{np.count_nonzero(~inside)} of its {len(rows)} {things}"
-                incomplete.setdefault(name, f"{lost} belong to no cell")
+                incomplete.setdefault(name, f"{lost} {why}")
             kept[parts][name] = new[rows[inside]]
-    note = f"{unused} of {len(used)} points belong to no cell (dropped)"
     data = {name: values[used] for name, values in raw.point_data.items()}
-    return _noted(
+    return replace(
         raw,
-        note,
         points=raw.points[used],
         cells=new[raw.cells],
         point_data=data,

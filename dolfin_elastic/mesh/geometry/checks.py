@@ -80,8 +80,8 @@ def _curved(body: Body, middle: FloatArray) -> None:
         raise MeshError(
             f"{count} of {body.num_cells} quadratic cells fold over themselves, {near}",
             where=body.source,
-            expected="optimise the high-order mesh (in Gmsh: Mesh.HighOrderOptimize "
-            "= 2), use smaller cells there, or linear cells",
+            expected="optimise the high-order mesh (in Gmsh: Mesh.HighOrderOptimize = 2), use "
+            "smaller cells there, or read the cells as straight ones: mesh.curved = false",
         )
 
 
