@@ -140,6 +140,11 @@ class MaterialRegion:
     compliance: Expr | None
     shear: Constant
 
+    @property
+    def incompressible(self) -> bool:
+        """The compliance is exactly zero: the pressure is a Lagrange multiplier."""
+        return isinstance(self.compliance, Constant) and float(self.compliance.value) == 0.0
+
 
 def make_material_regions(
     body: Body,

@@ -71,6 +71,7 @@ class Problem:
     Attributes:
         u: The displacement [m]; solvers change it through `w`.
         w: All unknowns: the displacement and, in some problems, scalar fields beside it.
+        thickness: Of a plane body [m]; 1 of others.
         cavities: Hollow spaces with a pressure.
         context: Measures, fields and amplitudes from which loads and supports make their forms.
         weak_form: The sum of virtual-work terms.
@@ -105,7 +106,7 @@ class Problem:
         thickness: float = 1.0,
         periodic: Periodic | None = None,
     ) -> None:
-        self.body, self.degree = body, degree
+        self.body, self.degree, self.thickness = body, degree, thickness
         self.supports, self.loads = tuple(supports), tuple(loads)
         self.geometry = checked_geometry(geometry, thickness, body)
         order = max(degree, int(body.mesh.geometry.cmap.degree))

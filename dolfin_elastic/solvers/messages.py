@@ -43,6 +43,12 @@ SMALLER_STEP = (
     "a smaller dt, or a scheme that damps more (a smaller spectral_radius, implicit-euler)"
 )
 
+
+def in_motion(advice: str) -> str:
+    """Advice of statics as it holds in motion, which has time steps and no load steps."""
+    return advice.replace("more load steps", "a smaller dt").replace("statics.", "dynamics.")
+
+
 _KSP = {
     "DIVERGED_MAX_IT": (
         "its iterations (ksp_max_it) were not enough",

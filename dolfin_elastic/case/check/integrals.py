@@ -47,7 +47,6 @@ class Integrals:
 
     def density(self, points: QuadraturePoints) -> FloatArray:
         """Mass density at points of cells [kg/m^3]; nan where a material has none. Local."""
-        assert points.local is not None
         found = np.full(points.weights.shape, np.nan)
         row = np.full(len(self.body.owned_cells()), -1)
         row[points.cells] = np.arange(len(points.cells))

@@ -39,11 +39,13 @@ from dolfin_elastic.problem.damping import check_damped
 from dolfin_elastic.problem.material_regions import locking_notes
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.probes import duplicate_column
+from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 from dolfin_elastic.solvers.diagnostics.rigid_body import (
     FreeBody,
     check_no_rigid_motion,
     free_bodies,
 )
+from dolfin_elastic.solvers.dynamics.implicit.implicit import suited
 from dolfin_elastic.solvers.eigen.buckling import Buckling
 from dolfin_elastic.solvers.eigen.modal import UNMOVED, Modal
 from dolfin_elastic.solvers.linear.choice import Choice, choose
@@ -165,6 +167,8 @@ def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
         if case.dynamics.implicit:
             check_damped(problem, case.dynamics.damping.get("stiffness", 0.0))
         case.dynamics.row.scheme.check(problem, case.dynamics.scheme)
+        if case.dynamics.parameters is not None:
+            suited(problem, case.dynamics.parameters)
     notes = start_notes(problem, case.dynamics) if case.dynamics is not None else ()
     if case.analysis in ("statics", "dynamics") or case.preloaded:
         check_supports(case, problem)
@@ -206,6 +210,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
             *bending_notes(case, problem),
             *shape_notes(case, problem),
             *stress_notes(case, integrals, sums),
+            *PressureLevel(problem).notes(),
             *part_notes(body),
             *cell_notes(body),
         ),

@@ -139,9 +139,23 @@ def facet_points(
     """
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
     nodes = _facet_nodes(mesh, facets)
-    table = np.asarray(_element(d - 1, degree).tabulate(0, points)[0, :, :, 0], dtype=np.float64)
+    table = facet_shape_functions(d, degree, points)
     places = np.einsum("pk,fkj->fpj", table, nodes)
     return np.asarray(places), cell_gradients(nodes, degree, points)
+
+
+def facet_shape_functions(dim: int, degree: int, points: FloatArray) -> FloatArray:
+    """Values of Lagrange's shape functions on a facet, nodes in the order of its closure.
+
+    Args:
+        dim: Of the cells.
+        degree: Of the functions.
+        points: Points of the reference facet, shape (points, dim - 1).
+
+    Returns:
+        Shape (points, nodes).
+    """
+    return np.asarray(_element(dim - 1, degree).tabulate(0, points)[0, :, :, 0], dtype=np.float64)
 
 
 def _facet_nodes(mesh: Mesh, facets: IndexArray) -> FloatArray:
@@ -161,14 +175,14 @@ class QuadraturePoints:
         X: Places [m], shape (entities, points, dim).
         weights: Quadrature weight times volume, area or length element, shape (entities, points).
         cells: The cell of each entity, shape (entities,).
-        local: For cells, the points in the reference cell, shape (points, dim); else None.
+        local: The points in the reference cell or facet, shape (points, its dimension).
         N: For facets, outward unit normals, shape of X; else None.
     """
 
     X: FloatArray
     weights: FloatArray
     cells: IndexArray
-    local: FloatArray | None = None
+    local: FloatArray
     N: FloatArray | None = None
 
 
@@ -214,7 +228,7 @@ def facet_quadrature(mesh: Mesh, facets: IndexArray, degree: int) -> QuadratureP
     inward = np.einsum("fpj,fpj->fp", normals, corner[:, None] - X) > 0
     normals = np.where(inward[..., None], -normals, normals)
     return QuadraturePoints(
-        X, size * weights, cells, N=normals / np.where(size > 0, size, 1.0)[..., None]
+        X, size * weights, cells, local, N=normals / np.where(size > 0, size, 1.0)[..., None]
     )
 
 

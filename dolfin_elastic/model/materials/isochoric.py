@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import ufl
 from pydantic import Field
@@ -57,10 +57,12 @@ class Volumetric(SplitLaw):
     Attributes:
         volumetric: The energy of volume changes: "simo-taylor", K/4 (J^2 - 1 - 2 ln J);
             "quadratic", K/2 (J - 1)^2, soft in strong compression; "log", K/2 (ln J)^2, soft beyond
-            J = e.
+            J = e.  At nu = 0.5 it has no meaning: the constraint is J = 1.
     """
 
     volumetric: Literal["simo-taylor", "quadratic", "log"] = "simo-taylor"
+
+    strain_of_volume: ClassVar[bool] = True
 
     def volume_strain(self, F: Expr) -> Expr:
         """See `VOLUME_STRAINS`."""

@@ -19,6 +19,7 @@ from dolfin_elastic.core.units import (
     Stress,
     Viscosity,
 )
+from dolfin_elastic.model.kinematics import cofactor
 from dolfin_elastic.model.materials import moduli, spatial
 from dolfin_elastic.model.materials.fibres import as_floats
 
@@ -140,6 +141,8 @@ class SplitLaw(Law):
 
     volume_modulus: ClassVar[str] = "K"
     """Name of the field that multiplies the square of the volume strain [Pa]."""
+    strain_of_volume: ClassVar[bool] = False
+    """The volume strain depends on F through J = det F alone."""
 
     @abstractmethod
     def shape_energy(self, F: Expr) -> Expr:
@@ -158,6 +161,20 @@ class SplitLaw(Law):
         """Derivative of the volume strain with respect to F."""
         F = ufl.variable(F)
         return ufl.diff(self.volume_strain(F), F)
+
+    def incompressibility(self, F: Expr) -> Expr:
+        """The constraint of a modulus k that is infinite: J - 1, or the volume strain.
+
+        Where the volume strain is a function g(J), g = 0 and J = 1 are the same material, but not
+        the same approximation.  A pressure whose level is free asks for the integral of g, and
+        with the integral of J given by the supports only J - 1 leaves room for a J that is not 1
+        at each point: a curved g makes the elements lock.
+        """
+        return ufl.det(F) - 1 if self.strain_of_volume else self.volume_strain(F)
+
+    def incompressibility_gradient(self, F: Expr) -> Expr:
+        """Derivative of `incompressibility` with respect to F."""
+        return cofactor(F) if self.strain_of_volume else self.volume_gradient(F)
 
     def energy(self, F: Expr) -> Expr:
         """See the class."""

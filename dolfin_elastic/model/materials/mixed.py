@@ -16,7 +16,8 @@ class Mixed(ModifiedLaw):
 
     psi(F, p) = shape_energy(F) + p g(F) - p^2/(2k), g the law's volume strain.  Where psi is
     stationary in p, p = k g, and psi is the law's own energy.  In exactly incompressible bodies
-    1/k is 0 and p enforces g = 0.  p is positive in tension.
+    1/k is 0 and p enforces `SplitLaw.incompressibility`, J - 1 = 0 for all laws whose g depends on
+    J alone.  p is positive in tension.
 
     Source: Bonet & Wood (2008), section 8.6.4; Brezzi & Fortin, Mixed and Hybrid Finite Element
     Methods (1991), section VI.
@@ -25,24 +26,33 @@ class Mixed(ModifiedLaw):
         law: The law, with UFL constants for its numbers.
         p: Pressure [Pa], a UFL expression.
         compliance: 1/k [1/Pa].
+        incompressible: 1/k is exactly zero.
     """
 
     law: SplitLaw
     p: Expr
     compliance: Expr
+    incompressible: bool = False
+
+    def _strain(self, F: Expr) -> Expr:
+        """What p works on: the law's volume strain, or the constraint of an incompressible law."""
+        return self.law.incompressibility(F) if self.incompressible else self.law.volume_strain(F)
 
     def gap(self, F: Expr) -> Expr:
         """Residual of the pressure's equation: g - p/k."""
-        return self.law.volume_strain(F) - self.p * self.compliance
+        return self._strain(F) - self.p * self.compliance
 
     def energy(self, F: Expr) -> Expr:
         """Energy per reference volume [J/m^3], see the class."""
-        shape, g = self.law.shape_energy(F), self.law.volume_strain(F)
+        shape, g = self.law.shape_energy(F), self._strain(F)
         return shape + self.p * g - self.p**2 * self.compliance / 2
 
     def stress(self, F: Expr) -> Expr:
         """First Piola-Kirchhoff stress [Pa], the derivative of the energy at fixed p."""
-        return self.law.shape_stress(F) + self.p * self.law.volume_gradient(F)
+        law = self.law
+        exact = self.incompressible
+        gradient = law.incompressibility_gradient(F) if exact else law.volume_gradient(F)
+        return law.shape_stress(F) + self.p * gradient
 
 
 def variance(p: Expr, q: Expr, J: Expr) -> Expr:

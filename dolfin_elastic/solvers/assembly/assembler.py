@@ -184,13 +184,14 @@ class Residual:
         dofs = self._dofs
         with stage("assemble"):
             differences = dofs.differences(target)
-            out = self.owned
+            out = dofs.level.balanced(self.owned)
             self._measure(out, *differences)
             if self.gap > 0.0 and np.isfinite(self.free_norm):
                 dofs.lift(self._tangent.form, differences, self._lift)
                 out = out + self._lift.array[: dofs.size]
             f.array_w[:] = out
             f.array_w[dofs.prescribed_dofs] = differences[0]
+            f.array_w[dofs.level.pinned_owned] = 0.0  # the sum of the other rows, which are zero
             if dofs.skew is not None:
                 free = dofs.skew.free_part(out[dofs.skew_dofs])
                 f.array_w[dofs.skew_dofs] = free + self._tangent.scale() * differences[1]

@@ -9,6 +9,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 
 
 class ConstrainedDofs:
@@ -26,10 +27,12 @@ class ConstrainedDofs:
         prescribed_dofs: Those that are prescribed.
         skew: Nodes whose prescribed directions are not along the axes; None if no rank has any.
         skew_dofs: All components at the owned ones of these nodes, of shape (nodes, dim).
-        bcs: DOLFINx's conditions at `prescribed_dofs`, ghosts included.
+        level: The bodies whose pressure is known up to a constant.
+        bcs: DOLFINx's conditions at `prescribed_dofs` and at the pressures that `level` fixes,
+            ghosts included.
         origin: Offset of vectors of unknowns: zeros, or the predictor of a time step, because
             accelerations are differences of displacements and would lose digits where these are
-            large.
+            large; at pressures a uniform one that is an unknown of its own.
     """
 
     def __init__(self, problem: Problem, *, displacement_fixed: bool = False) -> None:
@@ -55,6 +58,9 @@ class ConstrainedDofs:
             every = np.arange(len(problem.u.x.array), dtype=np.int32)
             self.bcs = [self._condition(every if displacement_fixed else dirichlet.dofs)]
             lifted = [self._condition(entries.reshape(-1))]
+        self.level = PressureLevel(problem)
+        if len(self.level.pinned) or self.level.bodies:
+            self.bcs = [*self.bcs, fem.dirichletbc(self._values, self.level.pinned)]
         self._lifted_bcs = self.bcs if self.skew is None else self.bcs + lifted
         if displacement_fixed:
             self.prescribed_dofs = self.displacement_dofs
@@ -151,8 +157,12 @@ class ConstrainedDofs:
         return part
 
     def remove_constrained(self, step: PETSc.Vec) -> None:
-        """Removes the constrained components of an increment of the unknowns. Not collective."""
+        """Removes the constrained components of an increment of the unknowns. Not collective.
+
+        Those of pressures that `level` fixes, too.
+        """
         step.array_w[self.prescribed_dofs] = 0.0
+        step.array_w[self.level.pinned_owned] = 0.0
         if self.skew is not None:
             step.array_w[self.skew_dofs] = self.skew.free_part(step.array_r[self.skew_dofs])
 

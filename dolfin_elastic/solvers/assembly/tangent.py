@@ -24,7 +24,8 @@ from dolfin_elastic.solvers.petsc.c_api import overwrite_aij
 class Tangent:
     """The tangent of a problem, with ones on the diagonal of prescribed dofs. Collective.
 
-    At skew nodes it is Q K Q + s P, see `SkewProjection`, where s is of the size of K: round-off
+    Pressures that `ConstrainedDofs.level` fixes have its pivots there, of their own sign.  At skew
+    nodes it is Q K Q + s P, see `SkewProjection`, where s is of the size of K: round-off
     of K would drown P otherwise.
 
     Args:
@@ -40,10 +41,11 @@ class Tangent:
         self._dofs, self.form = dofs, form
         skew = dofs.skew
         with stage("assemble"):
+            fixed = (dofs.level.pinned_owned, dofs.level.pivots)
             self._assembled = (
-                TangentMatrix(form)
+                TangentMatrix(form, fixed=fixed)
                 if skew is None
-                else TangentMatrix(form, dofs.skew_dofs, skew.P[: skew.count])
+                else TangentMatrix(form, dofs.skew_dofs, skew.P[: skew.count], fixed=fixed)
             )
         self.matrix = self._assembled.petsc
         self._shift: float | None = None
@@ -112,6 +114,8 @@ class TangentMatrix:
             None if no rank has any.
         P: Projections on these directions, of shape (nodes, dim, dim).
 
+        fixed: Owned rows of fixed unknowns, and their diagonal in place of ones.
+
     Attributes:
         petsc: The PETSc matrix, owned here.
         unit: Factor of P, in place of the ones at prescribed dofs [N/m].
@@ -122,6 +126,8 @@ class TangentMatrix:
         form: fem.Form,
         places: IndexArray | None = None,
         P: FloatArray | None = None,
+        *,
+        fixed: tuple[IndexArray, FloatArray] | None = None,
     ) -> None:
         self._form = form
         self._native = fem.create_matrix(form, la.BlockMode.expanded)
@@ -130,6 +136,7 @@ class TangentMatrix:
         if PETSc.ScalarType != np.float64 or self._entries() != self._native.indptr[self._rows()]:
             raise RuntimeError("PETSc's matrix has not the entries of DOLFINx's")
         self.unit = 1.0
+        self._fixed = None if fixed is None else (self._entry_on_diagonal(fixed[0]), fixed[1])
         self._projection: SkewProjection | None = None
         if places is not None and P is not None:
             self._projection = SkewProjection(self._native, self._rows(), places, P)
@@ -165,6 +172,15 @@ class TangentMatrix:
     def _entries(self) -> int:
         return int(self.petsc.getInfo(PETSc.Mat.InfoType.LOCAL)["nz_used"])
 
+    def _entry_on_diagonal(self, rows: IndexArray) -> IntArray:
+        """Which native values are on the diagonal of owned rows."""
+        start, columns = self._native.indptr, self._native.indices
+        found = [
+            start[row] + int(np.flatnonzero(columns[start[row] : start[row + 1]] == row)[0])
+            for row in rows
+        ]
+        return np.array(found, dtype=np.int64)
+
     def _value_order(self) -> tuple[Any, Any]:
         """Which native values go, in which order, to PETSc's own-column and other-column parts.
 
@@ -189,6 +205,8 @@ class TangentMatrix:
         self._native.scatter_reverse()
         if self._projection is not None:
             self._projection.apply(self._native.data, self.unit)
+        if self._fixed is not None:
+            self._native.data[self._fixed[0]] = self._fixed[1]
         count = int(self._native.indptr[self._rows()])
         data = self._native.data[:count]
         overwrite_aij(self.petsc, data[self._diagonal], data[self._others])

@@ -161,6 +161,8 @@ class _CauseSearch:
     def _make(self, cause: str, text: str, advice: str, place: tuple[float, ...] = ()) -> Diagnosis:
         if self._moving and cause in ("inverted", "stalled", "iterations"):
             advice = messages.SMALLER_STEP
+        elif self._moving:
+            advice = messages.in_motion(advice)
         place = place[: self.problem.body.dim]
         return Diagnosis(cause, text + self._not_examined, advice, place, self.worst)
 

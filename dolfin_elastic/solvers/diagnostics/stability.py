@@ -46,11 +46,13 @@ def negative_pivots(pc: PETSc.PC, assembler: Assembler) -> int | None:
         assembler: Of the tangent.
 
     Returns:
-        Their number; None where it is not MUMPS's of a symmetric matrix.
+        Their number; None where it is not MUMPS's of a symmetric matrix, or where there are fewer
+        pivots than pressures, for then the tangent is singular.
     """
     if pc.getType() != "cholesky" or pc.getFactorSolverType() != "mumps":
         return None
-    return int(pc.getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS)) - assembler.pressures
+    found = int(pc.getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS)) - assembler.pressures
+    return None if found < 0 else found
 
 
 def negative_eigenvalues(newton: Newton) -> int | None:
@@ -76,7 +78,8 @@ def negative_eigenvalues(newton: Newton) -> int | None:
     below = negative_pivots(pc, newton.assembler)
     if below is None or newton.bordered is None:
         return below
-    return below + newton.bordered.negative()
+    found = below + newton.bordered.negative()
+    return None if found < 0 else found
 
 
 @dataclass(frozen=True)

@@ -101,6 +101,7 @@ def find_initial_acceleration(
         start.project(v)
         for count in range(SOLVES):
             start.correct(a, first=count == 0)
+        moving.assembler.level.settle()
     finally:
         start.destroy()
 
@@ -147,6 +148,7 @@ class _IncompressibleStart:
         self._x, self._b = self._a.create_vector(), self._a.create_vector()
         moving.velocity_shift.value = 0.0
         diagonal = self._diagonal()
+        diagonal[self._a.level.pinned_owned] = 0.0
         self._no_compliance = diagonal[moving.auxiliary_dofs] == 0.0
         mass = moving.mass.array_r[moving.displacement_dofs]
         massive = mass > 0.0
@@ -288,6 +290,7 @@ class _IncompressibleStart:
         self._update_ghosts()
 
     def _solve(self, what: str) -> None:
+        self._b.array_w[:] = self._a.level.balanced(self._b.array_r.copy())
         self._a.remove_constrained(self._b)
         self._ksp.solve(self._b, self._x)
         self._a.remove_constrained(self._x)

@@ -10,10 +10,10 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import BoolArray, FloatArray
+from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.assembly.tangent import TangentMatrix
-from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 from dolfin_elastic.solvers.linear.nullspace import null_combinations, times

@@ -46,7 +46,7 @@ from dolfin_elastic.solvers.eigen.slepc import (
     choose_eigen,
     uneven,
 )
-from dolfin_elastic.solvers.eigen.volume_constraints import constrain
+from dolfin_elastic.solvers.eigen.volume_constraints import constrained_motions
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.linear.nullspace import times
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
@@ -189,7 +189,8 @@ class Vibration:
             self.whole = Frame(problem, self.mass, everywhere)
             self.rigid = rigid_modes(self.assembler, self.mass)
             self.mass.constrain()
-            self.room = self._room() - constrain(self.assembler) - len(self.rigid)
+            self.assembler.level.report()
+            self.room = self._room() - constrained_motions(self.assembler) - len(self.rigid)
         if self.room <= 0 and not self.rigid:
             raise InputError(
                 "nothing can vibrate: supports hold every node, or all but what volumes that "

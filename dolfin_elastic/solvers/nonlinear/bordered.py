@@ -186,7 +186,8 @@ class Bordered:
     def get(self, x: PETSc.Vec) -> None:
         """Copies all unknowns into a vector, before a solve."""
         self.iterations = 0
-        self.fill(x, self.assembler.problem.w.x.array[: self._size], self.scalars.get())
+        fields = self.assembler.problem.w.x.array[: self._size] - self.assembler.origin
+        self.fill(x, fields, self.scalars.get())
 
     def put(self, x: PETSc.Vec) -> None:
         """Copies a vector into all unknowns, and evaluates there. Collective."""

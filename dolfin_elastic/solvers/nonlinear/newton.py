@@ -188,6 +188,9 @@ class Newton:
             self.snes.solve(None, self._x)
             self.finish()
             self._source.put(self._x)
+            at_rest = self._inertia is None  # in motion the stage does so: it has rows of its own
+            if at_rest and self.result.converged and self.assembler.level.settle():
+                self.assembler.residual.assemble()
             self.options.report_unused()
         return self.result
 

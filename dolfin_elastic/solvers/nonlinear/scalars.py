@@ -1,4 +1,7 @@
-"""Scalar unknowns of a problem: pressures of cavities, motions of rigid surfaces, strains."""
+"""Scalar unknowns of a problem: pressures of cavities, motions of rigid surfaces, strains.
+
+And the uniform pressure of an incompressible body whose volume only they change.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars, ScalarUnknowns
 from dolfin_elastic.solvers.nonlinear.cell_strains import free_strains
+from dolfin_elastic.solvers.nonlinear.uniform_pressure import UniformPressure
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -54,6 +58,9 @@ class Scalars:
         ]
         if (strains := free_strains(assembler.cell)) is not None:
             self.parts.append(strains)
+        self.parts += [
+            UniformPressure(assembler, body) for body in assembler.level.bodies if body.coupled
+        ]
         self.joined = JoinedScalars(self.parts) if self.parts else None
 
     def get(self) -> list[float]:

@@ -68,11 +68,16 @@ class StaticStates:
             result: How it was found.
             negative: Negative eigenvalues of its tangent, if they are known.
             limits: Load factors of limit points passed so far.
+
+        Raises:
+            InputError: Supports change the volume of a body that cannot change it.
         """
         problem, assembler = self._problem, self._assembler
         energies = {"strain": self._strain.energy(), **self._strain.springs()}
         equilibrium = result.converged or t == 0.0
         self.count += 1
+        if equilibrium:
+            assembler.level.check_volumes(assembler.residual.owned)
         return State(
             step=self.count - 1,
             t=t,

@@ -78,6 +78,7 @@ class Statics:
         with ExitStack() as owned:
             assembler = Assembler(self.problem)
             owned.callback(assembler.destroy)
+            assembler.level.report()
             scalars = Scalars(assembler) if self.problem.has_scalars else None
             watch = JacobianWatch(self.problem)
             newton = Newton(

@@ -43,11 +43,11 @@ from dolfin_elastic.mesh.distribute import build_body
 from dolfin_elastic.mesh.formats.raw import RawMesh
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics import instability
-from dolfin_elastic.solvers.diagnostics.connectivity import ConnectedBodies
 from dolfin_elastic.solvers.diagnostics.evidence import TrialStates
 from dolfin_elastic.solvers.diagnostics.loose_parts import find_loose_part
 from dolfin_elastic.solvers.diagnostics.stability import Stability, curvature

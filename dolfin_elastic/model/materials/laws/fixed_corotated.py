@@ -26,6 +26,7 @@ class FixedCorotated(Isotropic, SplitLaw):
     law: Literal["fixed-corotated"] = "fixed-corotated"
 
     volume_modulus: ClassVar[str] = "lmbda"
+    strain_of_volume: ClassVar[bool] = True
 
     def shape_energy(self, F: Expr) -> Expr:
         """mu (F:F - 2 tr U + 3)."""

@@ -31,6 +31,7 @@ class Hencky(Isotropic, SplitLaw):
     law: Literal["hencky"] = "hencky"
 
     barrier: ClassVar[bool] = True
+    strain_of_volume: ClassVar[bool] = True
 
     def _psi(self, shape: Shape) -> Expr:
         squares = shape.total(lambda square: ufl.ln(square) ** 2, square_of_log_series())

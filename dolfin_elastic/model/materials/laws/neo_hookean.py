@@ -22,6 +22,7 @@ class NeoHookean(Isotropic, SplitLaw):
     barrier: ClassVar[bool] = True
 
     volume_modulus: ClassVar[str] = "lmbda"
+    strain_of_volume: ClassVar[bool] = True
 
     def shape_energy(self, F: Expr) -> Expr:
         """mu/2 (tr F^T F - 3) - mu ln J."""

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
 
 
@@ -86,6 +87,43 @@ class GeneralizedAlphaParameters:
     def implicit_euler(cls) -> GeneralizedAlphaParameters:
         """Backward Euler: u1 = u0 + h v1, v1 = v0 + h a1; of first order, damps strongly."""
         return cls(0.0, 0.0, 1.0, 1.0, 0.0)
+
+    @property
+    def midpoint(self) -> bool:
+        """It is the implicit midpoint rule: of the accelerations, only the mean has a meaning."""
+        rule = (self.alpha_m, self.alpha_f, self.beta, self.gamma)
+        return rule == (0.5, 0.5, 0.25, 0.5)
+
+    def with_pressure(self) -> GeneralizedAlphaParameters:
+        """The same for bodies with a pressure as an unknown, which Newmark's method may not suit.
+
+        Volumes are kept at the ends of steps, so the constraint determines the sum of old and new
+        acceleration, and forces at the ends make a recursion of them.  With gamma = 1/2 its
+        eigenvalues at infinite frequency have the product 1 and the sum 2 - 1/beta: with beta = 1/4
+        -1 twice, so that accelerations and pressures grow from step to step, and with them, in
+        large deformations, the energy.  The midpoint rule, which is conjugate to the trapezoidal
+        rule and the same in linear problems, needs the mean acceleration and the pressure of the
+        middle only: no recursion is left but that of the velocity, bounded.
+
+        Sources: E. Hairer, C. Lubich & G. Wanner, Geometric Numerical Integration (2006), VI.8.1
+        (conjugacy); M. Arnold & O. Bruels, BIT 47 (2007) 185 (the recursion).
+
+        Raises:
+            InputError: There is no such rule beside these coefficients.
+        """
+        if self.alpha_f != 0.0 or self.gamma == 1.0:
+            return self
+        if self.gamma == 0.5 and self.beta == 0.25:
+            return replace(self, alpha_m=0.5, alpha_f=0.5)
+        if self.gamma > 0.5 and 2 * self.beta >= self.gamma:
+            return self
+        raise InputError(
+            f"with a pressure as an unknown newmark is unstable at any step with "
+            f"beta = {self.beta:g} and gamma = {self.gamma:g}",
+            where="dynamics.beta",
+            expected="beta = 1/4 and gamma = 1/2 (the trapezoidal rule), or gamma above 1/2 and "
+            'beta at least gamma/2, or scheme = "generalized-alpha"',
+        )
 
     @property
     def order(self) -> int:

@@ -48,9 +48,28 @@ from dolfin_elastic.solvers.petsc.options import ts_reason
 
 log = logging.getLogger("dolfin_elastic")
 
+MIDPOINT = (
+    "with a pressure as an unknown the trapezoidal rule is not stable: its conjugate, the midpoint "
+    "rule, with forces and pressure of the middle of each step"
+)
+
 AHEAD = 1e-4
 """Largest step, over the whole motion, of the differences in time for the first acceleration of
 supports: the first try of an adaptive step may be as long as the motion."""
+
+
+def suited(problem: Problem, parameters: GeneralizedAlphaParameters) -> GeneralizedAlphaParameters:
+    """The coefficients with which a scheme can move a problem. Not collective.
+
+    Args:
+        problem: What moves.
+        parameters: Of the scheme.
+
+    Raises:
+        InputError: There are none.
+    """
+    pressure = problem.mixed and not problem.unknowns.has("stretch")
+    return parameters.with_pressure() if pressure else parameters
 
 
 class Implicit:
@@ -99,6 +118,7 @@ class Implicit:
         self.a = fem.Function(problem.V, name="acceleration of the scheme")
         choice = choose(problem, linear, moving=True)
         log.info("%s", choice.why)
+        self.assembler.level.report()
         self.ts = PETSc.TS().create(problem.body.comm)
         self._owned.callback(self.ts.destroy)
         self.ts.setOptionsPrefix(PREFIX)
@@ -147,6 +167,10 @@ class Implicit:
         assert parameters is not None
         if row.overshoots and self.moving.damping.inside:
             parameters = parameters.without_overshoot()
+        chosen = suited(self.problem, parameters)
+        if chosen != parameters:
+            log.info(MIDPOINT)
+            parameters = chosen
         context = SchemeContext(
             ts=self.ts,
             moving=self.moving,
@@ -307,6 +331,7 @@ class Implicit:
         first = step == 0 and not failed
         if not failed:
             self.scheme.balance_at_end(t)
+            self.assembler.level.check_volumes(self.assembler.residual.owned)
         reactions = self.assembler.reactions.by_support(self.assembler.residual.owned)
         energies, momenta = self._energies.measure()
         audit = None if failed else self.auditor.judge(t, self.balance, energies)

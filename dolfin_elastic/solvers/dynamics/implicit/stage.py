@@ -134,6 +134,11 @@ class StageSolver:
         snes.setFunction(self.residual, self._F)
         snes.setJacobian(self.tangent, matrix, matrix)
 
+    @property
+    def keeps_volumes(self) -> bool:
+        """There is a pressure, and the volumes are those of the ends of steps."""
+        return self._volumes is not None
+
     # --- callbacks of SNES ---
 
     def residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
@@ -148,10 +153,14 @@ class StageSolver:
         self._moving.set_stage_rates(*self._stage.rates(x.array_r[self._moving.displacement_dofs]))
         with timed("assemble"):
             self._assembler.put(x)
-            self._assembler.residual.assemble()
-            if self._volumes is not None:
-                self._volumes.complete()
+            self._assemble()
         self._assembler.residual.constrain(f, target=self._stage.u)
+
+    def _assemble(self) -> None:
+        """Assembles the residual at the present state, with the volumes at the end of the step."""
+        self._assembler.residual.assemble()
+        if self._volumes is not None:
+            self._volumes.complete()
 
     def tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         """Derivative of the residual by the displacement of the stage.
@@ -198,6 +207,8 @@ class StageSolver:
             found = any(self._solve_from(guess) for guess in self._guesses(stage))
         finally:
             origin[:] = 0.0
+        if found and self._assembler.level.settle():
+            self._assemble()
         offset = self._newton.solution()[self._moving.displacement_dofs] / (1 - p.alpha_f)
         return (stage, np.asarray(offset)) if found else None
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 
+import numpy as np
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
@@ -239,6 +240,8 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         w[self.moving.displacement_dofs] = u
         self.moving.set_unknowns(w)
         at_end = p.at_end(old.a, a)
+        if self._stages.keeps_volumes and p.midpoint:
+            a, at_end = self._of_the_middle(stage, a)
         self.problem.dirichlet.impose(at_end, stage.a_end)
         for field, values in ((self.v, v), (self._a, a), (self.acceleration, at_end)):
             field.x.array[:size] = values
@@ -250,6 +253,23 @@ class GeneralizedAlphaScheme(ImplicitScheme):
             error += self.impact_error.error(stage.h)
         # What is prescribed has no error, whatever its acceleration does.
         self._higher_order = u - free(self.problem, error)
+
+    def _of_the_middle(self, stage: Stage, a: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The acceleration of the midpoint rule, and at the end of the step [m/s^2].
+
+        Where volumes are kept the one at the end, twice the mean less the old one, would swing
+        more and more.  The rule needs the mean only, so that is kept in its place; at the end it
+        is extrapolated from those of two steps, to second order but in the very first step.
+
+        Args:
+            stage: Which was found.
+            a: The acceleration of the formulas at the end [m/s^2].
+        """
+        old = stage.start.a
+        mean = np.asarray((a + old) / 2)
+        at_end = mean + (mean - old) / 2
+        stage.prescribed.impose(mean, stage.a_end)
+        return mean, at_end
 
     def _finish(self, ts: PETSc.TS, h: float) -> None:
         """Stores the accepted step and the size of the next one [s]."""

@@ -30,7 +30,6 @@ import ufl
 from dolfinx import fem
 
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.problem.incompressible import is_incompressible
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
@@ -53,7 +52,7 @@ class VolumeConstraint:
         self._assembler, self._problem = assembler, assembler.problem
         self._share = alpha_f
         parts = [part for part in self._problem.regions if part.compliance is not None]
-        compressible = [part for part in parts if not is_incompressible(part.compliance)]
+        compressible = [part for part in parts if not part.incompressible]
         forms = [_strain(self._problem, group) for group in (parts, compressible) if group]
         found = compiled(self._problem, forms)
         self._with_pressure, self._compressible = found[0], found[1] if compressible else None

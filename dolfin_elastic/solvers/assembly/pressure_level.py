@@ -1,0 +1,347 @@
+"""The pressure of an incompressible body that is held all around: known up to a constant.
+
+Where nothing lets the surface of a body move along its normal, a uniform pressure does no work:
+the tangent has the null space of the constant pressure, and the equations of the pressures add up
+to one that has no unknown, that the supports leave the body its volume.  Three things follow.
+
+- One pressure of such a body is fixed in the tangent, with a pivot of the sign that pressures have:
+  all solvers, and all counts of eigenvalues, see a regular matrix.
+- Of the equations the mean is taken out, weighted as the volume: J - 1 is the same constant
+  everywhere, that of the volume which the supports prescribe, up to the error of their
+  displacements between nodes.  Where that is no small part of what they sweep, nothing fits.
+- Of the pressures that solve the equations the one without a mean is taken.  It is the limit of
+  those of materials that can be compressed a little.
+
+Source: M. Benzi, G. Golub & J. Liesen, Acta Numerica 14 (2005), section 2.3 and 5.7; P. Bochev &
+R. Lehoucq, SIAM Review 47 (2005) 50 (one pressure fixed, or none: the same solution).
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import la
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import largest, smallest, total
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.geometry.curved import (
+    cell_quadrature,
+    facet_quadrature,
+    facet_shape_functions,
+)
+from dolfin_elastic.mesh.geometry.simplices import (
+    boundary_facets,
+    cells_beside_facets,
+    prepare_facets,
+)
+from dolfin_elastic.problem.connectivity import ConnectedBodies
+from dolfin_elastic.problem.problem import Problem
+
+log = logging.getLogger("dolfin_elastic")
+
+FREE = 1e-9
+"""Volume that free displacements change, over that of all of a surface, that is round-off."""
+
+ROUND_OFF = 1e-10
+"""Change of volume, over the volume, that is round-off."""
+
+SAID, IMPOSSIBLE = 1e-6, 0.05
+"""Change of volume that supports prescribe, over what they sweep: reported from the first on,
+refused from the second on; between them it is the error of smooth displacements between nodes."""
+
+
+@dataclass(frozen=True)
+class EnclosedBody:
+    """A body that is incompressible and held all around.
+
+    Attributes:
+        name: Of the body, empty where there is one only.
+        dofs: Entries of its pressures in the local array of all unknowns, owned.
+        weights: Integrals of their shape functions over the body, over its volume.
+        volume: Of the body [m^3]; in a plane its area.
+        pinned: Local entry of the pressure that is fixed, one on its owner; ghosts elsewhere.
+        coupled: Scalar unknowns, the motion of a rigid surface or macroscopic strains, change its
+            volume: then its uniform pressure is known, but is no unknown of the fields.
+    """
+
+    name: str
+    dofs: IndexArray
+    weights: FloatArray
+    volume: float
+    pinned: IndexArray
+    coupled: bool
+
+    @property
+    def label(self) -> str:
+        """The body in words."""
+        return f"the body '{self.name}'" if self.name else "the body"
+
+
+class PressureLevel:
+    """The bodies of a problem whose pressure is known up to a constant. Collective to make.
+
+    Args:
+        problem: Whose unknowns.
+
+    Attributes:
+        bodies: The enclosed ones.
+        pinned: Local entries of the pressures that are fixed, owned and ghost.
+        pivots: Diagonal of the tangent there, negative [N/m].
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem, self._comm = problem, problem.body.comm
+        self.bodies: list[EnclosedBody] = []
+        self.pinned = np.empty(0, dtype=np.int32)
+        self.pivots: FloatArray = np.empty(0)
+        self._said = False
+        if not any(part.incompressible for part in problem.regions) or problem.unknowns.has(
+            "stretch"
+        ):
+            return
+        bodies = ConnectedBodies(problem)
+        self._swept, self._share = _volume_gradient(problem)
+        found = self._enclosed(bodies)
+        if not found:
+            return
+        self._check_laws()
+        names = bodies.names()
+        weights = _shape_integrals(problem)
+        for k in found:
+            self.bodies.append(self._body(bodies, k, names[k], weights))
+        self.pinned = np.concatenate([body.pinned for body in self.bodies])
+        self.pivots = self._pivots(weights)
+
+    # --- which bodies ---
+
+    def _enclosed(self, bodies: ConnectedBodies) -> list[int]:
+        """Numbers of the bodies that are incompressible and held all around. Collective."""
+        count, nodes = bodies.count, bodies.of_node
+        cells = np.asarray(self._problem.unknowns.U.dofmap.list)[:, 0]
+        soft = np.zeros(count)
+        for part in self._problem.regions:
+            if not part.incompressible:
+                np.add.at(soft, nodes[cells[part.cells]], 1.0)
+        soft = total(self._comm, soft)
+        free = np.abs(self._free_part().reshape(-1, self._problem.body.dim)).max(axis=1)
+        most = np.zeros(count)
+        np.maximum.at(most, nodes[: len(free)], free)
+        most = np.max(self._comm.allgather(most), axis=0)
+        return [int(k) for k in np.flatnonzero((soft == 0.0) & (most <= FREE * self._share))]
+
+    def _free_part(self) -> FloatArray:
+        """Derivative of the volume by the displacements that nothing prescribes [m^2]."""
+        dirichlet, unknowns = self._problem.dirichlet, self._problem.unknowns
+        found = self._swept.copy()
+        found[unknowns.mixed_dofs(dirichlet.owned)] = 0.0
+        found = found[unknowns.displacement_dofs]
+        if dirichlet.skew is not None:
+            nodes = dirichlet.skew.nodes[: dirichlet.skew.count]
+            rows = found.reshape(-1, self._problem.body.dim)
+            rows[nodes] = dirichlet.skew.free_part(rows[nodes])
+        return found
+
+    def _check_laws(self) -> None:
+        """Refuses laws whose volume strain is not that of J.
+
+        Raises:
+            InputError: There is one.
+        """
+        for part in self._problem.regions:
+            law = part.law
+            if part.incompressible and not (law.linear or getattr(law, "strain_of_volume", False)):
+                raise InputError(
+                    f"the law '{law.name()}' does not keep J = 1 at nu = 0.5, and the body is held "
+                    "all around, which prescribes its volume",
+                    where=f"materials.{part.name}.nu",
+                    expected="a law with U(J), such as 'neo-hookean', or nu below 0.5",
+                )
+
+    # --- their pressures ---
+
+    def _body(
+        self, bodies: ConnectedBodies, number: int, name: str, weights: FloatArray
+    ) -> EnclosedBody:
+        """The pressures of a body; the first one of the first rank that has any is fixed."""
+        problem, unknowns = self._problem, self._problem.unknowns
+        cells = np.asarray(unknowns.U.dofmap.list)[:, 0]
+        inside = bodies.of_node[cells] == number
+        space = problem.W.dofmap.index_map
+        size = space.size_local * problem.W.dofmap.index_map_bs
+        dofs = np.unique(_pressure_dofs(problem)[inside])
+        dofs = dofs[dofs < size].astype(np.int32)
+        first = smallest(self._comm, float(self._comm.rank) if len(dofs) else np.inf)
+        mark = la.vector(space, problem.W.dofmap.index_map_bs)
+        mark.array[dofs[:1] if first == self._comm.rank else []] = 1.0
+        mark.scatter_forward()
+        pinned = np.flatnonzero(mark.array).astype(np.int32)
+        own = weights[dofs]
+        volume = total(self._comm, float(own.sum()))
+        coupled = self._coupled(bodies, number, volume)
+        return EnclosedBody(name, dofs, own / volume, volume, pinned, coupled)
+
+    def _coupled(self, bodies: ConnectedBodies, number: int, volume: float) -> bool:
+        """Whether rigid surfaces or strains that are free change the volume of a body. Collective.
+
+        Args:
+            bodies: All bodies.
+            number: Of this one.
+            volume: Of it [m^3].
+        """
+        problem = self._problem
+        if problem.cell is not None:
+            return any(i == j for i, j in problem.cell.free)
+        size = len(problem.unknowns.displacement_dofs)
+        for motion in problem.dirichlet.rigid_motions:
+            dofs, D = problem.dirichlet.motion_directions(motion)
+            mine = (dofs < size) & (bodies.of_node[dofs // problem.body.dim] == number)
+            swept = self._swept[problem.unknowns.mixed_dofs(dofs[mine])][:, None] * D[mine]
+            grown, whole = (total(self._comm, part.sum(axis=0)) for part in (swept, np.abs(swept)))
+            if np.any((np.abs(grown) > FREE * whole)[list(motion.free)]):
+                return True
+        return False
+
+    def _pivots(self, weights: FloatArray) -> FloatArray:
+        """Diagonal of the tangent at the owned fixed pressures: that of the Schur complement."""
+        scale = float(self._problem.unknowns.scale["pressure"].value)
+        return -(scale**2) / self._problem.stiffness * weights[self.pinned_owned]
+
+    @property
+    def pinned_owned(self) -> IndexArray:
+        """Those fixed pressures that this rank owns."""
+        dofmap = self._problem.W.dofmap
+        return self.pinned[self.pinned < dofmap.index_map.size_local * dofmap.index_map_bs]
+
+    # --- what solvers ask for ---
+
+    def balanced(self, rows: FloatArray) -> FloatArray:
+        """Rows of the residual, those of enclosed pressures without their mean. Collective.
+
+        Args:
+            rows: Owned entries of all unknowns [N].
+        """
+        if not self.bodies:
+            return rows
+        rows = rows.copy()
+        for body in self.bodies:
+            rows[body.dofs] -= body.weights * total(self._comm, float(rows[body.dofs].sum()))
+        return rows
+
+    def settle(self) -> bool:
+        """Takes the mean out of the pressures of enclosed bodies. Collective.
+
+        Returns:
+            Whether any was changed: then reactions have changed, too.
+        """
+        w = self._problem.w.x
+        free = [body for body in self.bodies if not body.coupled]
+        for body in free:
+            own = float(np.sum(body.weights * w.array[body.dofs]))
+            w.array[body.dofs] -= total(self._comm, own)
+        if free:
+            w.scatter_forward()
+        return bool(free)
+
+    def report(self) -> None:
+        """Says in the log which pressures are known up to a constant."""
+        for note in self.notes():
+            log.info("%s", note)
+
+    def notes(self) -> list[str]:
+        """What a user should know of the enclosed bodies."""
+        return [
+            f"{body.label} is incompressible and has no free surface: its pressure is known up to "
+            "a constant, and the one whose mean is zero is taken"
+            for body in self.bodies
+            if not body.coupled
+        ]
+
+    def check_volumes(self, rows: FloatArray) -> None:
+        """Compares what supports leave the bodies with their volumes. Collective.
+
+        Args:
+            rows: Owned entries of the residual at the present displacement [N].
+
+        Raises:
+            InputError: The supports change the volume of a body that cannot change it.
+        """
+        if not self.bodies:
+            return
+        moves = self._problem.unknowns.displacement_dofs
+        w = self._problem.w.x.array[moves]
+        swept = total(self._comm, float(np.sum(np.abs(self._swept[moves] * w))))
+        scale = float(self._problem.unknowns.scale["pressure"].value) * self._problem.thickness
+        for body in self.bodies:
+            change = total(self._comm, float(rows[body.dofs].sum())) / scale
+            if abs(change) > max(IMPOSSIBLE * swept, ROUND_OFF * body.volume):
+                raise InputError(
+                    f"{body.label} is incompressible and held all around, and its supports, or "
+                    f"growth, change its volume by {change / body.volume:.3g} of it",
+                    where="support",
+                    expected="a surface that is free to move along its normal, or nu below 0.5",
+                )
+            if abs(change) > max(SAID * swept, ROUND_OFF * body.volume) and not self._said:
+                self._said = True
+                log.info(
+                    "%s is held all around by displacements that change its volume by %.2g of what "
+                    "they sweep: it is spread evenly over the body",
+                    body.label,
+                    abs(change) / swept,
+                )
+
+
+def _pressure_dofs(problem: Problem) -> IndexArray:
+    """Entries of the pressures of each local cell in the local array of all unknowns."""
+    names = [field.name for field in problem.unknowns.auxiliary_fields]
+    return np.asarray(problem.W.sub(1 + names.index("pressure")).dofmap.list)
+
+
+def _ring(problem: Problem, X: FloatArray) -> FloatArray | float:
+    """Circumference at places of an axisymmetric body [m]; 1 of others."""
+    return 2 * np.pi * X[..., 0] if problem.geometry == "axisymmetric" else 1.0
+
+
+def _shape_integrals(problem: Problem) -> FloatArray:
+    """Integrals of the shape functions of pressures, owned entries of all unknowns. Collective."""
+    mesh = problem.body.mesh
+    cells = problem.body.owned_cells()
+    points = cell_quadrature(mesh, cells, 2)
+    corners = np.column_stack([1 - points.local.sum(axis=1), points.local])
+    sums = np.einsum("cp,pk->ck", points.weights * _ring(problem, points.X), corners)
+    vector = la.vector(problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs)
+    np.add.at(vector.array, _pressure_dofs(problem)[cells].reshape(-1), sums.reshape(-1))
+    vector.scatter_reverse(la.InsertMode.add)
+    size = problem.W.dofmap.index_map.size_local * problem.W.dofmap.index_map_bs
+    return np.asarray(vector.array[:size].copy())
+
+
+def _volume_gradient(problem: Problem) -> tuple[FloatArray, float]:
+    """Derivative of the body's volume by the displacements, owned entries. Collective.
+
+    The integral of the outward normal times the shape functions over the surface of the undeformed
+    body, [m^2] at the entries of displacements and zero at all others; and the largest share of a
+    facet in it, on all ranks.
+    """
+    mesh, dim, V = problem.body.mesh, problem.body.dim, problem.V
+    prepare_facets(mesh)
+    facets = boundary_facets(mesh)
+    points = facet_quadrature(mesh, facets, 2 * problem.context.order)
+    cells, sides = cells_beside_facets(mesh, facets)
+    table = facet_shape_functions(dim, problem.degree, points.local)
+    closure = np.array(
+        [V.dofmap.dof_layout.entity_closure_dofs(dim - 1, side) for side in range(dim + 1)]
+    )
+    nodes = np.take_along_axis(np.asarray(V.dofmap.list)[cells], closure[sides], axis=1)
+    weights = points.weights * _ring(problem, points.X)
+    shares = np.einsum("fp,pk,fpi->fki", weights, table, points.N)
+    entries = (nodes[:, :, None] * dim + np.arange(dim)).astype(np.int32)
+    vector = la.vector(problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs)
+    rows = problem.unknowns.mixed_dofs(entries.reshape(-1))
+    np.add.at(vector.array, rows, shares.reshape(-1))
+    vector.scatter_reverse(la.InsertMode.add)
+    size = problem.W.dofmap.index_map.size_local * problem.W.dofmap.index_map_bs
+    share = largest(problem.body.comm, float(np.max(np.abs(shares), initial=0.0)))
+    return np.asarray(vector.array[:size].copy()), share
