@@ -68,22 +68,13 @@ class WeakForm:
         of a body follows from where its surface is: else the pressure of a body that is held all
         around would be asked for a volume that the supports do not leave it.
         """
-        least = self._degree_of_volume() if self._exact(region) else 0
+        least = _degree_of_volume(self._context) if _keeps_volume(self._context, region) else 0
         if self._quadrature_degree is not None:
             return max(self._quadrature_degree, least)
         degree = max(region.law.quadrature_degree(self._context.order), least)
         if region.compliance is not None or self._context.axisymmetric:
             return max(degree, 2)  # the pressure and the radius vary inside a linear element, too
         return degree
-
-    def _exact(self, region: MaterialRegion) -> bool:
-        """A region keeps its volume exactly; in plane stress the stretch across gives way."""
-        return region.incompressible and not self._unknowns.has("stretch")
-
-    def _degree_of_volume(self) -> int:
-        """Degree of J in the cells; of J times the radius in bodies of revolution."""
-        order, dim = self._context.order, self._context.body.dim
-        return dim * (order - 1) + (order if self._context.axisymmetric else 0)
 
     def volume(self, region: MaterialRegion | None, quadrature_degree: int) -> WeightedMeasure:
         """Reference volume as a measure.
@@ -110,7 +101,7 @@ class WeakForm:
         if region.compliance is not None:
             assert isinstance(region.law, SplitLaw)
             p = self._unknowns.auxiliary("pressure", w)
-            law = Mixed(region.law, p, region.compliance, self._exact(region))
+            law = Mixed(region.law, p, region.compliance, _keeps_volume(self._context, region))
         growth = self._eigenstrains.get(region.name)
         return law if growth is None else GrownLaw(law, growth)
 
@@ -254,3 +245,14 @@ class WeakForm:
             * self.volume(region, 2 * self._context.order)
             for region in self._context.regions
         )
+
+
+def _keeps_volume(context: FormContext, region: MaterialRegion) -> bool:
+    """A region keeps its volume exactly; in plane stress the stretch across gives way."""
+    return region.incompressible and not context.unknowns.has("stretch")
+
+
+def _degree_of_volume(context: FormContext) -> int:
+    """Degree of J in the cells; of J times the radius in bodies of revolution."""
+    order, dim = context.order, context.body.dim
+    return dim * (order - 1) + (order if context.axisymmetric else 0)

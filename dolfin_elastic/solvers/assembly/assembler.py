@@ -184,14 +184,14 @@ class Residual:
         dofs = self._dofs
         with stage("assemble"):
             differences = dofs.differences(target)
-            out = dofs.level.balanced(self.owned)
+            out = dofs.balanced(self.owned)
             self._measure(out, *differences)
             if self.gap > 0.0 and np.isfinite(self.free_norm):
                 dofs.lift(self._tangent.form, differences, self._lift)
                 out = out + self._lift.array[: dofs.size]
             f.array_w[:] = out
             f.array_w[dofs.prescribed_dofs] = differences[0]
-            f.array_w[dofs.level.pinned_owned] = 0.0  # the sum of the other rows, which are zero
+            f.array_w[dofs.fixed_pressures] = 0.0  # the sum of the other rows, which are zero
             if dofs.skew is not None:
                 free = dofs.skew.free_part(out[dofs.skew_dofs])
                 f.array_w[dofs.skew_dofs] = free + self._tangent.scale() * differences[1]
@@ -270,6 +270,15 @@ class Assembler(ConstrainedDofs):
         self.reactions = Reactions(self, found[2] if loads else None, by_label, self.cell)
         self.tangent = Tangent(self, found[1])
         self.residual = Residual(self, found[0], self.tangent, self.reactions)
+
+    def check_volumes(self) -> None:
+        """Compares the volumes of enclosed bodies with what supports leave them. Collective.
+
+        Raises:
+            InputError: See `PressureLevel.check_volumes`.
+        """
+        if self.level is not None:
+            self.level.check_volumes(self.residual.owned)
 
     def destroy(self) -> None:
         """Frees the tangent's matrix."""

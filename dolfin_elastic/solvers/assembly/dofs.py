@@ -27,9 +27,9 @@ class ConstrainedDofs:
         prescribed_dofs: Those that are prescribed.
         skew: Nodes whose prescribed directions are not along the axes; None if no rank has any.
         skew_dofs: All components at the owned ones of these nodes, of shape (nodes, dim).
-        level: The bodies whose pressure is known up to a constant.
-        bcs: DOLFINx's conditions at `prescribed_dofs` and at the pressures that `level` fixes,
-            ghosts included.
+        level: The bodies whose pressure is known up to a constant; None without any.
+        fixed_pressures: Those that `level` fixes.
+        bcs: DOLFINx's conditions at `prescribed_dofs` and `fixed_pressures`, ghosts included.
         origin: Offset of vectors of unknowns: zeros, or the predictor of a time step, because
             accelerations are differences of displacements and would lose digits where these are
             large; at pressures a uniform one that is an unknown of its own.
@@ -58,13 +58,30 @@ class ConstrainedDofs:
             every = np.arange(len(problem.u.x.array), dtype=np.int32)
             self.bcs = [self._condition(every if displacement_fixed else dirichlet.dofs)]
             lifted = [self._condition(entries.reshape(-1))]
-        self.level = PressureLevel(problem)
-        if len(self.level.pinned) or self.level.bodies:
+        self.level = self._find_level()
+        self.fixed_pressures = np.empty(0, dtype=np.int32)
+        if self.level is not None:
+            self.fixed_pressures = self.level.pinned_owned
             self.bcs = [*self.bcs, fem.dirichletbc(self._values, self.level.pinned)]
         self._lifted_bcs = self.bcs if self.skew is None else self.bcs + lifted
         if displacement_fixed:
             self.prescribed_dofs = self.displacement_dofs
             self._prescribed = np.arange(len(self.displacement_dofs), dtype=np.int32)
+
+    def _find_level(self) -> PressureLevel | None:
+        """Looks for enclosed bodies where a material is incompressible. Collective."""
+        if not any(part.incompressible for part in self.problem.regions):
+            return None
+        level = PressureLevel(self.problem)
+        return level if level.bodies else None
+
+    def balanced(self, rows: FloatArray) -> FloatArray:
+        """Owned rows of a residual, those of enclosed pressures without their mean. Collective."""
+        return rows if self.level is None else self.level.balanced(rows)
+
+    def settle_pressures(self) -> bool:
+        """Takes the mean out of enclosed pressures; whether any was changed. Collective."""
+        return self.level is not None and self.level.settle()
 
     def _condition(self, dofs: IndexArray) -> fem.DirichletBC:
         """Prescribes entries of the displacement's local array in all unknowns."""
@@ -159,10 +176,10 @@ class ConstrainedDofs:
     def remove_constrained(self, step: PETSc.Vec) -> None:
         """Removes the constrained components of an increment of the unknowns. Not collective.
 
-        Those of pressures that `level` fixes, too.
+        Those of fixed pressures, too.
         """
         step.array_w[self.prescribed_dofs] = 0.0
-        step.array_w[self.level.pinned_owned] = 0.0
+        step.array_w[self.fixed_pressures] = 0.0
         if self.skew is not None:
             step.array_w[self.skew_dofs] = self.skew.free_part(step.array_r[self.skew_dofs])
 

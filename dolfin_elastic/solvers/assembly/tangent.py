@@ -24,7 +24,7 @@ from dolfin_elastic.solvers.petsc.c_api import overwrite_aij
 class Tangent:
     """The tangent of a problem, with ones on the diagonal of prescribed dofs. Collective.
 
-    Pressures that `ConstrainedDofs.level` fixes have its pivots there, of their own sign.  At skew
+    Fixed pressures have the pivots of `ConstrainedDofs.level` there, of their own sign.  At skew
     nodes it is Q K Q + s P, see `SkewProjection`, where s is of the size of K: round-off
     of K would drown P otherwise.
 
@@ -41,7 +41,7 @@ class Tangent:
         self._dofs, self.form = dofs, form
         skew = dofs.skew
         with stage("assemble"):
-            fixed = (dofs.level.pinned_owned, dofs.level.pivots)
+            fixed = None if dofs.level is None else (dofs.fixed_pressures, dofs.level.pivots)
             self._assembled = (
                 TangentMatrix(form, fixed=fixed)
                 if skew is None

@@ -10,6 +10,9 @@ the material grows or is heated; B is its gradient.  Acceleration and pressure s
 the second one being the second derivative of the constraint.  Its first derivative,
 B^T v + dg/dt = 0, must hold for the initial velocity.  If it does not, the velocity is projected
 onto the nearest one in the norm of the kinetic energy, by M dv + B q = 0: an impulse of pressure.
+So is the displacement, which the program knows between its nodes only, by M du + B q = 0 and
+g(u + du, 0) = 0: the first step would remove what is left of g, and throw the body as fast as that
+is over the step.
 
 Source: E. Hairer & G. Wanner, Solving Ordinary Differential Equations II (1996), sections VII.1,
 consistent values of systems of index 3, and VII.2, projection.
@@ -46,6 +49,10 @@ INERTIA_OVER_STIFFNESS = 1e6
 
 SOLVES = 3
 """Solves with one factorisation, after which the error is round-off."""
+
+PLACES, ROUND_OFF = 20, 1e-13
+"""Most corrections of the displacement, with one factorisation, and how small one ends them, over
+the largest displacement."""
 
 STRAIN = 1e-3
 """Strain of the differences in time, by which the body is moved along its velocity.
@@ -96,12 +103,18 @@ def find_initial_acceleration(
     a.x.array[:] = 0.0
     problem.dirichlet.impose(a.x.array, prescribed)
     a.x.scatter_forward()
+    if moving.assembler.max_displacement() > 0.0:
+        place = _IncompressibleStart(moving, v, h)
+        try:
+            place.project_displacement()
+        finally:
+            place.destroy()
     start = _IncompressibleStart(moving, v, h)
     try:
         start.project(v)
         for count in range(SOLVES):
             start.correct(a, first=count == 0)
-        moving.assembler.level.settle()
+        moving.assembler.settle_pressures()
     finally:
         start.destroy()
 
@@ -148,7 +161,7 @@ class _IncompressibleStart:
         self._x, self._b = self._a.create_vector(), self._a.create_vector()
         moving.velocity_shift.value = 0.0
         diagonal = self._diagonal()
-        diagonal[self._a.level.pinned_owned] = 0.0
+        diagonal[self._a.fixed_pressures] = 0.0
         self._no_compliance = diagonal[moving.auxiliary_dofs] == 0.0
         mass = moving.mass.array_r[moving.displacement_dofs]
         massive = mass > 0.0
@@ -177,6 +190,34 @@ class _IncompressibleStart:
         found = np.array(diagonal.array_r)
         diagonal.destroy()
         return found
+
+    def project_displacement(self) -> None:
+        """Projects the displacement onto those that keep the volumes. Collective.
+
+        As `project`, not with a stabilised pressure.
+        """
+        if self._problem.unknowns.stabilised:
+            return
+        moves, w = self._moving.displacement_dofs, self._problem.w.x.array
+        size, before = self._a.max_displacement(), w[moves].copy()
+        for _ in range(PLACES):
+            rows = self._rows()[self._moving.auxiliary_dofs]
+            self._b.set(0.0)
+            self._b.array_w[self._moving.auxiliary_dofs] = np.where(self._no_compliance, -rows, 0.0)
+            self._solve("initial displacement")
+            w[moves] += self._x.array_r[moves]
+            self._update_ghosts()
+            if self._largest(self._x.array_r[moves]) <= ROUND_OFF * size:
+                break
+        change = self._largest(w[moves] - before)
+        if change > UNREPORTED * size:
+            log.log(
+                logging.WARNING if change > SMALL * size else logging.INFO,
+                "the displacement at the start, up to %.4g m, does not fit volumes that cannot "
+                "change: changed by up to %.3g m",
+                size,
+                change,
+            )
 
     def project(self, v: fem.Function) -> None:
         """Projects the velocity onto those that change no volume, and finds v . g'' v. Collective.
@@ -290,7 +331,7 @@ class _IncompressibleStart:
         self._update_ghosts()
 
     def _solve(self, what: str) -> None:
-        self._b.array_w[:] = self._a.level.balanced(self._b.array_r.copy())
+        self._b.array_w[:] = self._a.balanced(self._b.array_r.copy())
         self._a.remove_constrained(self._b)
         self._ksp.solve(self._b, self._x)
         self._a.remove_constrained(self._x)

@@ -189,7 +189,8 @@ class Vibration:
             self.whole = Frame(problem, self.mass, everywhere)
             self.rigid = rigid_modes(self.assembler, self.mass)
             self.mass.constrain()
-            self.assembler.level.report()
+            if self.assembler.level is not None:
+                self.assembler.level.report()
             self.room = self._room() - constrained_motions(self.assembler) - len(self.rigid)
         if self.room <= 0 and not self.rigid:
             raise InputError(

@@ -23,7 +23,8 @@ def constrained_motions(assembler: Assembler) -> int:
         return 0
     if problem.unknowns.stabilised:  # their own rows know all but the mean
         whole = all(region.incompressible for region in problem.regions)
-        return int(whole) - len(assembler.level.bodies) if whole else 0
+        known = 0 if assembler.level is None else len(assembler.level.bodies)
+        return 1 - known if whole else 0
     pressures = np.setdiff1d(np.arange(assembler.size), assembler.displacement_dofs)
     diagonal = assembler.tangent.matrix.getDiagonal()
     count = total(problem.body.comm, int(np.sum(diagonal.array_r[pressures] == 0.0)))

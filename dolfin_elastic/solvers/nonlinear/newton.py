@@ -189,7 +189,7 @@ class Newton:
             self.finish()
             self._source.put(self._x)
             at_rest = self._inertia is None  # in motion the stage does so: it has rows of its own
-            if at_rest and self.result.converged and self.assembler.level.settle():
+            if at_rest and self.result.converged and self.assembler.settle_pressures():
                 self.assembler.residual.assemble()
             self.options.report_unused()
         return self.result

@@ -58,9 +58,8 @@ class Scalars:
         ]
         if (strains := free_strains(assembler.cell)) is not None:
             self.parts.append(strains)
-        self.parts += [
-            UniformPressure(assembler, body) for body in assembler.level.bodies if body.coupled
-        ]
+        enclosed = [] if assembler.level is None else assembler.level.bodies
+        self.parts += [UniformPressure(assembler, body) for body in enclosed if body.coupled]
         self.joined = JoinedScalars(self.parts) if self.parts else None
 
     def get(self) -> list[float]:

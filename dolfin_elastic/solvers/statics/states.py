@@ -77,7 +77,7 @@ class StaticStates:
         equilibrium = result.converged or t == 0.0
         self.count += 1
         if equilibrium:
-            assembler.level.check_volumes(assembler.residual.owned)
+            assembler.check_volumes()
         return State(
             step=self.count - 1,
             t=t,

@@ -78,7 +78,8 @@ class Statics:
         with ExitStack() as owned:
             assembler = Assembler(self.problem)
             owned.callback(assembler.destroy)
-            assembler.level.report()
+            if assembler.level is not None:
+                assembler.level.report()
             scalars = Scalars(assembler) if self.problem.has_scalars else None
             watch = JacobianWatch(self.problem)
             newton = Newton(

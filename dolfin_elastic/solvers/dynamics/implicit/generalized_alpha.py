@@ -24,6 +24,10 @@ import numpy as np
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
 
+MOST = 0.965
+"""Spectral radius of Newmark's method along a constraint with which it has kept its energy over
+hundreds of periods of large oscillations (gamma = 0.52); at 0.998 it has not."""
+
 
 @dataclass(frozen=True)
 class GeneralizedAlphaParameters:
@@ -115,15 +119,21 @@ class GeneralizedAlphaParameters:
             return self
         if self.gamma == 0.5 and self.beta == 0.25:
             return replace(self, alpha_m=0.5, alpha_f=0.5)
-        if self.gamma > 0.5 and 2 * self.beta >= self.gamma:
+        if self._radius_of_constraints() <= MOST:
             return self
         raise InputError(
-            f"with a pressure as an unknown newmark is unstable at any step with "
+            "with a pressure as an unknown newmark is not stable at any step with "
             f"beta = {self.beta:g} and gamma = {self.gamma:g}",
-            where="dynamics.beta",
-            expected="beta = 1/4 and gamma = 1/2 (the trapezoidal rule), or gamma above 1/2 and "
-            'beta at least gamma/2, or scheme = "generalized-alpha"',
+            where="dynamics.gamma",
+            expected="beta = 1/4 and gamma = 1/2 (the trapezoidal rule), or gamma from 0.52 on and "
+            'its own beta, or scheme = "generalized-alpha"',
         )
+
+    def _radius_of_constraints(self) -> float:
+        """Spectral radius of that recursion, of velocity and acceleration along a constraint."""
+        b, g = self.beta, self.gamma
+        rows = [[1 - g / b, 1 - g - g * (0.5 - b) / b], [-1 / b, -(0.5 - b) / b]]
+        return float(np.abs(np.linalg.eigvals(np.array(rows))).max())
 
     @property
     def order(self) -> int:

@@ -118,7 +118,8 @@ class Implicit:
         self.a = fem.Function(problem.V, name="acceleration of the scheme")
         choice = choose(problem, linear, moving=True)
         log.info("%s", choice.why)
-        self.assembler.level.report()
+        if self.assembler.level is not None:
+            self.assembler.level.report()
         self.ts = PETSc.TS().create(problem.body.comm)
         self._owned.callback(self.ts.destroy)
         self.ts.setOptionsPrefix(PREFIX)
@@ -331,7 +332,7 @@ class Implicit:
         first = step == 0 and not failed
         if not failed:
             self.scheme.balance_at_end(t)
-            self.assembler.level.check_volumes(self.assembler.residual.owned)
+            self.assembler.check_volumes()
         reactions = self.assembler.reactions.by_support(self.assembler.residual.owned)
         energies, momenta = self._energies.measure()
         audit = None if failed else self.auditor.judge(t, self.balance, energies)

@@ -207,7 +207,7 @@ class StageSolver:
             found = any(self._solve_from(guess) for guess in self._guesses(stage))
         finally:
             origin[:] = 0.0
-        if found and self._assembler.level.settle():
+        if found and self._assembler.settle_pressures():
             self._assemble()
         offset = self._newton.solution()[self._moving.displacement_dofs] / (1 - p.alpha_f)
         return (stage, np.asarray(offset)) if found else None

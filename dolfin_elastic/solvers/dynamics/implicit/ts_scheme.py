@@ -241,7 +241,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         self.moving.set_unknowns(w)
         at_end = p.at_end(old.a, a)
         if self._stages.keeps_volumes and p.midpoint:
-            a, at_end = self._of_the_middle(stage, a)
+            a, at_end = _of_the_middle(stage, a)
         self.problem.dirichlet.impose(at_end, stage.a_end)
         for field, values in ((self.v, v), (self._a, a), (self.acceleration, at_end)):
             field.x.array[:size] = values
@@ -253,23 +253,6 @@ class GeneralizedAlphaScheme(ImplicitScheme):
             error += self.impact_error.error(stage.h)
         # What is prescribed has no error, whatever its acceleration does.
         self._higher_order = u - free(self.problem, error)
-
-    def _of_the_middle(self, stage: Stage, a: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The acceleration of the midpoint rule, and at the end of the step [m/s^2].
-
-        Where volumes are kept the one at the end, twice the mean less the old one, would swing
-        more and more.  The rule needs the mean only, so that is kept in its place; at the end it
-        is extrapolated from those of two steps, to second order but in the very first step.
-
-        Args:
-            stage: Which was found.
-            a: The acceleration of the formulas at the end [m/s^2].
-        """
-        old = stage.start.a
-        mean = np.asarray((a + old) / 2)
-        at_end = mean + (mean - old) / 2
-        stage.prescribed.impose(mean, stage.a_end)
-        return mean, at_end
 
     def _finish(self, ts: PETSc.TS, h: float) -> None:
         """Stores the accepted step and the size of the next one [s]."""
@@ -295,3 +278,21 @@ class GeneralizedAlphaScheme(ImplicitScheme):
             field.x.array[:size] = values
             field.x.scatter_forward()
         self.moving.copy_to(U, V, self.v)
+
+
+def _of_the_middle(stage: Stage, a: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The acceleration of the midpoint rule, and at the end of the step [m/s^2].
+
+    Where volumes are kept the one at the end, twice the mean less the old one, would swing more
+    and more.  The rule needs the mean only, so that is kept in its place; at the end it is
+    extrapolated from those of two steps, to second order but in the very first step.
+
+    Args:
+        stage: Which was found.
+        a: The acceleration of the formulas at the end [m/s^2].
+    """
+    old = stage.start.a
+    mean = np.asarray((a + old) / 2)
+    at_end = mean + (mean - old) / 2
+    stage.prescribed.impose(mean, stage.a_end)
+    return mean, at_end
