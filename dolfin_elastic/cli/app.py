@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from click.exceptions import ClickException
 
+from dolfin_elastic.cli.converge import converge
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import survive_closed_pipes
 from dolfin_elastic.cli.run import log_to_screen, restart, run
@@ -38,6 +39,8 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
   dolfin-elastic run beam.toml              compute it
   mpirun -n 4 dolfin-elastic run beam.toml  the same on four cores
   dolfin-elastic restart beam_results       go on after it was stopped or killed
+  dolfin-elastic converge beam.toml --until "displacement of tip" 1%
+                                            refine the mesh until it is known so well
 
 \b
 Exit codes:
@@ -47,6 +50,7 @@ Exit codes:
        is still going in that folder; nothing was written
   3    no solution was found; the results so far are complete
   4    results cannot be written
+  6    `converge` has not reached its goal; the results so far are complete
   130  interrupted; the results so far are complete, and `restart` goes on
 """
 
@@ -120,6 +124,7 @@ def check(
 
 
 app.command()(run)
+app.command()(converge)
 app.command()(restart)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(material)
 app.command()(materials)

@@ -68,7 +68,7 @@ def run(
     from dolfin_elastic.case.case import read_case
     from dolfin_elastic.case.run import run as run_case
 
-    comm = _begin(quiet)
+    comm = begin(quiet)
     read = read_case(case, comm=comm)
     folder = output if output is not None else read.results_folder()
 
@@ -105,7 +105,7 @@ def restart(
     from dolfin_elastic.case.restart import unfinished
     from dolfin_elastic.case.run import restart as restart_case
 
-    comm = _begin(quiet)
+    comm = begin(quiet)
     found = unfinished(folder, comm=comm)
     logging.getLogger("dolfin_elastic").info("%s", found.message())
 
@@ -117,7 +117,8 @@ def restart(
     _compute(displayed, comm)
 
 
-def _begin(quiet: bool) -> MPI.Comm:
+def begin(quiet: bool) -> MPI.Comm:
+    """Shows log messages from now on, with `quiet` warnings only; all ranks."""
     from mpi4py import MPI
 
     log_to_screen(MPI.COMM_WORLD.rank, logging.WARNING if quiet else logging.INFO)

@@ -124,6 +124,25 @@ def test_info(tmp_path: Path) -> None:
     assert all(name in out for name in ("dolfinx", "petsc", "blas"))
 
 
+def test_converge(folder: Path) -> None:
+    """A line a mesh, the table, exit code 0; with less work allowed code 6 and the reason."""
+    what = ["--until", "strain_energy"]
+    code, out, err = cli("converge", "case.toml", *what, "20%", folder=folder, ranks=2)
+    assert code == 0, err
+    assert re.findall(r"^mesh (\d): \d+ cells, \d+ unknowns, strain_energy", out, re.M) == [
+        "1",
+        "2",
+        "3",
+    ]
+    assert re.search(
+        r"^reached: strain_energy = \S+ J, estimated error \S+ % \(wanted 20 %\)$", out, re.M
+    )
+    assert out.endswith("converge.csv, converge.json, converge.png, summary.json\n")
+    code, out, _ = cli("converge", "case.toml", *what, "1%", "--unknowns", "200", folder=folder)
+    assert code == 6
+    assert "above the limit of 200 (--unknowns)" in out
+
+
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_run(folder: Path, ranks: int) -> None:
     """A line a step, a summary, the files, and each of them once."""

@@ -16,6 +16,7 @@ from dolfinx.mesh import Mesh
 
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.refine.division import barycentric, lagrange
 
 _SHAPES = {2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 Parts = Mapping[str, IndexArray]
@@ -37,6 +38,8 @@ def carry_parts(
     found = {"regions": _cells(body.regions, regions)}
     d = coarse.topology.dim
     found["surfaces"] = _entities(body.surfaces, coarse, mesh, d - 1, corners, of_parents)
+    found["edges"] = _entities(body.edges, coarse, mesh, 1, corners, of_parents)
+    found["points"] = _points(body.points, coarse, mesh, corners, of_parents)
     return found
 
 
@@ -111,3 +114,29 @@ def _entities_within(d: int, dim: int, corners: FloatArray) -> AnyArray:
             away = [k for k in range(d + 1) if k not in other]
             found[:, i, j] = zero[:, own][:, :, away].all(axis=(1, 2))
     return found
+
+
+def _points(
+    parts: Parts,
+    coarse: Mesh,
+    mesh: Mesh,
+    corners: FloatArray,
+    of_parents: Callable[[AnyArray], AnyArray],
+) -> dict[str, IndexArray]:
+    """Nodes of the finer mesh that are where named nodes of the coarse mesh are. Collective."""
+    if not parts:
+        return {}
+    marks = np.zeros((len(coarse.geometry.x), len(parts)), dtype=np.uint8)
+    for column, nodes in enumerate(parts.values()):
+        marks[nodes, column] = 1
+    named = of_parents(marks[coarse.geometry.dofmap])  # (finer cells, parent's node, parts)
+    reference = barycentric(lagrange(coarse.topology.dim, int(coarse.geometry.cmap.degree)).points)
+    places = np.einsum("kv,cvj->ckj", reference, corners)
+    # Coordinates are multiples of 1/4.
+    same = (np.abs(places[:, :, None] - reference) < 0.1).all(axis=3)
+    carried = np.einsum("ckn,cnp->ckp", same.astype(np.uint8), named) > 0
+    nodes = mesh.geometry.dofmap
+    return {
+        name: np.unique(nodes[carried[:, :, column]]).astype(np.int32)
+        for column, name in enumerate(parts)
+    }

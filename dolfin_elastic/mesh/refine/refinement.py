@@ -92,14 +92,16 @@ def refine_body(body: Body, cells: IndexArray) -> Refinement:
 
     corners = np.asarray(links(division.corners))
     parts = carry_parts(body, mesh, corners, of_parents)
-    regions = parts["regions"]
-    surfaces = {n: rows for n, rows in parts["surfaces"].items() if n not in body.uncovered}
-    # Edges and points are numbered by the old mesh.
-    lost = {*body.edges, *body.points} - {*regions, *surfaces}
-    reason = "edges and nodes are not carried to a refined mesh"
-    incomplete = {**body.incomplete, **dict.fromkeys(sorted(lost), reason)}
-    body = replace(body, edges={}, points={}, uncovered={}, incomplete=incomplete)
-    finer = replace(body, mesh=mesh, regions=regions, surfaces=surfaces, fields={}, notes=notes)
+    finer = replace(
+        body,
+        mesh=mesh,
+        regions=parts["regions"],
+        surfaces=parts["surfaces"],
+        edges=parts["edges"],
+        points=parts["points"],
+        fields={},
+        notes=notes,
+    )
     bare = Refinement(body, finer, corners, of_parents)
     fields = {name: _carried_field(bare, field) for name, field in body.fields.items()}
     return replace(bare, body=replace(finer, fields=fields))

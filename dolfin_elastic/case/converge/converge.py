@@ -1,0 +1,309 @@
+"""`converge`: solves a case on meshes that are refined where the error is, until a result is known.
+
+Each mesh is refined where the estimated error in energy is largest, and at the place of the result
+that is wanted.  The solution is interpolated to the finer mesh, from where Newton's method goes on.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Generator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from mpi4py import MPI
+
+from dolfin_elastic.case.case import Case, locate_errors
+from dolfin_elastic.case.check import check
+from dolfin_elastic.case.converge.extrapolation import extrapolate, grows
+from dolfin_elastic.case.converge.progress import Level, Progress
+from dolfin_elastic.case.converge.quantity import Measured, Measurement, Quantity
+from dolfin_elastic.case.converge.report import write_report
+from dolfin_elastic.case.run import open_outputs
+from dolfin_elastic.core import timing
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import on_root, total
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.refine.marking import bulk
+from dolfin_elastic.mesh.refine.refinement import Refinement, refine_body
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.state import RestartState, State
+from dolfin_elastic.problem.transfer import refined_unknowns
+from dolfin_elastic.results.checkpoint.lock import FolderLock
+from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
+from dolfin_elastic.solvers.statics.load_stepping import NearEnd
+from dolfin_elastic.solvers.statics.statics import Statics
+
+log = logging.getLogger("dolfin_elastic")
+States = Generator[State, None, None]
+
+REFINEMENTS, UNKNOWNS = 8, 500_000
+"""Limits unless others are given."""
+_MESHES, _CONFIRMED = 3, 3
+"""Meshes that must be seen, for two may agree by accident; refinements that must show a growth."""
+_SHARE, _PEAK_SHARE = 0.7, 0.9
+"""Share of the squared error that the refined cells carry: of all cells, and of the peak's."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What ends it.
+
+    Attributes:
+        quantity: What is to be known.
+        tolerance: Its relative error.
+        refinements: At most so many.
+        unknowns: No mesh with more is solved.
+    """
+
+    quantity: Quantity
+    tolerance: float
+    refinements: int = REFINEMENTS
+    unknowns: int = UNKNOWNS
+
+
+def converge(
+    case: Case,
+    goal: Goal,
+    *,
+    output: Path | None = None,
+    petsc: Mapping[str, Any] | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> Generator[Progress, None, None]:
+    """Solves a case on finer and finer meshes; yields what is known after each.  Collective.
+
+    The results of the finest mesh, and the report, are written before they are yielded.
+
+    Args:
+        case: From `read_case`, or made in Python; of statics.
+        goal: What ends it.
+        output: Folder of the results; by default that of `run` with "_converged" at its end.
+        petsc: PETSc options that win over the case's own.
+        comm: The ranks that work together.
+
+    Raises:
+        InputError: The case is wrong, or has no such quantity; or a run is still going in the
+            folder.
+        SolveError: No solution was found on a mesh; the results of the one before are complete.
+        OutputError: Results cannot be written.
+    """
+    _check_kind(case)
+    folder = output or default_folder(case)
+    with closing(FolderLock(comm, folder)) as lock:
+        lock.acquire()
+        yield from _Convergence(case, goal, folder, dict(petsc or {}), comm, lock).levels()
+
+
+def default_folder(case: Case) -> Path:
+    """Folder of the results of `converge`."""
+    folder = case.results_folder()
+    return folder.with_name(f"{folder.name.removesuffix('_results')}_converged")
+
+
+def _check_kind(case: Case) -> None:
+    """Only statics without periodic faces is refined.
+
+    Raises:
+        InputError: The case is another.
+    """
+    what = f"[{case.analysis}]" if case.analysis != "statics" else ""
+    if case.periodic is not None:
+        what = "a periodic cell, whose opposite faces must have the same mesh"
+    if what:
+        raise InputError(
+            f"converge refines the meshes of [statics], but this is {what}",
+            where=case.file,
+            expected="compute it with `run` on two meshes",
+        )
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """The solution on one mesh.
+
+    Attributes:
+        body: With its names.
+        problem: On it.
+        state: At the end of the load.
+        saved: The solver's restart state there.
+        measured: The quantity.
+        estimate: Of the error.
+        newton: Newton iterations.
+    """
+
+    body: Body
+    problem: Problem
+    state: State
+    saved: RestartState
+    measured: Measured
+    estimate: ErrorEstimate
+    newton: int
+
+
+@dataclass(frozen=True)
+class _Convergence:
+    """One sequence of meshes; see `converge`."""
+
+    case: Case
+    goal: Goal
+    folder: Path
+    petsc: dict[str, Any]
+    comm: MPI.Comm
+    lock: FolderLock
+
+    def levels(self) -> Generator[Progress, None, None]:
+        """All meshes. Collective."""
+        timing.begin()
+        body = self._first_body()
+        progress = Progress(self.goal.quantity, self.goal.tolerance, ())
+        refinement, before = None, None
+        while progress.verdict == "running":
+            problem = self.case.make_problem(body)
+            if before is not None and problem.num_dofs > self.goal.unknowns:
+                progress = self._ended(
+                    progress,
+                    "unknowns",
+                    f"the next mesh has {problem.num_dofs} unknowns, above the limit of "
+                    f"{self.goal.unknowns} (--unknowns)",
+                )
+                yield progress
+                return
+            solved = self._solve(body, problem, refinement, before)
+            progress = self._judged(progress, solved)
+            self._write(solved, progress)
+            yield progress
+            if progress.verdict == "running":
+                with timing.stage("mesh"):
+                    refinement, before = self._refined(solved), solved
+                    body = refinement.body
+                for note in body.notes:
+                    log.info("mesh: %s", note)
+
+    def _first_body(self) -> Body:
+        with timing.stage("mesh"):
+            body = self.case.read_body(self.comm)
+        for note in body.notes:
+            log.info("mesh: %s", note)
+        for note in check(self.case, body):
+            log.warning("%s", note)
+        probes = [*self.case.output.probes]
+        supports = [support.label for support in self.case.support]
+        with locate_errors(self.case.file):
+            self.goal.quantity.check(body, probes, supports)
+        return body
+
+    def _solve(
+        self,
+        body: Body,
+        problem: Problem,
+        refinement: Refinement | None,
+        before: _Solved | None,
+    ) -> _Solved:
+        """The equilibrium at the end of the load, and what is wanted of it. Collective."""
+        solver = self.case.make_solver(problem, petsc=self.petsc)
+        assert isinstance(solver, Statics)  # see `_check_kind`
+        near = None
+        if refinement is not None and before is not None:
+            unknowns = refined_unknowns(refinement, before.problem, before.problem.w, problem)
+            near = NearEnd(unknowns, tuple(before.saved.numbers["scalars"]))
+        newton, state, saved = 0, None, None
+        with locate_errors(self.case.file), closing(cast(States, solver.steps(near=near))) as steps:
+            for state in steps:
+                newton += state.newton
+                saved = solver.restart_state()
+            assert state is not None
+            assert saved is not None
+            state = self.case.output.make_probe(problem, self.case.mesh.scale).add_to(state)
+            with timing.stage("output"):
+                measured = Measurement(self.goal.quantity, problem, body)(state)
+                estimate = ErrorEstimator(problem)(state)
+        return _Solved(body, problem, state, saved, measured, estimate, newton)
+
+    # --- what is known ---
+
+    def _judged(self, progress: Progress, solved: _Solved) -> Progress:
+        """What is known with one more mesh. Collective."""
+        levels, measured, problem = progress.levels, solved.measured, solved.problem
+        d = problem.body.dim
+        unknowns = [*(float(level.unknowns) for level in levels), float(problem.num_dofs)]
+        sizes = np.array([*(level.size for level in levels), measured.size])
+        values = [*(level.value for level in levels), measured.value]
+        # A peak depends on the cells around it, as long as each mesh has finer ones there.
+        local = len(sizes) > 1 and bool(np.all(sizes[1:] < 0.8 * sizes[:-1]))
+        fineness = [float(h**-d) for h in sizes] if local else unknowns
+        rate = self.goal.quantity.order(problem.degree) / d
+        found = extrapolate(fineness, values, rate=rate)
+        # Energies, and what follows from them, are not known better than by the energy's error.
+        least = 0.0 if measured.place else solved.estimate.relative**2
+        level = Level(
+            number=len(levels) + 1,
+            cells=problem.body.num_cells,
+            unknowns=problem.num_dofs,
+            value=measured.value,
+            error=max(found.error, least) if len(values) > 1 else float("nan"),
+            limit=found.limit,
+            rate=found.rate,
+            energy_error=solved.estimate.relative,
+            place=measured.place,
+            size=measured.size,
+            newton=solved.newton,
+        )
+        progress = replace(progress, levels=(*levels, level))
+        if reason := self._singular(progress):
+            return self._ended(progress, "singular", reason)
+        if level.number >= _MESHES and level.error <= self.goal.tolerance:
+            return replace(progress, verdict="reached")
+        if len(levels) >= self.goal.refinements:
+            return self._ended(
+                progress,
+                "refinements",
+                f"that is {self.goal.refinements} refinements, the limit (--refinements)",
+            )
+        return progress
+
+    def _ended(self, progress: Progress, verdict: Any, reason: str) -> Progress:
+        ended = replace(progress, verdict=verdict, reason=reason)
+        on_root(self.comm, lambda: write_report(ended, self.folder))
+        return ended
+
+    def _singular(self, progress: Progress) -> str:
+        """Why the quantity has no limit; empty: it may have one."""
+        place = progress.last.place
+        sizes = [level.size for level in progress.levels]
+        values = [level.value for level in progress.levels]
+        exponent = grows(sizes, values, _CONFIRMED) if place else 0.0
+        if not exponent:
+            return ""
+        at = ", ".join(f"{x:.4g}" for x in place)
+        return (
+            f"{progress.quantity} has no limit: at ({at}) m it grows with every refinement, like "
+            f"h^-{exponent:.2f}, as at a re-entrant edge, the rim of a support or a point load; "
+            "ask for a part away from there, or round the edge"
+        )
+
+    # --- the next mesh ---
+
+    def _refined(self, solved: _Solved) -> Refinement:
+        """The mesh, finer where the error is and at the place of the quantity. Collective."""
+        indicators, peak = solved.estimate.cells, solved.measured.cells
+        there = np.zeros_like(indicators)
+        there[peak] = indicators[peak]
+        cells = [bulk(self.comm, indicators, _SHARE), bulk(self.comm, there, _PEAK_SHARE)]
+        marked = np.unique(np.concatenate(cells)).astype(np.int32)
+        if not total(self.comm, len(marked)):  # no error anywhere: all cells, to see it confirmed
+            marked = solved.body.owned_cells()
+        return refine_body(solved.body, marked)
+
+    # --- what is written ---
+
+    def _write(self, solved: _Solved, progress: Progress) -> None:
+        """The results of this mesh, in place of those of the one before. Collective."""
+        self.lock.acquire(create=True)
+        with open_outputs(self.case.files(), solved.problem, self.folder) as writers:
+            for writer in writers:
+                writer.write(solved.state)
+        with timing.stage("output"):
+            on_root(self.comm, lambda: write_report(progress, self.folder))

@@ -1,0 +1,256 @@
+"""`Quantity`: one number of a run, such as "von_mises on fillet", and where it is found."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from dolfinx import fem
+
+from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.geometry.curved import cell_volumes
+from dolfin_elastic.mesh.geometry.simplices import cell_corners, cells_beside_facets
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.spaces import part_nodes
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.writers.history import row
+
+_TEXT = re.compile(r"\s*(\w+)(?:\s+(?:on|of|at)\s+(\S.*?))?\s*")
+_EXAMPLES = '"von_mises on fillet", "displacement of tip", "reaction of left" or "strain_energy"'
+_COMPONENTS = re.compile(r"(displacement|reaction)(_[xyz])?")
+_SMALLEST = ("safety_factor",)
+_PEAK = 0.8
+"""Share of the largest value from which on a node belongs to the peak."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A quantity of one state.
+
+    Attributes:
+        value: In its SI unit.
+        place: Where a field has its largest value [m], reference configuration; empty for other
+            quantities.
+        size: About the edge length of the cells there [m].
+        cells: Owned cells of this rank at the peak.
+    """
+
+    value: float
+    place: tuple[float, ...] = ()
+    size: float = float("nan")
+    cells: IndexArray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What is to be known, as it was written: "NAME" or "NAME on PART".
+
+    Attributes:
+        name: A field, a column of history.csv, "displacement" or "reaction".
+        part: Surface, region, edge, point, probe or support; empty: the whole body.
+    """
+
+    name: str
+    part: str = ""
+
+    @classmethod
+    def read(cls, text: str) -> Quantity:
+        """From the command line.
+
+        Raises:
+            InputError: It is no name, and no name with a part.
+        """
+        found = _TEXT.fullmatch(text)
+        if found is None:
+            raise InputError(f"'{text}' is no result of a run", expected=f"for example {_EXAMPLES}")
+        return cls(found[1], found[2] or "")
+
+    def __str__(self) -> str:
+        return f"{self.name} on {self.part}" if self.part else self.name
+
+    @property
+    def is_field(self) -> bool:
+        """It is the largest value of a field (of the safety factor the smallest)."""
+        return self.name in FIELDS
+
+    @property
+    def unit(self) -> str:
+        """SI unit; empty where it is not known from the name."""
+        if self.name in FIELDS:
+            return FIELDS[self.name].unit
+        units = {"displacement": "m", "reaction": "N", "force": "N", "energy": "J"}
+        return next((unit for word, unit in units.items() if word in self.name), "")
+
+    def order(self, degree: int) -> int:
+        """Order in the cells' size of the error that is relied upon where the solution is smooth.
+
+        Stresses have the order of the displacement gradient; energies and reactions, whose errors
+        are products of two, twice that.  Displacements have one order more than their gradient
+        where all cells are halved; adapted meshes leave many as they are.
+
+        Source: G. Strang and G. J. Fix, An Analysis of the Finite Element Method (1973), chapter 3.
+
+        Args:
+            degree: Of the displacement.
+        """
+        return 2 * degree if "energy" in self.name or "reaction" in self.name else degree
+
+    def check(self, body: Body, probes: Sequence[str], supports: Sequence[str]) -> None:
+        """Checks what can be known before anything is computed. Not collective.
+
+        Args:
+            body: The body.
+            probes: Names of the case's probes.
+            supports: Names of the reactions.
+
+        Raises:
+            InputError: There is no such part, or no such field on it.
+        """
+        if not self.part:
+            return
+        parts = [name for named in body.parts.values() for name in named]
+        if self.name.startswith("reaction"):
+            if self.part not in supports:
+                raise _unknown("no support", self.part, supports)
+        elif self.part in probes:
+            return
+        elif self.part not in parts:
+            raise _unknown("no part and no probe", self.part, [*parts, *probes])
+        elif self.name not in FIELDS:
+            raise _unknown("no field", self.name, FIELDS)
+
+
+def _unknown(what: str, name: str, known: Iterable[str]) -> InputError:
+    return InputError(f"there is {what} '{name}'", where="--until", expected=nearest(name, known))
+
+
+class Measurement:
+    """Evaluates a quantity on one mesh. Collective to make.
+
+    Args:
+        quantity: What is wanted.
+        problem: The problem that is solved.
+        body: The body with all named parts.
+    """
+
+    def __init__(self, quantity: Quantity, problem: Problem, body: Body) -> None:
+        self._quantity, self._problem, self._body = quantity, problem, body
+        self._evaluator: Evaluator | None = None
+        if quantity.is_field and (not quantity.part or body.kinds(quantity.part)):
+            self._evaluator = Evaluator(problem, [quantity.name])
+
+    def __call__(self, state: State) -> Measured:
+        """The quantity of a state, with the numbers of its probes. Collective.
+
+        Raises:
+            InputError: The run has no such result.
+        """
+        if self._evaluator is not None:
+            return self._largest(self._evaluator, state)
+        return Measured(self._number(state))
+
+    def _number(self, state: State) -> float:
+        """A number that is there already: a column of the history, or the length of some."""
+        q, columns = self._quantity, row(state)
+        known = {"energy": "strain_energy"}.get(q.name, q.name)
+        if not q.part and isinstance(found := columns.get(known), int | float):
+            return float(found)
+        kind = _COMPONENTS.fullmatch(q.name)
+        if q.part:
+            stem = f"reaction_{q.part}" if q.name.startswith("reaction") else q.part
+            ends = [kind[2]] if kind and kind[2] else ["_x", "_y", "_z"]
+            names = [stem + end for end in ends] if kind else [f"{q.part}_{q.name}"]
+            numbers = [float(v) for n in names if isinstance(v := columns.get(n), int | float)]
+            if len(numbers) == 1:
+                return numbers[0]
+            if numbers:
+                return float(np.linalg.norm(numbers))
+        name = f"{q.part}_{q.name}" if q.part else q.name
+        raise _unknown("no result", name, [n for n, v in columns.items() if not isinstance(v, str)])
+
+    def _largest(self, evaluator: Evaluator, state: State) -> Measured:
+        """Largest value of a field over the part, its place, and the cells of the peak."""
+        q, body = self._quantity, self._body
+        values = evaluator(state)[q.name]
+        values = values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1)
+        nodal = FIELDS[q.name].centre == "node"
+        members = self._nodes() if nodal else self._cells()
+        sign = -1.0 if q.name in _SMALLEST else 1.0
+        own = np.where(np.isfinite(values[members]), sign * values[members], -np.inf)
+        places = (evaluator.grid.points() if nodal else _middles(body))[members][:, : body.dim]
+        best = int(np.argmax(own)) if len(own) else -1
+        mine = (float(own[best]), *map(float, places[best])) if len(own) else (-np.inf,)
+        top = max(body.comm.allgather(mine))
+        if not np.isfinite(top[0]):
+            raise InputError(f"'{q}' has no value in this run", where="--until")
+        limit = _PEAK * top[0] if top[0] > 0 else top[0] / _PEAK
+        cells = self._touching(members[own >= limit]) if nodal else members[own >= limit]
+        return Measured(sign * top[0], top[1:], _size_at(body, np.array(top[1:])), cells)
+
+    def _nodes(self) -> IndexArray:
+        """Owned nodes of the displacement's space on the part. Collective."""
+        body, V, part = self._body, self._problem.V, self._quantity.part
+        owned = V.dofmap.index_map.size_local
+        if not part:
+            return np.arange(owned, dtype=np.int32)
+        if "region" in body.kinds(part):
+            nodes = fem.locate_dofs_topological(V, body.mesh.topology.dim, body.regions[part])
+        else:
+            nodes = part_nodes(body, V, part)
+        return np.asarray(nodes[nodes < owned], dtype=np.int32)
+
+    def _cells(self) -> IndexArray:
+        """Owned cells of the region, or beside the surface."""
+        body, part = self._body, self._quantity.part
+        if not part or part in body.regions:
+            return body.owned_cells(part or None)
+        beside, _ = cells_beside_facets(body.mesh, body.surface(part))
+        return np.unique(beside)
+
+    def _touching(self, nodes: IndexArray) -> IndexArray:
+        """Owned cells with one of these owned nodes, also those of other ranks. Collective."""
+        V = self._problem.V
+        marks = fem.Function(V)
+        width = V.dofmap.index_map_bs
+        marks.x.array.reshape(-1, width)[nodes] = 1.0
+        marks.x.scatter_forward()
+        touched = marks.x.array.reshape(-1, width)[:, 0][V.dofmap.list] > 0
+        cells = np.flatnonzero(touched.any(axis=1)).astype(np.int32)
+        return cells[cells < len(self._body.owned_cells())]
+
+
+def _middles(body: Body) -> FloatArray:
+    return np.asarray(cell_corners(body.mesh).mean(axis=1))
+
+
+def _size_at(body: Body, place: FloatArray) -> float:
+    """About the edge length [m] of the cell whose middle is nearest to a place. Collective."""
+    d, away = body.dim, np.linalg.norm(_middles(body) - place, axis=1)
+    mine = (np.inf, 0.0)
+    if len(away):
+        nearest_one = int(np.argmin(away))
+        mine = (float(away[nearest_one]), float(cell_volumes(body.mesh)[nearest_one]))
+    volume = min(body.comm.allgather(mine))[1]
+    return float((volume * (2.0 if d == 2 else 8.0)) ** (1 / d))
+
+
+def tolerance(text: str) -> float:
+    """A share such as "3%" or "0.03".
+
+    Raises:
+        InputError: It is no share between 0 and 1.
+    """
+    bare, percent = (text.strip()[:-1], 100.0) if text.strip().endswith("%") else (text, 1.0)
+    try:
+        share = float(bare) / percent
+    except ValueError:
+        share = float("nan")
+    if not 0.0 < share < 1.0:
+        raise InputError(f"'{text}' is no tolerance", where="--until", expected='for example "3%"')
+    return share

@@ -1,0 +1,146 @@
+"""The command `converge`: its options, its table, and its exit code."""
+# ruff: noqa: D301
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from click.exceptions import Exit
+
+from dolfin_elastic.cli.run import Petsc, Quiet, begin
+from dolfin_elastic.core.petsc_options import parse_arguments, start_petsc
+
+if TYPE_CHECKING:
+    from dolfin_elastic.case.converge.progress import Level, Progress
+
+NOT_REACHED = 6
+
+
+def converge(
+    case: Annotated[Path, typer.Argument(metavar="CASE", hidden=True)],
+    petsc: Petsc = None,
+    *,
+    until: Annotated[
+        tuple[str, str],
+        typer.Option(
+            "--until", metavar="QUANTITY SHARE", help="What is to be known, and how well."
+        ),
+    ],
+    refinements: Annotated[
+        int, typer.Option("--refinements", min=1, metavar="N", help="At most so many.")
+    ] = 8,
+    unknowns: Annotated[
+        float, typer.Option("--unknowns", min=1, metavar="N", help="No mesh with more of them.")
+    ] = 5e5,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Refine the mesh of a static case until a result is known to a given share.
+
+    \b
+      dolfin-elastic converge bracket.toml --until "von_mises on fillet" 3%
+      dolfin-elastic converge bracket.toml --until "displacement of tip" 1% --unknowns 2e6
+      mpirun -n 4 dolfin-elastic converge bracket.toml --until strain_energy 0.1%
+
+    QUANTITY is a field, whose largest value is meant, `FIELD on SURFACE` or `on REGION`,
+    `displacement of PROBE`, `FIELD of PROBE`, `reaction of SUPPORT`, or a column of history.csv.
+    The mesh is refined where the estimated error is.  The table of all meshes, a plot and the
+    results of the last one go to CASE_converged.  Exit code 6: not known as well as wanted.
+    """
+    options, at_start = parse_arguments(petsc or [])
+    start_petsc(at_start)
+    from contextlib import closing
+
+    from dolfin_elastic.case.case import read_case
+    from dolfin_elastic.case.converge.converge import Goal, default_folder
+    from dolfin_elastic.case.converge.converge import converge as converge_case
+    from dolfin_elastic.case.converge.quantity import Quantity, tolerance
+
+    goal = Goal(Quantity.read(until[0]), tolerance(until[1]), refinements, int(unknowns))
+    comm = begin(quiet)
+    read = read_case(case, comm=comm)
+    folder = output if output is not None else default_folder(read)
+    visible = comm.rank == 0 and not quiet
+    shown, progress = 0, None
+    with closing(converge_case(read, goal, output=folder, petsc=options, comm=comm)) as levels:
+        for progress in levels:
+            if visible and len(progress.levels) > shown:
+                shown = len(progress.levels)
+                print(_line(progress, progress.last), flush=True)
+    assert progress is not None
+    if visible:
+        show_table_of(progress, folder)
+    if progress.verdict != "reached":
+        raise Exit(NOT_REACHED)
+
+
+def _line(progress: Progress, level: Level) -> str:
+    """One mesh while it goes on."""
+    return (
+        f"mesh {level.number}: {level.cells} cells, {level.unknowns} unknowns, "
+        f"{progress.quantity} {_with_unit(level.value, progress)}{_estimate(level)}"
+    )
+
+
+def _with_unit(value: float, progress: Progress) -> str:
+    unit = progress.quantity.unit
+    return f"{value:.5g} {unit}".rstrip()
+
+
+def _estimate(level: Level) -> str:
+    return f", estimated error {_percent(level.error)}" if math.isfinite(level.error) else ""
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %" if math.isfinite(share) else ""
+
+
+def show_table_of(progress: Progress, folder: Path) -> None:
+    """Prints the table of all meshes, the verdict, and what was written.
+
+    Args:
+        progress: The last one.
+        folder: Of the results.
+    """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from dolfin_elastic.case.converge.report import FILES
+    from dolfin_elastic.cli.console import console, show_files, show_table
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    heads = ("mesh", "cells", "unknowns", progress.head, "estimated error", "in energy")
+    for head in heads:
+        table.add_column(head, justify="right")
+    for level in progress.levels:
+        table.add_row(
+            str(level.number),
+            str(level.cells),
+            str(level.unknowns),
+            f"{level.value:.5g}",
+            _percent(level.error),
+            _percent(level.energy_error),
+        )
+    screen = console()
+    show_table(screen, table)
+    for line in _ending(progress):
+        screen.print(line, soft_wrap=True)
+    show_files(folder, [*FILES, "summary.json"])
+
+
+def _ending(progress: Progress) -> list[str]:
+    last, wanted = progress.last, _percent(progress.tolerance)
+    value = f"{progress.quantity} = {_with_unit(last.value, progress)}{_estimate(last)}"
+    lines = []
+    if math.isfinite(last.limit):
+        lines.append(f"extrapolated: {_with_unit(last.limit, progress)}")
+    if progress.verdict == "reached":
+        return [f"reached: {value} (wanted {wanted})", *lines]
+    if progress.verdict == "singular":
+        return [f"not reached: {progress.reason}"]
+    return [f"not reached: {value}, wanted {wanted}; {progress.reason}", *lines]
