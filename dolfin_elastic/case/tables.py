@@ -125,7 +125,7 @@ class MeshTable(Record):
     @classmethod
     def _is_length(cls, unit: str) -> str:
         try:
-            to_si(f"1 {unit}", "m")
+            to_si(f"1 {unit}" if unit.strip() else "no unit", "m")
         except UnitError:
             raise UnitError(
                 f"'{unit}' is no unit of length", expected='expected for example "mm"'
@@ -287,6 +287,18 @@ class Output(Record):
                     expected="a file of its own",
                 )
         return pictures
+
+    @field_validator("probes")
+    @classmethod
+    def _named(cls, probes: dict[str, ProbePoint]) -> dict[str, ProbePoint]:
+        for name in probes:
+            if not name.strip() or not name.isprintable():
+                raise InputError(
+                    f"{quoted(name)} is no name of a probe",
+                    where=key_text(name),
+                    expected="a text that can begin the names of columns of history.csv",
+                )
+        return probes
 
     def check_probes(self, body: Body, scale: float) -> None:
         """Checks that the probes' points lie in the body. Collective.

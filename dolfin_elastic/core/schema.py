@@ -55,6 +55,7 @@ class Record(BaseModel, metaclass=_InputErrorMeta):
         arbitrary_types_allowed=True,
         populate_by_name=True,
         validate_default=False,
+        allow_inf_nan=False,
     )
 
     @model_validator(mode="before")
@@ -173,6 +174,7 @@ _TYPE_NAMES = {
     "int_from_float": "a whole number",
     "float_type": "a number",
     "float_parsing": "a number",
+    "finite_number": "a finite number",
     "bool_type": "true or false",
     "bool_parsing": "true or false",
     "greater_than": "a number above {gt:g}",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import OutputError, RestartError
 
 _SPARE = 1 << 20
+_LONGEST_NAME = 255
 
 
 @contextmanager
@@ -45,6 +47,29 @@ def _cause(error: OSError) -> str:
         errno.EROFS: "; choose a folder you may write to",
     }
     return reason + advice.get(error.errno or 0, "")
+
+
+def why_not_made(folder: Path) -> str:
+    """Why a folder cannot be made or written into, found out by trying; empty where it can.
+
+    Not collective: use it inside `parallel.on_root`.  Leaves nothing behind.
+
+    Args:
+        folder: The folder, which need not exist.
+    """
+    if not str(folder).isprintable():
+        return "that is no name"
+    whole = folder.absolute()
+    try:
+        there = next(path for path in (whole, *whole.parents) if path.exists())
+        if not there.is_dir():
+            return f"{there} is a file"
+        if any(len(os.fsencode(part)) > _LONGEST_NAME for part in folder.parts):
+            return os.strerror(errno.ENAMETOOLONG).lower()
+        os.rmdir(tempfile.mkdtemp(prefix=".dolfin-elastic-", dir=there))
+    except OSError as error:
+        return _cause(error)
+    return ""
 
 
 def replace_text(path: Path, text: str, *, durable: bool = False) -> None:

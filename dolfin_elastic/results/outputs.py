@@ -71,6 +71,13 @@ class Output(Record):
 def _check_suffix(file: str, suffix: str) -> str:
     if not file.endswith(suffix) or file == suffix:
         raise InputError(f"'{file}' does not end in {suffix}", expected=f'for example "a{suffix}"')
+    if not file.isprintable():
+        raise InputError(f"{file!r} is no name of a file", expected=f'for example "a{suffix}"')
+    if Path(file).is_absolute() or ".." in Path(file).parts:
+        raise InputError(
+            f"'{file}' lies outside the folder of the results",
+            expected=f'a name inside it, for example "a{suffix}"; `folder` says where that is',
+        )
     return file
 
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.tables import MeshTable
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import smallest
 from dolfin_elastic.mesh.body import span
-from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
+from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
+from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
@@ -132,14 +135,59 @@ def check_supports(case: Case, problem: Problem) -> None:
     """
     if all(support.at_rest for support in problem.supports):
         return
-    end, default = case.final_load, PROPORTIONAL
-    if case.dynamics is not None:
-        end, default = case.dynamics.end, CONSTANT
+    end, default = _end(case)
     prescribed = problem.dirichlet
     for t in np.linspace(0.0, end, TIMES):
         prescribed.set_time(float(t), default)
         prescribed.check_finite()
     prescribed.set_time(0.0, default)
+
+
+def _end(case: Case) -> tuple[float, Amplitude]:
+    """Time or load parameter at the end, and the amplitude of what has no curve."""
+    if case.dynamics is not None:
+        return case.dynamics.end, CONSTANT
+    return case.final_load, PROPORTIONAL
+
+
+def check_curves(case: Case, dim: int) -> None:
+    """Evaluates curves, and what moves obstacles and cells, over the whole analysis.
+
+    Not collective.
+
+    Args:
+        case: Its end, or that of its load parameter.
+        dim: Of the body.
+
+    Raises:
+        InputError: A formula gives no finite number at some time.
+    """
+    end, default = _end(case)
+    values: dict[str, Callable[[float], object]] = {}
+    tables = {"support": case.support, "load": case.load, "contact": case.contact}
+    for key, rows in tables.items():
+        for i, row in enumerate(rows):
+            if (curve := getattr(row, "curve", None)) is not None and curve.formula is not None:
+                values[f"{key}[{i}].curve"] = curve.at
+    for i, contact in enumerate(case.contact):
+        values[f"contact[{i}].motion"] = partial(_moved, contact, default, dim)
+    if (cell := case.periodic) is not None:
+        values["periodic"] = partial(cell.gradient_at, default=default)
+    for where, value in values.items():
+        _check_at(where, value, [float(t) for t in np.linspace(0.0, end, TIMES)])
+
+
+def _moved(contact: Contact, default: Amplitude, dim: int, t: float) -> list[float]:
+    return contact.displacement_at(t, default, dim)
+
+
+def _check_at(where: str, value: Callable[[float], object], times: Sequence[float]) -> None:
+    try:
+        for t in times:
+            value(t)
+    except InputError as error:
+        expected = error.expected or f"a value at all times from 0 to {times[-1]:g}"
+        raise type(error)(error.what, where=where, expected=expected) from None
 
 
 def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]:

@@ -11,13 +11,14 @@ from dolfin_elastic.case.check.cavities import cavity_notes
 from dolfin_elastic.case.check.consistency import check, run_notes
 from dolfin_elastic.case.check.initial_state import (
     ContactGap,
+    check_curves,
     check_supports,
     contact_gaps,
     contact_notes,
     start_notes,
 )
 from dolfin_elastic.case.check.integrals import Integrals
-from dolfin_elastic.case.check.loads import LoadSum, load_sums, stress_notes
+from dolfin_elastic.case.check.loads import LoadSum, check_formulas, load_sums, stress_notes
 from dolfin_elastic.case.check.memory import Memory, memory
 from dolfin_elastic.case.check.mesh_quality import (
     bending_notes,
@@ -32,12 +33,14 @@ from dolfin_elastic.case.check.sizes import (
     region_sizes,
     surface_sizes,
 )
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import CaseError, InputError
+from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import refuse_case_keys
 from dolfin_elastic.mesh.body import Body, extent
 from dolfin_elastic.problem.damping import check_damped
 from dolfin_elastic.problem.material_regions import locking_notes
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.results.files import why_not_made
 from dolfin_elastic.results.probes import duplicate_column
 from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 from dolfin_elastic.solvers.diagnostics.rigid_body import (
@@ -124,6 +127,8 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     body = case.read_body(comm)
     notes = (*run_notes(case), *check(case, body))
     try:
+        with locate_errors(case.file):
+            check_curves(case, body.dim)
         problem = case.make_problem(body)
         notes = (*notes, *contact_notes(case, problem))
         with locate_errors(case.file):
@@ -153,6 +158,25 @@ def check_probes(case: Case, problem: Problem) -> None:
         raise duplicate_column(f"{min(twice)}_x")
 
 
+def check_folder(case: Case, comm: MPI.Comm) -> None:
+    """Checks that the folder of the results can be made and written into. Collective.
+
+    Args:
+        case: Whose folder.
+        comm: The ranks that work together.
+
+    Raises:
+        CaseError: It cannot.
+    """
+    folder = case.results_folder()
+    if reason := on_root(comm, lambda: why_not_made(folder)):
+        raise CaseError(
+            f"the folder of the results, {str(folder)!r}, cannot be made: {reason}",
+            where="output.folder",
+            expected="a folder that you may write to",
+        )
+
+
 def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
     """What the solver would warn of at its start. Collective.
 
@@ -161,6 +185,7 @@ def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
     """
     refuse_case_keys(case.solver.petsc, "solver.petsc")
     check_probes(case, problem)
+    check_folder(case, problem.body.comm)
     if case.analysis in ("statics", "buckling") or case.preloaded:
         check_no_rigid_motion(problem)
     elif case.dynamics is not None:
@@ -180,6 +205,7 @@ def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
 def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> Report:
     """The report of a case without faults. Collective."""
     integrals = Integrals(problem, case.mesh.metres_thick)
+    check_formulas(case, integrals)
     sums = load_sums(case, integrals)
     moving = case.dynamics is not None
     solver = case.make_solver(problem)

@@ -12,10 +12,14 @@ from dolfinx import fem
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import first_of, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
-from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.supports.displacement import Restraint
-from dolfin_elastic.problem.constraints.prescribed import PrescribedComponents, PrescribedDofs
+from dolfin_elastic.problem.constraints.prescribed import (
+    PrescribedComponents,
+    PrescribedDofs,
+    without_round_off,
+)
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
 from dolfin_elastic.problem.constraints.skew import SkewConstraints, check_rigid_surfaces
 
@@ -55,7 +59,8 @@ class DirichletConditions:
         pinned: tuple[IndexArray, IndexArray] | None = None,
     ) -> None:
         self.values = fem.Function(V)
-        self._V, self._x, self._bs = V, V.tabulate_dof_coordinates(), V.dofmap.index_map_bs
+        self._V, self._bs = V, V.dofmap.index_map_bs
+        self._x = without_round_off(V.tabulate_dof_coordinates(), span(body))
         found = PrescribedComponents(body, V, supports, axisymmetric=axis)
         self.rigid_motions, off_axis = found.rigid_motions, found.off_axis
         self.skew = self._skew(found, off_axis)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -20,6 +21,20 @@ from dolfin_elastic.problem.spaces import part_nodes
 
 IN_PLANE = 0.7
 """Component of a normal in a plane of symmetry from which the mirrored surface is smooth there."""
+
+
+def without_round_off(x: FloatArray, size: float) -> FloatArray:
+    """Places rounded to 14 digits of the body's size.
+
+    Interpolated to a node, x = 0 comes out as 1e-17, where "1/x" has a value.
+
+    Args:
+        x: Places, shape (n, 3) [m].
+        size: Of the body [m].
+    """
+    if not size > 0.0:
+        return x
+    return np.asarray(np.round(x, 14 - math.ceil(math.log10(size))) + 0.0)
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,13 @@ class Rayleigh(Record):
         return {"mass": value[0], "stiffness": value[1]}
 
 
+MOST_STEPS = 1e9
+"""Time steps that anybody means, and that TS counts."""
+
+SHORTEST = 1e-12
+"""First step of an adaptive motion over its end: below, the time hardly changes in it."""
+
+
 class DynamicsSettings(Record):
     """How a motion is integrated in time.
 
@@ -130,6 +137,10 @@ class DynamicsSettings(Record):
                 where="dt",
                 expected=f"at most dynamics.end = {self.end:g} s",
             )
+        if self.dt is not None:
+            _refuse_tiny("dt", self.dt, self.end, SHORTEST if self.adaptive else 1 / MOST_STEPS)
+        if isinstance(self.every, float) and self.every > 0:
+            _refuse_tiny("every", self.every, self.end, 1 / MOST_STEPS)
         if self.adaptive and isinstance(self.row, ImplicitRow) and self.row.scheme.not_adaptive:
             raise InputError(
                 self.row.scheme.not_adaptive,
@@ -193,6 +204,25 @@ class DynamicsSettings(Record):
     def velocity(self) -> tuple[Component, ...]:
         """Initial velocity as numbers and formulas."""
         return _initial_values("initial_velocity", self.initial_velocity, "m/s")
+
+
+def _refuse_tiny(key: str, step: float, end: float, share: float) -> None:
+    """Refuses a step that never comes to the end.
+
+    Args:
+        key: That gives the step.
+        step: Its length [s].
+        end: When the motion ends [s].
+        share: Of the end, which a step may have at least.
+    """
+    if step < share * end * (1 - 1e-9):
+        raise InputError(
+            f"{step:g} s would be {end / step:.3g} steps up to dynamics.end = {end:g} s"
+            if step > 0 and end / step < float("inf")
+            else f"{step:g} s would never come to dynamics.end = {end:g} s",
+            where=key,
+            expected=f"at least {share * end:g} s",
+        )
 
 
 def _initial_values(key: str, written: list[Any], unit: str) -> tuple[Component, ...]:

@@ -16,6 +16,10 @@ FIRST = 0.25
 """Share of the load in the first step of a nonlinear problem."""
 
 
+MOST_STEPS = 1_000_000
+"""Load steps that anybody means; a smaller step is one in which nothing changes."""
+
+
 class StaticsSettings(Record):
     """How a static solution is found.
 
@@ -39,9 +43,9 @@ class StaticsSettings(Record):
     """
 
     method: Literal["load", "arc-length"] = "load"
-    steps: int | None = Field(default=None, ge=1)
-    first_step: float | None = Field(default=None, gt=0, le=1)
-    max_step: float = Field(default=1.0, gt=0)
+    steps: int | None = Field(default=None, ge=1, le=MOST_STEPS)
+    first_step: float | None = Field(default=None, ge=1 / MOST_STEPS, le=1)
+    max_step: float = Field(default=1.0, ge=1 / MOST_STEPS)
     min_step: float = Field(default=1e-3, gt=0, le=1)
     end: float = Field(default=1.0, gt=0)
     times: list[Annotated[float, Field(gt=0)]] = Field(default=[])
