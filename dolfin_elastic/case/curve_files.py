@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 from typing import Any, TypeVar
 
-from dolfin_elastic.core.errors import CaseError, InputError, nearest
+from dolfin_elastic.core.errors import CaseError, InputError, nearest, not_shown
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.units import is_quantity
 from dolfin_elastic.model.amplitude import Amplitude, CurveFile
@@ -62,7 +62,8 @@ def _columns(source: CurveFile, path: Path) -> list[list[str]]:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError:
         others = sorted(p.name for p in path.parent.glob("*.csv"))
-        hint = nearest(path.name, others) if others else "paths are relative to the case file"
+        near = nearest(path.name, others) if others else "paths are relative to the case file"
+        hint = not_shown(path) or near
         raise InputError("there is no such file", expected=hint) from None
     except (OSError, UnicodeDecodeError):
         raise InputError("this is no text file that can be read") from None

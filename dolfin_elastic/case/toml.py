@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dolfin_elastic.core.errors import CaseError, nearest
+from dolfin_elastic.core.errors import CaseError, nearest, not_shown
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -89,7 +89,8 @@ def read_toml(file: str) -> dict[str, Any]:
         raise CaseError("this is no text file in UTF-8", where=file) from None
     except FileNotFoundError:
         others = sorted(str(p) for p in Path(file).parent.glob("*.toml"))
-        hint = nearest(file, others) if others else "dolfin-elastic new writes a first one"
+        near = nearest(file, others) if others else "dolfin-elastic new writes a first one"
+        hint = not_shown(file) or near
         raise CaseError("there is no such case file", where=file, expected=hint) from None
     except OSError as error:
         raise CaseError(f"cannot be read: {error.strerror}", where=file) from None

@@ -15,9 +15,11 @@ ElasticError                      base: `except ElasticError` catches all of the
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
+from pathlib import Path
 
 
 class ElasticError(Exception):
@@ -169,6 +171,35 @@ class OutputError(ElasticError):
     """Results cannot be written."""
 
     exit_code = 4
+
+
+SHOWN = "DOLFIN_ELASTIC_SHOWN"
+"""Variable in which docker/run says which folders of the machine a command sees, between colons."""
+
+
+_OF_ITS_OWN = ("/", "/tmp", "/var/tmp", "/home", "/root", "/mnt", "/media", "/srv", "/opt")
+"""Folders that are there inside, but are not the machine's."""
+
+
+def not_shown(path: str | Path) -> str:
+    """Hint at a missing file that may be there, outside what docker/run shows.
+
+    Args:
+        path: The file.
+
+    Returns:
+        What to write; empty where docker/run has not started the program, or shows that folder.
+    """
+    shown = [Path(folder) for folder in os.environ.get(SHOWN, "").split(":") if folder]
+    whole = Path(os.path.realpath(path))
+    if not shown or any(whole.is_relative_to(folder) for folder in shown):
+        return ""
+    if whole.parent.is_dir() and str(whole.parent) not in _OF_ITS_OWN:
+        return ""  # made inside
+    return (
+        f"docker/run does not show this folder; write DOLFIN_ELASTIC_BIND={whole.parent} in front "
+        "of the command"
+    )
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from dolfinx import cpp
 from mpi4py import MPI
 
-from dolfin_elastic.core.errors import MeshError, nearest
+from dolfin_elastic.core.errors import MeshError, nearest, not_shown
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh.body import Body, CadSource
 from dolfin_elastic.mesh.distribute import Permutation, build_body
@@ -89,6 +89,8 @@ def read_body(
 
 def _check_file(path: Path, size: float | None, curved: bool | None) -> None:
     if not path.exists():
+        if hint := not_shown(path):
+            raise MeshError(f"there is no mesh file '{path}'", expected=hint)
         folder = path.parent if path.parent.is_dir() else Path()
         known = [p.name for p in folder.iterdir() if p.suffix.lower() == path.suffix.lower()]
         raise MeshError(

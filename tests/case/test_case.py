@@ -18,6 +18,7 @@ from dolfin_elastic.case.case import Case, read_case
 from dolfin_elastic.case.check import check, report
 from dolfin_elastic.cli.template import case_template
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.solvers.diagnostics.rigid_body import free_motions
 
@@ -645,6 +646,29 @@ def test_any_value_anywhere(text: str) -> None:
             inner[place[-1]] = odd
             with suppress(InputError):
                 Case.from_dict(tables, file="case.toml").to_toml()
+
+
+@pytest.mark.parametrize("kind", ["case", "mesh", "curve"])
+def test_files_that_docker_run_does_not_show(
+    folder: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They were called missing, with the nearest name in a folder that is not the user's."""
+    monkeypatch.setenv("DOLFIN_ELASTIC_SHOWN", f"{folder}:/somewhere/else")
+    away = "/nowhere/data/part"
+    text = GOOD.replace("box = {size = [2, 1, 1], cells = [2, 1, 1]}", f'file = "{away}.msh"')
+    if kind == "curve":
+        text = GOOD.replace("[[load]]", f'[[load]]\ncurve = {{file = "{away}.csv"}}', 1)
+    path = Path(f"{away}.toml") if kind == "case" else folder / "case.toml"
+    if kind != "case":
+        on_root(MPI.COMM_WORLD, lambda: path.write_text(text))
+    with pytest.raises(InputError) as caught:
+        read_case(path).read_body()
+    assert "DOLFIN_ELASTIC_BIND=/nowhere/data in front of the command" in str(caught.value)
+    monkeypatch.delenv("DOLFIN_ELASTIC_SHOWN")  # on the machine itself
+    with pytest.raises(InputError) as caught:
+        read_case(path).read_body()
+    assert "there is no" in str(caught.value)
+    assert "BIND" not in str(caught.value)
 
 
 def test_missing_case_file(folder: Path) -> None:

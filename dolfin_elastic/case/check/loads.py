@@ -111,9 +111,11 @@ def check_formulas(case: Case, integrals: Integrals) -> None:
         if load.is_eigenstrain:
             points = integrals.cells(load.parts)
             _check_everywhere(case, integrals, f"load[{i}].value", load.values, points)
+    body = integrals.body
     for i, support in enumerate(case.support):
-        if isinstance(support, ResistingSupport):
-            points = integrals.facets(support.surfaces)
+        names = [n for n in support.surfaces if n in body.surfaces and n not in body.uncovered]
+        if isinstance(support, ResistingSupport) and names:
+            points = integrals.facets(names)
             given = {**support.vectors, "normal": support.coefficients if support.by_normal else ()}
             for key, values in given.items():
                 _check_everywhere(case, integrals, f"support[{i}].{key}", values, points)

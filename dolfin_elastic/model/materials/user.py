@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Self
@@ -19,6 +20,7 @@ from dolfin_elastic.model.materials import user_names
 from dolfin_elastic.model.materials.isochoric import Volumetric
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import Direction
+from dolfin_elastic.model.values import COORDINATES
 
 
 class UserEnergy(Law):
@@ -48,7 +50,7 @@ class UserEnergy(Law):
             try:
                 numbers[name] = to_base(value)
             except InputError as error:
-                raise within(str(name), error) from None
+                raise within(str(name), _if_formula(value) or error) from None
         return numbers
 
     @model_validator(mode="after")
@@ -181,6 +183,21 @@ class FormulaEnergy(UserEnergy):
 
 class SplitFormulaEnergy(UserVolumetric, FormulaEnergy):
     """A formula and a volumetric part."""
+
+
+def _if_formula(value: Any) -> InputError | None:
+    """The error where a formula stands in place of a number; None where the value is none."""
+    if not isinstance(value, str) or not any(mark in value for mark in (*"+-*/^(", *COORDINATES)):
+        return None
+    try:
+        Formula.parse(value, allowed={*COORDINATES, *re.findall(_NAME, value)} - {*FUNCTIONS})
+    except InputError:
+        return None
+    return InputError(
+        f"'{value}' is a formula, and parameters are numbers that hold everywhere",
+        expected='a number or a text with a unit, such as "0.4 MPa"; the constants of a `law` may '
+        "be formulas in x, y, z",
+    )
 
 
 _NAME = r"[A-Za-z_][A-Za-z_0-9]*"

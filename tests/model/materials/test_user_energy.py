@@ -233,6 +233,13 @@ def test_simo_taylor_has_no_seam():
         ({"energi": "J"}, "materials.gel: unknown key 'energi'; did you mean 'energy'?"),
         ({"formula": "J"}, "materials.gel: unknown key 'formula'"),
         ({"parameters": {"mu": "1 foo", "lmbda": 1}}, "materials.gel.parameters.mu: unknown unit"),
+        *(
+            (
+                {"parameters": {"mu": formula, "lmbda": 1}},
+                f"materials.gel.parameters.mu: '{formula}' is a formula, and parameters are",
+            )
+            for formula in ("1e3*z", "2*3", "ash^2", "x")
+        ),
         (
             {"parameters": {"mu": True, "lmbda": 1}},
             "materials.gel.parameters.mu: True is not a num",
