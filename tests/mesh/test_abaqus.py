@@ -121,6 +121,19 @@ def test_nodes_of_elements(folder: Path) -> None:
     assert COMM.allreduce(len(body.owned_points("n"))) == len({*CELLS[0], *CELLS[1]})
 
 
+def test_reference_points_of_an_assembly(folder: Path) -> None:
+    """Their numbers begin at 1 again; sets of the assembly name them, or nodes of an instance."""
+    more = "*NSET, NSET=own\n1\n*END PART\n*ASSEMBLY, NAME=a\n*INSTANCE, NAME=i, PART=p\n"
+    more += "*END INSTANCE\n*NODE\n1, 9., 9., 9.\n*NSET, NSET=reference\n1\n"
+    more += "*NSET, NSET=corner, INSTANCE=i\n1\n*END ASSEMBLY\n*NSET, NSET=after\n1\n"
+    body = deck(folder, "*PART, NAME=p\n" + cube(more))
+    for name in ("own", "corner", "after"):
+        nodes = body.mesh.geometry.x[body.owned_points(name)]
+        assert COMM.allreduce(len(nodes)) == 1 and not nodes.any()
+    with pytest.raises(MeshError, match="'reference' .* 1 of its 1 nodes belong to no cell"):
+        body.point("reference")
+
+
 def test_surfaces_of_mixed_parts(folder: Path) -> None:
     """Faces of tetrahedra and of the shells on them, single elements, and a union."""
     bottom = [[i + 1 for i in c[:3]] for c in CELLS if not POINTS[c[:3], 2].any()]
@@ -153,6 +166,7 @@ INCOMPLETE = {
         "1 of its 2 elements do not exist, or have no such face"
     ),
     "*SURFACE, NAME=one\n1, S1\n*SURFACE, NAME=part, COMBINE=DIFFERENCE\none, one\n": "DIFFERENCE",
+    "*ELEMENT, TYPE=C3D4\n6, 1, 2, 4, 8\n*ELSET, ELSET=part\n5, 6\n": "1 of its 2 elements stand",
     "*NSET, NSET=part\n": "it has no nodes",
     "*NODE\n50, 5., 5., 5.\n*NSET, NSET=part\n1, 50\n": "1 of its 2 nodes belong to no cell",
     "*ELEMENT, TYPE=S3, ELSET=part\n9, 1, 2, 4\n10, 2, 3, 5\n": "1 of its 2 facets are no facets",

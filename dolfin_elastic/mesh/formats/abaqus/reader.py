@@ -20,6 +20,9 @@ from dolfin_elastic.mesh.formats.abaqus.surfaces import Elements, Facets
 from dolfin_elastic.mesh.formats.labels import find, find_all, joined, missing
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile
 
+_ASSEMBLY = 1 << 40
+"""What is added to the numbers of an assembly's own nodes, such as reference points: they begin
+at 1 again beside those of the part."""
 _UNREAD = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "NMAP", "SYSTEM")
 
 
@@ -37,6 +40,8 @@ class _Deck:
         names: The spelling that a name had first.
         lost: Name to the reason why it cannot be represented.
         parts: Number of *PART keywords.
+        scope: ASSEMBLY in an assembly outside of its instances; else empty.
+        references: Numbers of nodes of the assembly itself, beside those of its part.
     """
 
     numbers: list[IntArray] = field(default_factory=list)
@@ -48,6 +53,8 @@ class _Deck:
     names: dict[str, str] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
     parts: int = 0
+    scope: str = ""
+    references: list[IntArray] = field(default_factory=list)
 
     def add(self, sets: dict[str, list[IntArray]], name: str, numbers: IntArray) -> None:
         """Adds members to a set."""
@@ -97,6 +104,9 @@ def _take_nodes(deck: _Deck, card: Card) -> None:
     bad = np.flatnonzero((numbers != rows[:, 0]) | (numbers < 1))
     if len(bad):
         raise card.error(f"{rows[bad[0], 0]:g} is no number of a node", row=int(bad[0]))
+    if deck.scope and deck.points:
+        deck.references.append(numbers)
+        numbers = numbers + _ASSEMBLY
     deck.numbers.append(numbers)
     deck.points.append(_cartesian(card, rows[:, 1:]))
     if "NSET" in card.options:
@@ -135,7 +145,7 @@ def _take_set(deck: _Deck, card: Card) -> None:
     sets = deck.nsets if card.word == "NSET" else deck.elsets
     name = card.option(card.word)
     if "GENERATE" in card.options:
-        deck.add(sets, name, _generated(card))
+        deck.add(sets, name, _in_scope(deck, card, _generated(card)))
         return
     if card.word == "NSET" and "ELSET" in card.options:
         members = _known(card, deck.elsets, card.option("ELSET"), "ELSET")
@@ -146,7 +156,16 @@ def _take_set(deck: _Deck, card: Card) -> None:
             numbers.append(int(word))
         else:
             others.append(_known(card, sets, word, card.word, row))
-    deck.add(sets, name, joined([np.array(numbers, dtype=np.int64), *others]))
+    own = _in_scope(deck, card, np.array(numbers, dtype=np.int64))
+    deck.add(sets, name, joined([own, *others]))
+
+
+def _in_scope(deck: _Deck, card: Card, numbers: IntArray) -> IntArray:
+    """Numbers of a *NSET: those of the assembly itself mean its own nodes, if there are such."""
+    if card.word != "NSET" or not deck.scope or "INSTANCE" in card.options:
+        return numbers
+    own = np.isin(numbers, joined(deck.references))
+    return np.where(own, numbers + _ASSEMBLY, numbers)
 
 
 def _generated(card: Card) -> IntArray:
@@ -194,7 +213,12 @@ def _take_part(deck: _Deck, card: Card) -> None:
         raise card.error("the file has more than one part", expected="merge them into one")
 
 
+def _enter(deck: _Deck, card: Card) -> None:
+    deck.scope = "ASSEMBLY" if card.word in ("ASSEMBLY", "END INSTANCE") else ""
+
+
 def _take_instance(deck: _Deck, card: Card) -> None:
+    _enter(deck, card)
     if card.lines and card.numbers(7).any():  # a translation, and a rotation in a second line
         raise card.error("the instance is moved or turned", expected="save the mesh in place")
 
@@ -207,6 +231,9 @@ _TAKE: dict[str, Callable[[_Deck, Card], None]] = {
     "SURFACE": _take_surface,
     "PART": _take_part,
     "INSTANCE": _take_instance,
+    "END INSTANCE": _enter,
+    "ASSEMBLY": _enter,
+    "END ASSEMBLY": _enter,
 }
 
 
@@ -237,8 +264,12 @@ def _node_rows(deck: _Deck, key: str, numbers: IntArray, wanted: IntArray) -> In
 
 def _blocks(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
     sets = {key: np.unique(joined(rows)) for key, rows in deck.elsets.items()}
-    every = np.unique(np.concatenate([elements.labels for elements in deck.elements]))
+    labels = np.concatenate([elements.labels for elements in deck.elements])
+    every, times = np.unique(labels, return_counts=True)
     for key, members in sets.items():
+        twice = np.count_nonzero(np.isin(members, every[times > 1]))
+        if twice:
+            deck.miss(key, f"{twice} of its {len(members)} elements stand twice in the file")
         deck.miss(key, "" if len(members) else "it has no elements")
         deck.miss(key, missing(np.setdiff1d(members, every), len(members), "elements"))
     for elements in deck.elements:
