@@ -231,6 +231,23 @@ def test_a_set_of_nodes_holds_its_single_nodes(folder: Path, order: int) -> None
     assert without > 20 * whole
 
 
+def test_sets_of_a_deck_with_loads(folder: Path) -> None:
+    """FreeCAD writes *CLOAD at nodes and *BOUNDARY at sets: both sets can be named in a case.
+
+    The sum of the reactions is that of the forces, and what the deck itself asks for is not read.
+    """
+    more = "*BOUNDARY\nleft, 1, 3\n*STEP\n*STATIC\n*CLOAD\nTIP, 3, -1000.\n*END STEP\n"
+    made(lambda: (folder / "deck.inp").write_text(bar(2, more=more)))
+    force = {"kind": "point-force", "on": "TIP", "value": [0, 0, "1 kN"]}
+    held = case(folder, mesh={"file": "deck.inp"}, support=[{"on": "Left"}], load=[force])
+    problem = held.make_problem(held.read_body())
+    *_, last = held.make_solver(problem).steps()
+    assert last.reactions["Left"] == pytest.approx([0, 0, -1000], abs=1e-4)  # the linear solver's
+    at = [{"kind": "point-force", "at": [4, 0.5, 0.5], "value": [0, 0, "1 kN"]}]
+    apart = case(folder, mesh={"file": "deck.inp"}, support=[{"on": "left"}], load=at)
+    assert largest(held) == pytest.approx(largest(apart), rel=1e-9)
+
+
 def test_names_in_any_case(folder: Path) -> None:
     made(lambda: (folder / "deck.inp").write_text(bar(more="*ELSET, ELSET=Steel\nALL\n")))
     load = {"kind": "traction", "on": "END", "value": ["1 MPa", 0, "1 MPa"]}

@@ -147,7 +147,9 @@ def _restricted(raw: RawMesh, used: BoolArray, why: str) -> RawMesh:
         cells=new[raw.cells],
         point_data=data,
         incomplete=incomplete,
-        **kept,
+        surfaces=kept["surfaces"],
+        edges=kept["edges"],
+        nodes=kept["nodes"],
     )
 
 
