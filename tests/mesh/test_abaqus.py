@@ -16,7 +16,7 @@ from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.mesh import Body, mesh_statistics, read_body
+from dolfin_elastic.mesh import Body, Selector, mesh_statistics, name_parts, read_body
 from dolfin_elastic.mesh.formats.abaqus import read_abaqus
 
 POINTS, CELLS = box((1, 1, 1), (1, 1, 1))
@@ -182,6 +182,22 @@ def test_sets_that_are_not_whole_are_refused_where_they_are_used(folder: Path, m
         with pytest.raises(MeshError, match=r"'part' of deck\.inp is not whole") as caught:
             use("part")
         assert INCOMPLETE[more] in str(caught.value)
+
+
+def test_sets_of_lines_and_of_masses_are_edges_and_points(folder: Path) -> None:
+    """They vanished."""
+    more = "*ELEMENT, TYPE=T3D2, ELSET=Ridge\n21, 1, 2\n*ELEMENT, TYPE=MASS, ELSET=weight\n22, 8\n"
+    body = deck(folder, cube(more))
+    assert body.kinds("RIDGE") == ("edge",) and body.kinds("weight") == ("point",)
+    assert COMM.allreduce(len(body.owned_edges("ridge"))) == 1
+    assert COMM.allreduce(len(body.owned_points("weight"))) == 1
+
+
+def test_a_part_may_be_named_anew_by_where_it_lies(folder: Path) -> None:
+    body = deck(folder, cube("*NSET, NSET=foot\n1, 2, 99\n"))
+    body = name_parts(body, surfaces={"foot": Selector(plane="z", at="min")})
+    assert body.count("foot") == 2 and not body.incomplete
+    body.check_whole("FOOT")
 
 
 # --- cases ---
