@@ -13,8 +13,10 @@ from mpi4py import MPI
 from dolfin_elastic import (
     Body,
     Dashpot,
+    Dynamics,
     LinearElastic,
     LineForce,
+    Modal,
     PointForce,
     Problem,
     Spring,
@@ -261,6 +263,38 @@ def _energy_by_hand(problem: Problem, u: FloatArray) -> float:
             for x, weight, w in zip(X, weights, values, strict=True):
                 energy += 0.5 * weight * float(k(x) @ w**2)
     return float(body.comm.allreduce(energy, op=MPI.SUM))
+
+
+# --- motion ---
+
+HEAVY = LinearElastic(E=1e9, nu=0.0, density=1000.0)
+
+
+def test_mode_of_a_mass_on_springs() -> None:
+    """2000 kg on 4 kN/m heaves with sqrt(k/m)/(2 pi); half of the springs are on an edge."""
+    supports = [
+        Spring(on=["a", "b"], stiffness=[0, 0, 1000]),
+        Spring(on="rim", stiffness=[0, 0, 2000], total=True),
+        Support(on=["a", "b"], displacement=[0, 0, "free"], name="guide"),
+        Support(on="rim", displacement=["free", 0, "free"], name="side"),
+    ]
+    problem = Problem(bar(), HEAVY, supports=supports, degree=1)
+    found = [mode.frequency for mode in Modal(problem, count=2).modes()]
+    assert min(abs(f / (np.sqrt(2) / (2 * np.pi)) - 1) for f in found) < 1e-4
+
+
+@pytest.mark.parametrize("k", [1e3, 1e9])
+def test_point_springs_and_the_stable_step(k: float) -> None:
+    """An explicit motion with stiff springs at a corner stays bounded: its energy is conserved."""
+    spring = Spring(on="d", stiffness=[k, k, k])
+    problem = Problem(bar(), HEAVY, supports=[spring, Support(on="foot")], degree=1)
+    states = list(
+        Dynamics(
+            problem, scheme="central-differences", end=2e-2, initial_velocity=["x", 0, 0], every=10
+        ).steps()
+    )
+    energies = [state.energies["total"] for state in states]
+    np.testing.assert_allclose(energies, energies[0], rtol=0.1)  # else it grows without bound
 
 
 # --- what does not fit ---
