@@ -49,6 +49,7 @@ LAWS = {
 the rest only."""
 REFERENCES = {
     "verification/test_bending.py",
+    "verification/test_closed_forms.py",
     "verification/test_heart.py",
     "verification/test_modes.py",
     "verification/test_motion.py",

@@ -193,9 +193,8 @@ def _held_facets(problem: Problem) -> IndexArray:
         for support in problem.supports
         if not isinstance(support, ResistingSupport)
         for name in support.surfaces
-        if name in body.surfaces
     ]
-    found = [body.surfaces[name] for name in names if name in body.surfaces]
+    found = [body.surfaces[name] for name in names if name in body.surfaces]  # or an edge's
     if problem.geometry == "axisymmetric":
         facets = boundary_facets(body.mesh)
         radius = facet_corners(body.mesh, facets)[:, :, 0].max(axis=1)
