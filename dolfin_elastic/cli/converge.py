@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from click.exceptions import Exit
 
-from dolfin_elastic.cli.run import Petsc, Quiet, begin
+from dolfin_elastic.cli.run import AUDIT_FAILED, Petsc, Quiet, begin
 from dolfin_elastic.core.petsc_options import parse_arguments, start_petsc
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def converge(
     if visible:
         show_table_of(progress, folder)
     if progress.verdict != "reached":
-        raise Exit(NOT_REACHED)
+        raise Exit(AUDIT_FAILED if progress.verdict == "audit" else NOT_REACHED)
 
 
 def _line(progress: Progress, level: Level) -> str:

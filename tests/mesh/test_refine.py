@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import Selector, box_body, name_parts, read_body
 from dolfin_elastic.core.parallel import on_root, total
-from dolfin_elastic.mesh import Body
+from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.geometry.curved import (
     cell_volumes,
@@ -20,7 +20,7 @@ from dolfin_elastic.mesh.geometry.curved import (
     facet_points,
     smallest_jacobians,
 )
-from dolfin_elastic.mesh.geometry.simplices import cell_corners, facet_corners
+from dolfin_elastic.mesh.geometry.simplices import cell_corners, edge_nodes, facet_corners
 from dolfin_elastic.mesh.refine.marking import bulk
 from dolfin_elastic.mesh.refine.refinement import refine_body
 
@@ -185,3 +185,23 @@ def test_marking_carries_its_share() -> None:
     wanted = int(np.searchsorted(np.cumsum(descending), 0.5 * every.sum())) + 1
     assert total(WORLD, len(marked)) == wanted
     assert not len(bulk(WORLD, np.zeros(3), 0.5))
+
+
+def test_edges_and_points() -> None:
+    """Mesh edges are halved and keep their name and length; a node keeps its name, and it alone."""
+    body = box_body(size=[1, 1, 1], cells=[2, 2, 2])
+    body = name_parts(
+        body,
+        edges={"rim": EdgeSelector(between=["left", "top"])},
+        points={"corner": PointSelector(nearest=(0, 0, 1))},
+    )
+    for _ in range(2):
+        body = refine_body(body, near(body, np.array([0, 0, 1]), 0.8)).body
+    x = body.mesh.geometry.x[edge_nodes(body.mesh, body.owned_edges("rim"))]
+    lengths = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
+    assert total(WORLD, len(lengths)) > 2
+    assert total(WORLD, lengths.sum()) == pytest.approx(1, rel=1e-12)
+    assert np.allclose(x[..., [0, 2]], [0, 1])
+    corner = body.mesh.geometry.x[body.owned_points("corner")]
+    assert total(WORLD, len(corner)) == 1
+    assert np.allclose(corner, [0, 0, 1])

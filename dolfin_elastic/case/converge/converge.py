@@ -44,8 +44,9 @@ REFINEMENTS, UNKNOWNS = 8, 500_000
 """Limits unless others are given."""
 _MESHES, _CONFIRMED = 3, 3
 """Meshes that must be seen, for two may agree by accident; refinements that must show a growth."""
-_SHARE, _PEAK_SHARE = 0.7, 0.9
-"""Share of the squared error that the refined cells carry: of all cells, and of the peak's."""
+_SHARE, _PEAK_SHARE = {2: 0.7, 3: 0.5}, 0.9
+"""Share of the squared error that the refined cells carry: of all cells, in the plane and in space,
+where each gives more; and of the cells at the peak."""
 
 
 @dataclass(frozen=True)
@@ -252,6 +253,8 @@ class _Convergence:
             newton=solved.newton,
         )
         progress = replace(progress, levels=(*levels, level))
+        if solved.state.failure:
+            return self._ended(progress, "audit", f"audit FAIL: {solved.state.failure}")
         if reason := self._singular(progress):
             return self._ended(progress, "singular", reason)
         if level.number >= _MESHES and level.error <= self.goal.tolerance:
@@ -291,8 +294,8 @@ class _Convergence:
         indicators, peak = solved.estimate.cells, solved.measured.cells
         there = np.zeros_like(indicators)
         there[peak] = indicators[peak]
-        cells = [bulk(self.comm, indicators, _SHARE), bulk(self.comm, there, _PEAK_SHARE)]
-        marked = np.unique(np.concatenate(cells)).astype(np.int32)
+        everywhere = bulk(self.comm, indicators, _SHARE[solved.body.dim])
+        marked = np.union1d(everywhere, bulk(self.comm, there, _PEAK_SHARE)).astype(np.int32)
         if not total(self.comm, len(marked)):  # no error anywhere: all cells, to see it confirmed
             marked = solved.body.owned_cells()
         return refine_body(solved.body, marked)

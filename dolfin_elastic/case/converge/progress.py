@@ -7,7 +7,7 @@ from typing import Literal
 
 from dolfin_elastic.case.converge.quantity import Quantity
 
-Verdict = Literal["running", "reached", "singular", "refinements", "unknowns"]
+Verdict = Literal["running", "reached", "singular", "audit", "refinements", "unknowns"]
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class Progress:
         quantity: What is wanted.
         tolerance: Relative error at which it counts as known.
         levels: Of each mesh.
-        verdict: "running"; "reached"; "singular", the quantity has no limit; or the limit that
-            ended it, "refinements" or "unknowns".
+        verdict: "running"; "reached"; "singular", the quantity has no limit; "audit", that of a
+            solution fails; or the limit that ended it, "refinements" or "unknowns".
         reason: Why it ended without reaching the goal, in words; empty otherwise.
     """
 
