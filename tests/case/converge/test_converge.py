@@ -122,7 +122,7 @@ def test_reentrant_corner(tmp_path: Path) -> None:
     """The stress at the corner of an L grows like h^-0.456 and is given up, with the reason.
 
     The exponent is that of the opening mode in a corner of 270 degrees, 1 - 0.5445 (M. L. Williams,
-    J. Appl. Mech. 19 (1952) 526); a displacement of the same body has a limit.
+    J. Appl. Mech. 19 (1952) 526).
     """
     folder = on_root(WORLD, lambda: tmp_path)
     ell = case(
@@ -130,15 +130,12 @@ def test_reentrant_corner(tmp_path: Path) -> None:
         CORNER,
         support=[{"on": "low"}],
         load=[{"kind": "traction", "on": "top", "value": [1.0, 0]}],
-        output={"probes": {"tip": [0, 1]}},
     )
     progress = last(ell, folder / "out", "von_mises on inner", "1%")
     assert progress.verdict == "singular"
     assert np.linalg.norm(progress.last.place) <= progress.last.size
     assert "grows with every refinement, like h^-0.4" in progress.reason
     assert len(progress.levels) <= 4
-    progress = last(ell, folder / "tip", "displacement of tip", "1%")
-    assert progress.verdict == "reached"
 
 
 def kirsch_energy() -> float:
@@ -158,6 +155,7 @@ def kirsch_energy() -> float:
     return float(energy)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("text", "share", "exact"),
     [("displacement_y of edge", "0.5%", -1e-3), ("strain_energy", "0.1%", kirsch_energy())],
@@ -171,6 +169,7 @@ def test_other_results(tmp_path: Path, text: str, share: str, exact: float) -> N
     assert abs(found.last.value / exact - 1) <= found.last.error
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("limits", "verdict", "reason"),
     [
