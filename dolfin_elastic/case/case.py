@@ -106,7 +106,7 @@ class Case(AnalysisTables):
                 regions=self.regions,
                 edges=self.edges,
                 points=self.points,
-                scale=self.mesh.scale,
+                scale=body.unit.metres,
             )
 
     def make_problem(self, body: Body) -> Problem:

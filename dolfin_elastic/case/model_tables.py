@@ -128,7 +128,7 @@ class ModelTables(Record):
             quadrature_degree=self.mesh.quadrature_degree,
             formulation=self.mesh.formulation,
             geometry=self.mesh.geometry,
-            thickness=self.mesh.metres_thick,
+            thickness=self.mesh.metres_thick(body),
             periodic=self.periodic,
         )
 

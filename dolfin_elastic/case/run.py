@@ -134,8 +134,10 @@ class _Run:
             description = describe_run(self.case, fingerprint(body), self.petsc, before)
         if before is not None:
             before.check_mesh(description)
+        for text in body.information:
+            log.info("mesh: %s", text)
         for note in body.notes:
-            log.info("mesh: %s", note)
+            log.warning("mesh: %s", note)
         for note in check(self.case, body):
             log.warning("%s", note)
         problem = self.case.make_problem(body)
@@ -160,7 +162,7 @@ class _Run:
         lock: FolderLock,
     ) -> States:
         """Yields what the solver yields, after it is written to all outputs. Collective."""
-        probe = self.case.output.make_probe(problem, self.case.mesh.scale)
+        probe = self.case.output.make_probe(problem)
         probed = (probe.add_to(step) if isinstance(step, State) else step for step in steps)
         # The first state is computed before the folder is made: an error in it leaves none behind.
         first = [] if before else list(islice(probed, 1))

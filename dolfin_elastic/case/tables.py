@@ -33,7 +33,7 @@ from dolfin_elastic.mesh import (
     rectangle_body,
 )
 from dolfin_elastic.mesh.read import is_cad
-from dolfin_elastic.mesh.selectors import MeshLength, Place
+from dolfin_elastic.mesh.selectors import MeshLength, Place, metres
 from dolfin_elastic.model.dimension import Geometry
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
@@ -97,9 +97,11 @@ class MeshTable(Record):
         box: A box made on the spot.
         rectangle: A rectangle made on the spot.
         size: Size of the elements, for CAD files only.
+        join: Whether bodies of a STEP, IGES or BREP file that touch are joined; True by default.
         curved: Whether a CAD file's cells are quadratic and follow curved surfaces; None: as
             `AnalysisTables.curved` says.  Of a finished mesh, false: quadratic cells are straight.
-        unit: Unit of length of the mesh and of bare numbers about it.
+        unit: Unit of length of the mesh and of bare numbers about it; by default that of a STEP or
+            IGES file, else "m".
         degree: Degree of the displacement in the elements, 1 or 2; None: as
             `AnalysisTables.degree` says.
         formulation: "displacement", "mixed" (with a pressure, for nearly incompressible materials)
@@ -114,7 +116,8 @@ class MeshTable(Record):
     rectangle: Rectangle | None = None
     size: MeshLength | None = None
     curved: bool | None = None
-    unit: str = "m"
+    join: bool | None = None
+    unit: str | None = None
     degree: Literal[1, 2] | None = None
     formulation: Formulation = "auto"
     geometry: Geometry = "plane-strain"
@@ -123,9 +126,9 @@ class MeshTable(Record):
 
     @field_validator("unit")
     @classmethod
-    def _is_length(cls, unit: str) -> str:
+    def _is_length(cls, unit: str | None) -> str | None:
         try:
-            to_si(f"1 {unit}" if unit.strip() else "no unit", "m")
+            to_si("1 m" if unit is None else f"1 {unit}" if unit.strip() else "no unit", "m")
         except UnitError:
             raise UnitError(
                 f"'{unit}' is no unit of length", expected='expected for example "mm"'
@@ -149,20 +152,20 @@ class MeshTable(Record):
             raise InputError(
                 f"a {given[0]} has no curved surfaces", where="curved", expected="leave it out"
             )
+        if self.join is not None and not self.file:
+            raise InputError(
+                f"a {given[0]} is a single body", where="join", expected="leave it out"
+            )
         return self
 
     @property
-    def scale(self) -> float:
-        """Metres per unit of length of the mesh."""
-        return to_si(f"1 {self.unit}", "m")
+    def metres(self) -> float | None:
+        """The key `unit` in metres; None without it."""
+        return None if self.unit is None else to_si(f"1 {self.unit}", "m")
 
-    @property
-    def metres_thick(self) -> float:
+    def metres_thick(self, body: Body) -> float:
         """Thickness of a plane body [m]."""
-        return 1.0 if self.thickness is None else self._in_unit(self.thickness) * self.scale
-
-    def _in_unit(self, length: float | str) -> float:
-        return to_si(length, "m") / self.scale if isinstance(length, str) else float(length)
+        return 1.0 if self.thickness is None else metres(self.thickness, body.unit.metres)
 
     def body(self, folder: Path, comm: MPI.Comm, *, curved: bool | None) -> Body:
         """Reads or generates the mesh. Collective.
@@ -176,20 +179,28 @@ class MeshTable(Record):
             MeshError: The file cannot be read, or is no mesh of triangles or tetrahedra.
         """
         if self.file is not None:
-            size = None if self.size is None else self._in_unit(self.size)
             curved = curved if is_cad(self.file) else self.curved
             return read_body(
-                folder / self.file, comm=comm, scale=self.scale, size=size, curved=curved
+                folder / self.file,
+                comm=comm,
+                scale=self.metres,
+                size=self.size,
+                curved=curved,
+                join=self.join,
             )
         made = self.box or self.rectangle
         assert made is not None
-        make = box_body if self.box else rectangle_body
+        make, scale = box_body if self.box else rectangle_body, self.metres or 1.0
+
+        def number(length: float | str) -> float:
+            return to_si(length, "m") / scale if isinstance(length, str) else float(length)
+
         return make(
-            size=[self._in_unit(s) for s in made.size],
+            size=[number(length) for length in made.size],
             cells=made.cells,
-            origin=[self._in_unit(s) for s in made.origin],
+            origin=[number(length) for length in made.origin],
             comm=comm,
-            scale=self.scale,
+            scale=scale,
         )
 
 
@@ -300,29 +311,20 @@ class Output(Record):
                 )
         return probes
 
-    def check_probes(self, body: Body, scale: float) -> None:
+    def check_probes(self, body: Body) -> None:
         """Checks that the probes' points lie in the body. Collective.
-
-        Args:
-            body: The mesh.
-            scale: Metres per unit of the mesh.
 
         Raises:
             MeshError: A point lies outside, or has too few coordinates.
         """
         try:
-            check_places(self.probes, body, scale)
+            check_places(self.probes, body, body.unit.metres)
         except MeshError as error:
             raise within("output.probes", error) from None
 
-    def make_probe(self, problem: Problem, scale: float) -> Probe:
-        """The probe that evaluates the fields at its points and surfaces. Collective.
-
-        Args:
-            problem: The problem that is solved.
-            scale: Metres per unit of the mesh.
-        """
-        return Probe.of(self.probes, problem, scale)
+    def make_probe(self, problem: Problem) -> Probe:
+        """The probe that evaluates the fields at its points and surfaces. Collective."""
+        return Probe.of(self.probes, problem, problem.body.unit.metres)
 
     def files(
         self,

@@ -50,6 +50,7 @@ def _head(report: Report) -> list[tuple[str, str]]:
     whole, elements = report.regions[0], {1: "linear", 2: "quadratic"}[report.degree]
     rows = [
         ("mesh", f"{report.mesh}, {report.dim}D{kind}, {report.cells} cells"),
+        *(("", text) for text in report.information),
         ("extent", f"{' x '.join(f'{side:.4g}' for side in report.extent)} m"),
         *([] if report.thickness is None else [("thickness", f"{report.thickness:.4g} m")]),
         ("analysis", f"{report.analysis}, {elements} elements, {report.unknowns} unknowns"),

@@ -51,6 +51,38 @@ COMMON_UNITS = {
 }
 """Usual units, found without importing pint, which takes 0.3 s."""
 
+LENGTHS = {**COMMON_UNITS["m"], "in": 0.0254, "ft": 0.3048, "mil": 2.54e-5, "mi": 1609.344}
+
+
+@dataclass(frozen=True)
+class LengthUnit:
+    """The unit of length of a mesh.
+
+    Attributes:
+        name: For messages: "mm", or "x 0.5 m" where it has no name.
+        metres: Its length [m].
+        stated: The file states it.
+    """
+
+    name: str = "m"
+    metres: float = 1.0
+    stated: bool = False
+
+    @staticmethod
+    def of(metres: float, *, stated: bool = False) -> LengthUnit:
+        """The unit of a given length.
+
+        Args:
+            metres: Its length [m].
+            stated: The file states it.
+        """
+        names = (name for name, length in LENGTHS.items() if length == metres)
+        return LengthUnit(next(names, f"x {metres:g} m"), metres, stated)
+
+
+METRE = LengthUnit()
+
+
 OWN_CONVERSIONS = {
     "Hz": {"rad/s": 1 / math.tau, "rpm": 1 / 60},
     "rad/s": {"Hz": math.tau},

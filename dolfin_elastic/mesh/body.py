@@ -14,6 +14,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import IndexArray
+from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.mesh.fields import MeshField
 
 T = TypeVar("T")
@@ -93,7 +94,7 @@ class Body:
         surfaces: Name to the local facets of this rank (owned and ghost), sorted.
         source: Where the mesh came from, for messages.
         fields: Name to values at cells or points from the mesh file.
-        notes: Remarks on faults found and corrected while reading (unused points ...).
+        notes: Faults found while reading, and what is doubtful.
         cad: The CAD file it was made of, if it was.
         edges: Name to the local mesh edges of this rank (owned and ghost), sorted; in 3D only, the
             edges of a plane body are its surfaces.
@@ -104,6 +105,8 @@ class Body:
         incomplete: Name of a part of which the file has members that the mesh has not, to the
             reason with their number; it is no part of the body, and whatever refers to it is
             refused with that reason.
+        unit: Unit of length of the file, in which messages give places.
+        information: How the mesh was made, and corrections without effect.
 
     Names are found whatever the case of their letters, see `PartNames`.
     """
@@ -119,6 +122,8 @@ class Body:
     points: Mapping[str, IndexArray] = field(default_factory=dict)
     uncovered: Mapping[str, int] = field(default_factory=dict)
     incomplete: Mapping[str, str] = field(default_factory=dict)
+    unit: LengthUnit = METRE
+    information: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         tables = ("regions", "surfaces", "edges", "points", "uncovered", "incomplete")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import basix.ufl
 import numpy as np
@@ -14,6 +15,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import agree
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.fields import distribute_fields
 from dolfin_elastic.mesh.formats.cleaning import clean
@@ -32,7 +34,7 @@ def build_body(
     read: Callable[[], RawMesh],
     *,
     comm: MPI.Comm,
-    scale: float,
+    unit: LengthUnit,
     source: str,
     permutation: Permutation = cpp.io.perm_vtk,
 ) -> Body:
@@ -43,20 +45,19 @@ def build_body(
     Args:
         read: Called on rank 0 only.
         comm: The ranks that share the mesh.
-        scale: Metres per unit of length of the file.
+        unit: Unit of length of the file.
         source: The file, for messages.
         permutation: The node order of quadratic cells: `cpp.io.perm_vtk` or `perm_gmsh`.
 
     Raises:
         MeshError: The mesh is not fit for use.
     """
-    raw = _on_root_only(comm, lambda: clean(read()), source)
-    mesh = _distribute(comm, raw, scale, permutation)
-    facets, ends, nodes, notes, uncovered, incomplete = comm.bcast(
-        (raw.surfaces, raw.edges, raw.nodes, raw.notes, raw.uncovered, raw.incomplete)
-        if raw
-        else None
+    raw = _on_root_only(comm, lambda: clean(replace(read(), unit=unit.name)), source)
+    mesh = _distribute(comm, raw, unit.metres, permutation)
+    facets, ends, nodes, uncovered, incomplete = comm.bcast(
+        (raw.surfaces, raw.edges, raw.nodes, raw.uncovered, raw.incomplete) if raw else None
     )
+    notes, information = comm.bcast((raw.notes, raw.information) if raw else None)
     surfaces, lost = _entities(mesh, facets, mesh.topology.dim - 1)
     edges, lost_edges = _entities(mesh, ends, 1)
     incomplete = {**lost, **lost_edges, **incomplete}
@@ -75,6 +76,8 @@ def build_body(
         points=whole(_points(mesh, nodes)),
         uncovered=uncovered,
         incomplete=incomplete,
+        unit=unit,
+        information=information,
     )
 
 

@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import before_partitioning
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, facet_corners
@@ -61,6 +62,7 @@ def box_body(
         {},
         _sides(facets, facet_corners(mesh, facets), low, high),
         f"{'box' if dim == 3 else 'rectangle'} {text}",
+        unit=LengthUnit.of(scale),
     )
 
 

@@ -12,13 +12,15 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError, nearest, not_shown
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.units import METRE, LengthUnit, to_si
 from dolfin_elastic.mesh.body import Body, CadSource
 from dolfin_elastic.mesh.distribute import Permutation, build_body
 from dolfin_elastic.mesh.formats.cleaning import straight
 from dolfin_elastic.mesh.formats.raw import MeshFile, RawMesh, assemble
 from dolfin_elastic.mesh.geometry.checks import check_cells
 
-CAD = (".geo", ".geo_unrolled", ".step", ".stp", ".brep", ".iges", ".igs")
+SHAPES = (".step", ".stp", ".brep", ".iges", ".igs")
+CAD = (".geo", ".geo_unrolled", *SHAPES)
 
 
 def is_cad(path: str | os.PathLike[str]) -> bool:
@@ -30,10 +32,11 @@ def read_body(
     path: str | os.PathLike[str],
     *,
     comm: MPI.Comm = MPI.COMM_WORLD,
-    scale: float = 1.0,
-    size: float | None = None,
+    scale: float | None = None,
+    size: float | str | None = None,
     curved: bool | None = None,
     dim: int | None = None,
+    join: bool | None = None,
 ) -> Body:
     """Reads a mesh, or meshes a CAD file, with the names of the file's parts.
 
@@ -45,49 +48,98 @@ def read_body(
         path: .msh; .xdmf; .inp, .unv, .vtu, .vtk, .med, .mesh and whatever else meshio reads;
             .geo, .step, .brep or .iges, which Gmsh meshes on the fly.
         comm: The ranks that share the mesh.
-        scale: Metres per unit of length of the file.
-        size: Size of the elements in the file's unit; only for CAD files.
+        scale: Metres per unit of length of the file; None: the unit that the file states (STEP and
+            IGES), else 1.
+        size: Size of the elements in the file's unit, or a text with a unit; only for CAD files.
         curved: Quadratic cells that follow curved surfaces; None: where there are any, and the
             cells do not fold.  Finished meshes are as they are, but False reads their quadratic
             cells as straight ones.
         dim: 2 or 3 to choose the elements; by default the highest dimension in the file.
+        join: Bodies of a STEP, IGES or BREP file that touch share the nodes there; True by default.
 
     Raises:
         MeshError: The file cannot be read, or the mesh is not fit for use.
     """
     path = Path(path)
-    on_root(comm, lambda: _check_file(path, size, curved))
+    on_root(comm, lambda: _check_file(path, size, curved, join))
     suffix = path.suffix.lower()
     if suffix in (".xdmf", ".xmf"):
         from dolfin_elastic.mesh.formats.xdmf import read_xdmf
 
-        body = read_xdmf(path, comm=comm, scale=scale, dim=dim)
+        body = read_xdmf(path, comm=comm, unit=LengthUnit.of(scale or 1.0), dim=dim)
         if curved is False and body.mesh.geometry.cmap.degree > 1:
             raise MeshError(
                 "quadratic cells of XDMF files are not read as straight ones",
                 where=path.name,
                 expected="save the mesh as .vtu, or with linear cells",
             )
-    else:
-        read, permutation = _reader(path, suffix, lambda: _cad(path, size, curved, dim))
+        return check_cells(body)
+    stated = on_root(comm, lambda: _stated_unit(path, suffix))
+    unit = stated or METRE if scale is None else LengthUnit.of(scale)
+    edge = to_si(size, "m") / unit.metres if isinstance(size, str) else size
+    if edge is not None and not edge > 0:
+        raise MeshError(f"the size of the elements must be positive, not {size}", where=path.name)
 
-        def raw() -> RawMesh:
-            found = assemble(read(), source=path.name, dim=dim)
-            return straight(found) if curved is False and suffix not in CAD else found
+    def cad() -> MeshFile:
+        from dolfin_elastic.mesh.formats.cad.mesher import mesh_cad
 
-        body = build_body(
-            raw,
-            comm=comm,
-            scale=scale,
-            source=path.name,
-            permutation=permutation,
+        return mesh_cad(
+            path,
+            size=edge,
+            curved=curved,
+            dim=dim,
+            join=join is not False,
+            stated=stated,
+            unit=unit,
         )
-        if suffix in CAD:
-            body = replace(body, cad=CadSource(path.absolute(), scale))
-    return replace(body, notes=(*body.notes, *check_cells(body, scale=scale)))
+
+    read, permutation = _reader(path, suffix, cad)
+
+    def raw() -> RawMesh:
+        found = assemble(read(), source=path.name, dim=dim)
+        return straight(found) if curved is False and suffix not in CAD else found
+
+    body = build_body(
+        raw,
+        comm=comm,
+        unit=unit,
+        source=path.name,
+        permutation=permutation,
+    )
+    if suffix in CAD:
+        from dolfin_elastic.mesh.formats.cad.mesher import model_unit
+
+        scale = model_unit(stated, path) * unit.metres
+        body = replace(body, cad=CadSource(path.absolute(), scale))
+    return check_cells(_with_unit(body, stated))
 
 
-def _check_file(path: Path, size: float | None, curved: bool | None) -> None:
+def _stated_unit(path: Path, suffix: str) -> LengthUnit | None:
+    """The unit that a CAD file states."""
+    if suffix not in CAD:
+        return None
+    from dolfin_elastic.mesh.formats.cad.units import stated_unit
+
+    return stated_unit(path)
+
+
+def _with_unit(body: Body, stated: LengthUnit | None) -> Body:
+    """The body with what is to be said of its unit."""
+    if stated is None:
+        return body
+    if stated.metres == body.unit.metres:
+        told = f"lengths in {stated.name}, as the file says"
+        return replace(body, unit=stated, information=(*body.information, told))
+    note = (
+        f"the file says that its lengths are in {stated.name}, mesh.unit that they are in "
+        f"{body.unit.name}, which counts: is that meant?"
+    )
+    return replace(body, notes=(note, *body.notes))
+
+
+def _check_file(
+    path: Path, size: float | str | None, curved: bool | None, join: bool | None
+) -> None:
     if not path.exists():
         if hint := not_shown(path):
             raise MeshError(f"there is no mesh file '{path}'", expected=hint)
@@ -116,8 +168,15 @@ def _check_file(path: Path, size: float | None, curved: bool | None) -> None:
             where=path.name,
             expected=f"curved is for {', '.join(CAD)}; a mesh of quadratic cells is curved already",
         )
-    if size is not None and not size > 0:
-        raise MeshError(f"the size of the elements must be positive, not {size}", where=path.name)
+    if join is not None and path.suffix.lower() not in SHAPES:
+        raise MeshError(
+            "bodies are to be joined or not, but this file is a finished mesh"
+            if not is_cad
+            else "a .geo file joins its bodies itself",
+            where=path.name,
+            expected=f"join is for {', '.join(SHAPES)}"
+            + ("; in a .geo file write Coherence; or BooleanFragments" if is_cad else ""),
+        )
 
 
 def _reader(
@@ -136,15 +195,9 @@ def _msh(path: Path) -> MeshFile:
     try:
         return read_msh(path)
     except OtherVersionError:
-        from dolfin_elastic.mesh.formats.cad import convert_msh
+        from dolfin_elastic.mesh.formats.cad.mesher import convert_msh
 
         return convert_msh(path)
-
-
-def _cad(path: Path, size: float | None, curved: bool | None, dim: int | None) -> MeshFile:
-    from dolfin_elastic.mesh.formats.cad import mesh_cad
-
-    return mesh_cad(path, size=size, curved=curved, dim=dim)
 
 
 def _other_reader(suffix: str) -> Callable[[Path], MeshFile]:

@@ -47,7 +47,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_densities(case)
         _check_constants(case, body)
         _check_fields(case)
-        case.output.check_probes(body, case.mesh.scale)
+        case.output.check_probes(body)
         if case.explicit:
             _check_explicit(case)
     return (*_notes(case), *plausibility_notes(case, body))

@@ -10,9 +10,9 @@ import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.tables import MeshTable
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import smallest
+from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.contact import Contact
@@ -94,7 +94,7 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
                     if gap > 0
                     else f"it begins {-gap:.3g} m deep in the obstacle, more than the body is large"
                 )
-                + _unit_hint(case.mesh, pair, diagonal)
+                + _unit_hint(problem.body.unit, pair, diagonal)
             )
 
 
@@ -102,18 +102,18 @@ def _size(value: object) -> float:
     return abs(value) if isinstance(value, int | float) else 0.0
 
 
-def _unit_hint(mesh: MeshTable, pair: ContactPair, diagonal: float) -> str:
+def _unit_hint(unit: LengthUnit, pair: ContactPair, diagonal: float) -> str:
     """A hint, if the obstacle would be near with its numbers in the mesh's unit. Collective."""
-    if mesh.scale == 1.0:
+    if unit.metres == 1.0:
         return ""
-    x = list(pair.places().T / mesh.scale)
+    x = list(pair.places().T / unit.metres)
     gaps = np.asarray(pair.contact.obstacle.gap(x, float, np.sqrt)[0])
-    near = mesh.scale * smallest(pair.comm, float(np.min(gaps, initial=np.inf)))
+    near = unit.metres * smallest(pair.comm, float(np.min(gaps, initial=np.inf)))
     if abs(near) > _NEAR * diagonal:
         return ""
     there = f"be {abs(near):.3g} m away" if abs(near) > _ROUND_OFF * pair.size else "touch"
     return (
-        f"; bare numbers of a contact are in m, not in mesh.unit: were they in {mesh.unit}, it "
+        f"; bare numbers of a contact are in m, not in mesh.unit: were they in {unit.name}, it "
         f"would {there}"
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from dolfinx.mesh import exterior_facet_indices
@@ -67,11 +67,14 @@ def cell_notes(body: Body) -> Iterator[str]:
     count = int(total(body.comm, int(np.count_nonzero(shape < THIN))))
     if count:
         worst = [cell for cell in worst_cells(body, _SHOWN) if cell.quality < THIN]
-        places = ", ".join(f"{c.quality:.2g} at {_place(c.middle)}" for c in worst)
+        unit = body.unit
+        places = ", ".join(
+            f"{c.quality:.2g} at {_place(x / unit.metres for x in c.middle)}" for c in worst
+        )
         more = ", ..." if count > len(worst) else ""
         yield (
             f"{count} of {body.num_cells} cells are thin (quality below {THIN:g}; 1 is regular): "
-            f"{places}{more} m"
+            f"{places}{more} {unit.name}"
         )
 
 
@@ -131,13 +134,14 @@ def bending_notes(case: Case, problem: Problem) -> list[str]:
     factor, thickness, count = sums[0] / sums[1], size * sums[2] / sums[0], sums[3] / sums[0]
     if factor < _TOO_STIFF or size < _SLENDER * thickness:
         return []
+    unit = problem.body.unit
     needed = int(np.ceil(max(count, 1) * np.sqrt((factor - 1) / (_TOO_STIFF - 1))))
     advice = "use mesh.degree = 2"
     if case.explicit:
         advice = f"use {needed} of them across, or an implicit scheme with mesh.degree = 2"
     return [
         f"linear elements bend too stiffly: with about {max(count, 1):.2g} of them across its thin "
-        f"parts ({thickness / case.mesh.scale:.3g} {case.mesh.unit}), expect the body to be about "
+        f"parts ({thickness / unit.metres:.3g} {unit.name}), expect the body to be about "
         f"{factor:.2g} times too stiff in bending; {advice}"
     ]
 
@@ -202,5 +206,5 @@ def _held_facets(problem: Problem) -> IndexArray:
     return np.unique(np.concatenate([np.empty(0, dtype=np.int32), *found]))
 
 
-def _place(point: tuple[float, ...]) -> str:
+def _place(point: Iterable[float]) -> str:
     return "(" + ", ".join(f"{x:.4g}" for x in point) + ")"

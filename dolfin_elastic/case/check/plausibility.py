@@ -83,7 +83,7 @@ def size_notes(case: Case, body: Body) -> Iterator[str]:
     if longest > _LONG or longest < _SHORT:
         what = f"{longest:.3g} m" + (" long" if longest > _LONG else " at most")
         yield f"the body is {what}: is mesh.unit what the mesh is in?"
-    elif longest > _UNITLESS and "unit" not in case.mesh.model_fields_set:
+    elif longest > _UNITLESS and case.mesh.unit is None and not body.unit.stated:
         yield f"the body is {longest:.3g} m long, and no mesh.unit is given: is the mesh in mm?"
     for key, values in _prescribed_motions(case):
         moved = max(map(_size, values), default=0.0)
@@ -112,7 +112,7 @@ def _size(value: Component) -> float:
 def _point_notes(case: Case, body: Body) -> Iterator[str]:
     """Points far from the body that would lie in it if given in the mesh's unit. Collective."""
     low, high = bounding_box(body.mesh)
-    size, scale = float(np.linalg.norm(high - low)), case.mesh.scale
+    size, scale = float(np.linalg.norm(high - low)), body.unit.metres
 
     def distance(point: FloatArray) -> float:
         """From the bounding box [m]."""
@@ -125,7 +125,7 @@ def _point_notes(case: Case, body: Body) -> Iterator[str]:
         if distance(point) > size and distance(scale * point) <= _NEAR * size:
             shown = ", ".join(f"{x:.4g}" for x in point)
             yield (
-                f"{key}: ({shown}) m is far from the body, in {case.mesh.unit} it would be in it: "
+                f"{key}: ({shown}) m is far from the body, in {body.unit.name} it would be in it: "
                 "is a unit missing?"
             )
 

@@ -64,6 +64,8 @@ class Report:
         case: Name of the case file.
         title: The case's title.
         mesh: Where the mesh comes from.
+        information: How it was made, and corrections without effect.
+        unit: Its unit of length.
         dim: 3, or 2 of a plane or axisymmetric mesh.
         extent: Sides of the body's bounding box [m].
         geometry: "solid", or what a plane mesh is.
@@ -76,7 +78,7 @@ class Report:
         edges: The named edges of a solid.
         points: The named points, but for sets of nodes that are surfaces.
         regions: The named regions.
-        notes: What is allowed but probably not meant, and what a user should know.
+        notes: What is allowed but probably not meant.
         fields: Name, place and range of each field that the mesh carries.
         materials: The cells of each material.
         loads: Resultant of each load, and of all of them.
@@ -89,6 +91,8 @@ class Report:
     case: str
     title: str
     mesh: str
+    information: tuple[str, ...]
+    unit: str
     dim: int
     geometry: str
     extent: tuple[float, ...]
@@ -204,7 +208,7 @@ def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
 
 def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> Report:
     """The report of a case without faults. Collective."""
-    integrals = Integrals(problem, case.mesh.metres_thick)
+    integrals = Integrals(problem, case.mesh.metres_thick(body))
     check_formulas(case, integrals)
     sums = load_sums(case, integrals)
     moving = case.dynamics is not None
@@ -217,6 +221,8 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         case=case.file,
         title=case.title,
         mesh=body.source,
+        information=body.information,
+        unit=body.unit.name,
         dim=body.dim,
         geometry=case.mesh.geometry if body.dim == 2 else "solid",
         extent=extent(body),
@@ -254,4 +260,4 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
 
 def _thickness(case: Case, problem: Problem) -> float | None:
     plane = problem.body.dim == 2 and problem.geometry in PLANE
-    return case.mesh.metres_thick if plane else None
+    return case.mesh.metres_thick(problem.body) if plane else None

@@ -186,8 +186,10 @@ class _Convergence:
     def _first_body(self) -> Body:
         with timing.stage("mesh"):
             body = self.case.read_body(self.comm)
+        for text in body.information:
+            log.info("mesh: %s", text)
         for note in body.notes:
-            log.info("mesh: %s", note)
+            log.warning("mesh: %s", note)
         for note in check(self.case, body):
             log.warning("%s", note)
         probes = [*self.case.output.probes]
@@ -217,7 +219,7 @@ class _Convergence:
                 saved = solver.restart_state()
             assert state is not None
             assert saved is not None
-            state = self.case.output.make_probe(problem, self.case.mesh.scale).add_to(state)
+            state = self.case.output.make_probe(problem).add_to(state)
             with timing.stage("output"):
                 measured = Measurement(self.goal.quantity, problem, body)(state)
                 estimate = ErrorEstimator(problem)(state)

@@ -15,17 +15,17 @@ from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.mesh.formats.raw import RawMesh
 
 
-def format_points(points: npt.ArrayLike, count: int, what: str = "near") -> str:
+def format_points(points: npt.ArrayLike, count: int, unit: str) -> str:
     """The first five points as text, for messages.
 
     Args:
-        points: Coordinates, shape (n, dim).
+        points: Coordinates in the file's unit, shape (n, dim).
         count: Number of all points; "..." is added if it exceeds those shown.
-        what: Word in front of them.
+        unit: Name of that unit.
     """
     rows = np.asarray(points, dtype=float)[:5]
     text = ", ".join("(" + ", ".join(f"{x:.4g}" for x in row) + ")" for row in rows)
-    return f"{what} {text}{' ...' if count > len(rows) else ''}"
+    return f"near {text} {unit}{' ...' if count > len(rows) else ''}"
 
 
 def clean(raw: RawMesh) -> RawMesh:
@@ -83,6 +83,11 @@ def _midpoints(raw: RawMesh, rows: BoolArray | IntArray) -> FloatArray:
     return np.asarray(raw.points[_corners(raw)[rows][:5]].mean(axis=1))
 
 
+def _near(raw: RawMesh, rows: BoolArray | IntArray, count: int) -> str:
+    """Where cells are, of which there are `count`."""
+    return format_points(_midpoints(raw, rows), count, raw.unit)
+
+
 def _indices(raw: RawMesh) -> RawMesh:
     low, high = raw.cells.min(), raw.cells.max()
     if low < 0 or high >= len(raw.points):
@@ -106,7 +111,7 @@ def _duplicates(raw: RawMesh) -> RawMesh:
     first[order] = np.searchsorted(keep, order[new])[np.cumsum(new) - 1]
     count = len(order) - len(keep)
     again = np.setdiff1d(np.arange(len(order)), keep)
-    note = f"{count} duplicate cells (removed) {format_points(_midpoints(raw, again), count)}"
+    note = f"{count} duplicate cells (removed) {_near(raw, again, count)}"
     regions = {name: np.unique(first[rows]) for name, rows in raw.regions.items()}
     data = {name: values[keep] for name, values in raw.cell_data.items()}
     return _noted(raw, note, cells=raw.cells[keep], regions=regions, cell_data=data)
@@ -119,7 +124,8 @@ def _used(raw: RawMesh) -> RawMesh:
     if unused == 0:
         return raw
     note = f"{unused} of {len(used)} points belong to no cell (dropped)"
-    return _noted(_restricted(raw, used, "belong to no cell"), note)
+    rest = _restricted(raw, used, "belong to no cell")
+    return replace(rest, information=(*rest.information, note))
 
 
 def _restricted(raw: RawMesh, used: BoolArray, why: str) -> RawMesh:
@@ -184,7 +190,7 @@ def _collapsed(raw: RawMesh) -> RawMesh:
     if bad.any():
         count = np.count_nonzero(bad)
         raise MeshError(
-            f"{count} cells use the same point twice, {format_points(_midpoints(raw, bad), count)}",
+            f"{count} cells use the same point twice, {_near(raw, bad, count)}",
             expected="remesh there",
         )
     return raw
@@ -203,7 +209,7 @@ def _branching(raw: RawMesh) -> RawMesh:
         count = np.count_nonzero(third)
         raise MeshError(
             f"{count} facets lie between three or more cells: the mesh overlaps "
-            f"itself, {format_points(where, count)}",
+            f"itself, {format_points(where, count, raw.unit)}",
             expected="remesh there",
         )
     return raw

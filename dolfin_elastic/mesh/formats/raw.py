@@ -67,7 +67,8 @@ class MeshFile:
     Attributes:
         points: Coordinates in the file's unit, shape (N, 2) or (N, 3).
         blocks: All elements, with their named parts and data.
-        notes: Remarks for the user.
+        notes: Faults, and what is doubtful.
+        information: How the mesh was made.
         point_sets: Name to rows of `points`; each becomes a set of nodes, and the
             surface of the boundary's facets within it if there are any.
         point_data: Name to numbers of each point, shape (N, columns).
@@ -77,6 +78,7 @@ class MeshFile:
     points: FloatArray
     blocks: Sequence[Block]
     notes: Sequence[str] = ()
+    information: Sequence[str] = ()
     point_sets: Mapping[str, IntArray] = field(default_factory=dict)
     point_data: Mapping[str, FloatArray] = field(default_factory=dict)
     incomplete: Mapping[str, str] = field(default_factory=dict)
@@ -92,7 +94,9 @@ class RawMesh:
         order: Geometric degree, 1 or 2.
         regions: Name to rows of `cells`.
         surfaces: Name to the facets' vertices (rows of `points`), shape (F, dim).
-        notes: Remarks on faults found and corrected.
+        notes: Faults found, and what is doubtful.
+        information: How the mesh was made, and corrections without effect.
+        unit: Name of the file's unit of length, for messages.
         cell_data: Name to numbers of each cell, shape (M, columns).
         point_data: Name to numbers of each point, shape (N, columns).
         edges: In 3D, name to both end vertices of each edge (rows of `points`), shape (E, 2).
@@ -114,6 +118,8 @@ class RawMesh:
     nodes: Mapping[str, IntArray] = field(default_factory=dict)
     uncovered: Mapping[str, int] = field(default_factory=dict)
     incomplete: Mapping[str, str] = field(default_factory=dict)
+    information: tuple[str, ...] = ()
+    unit: str = "m"
 
     @property
     def dim(self) -> int:
@@ -172,6 +178,7 @@ def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh
         nodes=nodes,
         uncovered=uncovered,
         incomplete=found.incomplete,
+        information=tuple(found.information),
     )
 
 

@@ -17,6 +17,7 @@ from dolfin_elastic.core.compat import read_meshtags, reads_attributes_by_name
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import build_body, make_mesh
 from dolfin_elastic.mesh.fields import MeshField, distribute_rows
@@ -68,7 +69,7 @@ class _Contents:
     data: tuple[_Data, ...] = ()
 
 
-def read_xdmf(path: Path, *, comm: MPI.Comm, scale: float, dim: int | None) -> Body:
+def read_xdmf(path: Path, *, comm: MPI.Comm, unit: LengthUnit, dim: int | None) -> Body:
     """Reads a mesh and its tags; each value v of the tags `facets` becomes ``facets_v``.
 
     Collective.
@@ -76,7 +77,7 @@ def read_xdmf(path: Path, *, comm: MPI.Comm, scale: float, dim: int | None) -> B
     Args:
         path: The .xdmf file, with its .h5 beside it.
         comm: The ranks that share the mesh.
-        scale: Metres per unit of length of the file.
+        unit: Unit of length of the file.
         dim: 2 or 3 to choose the elements; by default the highest dimension.
 
     Raises:
@@ -88,10 +89,10 @@ def read_xdmf(path: Path, *, comm: MPI.Comm, scale: float, dim: int | None) -> B
         or contents.spatial != contents.dim
         or (dim or contents.dim) != contents.dim
     ):
-        return build_body(lambda: _by_meshio(path, dim), comm=comm, scale=scale, source=path.name)
+        return build_body(lambda: _by_meshio(path, dim), comm=comm, unit=unit, source=path.name)
     try:
         with XDMFFile(comm, str(path), "r") as file:
-            body = Body(_mesh(file, contents, scale), source=path.name)
+            body = Body(_mesh(file, contents, unit.metres), source=path.name, unit=unit)
             body = _tagged(body, file, contents)
         return replace(body, fields={d.name: _field(body, path, d) for d in contents.data})
     except RuntimeError as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from dolfinx import la
 from dolfinx.mesh import Mesh
@@ -20,17 +22,10 @@ SLIVER = 1e-3  # quality below which a cell is worth a remark
 OVERLAP = 1e-3  # share of the body's volume that inside-out cells may have
 
 
-def check_cells(body: Body, *, scale: float = 1.0) -> list[str]:
-    """Checks the shapes and orientations of all cells.
+def check_cells(body: Body) -> Body:
+    """The body with the findings on shapes and orientations of its cells that are no errors.
 
     Collective.
-
-    Args:
-        body: The body.
-        scale: Metres per unit of length of the file, in which messages give coordinates.
-
-    Returns:
-        A sentence for each finding that is no error.
 
     Raises:
         MeshError: Cells without volume, cells inside out beyond tolerance, or cells so curved
@@ -38,32 +33,33 @@ def check_cells(body: Body, *, scale: float = 1.0) -> list[str]:
     """
     mesh, where = body.mesh, body.source
     corners = cell_corners(mesh)
-    middle = corners.mean(axis=1) / scale
-    count, near = _places(mesh, ~np.isfinite(middle).all(axis=1), middle)
+    middle = corners.mean(axis=1) / body.unit.metres
+    count, near = _places(body, ~np.isfinite(middle).all(axis=1), middle)
     if count:
         raise MeshError(f"{count} cells have points whose coordinates are not numbers", where=where)
     shape = qualities(corners)
-    count, near = _places(mesh, shape < FLAT, middle)
+    count, near = _places(body, shape < FLAT, middle)
     if count:
         raise MeshError(
             f"{count} of {body.num_cells} cells have no volume, {near}",
             where=where,
             expected="remesh there, or collapse their shortest edges",
         )
-    notes = _orientation(body, signed_volumes(corners), middle)
+    notes, information = _orientation(body, signed_volumes(corners), middle)
     if mesh.geometry.cmap.degree > 1:
         _curved(body, middle)
-    count, near = _places(mesh, shape < SLIVER, middle)
+    count, near = _places(body, shape < SLIVER, middle)
     if count:
         notes.append(
             f"{count} of {body.num_cells} cells are very thin (quality below "
             f"{SLIVER:g}; 1 is regular), {near}"
         )
-    return notes
+    return replace(body, notes=(*body.notes, *notes), information=(*body.information, *information))
 
 
-def _places(mesh: Mesh, bad: BoolArray, middle: FloatArray) -> tuple[int, str]:
+def _places(body: Body, bad: BoolArray, middle: FloatArray) -> tuple[int, str]:
     """Number of marked cells on all ranks, and midpoints of the first in the file. Collective."""
+    mesh = body.mesh
     number = np.asarray(mesh.topology.original_cell_index)
     mine = np.flatnonzero(bad)
     mine = mine[np.argsort(number[mine])]
@@ -71,11 +67,11 @@ def _places(mesh: Mesh, bad: BoolArray, middle: FloatArray) -> tuple[int, str]:
     order = np.argsort(np.concatenate([numbers for numbers, _ in found]))
     first = np.concatenate([rows for _, rows in found])[order]
     count = int(total(mesh.comm, len(mine)))
-    return count, format_points(first, count)
+    return count, format_points(first, count, body.unit.name)
 
 
 def _curved(body: Body, middle: FloatArray) -> None:
-    count, near = _places(body.mesh, smallest_jacobians(body.mesh) <= 0, middle)
+    count, near = _places(body, smallest_jacobians(body.mesh) <= 0, middle)
     if count:
         raise MeshError(
             f"{count} of {body.num_cells} quadratic cells fold over themselves, {near}",
@@ -85,8 +81,10 @@ def _curved(body: Body, middle: FloatArray) -> None:
         )
 
 
-def _orientation(body: Body, volumes: FloatArray, middle: FloatArray) -> list[str]:
-    """Distinguishes reversed node order (harmless) from inverted cells, which overlap others."""
+def _orientation(
+    body: Body, volumes: FloatArray, middle: FloatArray
+) -> tuple[list[str], list[str]]:
+    """Notes on inverted cells, which overlap others; information on a reversed node order."""
     comm = body.comm
     folded = folded_facets(body.mesh)
     main = 1.0 if total(comm, float(np.sign(volumes).sum())) >= 0 else -1.0
@@ -95,14 +93,14 @@ def _orientation(body: Body, volumes: FloatArray, middle: FloatArray) -> list[st
     if total(comm, int(folded.sum())) and not total(comm, int(inside_out.sum())):
         most = comm.allreduce(int(folded.max(initial=0)), op=MPI.MAX)
         inside_out = folded == most
-    notes = []
-    count, near = _places(body.mesh, against & ~inside_out, middle)
+    notes, information = [], []
+    count, near = _places(body, against & ~inside_out, middle)
     if count:
-        notes.append(
+        information.append(
             f"{count} of {body.num_cells} cells list their points the other way round "
             f"(harmless, taken as they should be), {near}"
         )
-    count, near = _places(body.mesh, inside_out, middle)
+    count, near = _places(body, inside_out, middle)
     if count:
         notes.append(
             _inside_out(
@@ -113,7 +111,7 @@ def _orientation(body: Body, volumes: FloatArray, middle: FloatArray) -> list[st
                 f"cells are inside out (they overlap their neighbours), {near}",
             )
         )
-    return notes
+    return notes, information
 
 
 def _inside_out(body: Body, volumes: FloatArray, bad: BoolArray, finding: str) -> str:

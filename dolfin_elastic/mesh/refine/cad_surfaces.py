@@ -21,7 +21,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import agree, total
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import Body, CadSource, span
-from dolfin_elastic.mesh.formats.cad import open_model
+from dolfin_elastic.mesh.formats.cad.mesher import open_model
 from dolfin_elastic.mesh.geometry.curved import cell_gradients, facet_points, quadrature_rule
 from dolfin_elastic.mesh.geometry.simplices import (
     boundary_facets,

@@ -38,6 +38,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import ConvergenceError, Diagnosis
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.material_point.domain import undefined_operation
 from dolfin_elastic.mesh.distribute import build_body
 from dolfin_elastic.mesh.formats.raw import RawMesh
@@ -208,7 +209,7 @@ def two_boxes(gap: float) -> Body:
         points = np.concatenate([xa, xb])
         return RawMesh(points, np.concatenate([ca, cb]), 1, regions, surfaces)
 
-    return build_body(read, comm=COMM, scale=1.0, source="two boxes")
+    return build_body(read, comm=COMM, unit=LengthUnit(), source="two boxes")
 
 
 @pytest.fixture

@@ -1,0 +1,1 @@
+"""CAD files, meshed by Gmsh."""

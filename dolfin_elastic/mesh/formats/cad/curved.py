@@ -1,0 +1,102 @@
+"""Quadratic cells in Gmsh that follow the surfaces of the CAD file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dolfin_elastic.core.types import FloatArray, IntArray
+
+_LEAST = 0.1
+"""Smallest over largest determinant of the map of a curved cell; in straight ones it is 1."""
+
+
+def follow_curves(gmsh: Any, dim: int, curved: bool | None) -> str:
+    """Makes the cells quadratic, with their boundary nodes on the CAD surfaces.
+
+    Where cells would fold, in a thin wall or at a small fillet, Gmsh moves nodes inside the body as
+    if it were elastic, and what still folds gets straight edges.  (Gmsh's other optimisation,
+    "HighOrder", can end the process: it throws in a thread of OpenMP.)
+
+    Args:
+        gmsh: Gmsh with a mesh.
+        dim: 2 or 3.
+        curved: None: only if a face of the body is curved.
+
+    Returns:
+        What has been done, for the note.
+    """
+    flat = "Plane" if dim == 3 else "Line"
+    properties = map(gmsh.model.mesh.getElementProperties, gmsh.model.mesh.getElementTypes(dim))
+    if curved is None and (
+        any(order > 1 for _, _, order, *_ in properties)  # as a .geo file says
+        or all(gmsh.model.getType(*face) == flat for face in gmsh.model.getEntities(dim - 1))
+    ):
+        return ""
+    gmsh.model.mesh.setOrder(2)
+    if curved is None and not _is_curved(gmsh, dim):
+        gmsh.model.mesh.setOrder(1)
+        return ""
+    if len(_folded(gmsh, dim)):
+        gmsh.model.mesh.optimize("HighOrderElastic")
+    count = _straighten_folded(gmsh, dim)
+    return ", cells curved" + (f", but for {count} that would fold" if count else "")
+
+
+_EDGES = {
+    1: [(0, 1, 2)],
+    2: [(0, 1, 3), (1, 2, 4), (2, 0, 5)],
+    3: [(0, 1, 4), (1, 2, 5), (2, 0, 6), (3, 0, 7), (3, 2, 8), (3, 1, 9)],
+}
+"""Ends and middle of the edges of Gmsh's quadratic line, triangle and tetrahedron."""
+_KINDS = {1: 8, 2: 9, 3: 11}
+"""Their types."""
+
+
+def _nodes(gmsh: Any, dim: int) -> tuple[IntArray, IntArray, FloatArray]:
+    """Tags, nodes of shape (n, k) and their places (n, k, 3) of the quadratic cells of a kind."""
+    cells, nodes = gmsh.model.mesh.getElementsByType(_KINDS[dim])
+    tags, places, _ = gmsh.model.mesh.getNodes()
+    order = np.argsort(tags)
+    nodes = np.asarray(nodes).reshape(len(cells), -1)
+    at = order[np.searchsorted(tags, nodes, sorter=order)]
+    return np.asarray(cells), nodes, np.asarray(places).reshape(-1, 3)[at]
+
+
+def _is_curved(gmsh: Any, dim: int) -> bool:
+    """Whether a quadratic facet of the boundary has a middle node off its straight edge."""
+    _, _, x = _nodes(gmsh, dim - 1)
+    return any(
+        np.any(
+            np.linalg.norm(x[:, c] - (x[:, a] + x[:, b]) / 2, axis=1)
+            > 1e-6 * np.linalg.norm(x[:, b] - x[:, a], axis=1)
+        )
+        for a, b, c in _EDGES[dim - 1]
+    )
+
+
+def _folded(gmsh: Any, dim: int) -> IntArray:
+    """Positions of the cells whose map is singular, or almost, somewhere in them."""
+    tags = gmsh.model.mesh.getElementsByType(_KINDS[dim])[0].tolist()
+    low, high = (
+        np.asarray(gmsh.model.mesh.getElementQualities(tags, name))
+        for name in ("minDetJac", "maxDetJac")
+    )
+    # Cells that run the other way round have negative determinants throughout.
+    side = np.sign(low + high)
+    smallest, largest = np.minimum(low * side, high * side), np.maximum(np.abs(low), np.abs(high))
+    return np.flatnonzero(smallest < _LEAST * largest)
+
+
+def _straighten_folded(gmsh: Any, dim: int) -> int:
+    """Makes the edges of folded cells straight, and of those that then fold; their number."""
+    straight: set[int] = set()
+    while new := {int(cell) for cell in _folded(gmsh, dim)} - straight:
+        straight |= new
+        _, nodes, x = _nodes(gmsh, dim)
+        at = sorted(new)
+        for a, b, c in _EDGES[dim]:
+            for tag, place in zip(nodes[at, c], (x[at, a] + x[at, b]) / 2, strict=True):
+                gmsh.model.mesh.setNode(int(tag), place.tolist(), [])
+    return len(straight)

@@ -1,0 +1,341 @@
+"""STEP, IGES and BREP files in Gmsh: faces are sewn into solids, bodies joined and named."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.mesh.formats.cleaning import format_points
+
+Entity = tuple[int, int]
+"""Dimension and tag in Gmsh."""
+
+_FORMATS = {
+    ".step": "step",
+    ".stp": "step",
+    ".iges": "iges",
+    ".igs": "iges",
+    ".brep": "brep",
+}
+_GAPS = 1e-6, 1e-4
+"""Gaps that sewing closes, over the diagonal: round-off, and then those of careless export."""
+_NEAR = 1e-6
+"""Distance over the diagonal below which two faces are the same."""
+_NAMELESS = ("Open CASCADE STEP translator", "COMPOUND", "SOLID", "SHELL")
+"""Begin of the names that OpenCASCADE gives to parts without one."""
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """How lengths of Gmsh's model are told to the user.
+
+    Attributes:
+        name: The user's unit.
+        factor: User's units per unit of the model.
+    """
+
+    name: str
+    factor: float
+
+    def text(self, value: float, dim: int) -> str:
+        """A length, area or volume.
+
+        Args:
+            value: In units of the model.
+            dim: 1, 2 or 3.
+        """
+        power = f"^{dim}" if dim > 1 else ""
+        return f"{value * self.factor**dim:.3g} {self.name}{power}"
+
+    def near(self, places: Sequence[Sequence[float]]) -> str:
+        """Places of the model, shape (n, 3)."""
+        return format_points(np.multiply(places, self.factor), len(places), self.name)
+
+
+@dataclass
+class Remarks:
+    """What is worth saying about a file.
+
+    Attributes:
+        information: How its shapes were taken.
+        notes: What is doubtful.
+    """
+
+    information: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def import_shapes(gmsh: Any, path: Path, *, join: bool, lengths: Lengths) -> Remarks:
+    """Loads a file into the current model, and names its bodies as physical groups. Local.
+
+    Args:
+        gmsh: Gmsh with an empty model.
+        path: .step, .iges or .brep.
+        join: Bodies that touch share their faces afterwards.
+        lengths: The user's unit.
+
+    Raises:
+        MeshError: Its faces enclose no solid.
+    """
+    remarks = Remarks()
+    load_shapes(gmsh, path)
+    if not gmsh.model.getEntities(3) and gmsh.model.getEntities(2) and not _is_flat(gmsh):
+        remarks.information += _sew(gmsh, path.name, lengths)
+    bodies = gmsh.model.getEntities(3) or gmsh.model.getEntities(2)
+    names = {body: _name(gmsh, body) for body in bodies}
+    if len(bodies) > 1:
+        names = {body: name or f"body{body[1]}" for body, name in names.items()}
+        if join:
+            names = _join(gmsh, names, remarks, lengths)
+        else:
+            remarks.notes += touching(gmsh, lengths, "mesh.join = true joins them")
+    for name in dict.fromkeys(name for name in names.values() if name):
+        tags = [tag for (_, tag), other in names.items() if name in other.split("\n")]
+        gmsh.model.addPhysicalGroup(bodies[0][0], tags, name=name)
+    return remarks
+
+
+def load_shapes(gmsh: Any, path: Path) -> None:
+    """Loads a file into the current model as it is. Local.
+
+    Args:
+        gmsh: Gmsh with an empty model.
+        path: .step, .iges or .brep.
+    """
+    with _no_output():
+        gmsh.model.occ.importShapes(
+            str(path), highestDimOnly=False, format=_FORMATS[path.suffix.lower()]
+        )
+    gmsh.model.occ.synchronize()
+
+
+@contextmanager
+def _no_output() -> Iterator[None]:
+    """Without what OpenCASCADE's reader of IGES writes to the standard output."""
+    sys.stdout.flush()
+    before, nothing = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, 1)
+    try:
+        yield
+    finally:
+        os.dup2(before, 1)
+        os.close(before)
+        os.close(nothing)
+
+
+def _name(gmsh: Any, body: Entity) -> str:
+    """The part's name: the last of "Shapes/assembly/instance/part"; empty without one."""
+    name = str(gmsh.model.getEntityName(*body)).rpartition("/")[2]
+    return "" if name.startswith(_NAMELESS) else name
+
+
+# --- faces into solids ---
+
+
+def diagonal(gmsh: Any) -> float:
+    """Diagonal of the model's bounding box."""
+    box = np.array(gmsh.model.getBoundingBox(-1, -1))
+    return float(np.linalg.norm(box[3:] - box[:3]))
+
+
+def _is_flat(gmsh: Any) -> bool:
+    box = gmsh.model.getBoundingBox(-1, -1)
+    return bool(box[5] - box[2] <= 1e-6 * diagonal(gmsh))
+
+
+def _sew(gmsh: Any, source: str, lengths: Lengths) -> list[str]:
+    """Sews faces into solids.
+
+    Returns:
+        How it was done.
+
+    Raises:
+        MeshError: They enclose none.
+    """
+    occ, faces = gmsh.model.occ, gmsh.model.getEntities(2)
+    edges = _edges(gmsh)
+    groups = _connected(faces, edges.values())
+    if len(groups) > 1:
+        # Bodies that touch have edges between more than two faces, where sewing would fail.
+        for group in groups:
+            with suppress(Exception):  # what remains open is found below
+                occ.addVolume([occ.addSurfaceLoop([tag for _, tag in group], sewing=True)])
+                occ.remove(group, recursive=True)
+        occ.synchronize()
+    closed = ""
+    for gap in _GAPS:
+        if not gmsh.model.getEntities(3):
+            closed = f", gaps of up to {lengths.text(gap * diagonal(gmsh), 1)} closed"
+            occ.healShapes(
+                [],
+                gap * diagonal(gmsh),
+                fixSmallEdges=False,
+                fixSmallFaces=False,
+                sewFaces=True,
+                makeSolids=True,
+            )
+            occ.synchronize()
+    solids = len(gmsh.model.getEntities(3))
+    loose = sum(not len(gmsh.model.getAdjacencies(*face)[0]) for face in gmsh.model.getEntities(2))
+    if not solids or loose:
+        free = [place[:3] for place, around in edges.items() if len(around) == 1]
+        near = _NEAR * diagonal(gmsh)
+        where = lengths.near([[n * near for n in place] for place in free])
+        raise MeshError(
+            f"its {len(faces)} faces enclose no solid"
+            + (f": {len(free)} edges belong to one face only, {where}" if free else ""),
+            where=source,
+            expected="add the missing faces in the CAD program, or save the solid as STEP",
+        )
+    return [f"{len(faces)} faces sewn into {solids} solid{'s' if solids > 1 else ''}{closed}"]
+
+
+def _edges(gmsh: Any) -> dict[tuple[int, ...], list[Entity]]:
+    """Place (middle and extent, over the tolerance) of each edge, to the faces that have one there.
+
+    The seam of a cylinder is there twice.
+    """
+    near = _NEAR * diagonal(gmsh)
+    found: dict[tuple[int, ...], list[Entity]] = {}
+    for face in gmsh.model.getEntities(2):
+        for edge in gmsh.model.getBoundary([face], combined=False, oriented=False):
+            box = np.array(gmsh.model.occ.getBoundingBox(*edge))
+            place = (*gmsh.model.occ.getCenterOfMass(*edge), *(box[3:] - box[:3]))
+            found.setdefault(tuple(np.round(np.array(place) / near).astype(int)), []).append(face)
+    return found
+
+
+def _connected(faces: Sequence[Entity], edges: Iterable[Sequence[Entity]]) -> list[list[Entity]]:
+    """Groups of faces that are connected by edges.
+
+    Args:
+        faces: All faces.
+        edges: For each edge the faces that have it.
+    """
+    group = {face: face for face in faces}
+
+    def root(face: Entity) -> Entity:
+        while group[face] != face:
+            face = group[face]
+        return face
+
+    for around in edges:
+        for face in around[1:]:
+            group[root(face)] = root(around[0])
+    members: dict[Entity, list[Entity]] = {}
+    for face in faces:
+        members.setdefault(root(face), []).append(face)
+    return list(members.values())
+
+
+# --- bodies that touch ---
+
+
+def _join(
+    gmsh: Any, names: Mapping[Entity, str], remarks: Remarks, lengths: Lengths
+) -> dict[Entity, str]:
+    """Makes the bodies share the faces where they touch (BooleanFragments).
+
+    Returns:
+        Names of the bodies afterwards; a part that two had in common has both, in two lines.
+
+    Raises:
+        MeshError: OpenCASCADE cannot do it.
+    """
+    parents, dim = list(names), next(iter(names))[0]
+    found: dict[Entity, list[str]] = {}
+    for parent, children in zip(parents, _fragments(gmsh, parents), strict=True):
+        for child in children:
+            found.setdefault(child, []).append(names[parent])
+    for child, owners in found.items():
+        if len(owners) > 1:
+            size = gmsh.model.occ.getMass(*child)
+            remarks.notes.append(
+                f"{_listed(owners)} overlap by {lengths.text(size, dim)}: that part belongs to both"
+            )
+    joined = [
+        f"{_listed(pair)} ({lengths.text(area, dim - 1)})" for pair, area, _ in _shared(gmsh, found)
+    ]
+    if joined:
+        remarks.information.append(f"bodies that touch are joined: {', '.join(joined)}")
+    return {child: "\n".join(dict.fromkeys(owners)) for child, owners in found.items()}
+
+
+def _fragments(gmsh: Any, bodies: Sequence[Entity]) -> list[list[Entity]]:
+    """Splits bodies at one another; for each of them its parts."""
+    _, parts = gmsh.model.occ.fragment(list(bodies[:1]), list(bodies[1:]))
+    gmsh.model.occ.synchronize()
+    dim = bodies[0][0]
+    return [[part for part in of_body if part[0] == dim] for of_body in parts[: len(bodies)]]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(f"'{name}'" for name in names)
+
+
+def _shared(
+    gmsh: Any, names: Mapping[Entity, Sequence[str]]
+) -> list[tuple[tuple[str, ...], float, tuple[float, ...]]]:
+    """Pairs of bodies with the area that they share and a place on it."""
+    areas: dict[tuple[str, ...], float] = {}
+    places: dict[tuple[str, ...], tuple[float, ...]] = {}
+    dim = next(iter(names))[0]
+    for face in gmsh.model.getEntities(dim - 1):
+        owners = [(dim, tag) for tag in gmsh.model.getAdjacencies(*face)[0]]
+        pair = tuple(sorted(names[owner][0] for owner in owners if owner in names))
+        if len(pair) == 2:
+            areas[pair] = areas.get(pair, 0.0) + gmsh.model.occ.getMass(*face)
+            places.setdefault(pair, tuple(gmsh.model.occ.getCenterOfMass(*face)))
+    return [(pair, area, places[pair]) for pair, area in areas.items()]
+
+
+def touching(gmsh: Any, lengths: Lengths, advice: str) -> list[str]:
+    """Notes on bodies of the current model that touch without sharing a face. Local.
+
+    A copy of the bodies is joined: what they share then and not before is where they touch.
+
+    Args:
+        gmsh: Gmsh with the model.
+        lengths: The user's unit.
+        advice: What joins them.
+    """
+    bodies = gmsh.model.getEntities(3) or gmsh.model.getEntities(2)
+    if len(bodies) < 2 or any(b not in gmsh.model.occ.getEntities(b[0]) for b in bodies):
+        return []
+    names = {body: [_name(gmsh, body) or f"body{body[1]}"] for body in bodies}
+    before = {pair: area for pair, area, _ in _shared(gmsh, names)}
+    current = gmsh.model.getCurrent()
+    with tempfile.TemporaryDirectory() as folder:
+        copy = str(Path(folder) / "copy.brep")
+        gmsh.write(copy)
+        gmsh.model.add("copy")
+        try:
+            gmsh.model.occ.importShapes(copy, highestDimOnly=True, format="brep")
+            gmsh.model.occ.synchronize()
+            copies = gmsh.model.getEntities(bodies[0][0])
+            parts = _fragments(gmsh, copies) if len(copies) == len(bodies) else []
+            owners: dict[Entity, list[str]] = {}
+            for body, of_body in zip(bodies, parts, strict=False):
+                for part in of_body:
+                    owners.setdefault(part, []).extend(names[body])
+            found = _shared(gmsh, owners) if owners else []
+        finally:
+            gmsh.model.remove()
+            gmsh.model.setCurrent(current)
+    dim = bodies[0][0]
+    return [
+        f"{_listed(pair)} touch on {lengths.text(area - before.get(pair, 0.0), dim - 1)} "
+        f"{lengths.near([place])}, but their meshes are not joined there, so that "
+        f"each moves on its own: {advice}"
+        for pair, area, place in found
+        if area > (1 + _NEAR) * before.get(pair, 0.0)
+    ]

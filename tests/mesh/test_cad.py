@@ -1,0 +1,205 @@
+"""CAD files: their unit, bodies that touch, faces sewn into solids, sizes that Gmsh cannot mesh."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers.bodies import drawing
+from mpi4py import MPI
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.mesh import mesh_statistics, read_body
+from dolfin_elastic.mesh.body import extent
+from dolfin_elastic.mesh.formats.cad.units import stated_unit
+
+COMM = MPI.COMM_WORLD
+MILLI = "( LENGTH_UNIT() NAMED_UNIT(*) SI_UNIT(.MILLI.,.METRE.) )"
+
+
+def write(path: Path, draw: Callable[[Any], object], change: Callable[[str], str] | None = None):
+    """Writes what `draw(occ)` draws, with the text of the file changed. Collective."""
+
+    def action() -> None:
+        with drawing() as gmsh:
+            draw(gmsh.model.occ)
+            gmsh.model.occ.synchronize()
+            gmsh.write(str(path))
+        if change is not None:
+            path.write_text(change(path.read_text()))
+
+    on_root(COMM, action)
+
+
+def block(occ: Any) -> None:
+    """A part of 12 x 4 x 3."""
+    occ.addBox(0, 0, 0, 12, 4, 3)
+
+
+def stack(occ: Any) -> None:
+    """A block on another one, which is wider: faces that touch in part."""
+    occ.addBox(0, 0, 0, 12, 4, 3)
+    occ.addBox(2, 0, 3, 4, 4, 2)
+
+
+def named(text: str) -> str:
+    """Names the parts of `stack`."""
+    for number, name in ((1, "steel"), (2, "rubber")):
+        text = re.sub(rf"'Open CASCADE STEP translator 7\.8 \d+\.{number}'", f"'{name}'", text)
+    return text
+
+
+def in_unit(si: str) -> Callable[[str], str]:
+    """Lets the file state another unit."""
+    return lambda text: text.replace(MILLI, si)
+
+
+INCH = (
+    "( CONVERSION_BASED_UNIT('INCH',#9001) LENGTH_UNIT() NAMED_UNIT(#9002) );\n"
+    "#9001 = LENGTH_MEASURE_WITH_UNIT(LENGTH_MEASURE(25.4),#9003);\n"
+    "#9002 = DIMENSIONAL_EXPONENTS(1.,0.,0.,0.,0.,0.,0.);\n"
+    f"#9003 = {MILLI}"
+)
+METRES = "( LENGTH_UNIT() NAMED_UNIT(*) SI_UNIT($,.METRE.) )"
+FURLONG = INCH.replace("INCH", "FURLONG").replace("25.4", "201168.")
+
+
+@pytest.mark.parametrize(
+    ("si", "name", "metres"),
+    [(MILLI, "mm", 1e-3), (INCH, "in", 0.0254), (METRES, "m", 1.0)],
+    ids=["mm", "in", "m"],
+)
+def test_a_step_file_has_the_size_that_it_states(folder: Path, si, name, metres) -> None:
+    """A part of 12 mm was 12 m long, and nothing was wrong; in inches it was 304.8 m."""
+    write(folder / "part.step", block, in_unit(si))
+    body = read_body(folder / "part.step", size=3)
+    assert extent(body) == pytest.approx((12 * metres, 4 * metres, 3 * metres), rel=1e-6)
+    assert (body.unit.name, body.notes) == (name, ())
+    assert f"lengths in {name}, as the file says" in body.information
+    assert f"meshed by Gmsh, size 3 {name}" in body.information
+    other = read_body(folder / "part.step", size=f"{3 * metres} m")
+    assert other.num_cells == pytest.approx(body.num_cells, rel=0.05)
+
+
+def test_a_unit_without_a_common_name(folder: Path) -> None:
+    write(folder / "part.step", block, in_unit(FURLONG))
+    body = read_body(folder / "part.step", size=3)
+    assert extent(body) == pytest.approx((12 * 201.168, 4 * 201.168, 3 * 201.168), rel=1e-6)
+    assert body.unit.name == "x 201.168 m"
+
+
+def test_another_unit_counts_and_is_doubted(folder: Path) -> None:
+    write(folder / "part.step", block, in_unit(INCH))
+    body = read_body(folder / "part.step", scale=1e-3)
+    assert extent(body) == pytest.approx((0.012, 0.004, 0.003), rel=1e-6)
+    (note,) = body.notes
+    assert "its lengths are in in, mesh.unit that they are in mm, which counts" in note
+
+
+def test_a_script_that_merges_a_step_file_is_in_its_millimetres(folder: Path) -> None:
+    """Also after a file in inches: OpenCASCADE keeps the unit of the file before."""
+    write(folder / "part.step", block, in_unit(INCH))
+    read_body(folder / "part.step")
+    text = 'SetFactory("OpenCASCADE");\nMerge "part.step";\n'
+    on_root(COMM, lambda: (folder / "a.geo").write_text(text) and None)
+    body = read_body(folder / "a.geo")
+    assert extent(body)[0] == pytest.approx(12 * 0.0254, rel=1e-6)
+    assert body.unit.name == "mm" and not body.notes
+
+
+@pytest.mark.parametrize(("suffix", "unit"), [(".iges", "mm"), (".brep", None)])
+def test_units_of_other_files(folder: Path, suffix: str, unit: str | None) -> None:
+    path = folder / f"part{suffix}"
+    write(path, block)
+    stated = stated_unit(path)
+    assert (None if stated is None else stated.name) == unit
+
+
+def test_bodies_that_touch_are_joined(folder: Path) -> None:
+    """Two bodies of a STEP file shared no node: the upper one flew off, or had no support."""
+    write(folder / "stack.step", stack, named)
+    body = read_body(folder / "stack.step", size=2)
+    statistics = mesh_statistics(body)
+    assert statistics.regions == pytest.approx({"steel": 144e-9, "rubber": 32e-9}, rel=1e-6)
+    # Boundaries of both, without the face that they share.
+    assert statistics.boundary == pytest.approx((192 + 64 - 2 * 16) * 1e-6, rel=1e-6)
+    assert not body.notes
+    assert "bodies that touch are joined: 'rubber' and 'steel' (16 mm^2)" in body.information
+
+
+def test_bodies_that_are_not_joined_are_noted_with_the_place(folder: Path) -> None:
+    write(folder / "stack.step", stack)
+    body = read_body(folder / "stack.step", size=2, join=False)
+    first, second = body.notes
+    assert "'body1' and 'body2' touch on 16 mm^2 near (4, 2, 3) mm" in first
+    assert "mesh.join = true joins them" in first and "2 unconnected pieces" in second
+    text = 'SetFactory("OpenCASCADE");\nBox(1) = {0,0,0,1,1,1};\nBox(2) = {1,0,0,1,1,1};\n'
+    on_root(COMM, lambda: (folder / "a.geo").write_text(text) and None)
+    first, _ = read_body(folder / "a.geo", size=1).notes
+    assert "touch on 1 m^2 near (1, 0.5, 0.5) m" in first and "Coherence;" in first
+    on_root(COMM, lambda: (folder / "a.geo").write_text(f"{text}Coherence;\n") and None)
+    assert not read_body(folder / "a.geo", size=1).notes
+    with pytest.raises(MeshError, match=r"a \.geo file joins its bodies itself"):
+        read_body(folder / "a.geo", join=True)
+
+
+def test_bodies_that_overlap_are_noted(folder: Path) -> None:
+    def draw(occ: Any) -> None:
+        occ.addBox(0, 0, 0, 2, 1, 1)
+        occ.addBox(1.5, 0, 0, 2, 1, 1)
+
+    write(folder / "two.brep", draw)
+    body = read_body(folder / "two.brep", size=1)
+    assert mesh_statistics(body).regions == pytest.approx({"body1": 2.0, "body2": 2.0})
+    assert mesh_statistics(body).volume == pytest.approx(3.5)
+    assert body.notes == ("'body1' and 'body2' overlap by 0.5 m^3: that part belongs to both",)
+
+
+def test_faces_of_an_iges_file_become_solids(folder: Path) -> None:
+    """IGES holds faces only: a block was "a surface in space", and shells were advised."""
+    write(folder / "part.iges", stack)
+    body = read_body(folder / "part.iges", size=2)
+    assert mesh_statistics(body).volume == pytest.approx(176e-9)
+    assert "12 faces sewn into 2 solids" in body.information and not body.notes
+
+
+@pytest.mark.parametrize("suffix", [".iges", ".step"])
+def test_faces_that_enclose_nothing_are_refused_by_what_is_missing(folder, suffix) -> None:
+    def draw(occ: Any) -> None:
+        occ.addBox(0, 0, 0, 2, 1, 1)
+        occ.remove([(3, 1)])
+        occ.remove([(2, 1)])
+
+    path = folder / f"open{suffix}"
+    write(path, draw)
+    with pytest.raises(MeshError, match="5 faces enclose no solid: 4 edges belong to one face"):
+        read_body(path)
+
+
+def test_a_plane_step_file_remains_plane(folder: Path) -> None:
+    write(folder / "flat.step", lambda occ: occ.addRectangle(0, 0, 0, 2, 1))
+    body = read_body(folder / "flat.step")
+    assert body.dim == 2 and mesh_statistics(body).volume == pytest.approx(2e-6)
+
+
+def thin_tube(occ: Any) -> None:
+    """A tube whose wall is thinner than the arcs of its default cells are high."""
+    outer = occ.addCylinder(0, 0, 0, 0, 0, 0.5, 1)
+    inner = occ.addCylinder(0, 0, 0, 0, 0, 0.5, 0.995)
+    occ.rotate([(3, inner)], 0, 0, 0, 0, 0, 1, 0.12)  # or inner chords are beside outer ones
+    occ.cut([(3, outer)], [(3, inner)])
+
+
+def test_a_default_size_that_gmsh_cannot_mesh_is_changed(folder: Path) -> None:
+    write(folder / "tube.brep", thin_tube)
+    (how,) = read_body(folder / "tube.brep", curved=False).information
+    assert how.startswith(
+        "meshed by Gmsh, 0.5 times the default size, a tenth of the diagonal (0.2"
+    )
+    assert how.endswith("with which Gmsh finds no valid mesh")
+    with pytest.raises(MeshError, match="Gmsh cannot mesh it: .* another mesh.size"):
+        read_body(folder / "tube.brep", size=0.25)
