@@ -18,6 +18,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.mesh import (
     Body,
     EdgeSelector,
@@ -74,7 +75,7 @@ def cube(blocks: list[Block], **more: Any) -> Body:
     def read() -> RawMesh:
         return assemble(MeshFile(points, [Block("tetra", cells), *blocks], **more), source="cube")
 
-    return build_body(read, comm=COMM, scale=2.0, source="cube")
+    return build_body(read, comm=COMM, unit=LengthUnit.of(2.0), source="cube")
 
 
 # --- read ---
@@ -119,7 +120,7 @@ def test_points_of_a_plane_mesh_are_read_and_its_curves_stay_surfaces() -> None:
     def read() -> RawMesh:
         return assemble(MeshFile(points, blocks), source="square")
 
-    body = build_body(read, comm=COMM, scale=1.0, source="square")
+    body = build_body(read, comm=COMM, unit=METRE, source="square")
     assert body.kinds("below") == ("surface",)
     assert not body.edges
     assert places(body, "tip") == [(1.0, 1.0)]

@@ -175,7 +175,7 @@ def pulled_ring(folder: Any, n: int) -> tuple[list[float], dict[str, float]]:
     read = Case.from_dict(case)
     problem = read.make_problem(read.read_body())
     *_, state = read.make_solver(problem).steps()
-    numbers = read.output.make_probe(problem, 1.0).numbers(state)
+    numbers = read.output.make_probe(problem).numbers(state)
     e = problem.u - kirsch(ufl.SpatialCoordinate(problem.body.mesh))
     dx = ufl.dx(domain=problem.body.mesh, metadata={"quadrature_degree": 8})
     forms = [ufl.inner(e, e) * dx, ufl.inner(ufl.grad(e), ufl.grad(e)) * dx]

@@ -205,7 +205,7 @@ def test_rivlin_torsion(folder, name):
     problem = read.make_problem(read.read_body())
     *_, state = read.make_solver(problem).steps()
     found = end_loads(problem, state)
-    side = read.output.make_probe(problem, 1.0).numbers(state)
+    side = read.output.make_probe(problem).numbers(state)
     grown = np.hypot(1 + side["side_x"], side["side_y"])
     print(name, found[0] / force - 1, found[1] / torque - 1, grown * np.sqrt(stretch) - 1)
     # Half of these: the mesh's error, largest in the second-order force of Poynting's effect.

@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import Body, LinearElastic, Pressure, Probe, Problem, Statics, Support, Symmetry
 from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.core.units import METRE
 from dolfin_elastic.mesh import EdgeSelector, Selector, name_parts
 from dolfin_elastic.mesh.distribute import build_body
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile, RawMesh, assemble
@@ -69,7 +70,7 @@ def plate(counts: tuple[int, int, int]) -> Body:
     def read() -> RawMesh:
         return assemble(MeshFile(x, [Block("tetra10", cells)], point_sets=sets), source="plate")
 
-    body = build_body(read, comm=COMM, scale=1.0, source="plate")
+    body = build_body(read, comm=COMM, unit=METRE, source="plate")
     return name_parts(
         body,
         surfaces={
