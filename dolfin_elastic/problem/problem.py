@@ -235,8 +235,13 @@ class Problem:
 
     @property
     def has_scalars(self) -> bool:
-        """There are cavities, rigid surfaces or a periodic cell, which may have scalar unknowns."""
-        return bool(self.cavities or self.dirichlet.rigid_motions or self.cell is not None)
+        """There are cavities, rigid or turned surfaces or a periodic cell.
+
+        They may have scalar unknowns, and have results that are numbers.
+        """
+        turned = any(support.kind == "rotation" for support in self.supports)
+        rigid = self.dirichlet.rigid_motions
+        return bool(self.cavities or rigid or turned or self.cell is not None)
 
     @property
     def mixed(self) -> bool:

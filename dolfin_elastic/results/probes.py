@@ -25,7 +25,13 @@ from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.recovery.points import StressAtPoints, is_recovered
-from dolfin_elastic.results.surface_means import NODAL, SurfaceMean, check_surface
+from dolfin_elastic.results.surface_means import (
+    NODAL,
+    REACTION,
+    ReactionSums,
+    SurfaceMean,
+    check_surface,
+)
 from dolfin_elastic.results.writers.history import row
 
 if TYPE_CHECKING:
@@ -152,9 +158,11 @@ def check_readable(names: Iterable[str]) -> tuple[str, ...]:
     """Checks that a probe can evaluate these fields, and returns their names.
 
     Raises:
-        InputError: It cannot: the field is of nodes, but for displacement, velocity, acceleration.
+        InputError: It cannot: the field is of nodes, but for displacement, velocity, acceleration
+            and reaction.
     """
-    known = [name for name in FIELDS if name in NODAL or FIELDS[name].formula]
+    readable = (*NODAL, REACTION)
+    known = [name for name in FIELDS if name in readable or FIELDS[name].formula]
     for name in (found := tuple(names)):
         if name not in known:
             raise InputError(f"a probe cannot read '{name}'", expected=nearest(name, known))
@@ -179,6 +187,7 @@ class Probe:
         fields: Fields at all points, or name of the point to its fields.
         surfaces: Name to a surface and the fields whose means over it are evaluated.
         samples: Name to those of the points of which the weighted mean is evaluated.
+        reactions: Name to the part whose nodal reactions are summed up.
 
     Raises:
         InputError: A field cannot be evaluated at a point.
@@ -192,10 +201,15 @@ class Probe:
         fields: Iterable[str] | Mapping[str, Iterable[str]] = ("displacement",),
         surfaces: Mapping[str, tuple[str, Sequence[str]]] | None = None,
         samples: Mapping[str, _Samples] | None = None,
+        reactions: Mapping[str, str] | None = None,
     ) -> None:
         self.problem, self.dim = problem, problem.body.dim
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
-        self.fields = {name: check_readable(of[name]) for name in points}
+        wanted = {name: check_readable(of[name]) for name in points}
+        self.fields = {name: _interpolated(row) for name, row in wanted.items()}
+        forces = {n: points[n] for n, row in wanted.items() if REACTION in row}
+        held = {**forces, **(reactions or {})}
+        self._reactions = ReactionSums(problem, held) if held else None
         self._samples = samples or {}
         self.places = locate(problem.body, points, _materials(problem))
         names = dict.fromkeys(n for row in self.fields.values() for n in row if n not in NODAL)
@@ -208,6 +222,7 @@ class Probe:
         self._means = {
             name: SurfaceMean(problem, surface, check_readable(asked))
             for name, (surface, asked) in (surfaces or {}).items()
+            if asked
         }
 
     @classmethod
@@ -220,7 +235,9 @@ class Probe:
             scale: Metres per unit of the mesh.
         """
         places, body = _points(probes, scale), problem.body
-        parts = {n: (p.part, p.fields) for n, p in probes.items() if p.part is not None}
+        named = {n: p for n, p in probes.items() if p.part is not None}
+        parts = {n: (str(p.part), _interpolated(p.fields)) for n, p in named.items()}
+        held = {n: str(p.part) for n, p in named.items() if REACTION in p.fields}
         kinds = {n: _kind(body, on) for n, (on, _) in parts.items()}
         surfaces = {n: part for n, part in parts.items() if kinds[n] == "surface"}
         samples = {
@@ -230,8 +247,8 @@ class Probe:
         }
         points = {**places, **{k: list(x) for s in samples.values() for k, x in s.points.items()}}
         fields = {n: probes[n].fields for n in places}
-        fields |= {k: probes[n].fields for n, s in samples.items() for k in s.points}
-        return cls(problem, points, fields, surfaces, samples)
+        fields |= {k: parts[n][1] for n, s in samples.items() for k in s.points}
+        return cls(problem, points, fields, surfaces, samples, held)
 
     def __call__(self, state: State) -> dict[str, FloatArray]:
         """Column stem "POINT_FIELD" to the field's components in SI units, the same on every rank.
@@ -249,10 +266,11 @@ class Probe:
             for field in self.fields[next(iter(sample.points))]:
                 rows = np.array([found.pop(f"{point}_{field}") for point in sample.points])
                 means[f"{name}_{field}"] = sample.weights @ rows
-        return {**found, **means}
+        held = self._reactions(state) if self._reactions else {}
+        return {**found, **means, **{f"{name}_{REACTION}": force for name, force in held.items()}}
 
     def _at_points(self, state: State) -> dict[str, FloatArray]:
-        if not self.fields:
+        if not any(self.fields.values()):
             return {}
         with stage("output"):
             cells = self._cells(state) if self._cells else {}
@@ -302,6 +320,11 @@ class Probe:
         if twice := found.keys() & row(state).keys():
             raise duplicate_column(min(twice))
         return replace(state, numbers={**state.numbers, **found})
+
+
+def _interpolated(fields: Sequence[str]) -> tuple[str, ...]:
+    """Those of the fields that have a value between nodes, too."""
+    return tuple(name for name in fields if name != REACTION)
 
 
 def duplicate_column(column: str) -> InputError:

@@ -16,6 +16,7 @@ from dolfin_elastic import (
     Problem,
     Statics,
     Support,
+    Traction,
     box_body,
     rectangle_body,
     run,
@@ -299,3 +300,53 @@ def test_probes_by_name_that_fail() -> None:
     )
     with pytest.raises(InputError, match=r"output.probes.tip.on: no surface 'lft' .* 'left'"):
         check(case, case.read_body())
+
+
+# --- reactions ---
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_reactions_are_summed_up(dim: int) -> None:
+    """Over a surface they are the support's reaction, and so is what its nodes bear together.
+
+    They could not be probed.
+    """
+    make = box_body if dim == 3 else rectangle_body
+    body = make(size=(2.0, 1.0, 1.0)[:dim], cells=(2, 1, 1)[:dim])
+    pull = [1e3, 2e3, 3e3][:dim]
+    problem = Problem(
+        body,
+        LinearElastic(E=1e6, nu=0.3),
+        supports=[Support(on="left")],
+        loads=[Traction(on="right", value=pull)],
+        degree=1,
+    )
+    *_, state = Statics(problem, steps=1).steps()
+    corners = [(0.0, y, z)[:dim] for y in (0.0, 1.0) for z in (0.0, 1.0)]
+    corners = list(dict.fromkeys(corners))
+    points = {f"n{i}": ProbePoint(at=list(x), fields=("reaction",)) for i, x in enumerate(corners)}
+    probes = {
+        **points,
+        "held": ProbePoint(on="left", fields=("reaction", "displacement")),
+        "free": ProbePoint(at=[2.0, 1.0, 1.0][:dim], fields=("reaction",)),
+    }
+    probe = Probe.of(probes, problem, 1.0)
+    found = probe(state)
+    assert np.allclose(found["held_reaction"], state.reactions["left"], rtol=0, atol=1e-9)
+    assert np.allclose(found["held_reaction"], -np.array(pull), rtol=1e-9)
+    assert np.allclose(sum(found[f"{name}_reaction"] for name in points), found["held_reaction"])
+    assert np.allclose(found["free_reaction"], 0.0, atol=1e-6)
+    assert np.allclose(found["held_displacement"], 0.0)
+    assert {f"held_reaction_{x}" for x in "xyz"[:dim]} <= probe.numbers(state).keys()
+
+
+def test_a_reaction_is_at_a_node() -> None:
+    """Between nodes there is none: the nearest one is named."""
+    body = rectangle_body(size=(2.0, 1.0), cells=(2, 1))
+    problem = Problem(body, LinearElastic(E=1e6, nu=0.3), supports=[Support(on="left")], degree=1)
+    with pytest.raises(InputError) as caught:
+        Probe.of({"p": ProbePoint(at=[0.0, 0.4], fields=("reaction",))}, problem, 1.0)
+    assert str(caught.value) == (
+        "output.probes.p: there is no node at (0, 0.4) m, and a reaction is a force at nodes; "
+        "the nearest is at (0, 0) m; or on = the name of a part"
+    )

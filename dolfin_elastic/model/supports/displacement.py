@@ -294,6 +294,19 @@ class Rotation(PrescribingSupport):
         except InputError as error:
             raise error.at("angle") from None
 
+    def place(self, t: float, default: Amplitude) -> FloatArray:
+        """The point's present place c + d [m], of shape (3,).
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude where the support has no curve.
+        """
+        found = np.zeros(3)
+        found[: len(self.centre)] = [float(x or 0.0) for x in self.centre]  # type: ignore[arg-type]
+        for i, item in enumerate(self.translation):
+            found[i] += self._scale(item, t, default) * float(_evaluated(item, np.zeros((1, 3)), t))
+        return found
+
     @cached_property
     def direction(self) -> tuple[float, ...]:
         """Unit vector of the axis."""

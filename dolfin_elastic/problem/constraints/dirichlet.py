@@ -14,7 +14,7 @@ from dolfin_elastic.core.parallel import first_of, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
-from dolfin_elastic.model.supports.displacement import Restraint
+from dolfin_elastic.model.supports.displacement import Restraint, Rotation
 from dolfin_elastic.problem.constraints.prescribed import (
     PrescribedComponents,
     PrescribedDofs,
@@ -125,7 +125,7 @@ class DirichletConditions:
         """Takes over changed degrees of freedom of a rigid surface. Not collective."""
         self._evaluate(self._of(motion))
 
-    def _of(self, motion: RigidMotion) -> list[PrescribedDofs]:
+    def _of(self, motion: RigidMotion | Rotation) -> list[PrescribedDofs]:
         return [entry for entry in self._entries if entry.component.support is motion]
 
     def motion_forces(self, motion: RigidMotion) -> FloatArray:
@@ -151,11 +151,13 @@ class DirichletConditions:
             found_dofs.append(entry.dofs)
         return np.concatenate(found_dofs), np.concatenate(found)
 
-    def moment(self, motion: RigidMotion, forces: FloatArray, u: FloatArray) -> FloatArray:
+    def moment(
+        self, motion: RigidMotion | Rotation, forces: FloatArray, u: FloatArray
+    ) -> FloatArray:
         """Moment about the present reference point of the forces of constraint on it. Collective.
 
         Args:
-            motion: The rigid surface.
+            motion: The rigid surface, or a support that turns one.
             forces: At the owned entries of the displacement's space [N].
             u: The displacement's local array [m].
         """

@@ -15,6 +15,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import span
+from dolfin_elastic.model.supports.displacement import Rotation
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
 from dolfin_elastic.problem.loads.cavities import BodyCavity
 from dolfin_elastic.problem.problem import Problem
@@ -67,7 +68,7 @@ class Scalars:
         return [] if self.joined is None else [float(value) for value in self.joined.get()]
 
     def numbers(self, inertia: FloatArray | None = None) -> dict[str, float]:
-        """Results of cavities, rigid surfaces and periodic cells [SI]. Collective.
+        """Results of cavities, rigid and turned surfaces, and periodic cells [SI]. Collective.
 
         The residual is assembled, so that its forces are up to date.
 
@@ -84,16 +85,24 @@ class Scalars:
             values = self._prescribed.motion_values(motion)
             for name, value in zip(motion.names, values, strict=True):
                 found[f"{motion.label}_{name}"] = float(value)
-            forces = self._assembler.residual.vector.array[self._assembler.displacement_dofs]
-            if inertia is not None:
-                forces = forces + inertia
-            u = self._assembler.problem.u.x.array
-            moment = self._prescribed.moment(motion, forces, u)
+            moment = self._moment(motion, inertia)
             for name in motion.names:
                 if name[0] == "r":
                     axis = name[1]
                     found[f"moment_{motion.label}_{axis}"] = float(moment["xyz".index(axis)])
+        for support in self._assembler.problem.supports:
+            if isinstance(support, Rotation):
+                torque = float(np.dot(support.direction, self._moment(support, inertia)))
+                name = f"torque_{support.label}"
+                found[name] = found.get(name, 0.0) + torque
         return found
+
+    def _moment(self, motion: RigidMotion | Rotation, inertia: FloatArray | None) -> FloatArray:
+        """Moment of a support on the body about its point [N m], shape (3,). Collective."""
+        forces = self._assembler.residual.vector.array[self._assembler.displacement_dofs]
+        if inertia is not None:
+            forces = forces + inertia
+        return self._prescribed.moment(motion, forces, self._assembler.problem.u.x.array)
 
 
 class CavityScalars:
