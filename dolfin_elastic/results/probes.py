@@ -207,8 +207,8 @@ class Probe:
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
         wanted = {name: check_readable(of[name]) for name in points}
         self.fields = {name: _interpolated(row) for name, row in wanted.items()}
-        forces = {n: points[n] for n, row in wanted.items() if REACTION in row}
-        held = {**forces, **(reactions or {})}
+        held: dict[str, str | Sequence[float]] = dict(reactions or {})
+        held |= {n: points[n] for n, row in wanted.items() if REACTION in row}
         self._reactions = ReactionSums(problem, held) if held else None
         self._samples = samples or {}
         self.places = locate(problem.body, points, _materials(problem))

@@ -12,6 +12,7 @@ from dolfinx import fem
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import smallest
+from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
@@ -164,11 +165,13 @@ def check_curves(case: Case, dim: int) -> None:
     """
     end, default = _end(case)
     values: dict[str, Callable[[float], object]] = {}
-    tables = {"support": case.support, "load": case.load, "contact": case.contact}
-    for key, rows in tables.items():
-        for i, row in enumerate(rows):
-            if (curve := getattr(row, "curve", None)) is not None and curve.formula is not None:
-                values[f"{key}[{i}].curve"] = curve.at
+    rows: dict[str, Record] = {f"support[{i}]": row for i, row in enumerate(case.support)}
+    rows |= {f"load[{i}]": row for i, row in enumerate(case.load)}
+    rows |= {f"contact[{i}]": row for i, row in enumerate(case.contact)}
+    for key, row in rows.items():
+        curve: Amplitude | None = getattr(row, "curve", None)
+        if curve is not None and curve.formula is not None:
+            values[f"{key}.curve"] = curve.at
     for i, contact in enumerate(case.contact):
         values[f"contact[{i}].motion"] = partial(_moved, contact, default, dim)
     if (cell := case.periodic) is not None:

@@ -248,10 +248,10 @@ class DirichletConditions:
 
     def _bad(self) -> list[tuple[str, tuple[float, ...]]]:
         """Labels of supports whose entries have no value, each with the lowest place of them."""
-        found = []
+        found: list[tuple[str, tuple[float, ...]]] = []
         for label, entries in self.reaction_dofs.items():
             nodes = entries[~np.isfinite(self.values.x.array[entries])] // self._bs
             places = self._x[nodes, : self._bs].round(12) + 0.0
             if len(places):
-                found.append((label, min(map(tuple, places.tolist()))))
+                found.append((label, min(tuple(float(c) for c in row) for row in places)))
         return found

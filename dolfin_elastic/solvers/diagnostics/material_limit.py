@@ -80,14 +80,11 @@ def softest_spot(cells: Cells) -> SoftSpot | None:
         cells: Of the problem.
     """
     F, problem = cells.gradients(), cells.problem
-    mine = [
-        found
-        for part in problem.regions
-        if part.compliance is None and (found := _of_region(cells, part, F)) is not None
-    ]
+    parts = [part for part in problem.regions if part.compliance is None]
+    mine = [spot for part in parts if (spot := _of_region(cells, part, F)) is not None]
     least = min(mine, key=_order, default=None)
-    found = [spot for spot in cells.comm.allgather(least) if spot is not None]
-    return min(found, key=_order, default=None)
+    every: list[SoftSpot] = [one for one in cells.comm.allgather(least) if one is not None]
+    return min(every, key=_order, default=None)
 
 
 def _order(spot: SoftSpot) -> tuple[float, tuple[float, ...]]:

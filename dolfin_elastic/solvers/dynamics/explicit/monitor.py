@@ -175,6 +175,7 @@ class StabilityMonitor:
         self.place = tuple(saved["place"])
         self._warned, self._largest_energy = saved["told"], saved["most"]
         self._states = int(saved["states"])
-        self._first = np.array(saved["first"]) if saved["first"] else None
-        self._start = float(saved.get("start", self._first[1] if saved["first"] else 0.0))
+        first = saved["first"]
+        self._first = np.array(first) if first else None
+        self._start = float(saved.get("start", first[1] if first else 0.0))
         self._offences.restore(saved.get("offences", {}))
