@@ -151,18 +151,28 @@ def read_unv(path: Path) -> MeshFile:
 
 
 def _datasets(path: Path) -> Iterator[_Dataset]:
-    """The datasets between lines with nothing but -1."""
-    lines = path.read_text("latin-1").splitlines()
-    marks = [i for i, line in enumerate(lines) if line.strip() == "-1"]
-    if len(marks) < 2:
+    """The datasets between lines with nothing but -1, one at a time."""
+    start, count, lines = 0, 0, list[str]()  # start: line of the -1 before, 0 outside a dataset
+    with path.open(encoding="latin-1") as file:
+        for number, line in enumerate(file, start=1):
+            if line.strip() != "-1":
+                lines.append(line)
+                continue
+            if start:
+                yield _dataset(path, start, lines)
+                count += 1
+            start, lines = 0 if start else number, []
+    if start:
+        raise MeshError("the last dataset has no end", where=f"{path.name}:{start}")
+    if not count:
         raise MeshError("this is no universal file: no dataset between lines -1", where=path.name)
-    if len(marks) % 2:
-        raise MeshError("the last dataset has no end", where=f"{path.name}:{marks[-1] + 1}")
-    for first, last in zip(marks[::2], marks[1::2], strict=True):
-        head = lines[first + 1].split() if last > first + 1 else []
-        if not head or not head[0].isdigit():
-            raise MeshError("a dataset without a number", where=f"{path.name}:{first + 2}")
-        yield _Dataset(int(head[0]), first + 3, lines[first + 2 : last], path.name)
+
+
+def _dataset(path: Path, start: int, lines: list[str]) -> _Dataset:
+    head = lines[0].split() if lines else []
+    if not head or not head[0].isdigit():
+        raise MeshError("a dataset without a number", where=f"{path.name}:{start + 1}")
+    return _Dataset(int(head[0]), start + 2, lines[1:], path.name)
 
 
 def _take_nodes(found: _Contents, dataset: _Dataset) -> None:
