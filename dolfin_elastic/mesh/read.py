@@ -48,8 +48,8 @@ def read_body(
         path: .msh; .xdmf; .inp, .unv, .vtu, .vtk, .med, .mesh and whatever else meshio reads;
             .geo, .step, .brep or .iges, which Gmsh meshes on the fly.
         comm: The ranks that share the mesh.
-        scale: Metres per unit of length of the file; None: the unit that the file states (STEP and
-            IGES), else 1.
+        scale: Metres per unit of length of the file; None: the unit that the file states (STEP,
+            IGES and .unv), else 1.
         size: Size of the elements in the file's unit, or a text with a unit; only for CAD files.
         curved: Quadratic cells that follow curved surfaces; None: where there are any, and the
             cells do not fold.  Finished meshes are as they are, but False reads their quadratic
@@ -115,7 +115,11 @@ def read_body(
 
 
 def _stated_unit(path: Path, suffix: str) -> LengthUnit | None:
-    """The unit that a CAD file states."""
+    """The unit that a CAD file or a universal file states."""
+    if suffix == ".unv":
+        from dolfin_elastic.mesh.formats.unv import unit_of_unv
+
+        return unit_of_unv(path)
     if suffix not in CAD:
         return None
     from dolfin_elastic.mesh.formats.cad.units import stated_unit

@@ -142,6 +142,26 @@ def test_plane_meshes(folder: Path) -> None:
     assert size.volume == pytest.approx(2) and size.surfaces == pytest.approx({"left": 1})
 
 
+@pytest.mark.parametrize(
+    ("factor", "name", "edge"),
+    [(1e3, "mm", 1e-3), (39.370079, "in", 0.0254), (1.0, "m", 1.0), (0.4, "x 2.5 m", 2.5)],
+)
+def test_the_unit_of_the_file(folder: Path, factor: float, name: str, edge: float) -> None:
+    """Lengths of the file over the factor of dataset 164 are metres."""
+    numbers = f"{factor:25.16E}{1:25.16E}{1:25.16E}".replace("E", "D")
+    text = dataset(164, ["         5mm (newton)                  2", numbers, "0.D+0"]) + cube()
+    made(lambda: (folder / "cube.unv").write_text(text))
+    body = read_body(folder / "cube.unv")
+    assert body.unit.name == name and body.unit.stated
+    assert mesh_statistics(body).volume == pytest.approx(edge**3)
+    other = read_body(folder / "cube.unv", scale=1e-2)
+    assert mesh_statistics(other).volume == pytest.approx(1e-6)
+    assert any(
+        f"its lengths are in {name}, mesh.unit that they are in cm" in n for n in other.notes
+    )
+    assert read_body(folder / "cube.unv", scale=edge).notes == ()
+
+
 FAULTS = {
     "none": ("hello\n", "no universal file"),
     "no end": (cube()[:-8], r"cube\.unv:20: the last dataset has no end"),

@@ -7,6 +7,7 @@ Source: Structural Dynamics Research Corporation, Universal File Datasets, I-DEA
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
+from dolfin_elastic.core.units import LENGTHS, LengthUnit
 from dolfin_elastic.mesh.formats.labels import find, find_all, joined, missing
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile
 
@@ -116,7 +118,6 @@ class _Contents:
         elements: Descriptor and number of nodes, to labels and nodes of elements.
         groups: Name to the labels of the nodes, and of the elements, of a group.
         lost: Name of a group to the reason why it is not whole.
-        unit: Metres per unit of length, where the file says so.
     """
 
     labels: list[IntArray] = field(default_factory=list)
@@ -124,7 +125,6 @@ class _Contents:
     elements: dict[tuple[int, int], tuple[list[int], list[list[int]]]] = field(default_factory=dict)
     groups: dict[str, tuple[list[IntArray], list[IntArray]]] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
-    unit: float | None = None
 
 
 def read_unv(path: Path) -> MeshFile:
@@ -141,8 +141,6 @@ def read_unv(path: Path) -> MeshFile:
             _take_elements(found, dataset)
         elif dataset.number in _GROUPS:
             _take_groups(found, dataset)
-        elif dataset.number == _UNITS:
-            found.unit = _metres(dataset)
     if not found.points or not found.elements:
         raise MeshError(
             "there are no nodes (dataset 2411) or no elements (dataset 2412)", where=path.name
@@ -234,8 +232,23 @@ def _take_group(found: _Contents, name: str, rows: IntArray) -> None:
         found.lost[name] = f"{others} of its {len(rows)} members are neither nodes nor elements"
 
 
-def _metres(dataset: _Dataset) -> float | None:
-    """Metres per unit of length: lengths of the file are divided by the factor of length."""
+def unit_of_unv(path: Path) -> LengthUnit | None:
+    """The unit of length that a universal file states (dataset 164). Local.
+
+    Returns:
+        None where it states none.
+
+    Raises:
+        MeshError: The file, or its factor of length, is damaged.
+    """
+    for dataset in _datasets(path):
+        if dataset.number == _UNITS:
+            return _unit(dataset)
+    return None
+
+
+def _unit(dataset: _Dataset) -> LengthUnit:
+    """Metres are the lengths of the file over the factor of length."""
     words = dataset.lines[1].upper().replace("D", "E").split() if len(dataset.lines) > 1 else []
     try:
         factor = float(words[0])
@@ -243,7 +256,8 @@ def _metres(dataset: _Dataset) -> float | None:
         raise dataset.error("there is no factor of length", 1) from None
     if not 0 < factor < np.inf:
         raise dataset.error(f"the factor of length is {factor:g}", 1)
-    return 1 / factor
+    named = (unit for unit in LENGTHS.values() if math.isclose(unit * factor, 1, rel_tol=1e-6))
+    return LengthUnit.of(next(named, 1 / factor), stated=True)
 
 
 def _mesh(found: _Contents, path: Path) -> MeshFile:
