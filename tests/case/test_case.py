@@ -190,7 +190,7 @@ MISTAKES = {
     "region as surface": (
         'on = "left"',
         'on = "core"',
-        "support[0].on: 'core' is a region; a support holds surfaces",
+        "support[0].on: 'core' is a region; a support holds surfaces, edges and points",
     ),
     "no region": (
         "nu = 0.3",

@@ -88,7 +88,8 @@ def _check_names(case: Case, body: Body) -> None:
     """Every `on` names a part of the body of the right kind that is not empty. Collective."""
     for i, support in enumerate(case.support):
         for where, name in _names(f"support[{i}].on", support.on):
-            rule = f"{_a(support.kind)} holds {_listed(support.part_kinds)}"
+            kind = "support" if support.kind == "displacement" else support.kind
+            rule = f"{_a(kind)} holds {_listed(support.part_kinds)}"
             _check_name(where, name, support.part_kinds, rule, body)
     for i, contact in enumerate(case.contact):
         for where, name in _names(f"contact[{i}].on", contact.on):

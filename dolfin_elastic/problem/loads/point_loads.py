@@ -141,7 +141,7 @@ class NodalLoads:
         local = points.local.reshape(-1, self._dim)
         cells = np.repeat(points.cells, points.weights.shape[1])
         share = size if load.total else 1.0
-        weights: FloatArray = points.weights.ravel() / share
+        weights = np.asarray(points.weights.ravel() / share, dtype=np.float64)
         nodes = np.asarray(self._V.dofmap.list)[cells]
         table = np.asarray(self._V.element.basix_element.tabulate(0, local)[0, :, :, 0])
         return _Spread(load, x, weights, nodes, table)
