@@ -27,8 +27,10 @@ def show_check(report: Report) -> None:
     span = max(report.extent)
     area, volume = ("m^2", "m^3") if report.dim == 3 else ("m", "m^2")
     show_table(screen, _parts("surface", area, report.surfaces, span))
-    show_table(screen, _parts("edge", "m", report.edges, span))
-    show_table(screen, _parts("point", "", report.points, span))
+    if report.edges:
+        show_table(screen, _parts("edge", "m", report.edges, span))
+    if report.points:
+        show_table(screen, _parts("point", "", report.points, span))
     show_table(screen, _parts("region", volume, report.regions, span))
     show_table(screen, _parts("material", volume, report.materials, span))
     if report.loads:

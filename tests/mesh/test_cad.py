@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.bodies import drawing
+from helpers.cad import block, stack, write
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
@@ -19,31 +19,6 @@ from dolfin_elastic.mesh.formats.cad.units import stated_unit
 
 COMM = MPI.COMM_WORLD
 MILLI = "( LENGTH_UNIT() NAMED_UNIT(*) SI_UNIT(.MILLI.,.METRE.) )"
-
-
-def write(path: Path, draw: Callable[[Any], object], change: Callable[[str], str] | None = None):
-    """Writes what `draw(occ)` draws, with the text of the file changed. Collective."""
-
-    def action() -> None:
-        with drawing() as gmsh:
-            draw(gmsh.model.occ)
-            gmsh.model.occ.synchronize()
-            gmsh.write(str(path))
-        if change is not None:
-            path.write_text(change(path.read_text()))
-
-    on_root(COMM, action)
-
-
-def block(occ: Any) -> None:
-    """A part of 12 x 4 x 3."""
-    occ.addBox(0, 0, 0, 12, 4, 3)
-
-
-def stack(occ: Any) -> None:
-    """A block on another one, which is wider: faces that touch in part."""
-    occ.addBox(0, 0, 0, 12, 4, 3)
-    occ.addBox(2, 0, 3, 4, 4, 2)
 
 
 def named(text: str) -> str:
