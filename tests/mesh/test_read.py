@@ -662,7 +662,7 @@ def test_folded_cells_are_read_as_straight_ones(folder: Path) -> None:
     assert body.mesh.geometry.cmap.degree == 1
     assert size.volume == pytest.approx(1) and size.surfaces == pytest.approx({"foot": 1})
     assert body.kinds("foot") == ("surface", "point")
-    assert any("straight ones, without 19 midside nodes" in note for note in body.notes)
+    assert any("straight ones, without 19 midside nodes" in told for told in body.information)
     with pytest.raises(MeshError, match=r"1 of its 3 nodes are midside nodes"):
         body.point("edge")
 

@@ -64,10 +64,15 @@ def straight(raw: RawMesh) -> RawMesh:
     midside[_corners(raw)] = False
     covered = raw.surfaces.keys() - raw.uncovered.keys()
     nodes = {n: rows[~midside[rows]] if n in covered else rows for n, rows in raw.nodes.items()}
-    note = (
-        f"quadratic cells read as straight ones, without {np.count_nonzero(midside)} midside nodes"
+    count = np.count_nonzero(midside)
+    told = f"quadratic cells read as straight ones, without {count} midside nodes"
+    raw = replace(
+        raw,
+        cells=_corners(raw),
+        order=1,
+        nodes=nodes,
+        information=(*raw.information, told),
     )
-    raw = _noted(raw, note, cells=_corners(raw), order=1, nodes=nodes)
     return _restricted(raw, ~midside, "are midside nodes, which straight cells have not")
 
 
