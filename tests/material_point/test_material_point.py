@@ -286,6 +286,7 @@ def test_growth_as_the_volume_vanishes(law, text):
     assert text in finding.text
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("volumetric", "text"),
     [("log", "grows"), ("quadratic", "grows"), ("simo-taylor", "grows")],
@@ -361,7 +362,7 @@ def started(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 @ALONE
-@pytest.mark.sample(5)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [

@@ -129,8 +129,8 @@ class StabilityMonitor:
             gain: Of the conserved energy since the start [J].
             t: Time [s].
         """
-        if gain <= FAILING_GAIN * self._largest_energy:
-            return
+        if np.isnan(gain) or gain <= FAILING_GAIN * self._largest_energy:
+            return  # a law without an energy has no balance of it
         share = gain / self._largest_energy
         what = f"{100 * share:.3g} % of the energy has come from nowhere: a smaller dt or safety"
         self._offences.add({"energy": Offence(what, share, fails=True)}, f"t = {t:.6g} s")
