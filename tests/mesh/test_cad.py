@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.mesh import mesh_statistics, read_body
+from dolfin_elastic.mesh import Selector, mesh_statistics, name_parts, read_body
 from dolfin_elastic.mesh.body import extent
 from dolfin_elastic.mesh.formats.cad.units import stated_unit
 
@@ -104,6 +104,43 @@ def test_bodies_that_touch_are_joined(folder: Path) -> None:
     assert statistics.boundary == pytest.approx((192 + 64 - 2 * 16) * 1e-6, rel=1e-6)
     assert not body.notes
     assert "bodies that touch are joined: 'rubber' and 'steel' (16 mm^2)" in body.information
+
+
+FACES = ["left", "right", "front", "back", "bottom", "top"]
+
+
+def with_faces(text: str) -> str:
+    """Names the faces of both blocks of `stack`."""
+    names = iter([*FACES, *(f"upper {name}" for name in FACES)])
+    return re.sub(r"ADVANCED_FACE\(''", lambda _: f"ADVANCED_FACE('{next(names)}'", named(text))
+
+
+@pytest.mark.parametrize("join", [True, False])
+def test_faces_of_a_step_file_keep_their_names(folder: Path, join: bool) -> None:
+    """Also those that are split or shared: the lower block's top has that under the upper one."""
+    write(folder / "stack.step", stack, with_faces)
+    body = read_body(folder / "stack.step", size=2, join=join)
+    sizes = {name: 1e6 * area for name, area in mesh_statistics(body).surfaces.items()}
+    lower = dict(zip(FACES, (12, 12, 36, 36, 48, 48), strict=True))
+    upper = dict(zip(FACES, (8, 8, 8, 8, 16, 16), strict=True))
+    assert sizes == pytest.approx({**lower, **{f"upper {n}": a for n, a in upper.items()}})
+    found = name_parts(
+        body, surfaces={"x": Selector(of="upper right", plane="x", at=6)}, scale=body.unit.metres
+    )
+    assert found.count("x") == body.count("upper right") > 0
+
+
+def test_names_of_faces_of_bodies_that_are_alike(folder: Path) -> None:
+    """Two equal blocks with different names: which is which cannot be seen."""
+
+    def draw(occ: Any) -> None:
+        occ.addBox(0, 0, 0, 1, 1, 1)
+        occ.addBox(3, 0, 0, 1, 1, 1)
+
+    write(folder / "two.step", draw, with_faces)
+    body = read_body(folder / "two.step", size=1)
+    assert not body.surfaces
+    assert "names of faces that cannot be assigned (left out): back, bottom, front" in body.notes[0]
 
 
 def test_bodies_that_are_not_joined_are_noted_with_the_place(folder: Path) -> None:

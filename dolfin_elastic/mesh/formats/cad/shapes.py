@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.mesh.formats.cad.face_names import face_names
 from dolfin_elastic.mesh.formats.cleaning import format_points
 
 Entity = tuple[int, int]
@@ -88,6 +90,8 @@ def import_shapes(gmsh: Any, path: Path, *, join: bool, lengths: Lengths) -> Rem
     """
     remarks = Remarks()
     load_shapes(gmsh, path)
+    faces, lost = face_names(gmsh, path, 1 / lengths.factor)
+    remarks.notes += lost
     if not gmsh.model.getEntities(3) and gmsh.model.getEntities(2) and not _is_flat(gmsh):
         remarks.information += _sew(gmsh, path.name, lengths)
     bodies = gmsh.model.getEntities(3) or gmsh.model.getEntities(2)
@@ -95,13 +99,19 @@ def import_shapes(gmsh: Any, path: Path, *, join: bool, lengths: Lengths) -> Rem
     if len(bodies) > 1:
         names = {body: name or f"body{body[1]}" for body, name in names.items()}
         if join:
-            names = _join(gmsh, names, remarks, lengths)
+            names, faces = _join(gmsh, names, faces, remarks, lengths)
         else:
             remarks.notes += touching(gmsh, lengths, "mesh.join = true joins them")
-    for name in dict.fromkeys(name for name in names.values() if name):
-        tags = [tag for (_, tag), other in names.items() if name in other.split("\n")]
-        gmsh.model.addPhysicalGroup(bodies[0][0], tags, name=name)
+    _add_groups(gmsh, names)
+    _add_groups(gmsh, faces)
     return remarks
+
+
+def _add_groups(gmsh: Any, names: Mapping[Entity, str]) -> None:
+    """Makes physical groups of entities of one dimension by their names, one in each line."""
+    for name in dict.fromkeys(n for lines in names.values() for n in lines.split("\n") if n):
+        found = [entity for entity, lines in names.items() if name in lines.split("\n")]
+        gmsh.model.addPhysicalGroup(found[0][0], [tag for _, tag in found], name=name)
 
 
 def load_shapes(gmsh: Any, path: Path) -> None:
@@ -241,21 +251,39 @@ def _connected(faces: Sequence[Entity], edges: Iterable[Sequence[Entity]]) -> li
 
 
 def _join(
-    gmsh: Any, names: Mapping[Entity, str], remarks: Remarks, lengths: Lengths
-) -> dict[Entity, str]:
+    gmsh: Any,
+    names: Mapping[Entity, str],
+    faces: Mapping[Entity, str],
+    remarks: Remarks,
+    lengths: Lengths,
+) -> tuple[dict[Entity, str], dict[Entity, str]]:
     """Makes the bodies share the faces where they touch (BooleanFragments).
 
-    Returns:
-        Names of the bodies afterwards; a part that two had in common has both, in two lines.
+    Args:
+        gmsh: Gmsh with the bodies.
+        names: Bodies with their names.
+        faces: Faces with names.
+        remarks: What bodies share is added.
+        lengths: The user's unit.
 
-    Raises:
-        MeshError: OpenCASCADE cannot do it.
+    Returns:
+        Names of bodies and of faces afterwards; what two had in common has both, in two lines.
     """
     parents, dim = list(names), next(iter(names))[0]
     found: dict[Entity, list[str]] = {}
-    for parent, children in zip(parents, _fragments(gmsh, parents), strict=True):
+    of_faces: dict[Entity, list[str]] = {}
+    places = {face: _place(gmsh, face) for face in faces}
+    parts = _fragments(gmsh, parents, list(faces))
+    for parent, children in zip(parents, parts, strict=False):
         for child in children:
             found.setdefault(child, []).append(names[parent])
+    after = {face: _place(gmsh, face) for face in gmsh.model.getEntities(2)} if faces else {}
+    near = _NEAR * diagonal(gmsh)
+    for parent, children in zip(faces, parts[len(parents) :], strict=True):
+        # Of a face that stays as it is Gmsh may say nothing: it is found where it was.
+        same = [f for f, at in after.items() if np.abs(at - places[parent]).max() <= near]
+        for child in children or same:
+            of_faces.setdefault(child, []).append(faces[parent])
     for child, owners in found.items():
         if len(owners) > 1:
             size = gmsh.model.occ.getMass(*child)
@@ -267,15 +295,30 @@ def _join(
     ]
     if joined:
         remarks.information.append(f"bodies that touch are joined: {', '.join(joined)}")
-    return {child: "\n".join(dict.fromkeys(owners)) for child, owners in found.items()}
+    return _lines(found), _lines(of_faces)
 
 
-def _fragments(gmsh: Any, bodies: Sequence[Entity]) -> list[list[Entity]]:
-    """Splits bodies at one another; for each of them its parts."""
-    _, parts = gmsh.model.occ.fragment(list(bodies[:1]), list(bodies[1:]))
+def _lines(found: Mapping[Entity, Sequence[str]]) -> dict[Entity, str]:
+    return {entity: "\n".join(dict.fromkeys(names)) for entity, names in found.items()}
+
+
+def _place(gmsh: Any, face: Entity) -> FloatArray:
+    """Middle of a face, and the root of its area."""
+    occ = gmsh.model.occ
+    return np.array([*occ.getCenterOfMass(*face), occ.getMass(*face) ** 0.5])
+
+
+def _fragments(
+    gmsh: Any, bodies: Sequence[Entity], faces: Sequence[Entity] = ()
+) -> list[list[Entity]]:
+    """Splits bodies and faces at one another; for each of them its parts."""
+    entities = [*bodies, *faces]
+    _, parts = gmsh.model.occ.fragment(entities[:1], entities[1:])
     gmsh.model.occ.synchronize()
-    dim = bodies[0][0]
-    return [[part for part in of_body if part[0] == dim] for of_body in parts[: len(bodies)]]
+    return [
+        [part for part in of_one if part[0] == entity[0]]
+        for entity, of_one in zip(entities, parts, strict=True)
+    ]
 
 
 def _listed(names: Sequence[str]) -> str:
