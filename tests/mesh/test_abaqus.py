@@ -191,6 +191,7 @@ def test_sets_of_lines_and_of_masses_are_edges_and_points(folder: Path) -> None:
     assert body.kinds("RIDGE") == ("edge",) and body.kinds("weight") == ("point",)
     assert COMM.allreduce(len(body.owned_edges("ridge"))) == 1
     assert COMM.allreduce(len(body.owned_points("weight"))) == 1
+    assert any(told.endswith("no stiffness: 1 T3D2, 1 MASS") for told in body.information)
 
 
 def test_a_part_may_be_named_anew_by_where_it_lies(folder: Path) -> None:
@@ -257,6 +258,7 @@ def test_sets_of_a_deck_with_loads(folder: Path) -> None:
     force = {"kind": "point-force", "on": "TIP", "value": [0, 0, "1 kN"]}
     held = case(folder, mesh={"file": "deck.inp"}, support=[{"on": "Left"}], load=[force])
     problem = held.make_problem(held.read_body())
+    assert "not read, since a case says it: *BOUNDARY, *CLOAD" in problem.body.information
     *_, last = held.make_solver(problem).steps()
     assert last.reactions["Left"] == pytest.approx([0, 0, -1000], abs=1e-4)  # the linear solver's
     at = [{"kind": "point-force", "at": [4, 0.5, 0.5], "value": [0, 0, "1 kN"]}]

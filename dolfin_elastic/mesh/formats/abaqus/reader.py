@@ -6,6 +6,7 @@ Read here rather than through meshio 5.3, which loses every *SURFACE, fails on *
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,9 +21,15 @@ from dolfin_elastic.mesh.formats.abaqus.surfaces import Elements, Facets
 from dolfin_elastic.mesh.formats.labels import find, find_all, joined, missing
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile
 
+_NO_NODES = np.empty((0, 0), dtype=np.int64)
 _ASSEMBLY = 1 << 40
 """What is added to the numbers of an assembly's own nodes, such as reference points: they begin
 at 1 again beside those of the part."""
+_OF_A_CASE = (
+    *("MATERIAL", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE", "CONTACT PAIR"),
+    *("TIE", "EQUATION", "MPC", "COUPLING", "RIGID BODY", "SPRING", "DASHPOT", "MASS"),
+)
+"""Keywords of what is no mesh, which somebody might expect to be read."""
 _UNREAD = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "NMAP", "SYSTEM")
 
 
@@ -42,6 +49,8 @@ class _Deck:
         parts: Number of *PART keywords.
         scope: ASSEMBLY in an assembly outside of its instances; else empty.
         references: Numbers of nodes of the assembly itself, beside those of its part.
+        others: Keywords that are not read, because a case says such things.
+        types: Type to number of elements.
     """
 
     numbers: list[IntArray] = field(default_factory=list)
@@ -55,6 +64,8 @@ class _Deck:
     parts: int = 0
     scope: str = ""
     references: list[IntArray] = field(default_factory=list)
+    others: list[str] = field(default_factory=list)
+    types: Counter[str] = field(default_factory=Counter)
 
     def add(self, sets: dict[str, list[IntArray]], name: str, numbers: IntArray) -> None:
         """Adds members to a set."""
@@ -79,6 +90,8 @@ def read_abaqus(path: Path) -> MeshFile:
             raise card.error("this is not understood", expected="write the mesh out in full")
         if card.word in _TAKE:
             _TAKE[card.word](deck, card)
+        elif card.word in _OF_A_CASE:
+            deck.others.append(f"*{card.word}")
     if not deck.points or not deck.elements:
         raise MeshError("there are no *NODE or no *ELEMENT lines", where=path.name)
     numbers, points = _points(deck, path)
@@ -88,7 +101,19 @@ def read_abaqus(path: Path) -> MeshFile:
         for key, rows in deck.nsets.items()
     }
     lost = {deck.names[key]: reason for key, reason in deck.lost.items()}
-    return MeshFile(points, blocks, point_sets=sets, incomplete=lost)
+    told = _information(deck)
+    return MeshFile(points, blocks, information=told, point_sets=sets, incomplete=lost)
+
+
+def _information(deck: _Deck) -> list[str]:
+    """What of the deck is not read."""
+    dims = {
+        name: Block(kind[0], _NO_NODES).dim for name in deck.types if (kind := element_kind(name))
+    }
+    low = [f"{deck.types[name]} {name}" for name in dims if dims[name] < max(dims.values())]
+    told = [f"elements that name parts only and have no stiffness: {', '.join(low)}"] if low else []
+    others = ", ".join(dict.fromkeys(deck.others))
+    return [*told, f"not read, since a case says it: {others}"] if others else told
 
 
 # --- keywords ---
@@ -136,6 +161,7 @@ def _take_elements(deck: _Deck, card: Card) -> None:
         )
     kind, size = known
     rows = card.integers(size + 1)
+    deck.types[name] += len(rows)
     deck.elements.append(Elements(kind, rows[:, 0], rows[:, 1:]))
     if "ELSET" in card.options:
         deck.add(deck.elsets, card.option("ELSET"), rows[:, 0])
