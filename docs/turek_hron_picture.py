@@ -34,13 +34,13 @@ def swing():
     tables["dynamics"] |= {"end": 10.0}
     case = Case.from_dict(tables, folder=folder)
     problem = case.make_problem(case.read_body())
-    probe, stress = Probe(problem, {"A": [0.6, 0.2]}), Evaluator(problem, ["von_mises"])
+    probe, stress = Probe(problem, {"A": [0.6, 0.2]}), Evaluator(problem, ["von_mises_cell"])
     shapes, rows = [], []
     for state in case.make_solver(problem).steps():
         rows.append((state.t, 1e3 * probe.numbers(state)["A_y"]))
         if any(abs(state.t - moment) < 1e-9 for moment in MOMENTS):
             u = state.u.x.array.reshape(-1, 2).copy()
-            shapes.append((state.t, u, stress(state)["von_mises"].ravel() / 1e3))
+            shapes.append((state.t, u, stress(state)["von_mises_cell"].ravel() / 1e3))
     return problem, shapes, np.array(rows)
 
 

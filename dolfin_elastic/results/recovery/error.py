@@ -40,7 +40,7 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import BoolArray, FloatArray
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.geometry.curved import cell_jacobians, quadrature_rule
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.mixed import Mixed
@@ -62,23 +62,6 @@ _LARGEST = 3.0
 """Square of the largest value of x over its mean square for x from -1 to 1."""
 _SHARES = (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
 """How often each of six components stands in a symmetric tensor."""
-
-
-@dataclass(frozen=True)
-class Peak:
-    """A largest von Mises stress.
-
-    Attributes:
-        value: Recovered stress [Pa].
-        place: Node [m], reference configuration.
-        part: Name of its material region.
-        error: Estimated error, relative to the value.
-    """
-
-    value: float
-    place: tuple[float, ...]
-    part: str
-    error: float
 
 
 @dataclass(frozen=True)
@@ -249,30 +232,3 @@ def _work_pairs(
         pairs.append((volume * response.p, response.p * response.compliance))
         shares.append(1.0)
     return pairs, shares
-
-
-def largest(problem: Problem, estimate: ErrorEstimate, chosen: BoolArray | None = None) -> Peak:
-    """The largest von Mises stress, on all nodes or on some. Collective.
-
-    Args:
-        problem: The problem that is solved.
-        estimate: The estimate for a state.
-        chosen: Which of the owned nodes count; by default all.
-    """
-    values = von_mises(estimate.stress.stress)
-    values = np.where(np.isfinite(values), values, -np.inf)
-    if chosen is not None:
-        values = np.where(chosen, values, -np.inf)
-    node = int(np.argmax(values)) if len(values) else -1
-    own = None
-    if node >= 0 and np.isfinite(values[node]):
-        x = problem.V.tabulate_dof_coordinates()[node, : problem.body.dim]
-        value = float(values[node])
-        own = Peak(
-            value,
-            tuple(float(a) for a in x),
-            problem.regions[int(estimate.stress.region[node])].name,
-            float(estimate.stress_error[node]) / value if value > 0 else 0.0,
-        )
-    found = [peak for peak in problem.body.comm.allgather(own) if peak is not None]
-    return max(found, key=lambda peak: peak.value, default=Peak(0.0, (), "", 0.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 import time
 from collections.abc import Iterable, Mapping
@@ -22,12 +23,15 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.problem.state import Audit, Mode, State, plain
 from dolfin_elastic.results.extremes import Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
+from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
+from dolfin_elastic.results.recovery.peaks import find_peaks, percent
 from dolfin_elastic.results.writer import LastState, Numbers
 from dolfin_elastic.results.writers.modes import row
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
+log = logging.getLogger("dolfin_elastic")
 _INTERVAL = 1.0
 """Seconds between two updates of the file."""
 _STAGES = (*timing.STAGES, "total")
@@ -79,6 +83,7 @@ class SummaryWriter:
         self._last_state = LastState()
         self._audits = WorstAudit(before.get("audits", ()))
         self._extremes: Extremes | None = None
+        self._estimator: ErrorEstimator | None = None
         self._modes: list[Mode] = []
         with timing.stage("output"):
             on_root(self.comm, lambda: make_folder(path.parent))
@@ -88,7 +93,8 @@ class SummaryWriter:
         """Takes the numbers of one step; updates the file if that is due."""
         with timing.stage("output"):
             if self._extremes is None:
-                self._extremes = Extremes(self.problem)
+                self._estimator = ErrorEstimator(self.problem) if state.v is None else None
+                self._extremes = Extremes(self.problem, recovers=state.v is not None)
             self._newton += state.newton
             self._krylov += state.krylov
             self._last_state.copy(state)
@@ -124,11 +130,15 @@ class SummaryWriter:
         """See `Writer`; adds status, reason and the extremes of the last converged step."""
         with timing.stage("output"):
             state = self._last_state.state
-            found = self._extremes.of(state) if state and self._extremes else {}
+            estimate = self._estimator(state) if state and self._estimator else None
+            stress = estimate.stress if estimate else None
+            found = self._extremes.of(state, stress) if state and self._extremes else {}
             extra: dict[str, Any] = {
                 "finished": _now(),
                 "extremes": {name: asdict(extreme) for name, extreme in found.items()},
             }
+            if estimate:
+                extra["error"] = _error(self.problem, estimate)
             if isinstance(error, SolveError) and error.diagnosis is not None:
                 extra["diagnosis"] = asdict(error.diagnosis)
             if self.problem.mixed and found:
@@ -215,6 +225,20 @@ def _numbers(state: State) -> dict[str, Any]:
         "reactions": dict(state.reactions),
         "numbers": dict(state.numbers),
         "limit_points": list(state.limit_points),
+    }
+
+
+def _error(problem: Problem, estimate: ErrorEstimate) -> dict[str, Any]:
+    """The estimated error and the largest stresses; tells them in the log, too. Collective."""
+    peaks = find_peaks(problem, estimate)
+    if peaks.largest.value > 0:
+        norm = percent(estimate.relative)
+        log.info("%s; of the whole stress field %s (energy norm)", peaks.text(), norm)
+    return {
+        "energy_norm": estimate.relative,
+        "energy": estimate.energy,
+        "von_mises": asdict(peaks.largest),
+        "elsewhere": asdict(peaks.elsewhere) if peaks.elsewhere else None,
     }
 
 

@@ -1,0 +1,182 @@
+"""The largest von Mises stress, its estimated error, and whether it grows with every refinement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from dolfinx import fem, la
+
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import BoolArray, FloatArray
+from dolfin_elastic.results.recovery.error import ErrorEstimate
+from dolfin_elastic.results.recovery.singular import SingularPlaces, singular_places
+from dolfin_elastic.results.recovery.stress import von_mises
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem.problem import Problem
+
+_EQUAL = 1e-9
+"""Relative difference of stresses below which none is the larger one."""
+_LOWER = 0.5
+"""Share of the largest stress away from singular places that a peak must have to be told."""
+_PREFIXES = (("G", 1e9), ("M", 1e6), ("k", 1e3))
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A largest von Mises stress.
+
+    Attributes:
+        value: Recovered stress [Pa].
+        place: Node [m], reference configuration.
+        part: Name of its material region.
+        error: Estimated error, relative to the value.
+        surface: Name of the smallest surface that the node is on; empty if there is none.
+        singular: What makes the exact stress unbounded there; empty if nothing does.
+    """
+
+    value: float
+    place: tuple[float, ...]
+    part: str
+    error: float
+    surface: str = ""
+    singular: str = ""
+
+    def text(self) -> str:
+        """Value and place for people, such as "184 MPa at (0.016, 0, 0.01) m on 'fillet'"."""
+        name, factor = next((p for p in _PREFIXES if self.value >= p[1]), ("", 1.0))
+        place = ", ".join(f"{0.0 if abs(x) < 1e-12 else x:.4g}" for x in self.place)
+        on = f" on '{self.surface}'" if self.surface else ""
+        return f"{self.value / factor:.3g} {name}Pa at ({place}) m{on}"
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """The largest von Mises stress of a state.
+
+    Attributes:
+        largest: Of all nodes.
+        elsewhere: Where the largest one is singular, the largest one away from singular places, see
+            `find_peaks`; None where cells are so large that there is no such place.
+    """
+
+    largest: Peak
+    elsewhere: Peak | None = None
+
+    @property
+    def regular(self) -> Peak | None:
+        """The largest one that does not grow with every refinement."""
+        return self.elsewhere if self.largest.singular else self.largest
+
+    def text(self) -> str:
+        """All of it as a sentence."""
+        start = f"largest von Mises stress {self.largest.text()}"
+        if not self.largest.singular:
+            return f"{start}, estimated error {percent(self.largest.error)}"
+        found = f"{start}, at {self.largest.singular}: it grows with every refinement"
+        if self.elsewhere is None:
+            return found
+        other = f"{self.elsewhere.text()}, estimated error {percent(self.elsewhere.error)}"
+        return f"{found}; the largest elsewhere {other}"
+
+
+def percent(share: float) -> str:
+    """A share in percent with two digits."""
+    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+
+
+def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:
+    """The largest von Mises stress, and where that is singular the largest elsewhere. Collective.
+
+    Elsewhere is where no cell touches a singular place.  Beside these cells the stress still rises
+    towards it, so a node counts if no other one in its cells has more.  Where what is left is less
+    than half of the stress two cells away, as in a beam that is bent most where it is held, the
+    largest stress two cells away counts.
+
+    Args:
+        problem: The problem that is solved, in the state of the estimate.
+        estimate: The estimated error of the state.
+    """
+    places = singular_places(problem)
+    first = largest(problem, estimate, places=places)
+    if not first.singular:
+        return Peaks(first)
+    chosen = _local_maxima(problem.V, von_mises(estimate.stress.stress))
+    summit = largest(problem, estimate, ~places.anywhere & chosen)
+    slope = largest(problem, estimate, ~places.widened(problem.V))
+    other = slope if summit.value < _LOWER * slope.value else summit
+    return Peaks(first, other if other.place else None)
+
+
+def largest(
+    problem: Problem,
+    estimate: ErrorEstimate,
+    chosen: BoolArray | None = None,
+    *,
+    places: SingularPlaces | None = None,
+) -> Peak:
+    """The largest von Mises stress, on all nodes or on some. Collective.
+
+    Args:
+        problem: The problem that is solved.
+        estimate: The estimate for a state.
+        chosen: Which of the owned nodes count; by default all.
+        places: Where the stress is singular, if that is to be known.
+    """
+    values = von_mises(estimate.stress.stress)
+    values = np.where(np.isfinite(values), values, -np.inf)
+    if chosen is not None:
+        values = np.where(chosen, values, -np.inf)
+    comm, node = problem.body.comm, int(np.argmax(values)) if len(values) else -1
+    mine = float(values[node]) if node >= 0 else -np.inf
+    best, rank = max((value, -r) for r, value in enumerate(comm.allgather(mine)))
+    if not np.isfinite(best):
+        return Peak(0.0, (), "", 0.0)
+    own, surface = None, _surface_at(problem, node, -rank)
+    if comm.rank == -rank:
+        x = problem.V.tabulate_dof_coordinates()[node, : problem.body.dim]
+        own = Peak(
+            mine,
+            tuple(float(a) for a in x),
+            problem.regions[int(estimate.stress.region[node])].name,
+            float(estimate.stress_error[node]) / mine if mine > 0 else 0.0,
+            surface,
+            places.reason(node) if places is not None else "",
+        )
+    found: Peak = comm.bcast(own, root=-rank)
+    return found
+
+
+def _surface_at(problem: Problem, node: int, rank: int) -> str:
+    """Name of the smallest surface with a node of one rank; empty if there is none. Collective."""
+    body, found = problem.body, []
+    for name in sorted(body.surfaces):
+        facets = body.surfaces[name]
+        nodes = fem.locate_dofs_topological(problem.V, body.dim - 1, facets)
+        here = body.comm.rank == rank and node in nodes
+        on, size = total(body.comm, np.array([int(here), len(facets)]))
+        if on:
+            found.append((int(size), name))
+    return min(found)[1] if found else ""
+
+
+def _local_maxima(V: fem.FunctionSpace, values: FloatArray) -> BoolArray:
+    """Owned nodes whose value none in a cell with them exceeds. Collective.
+
+    Args:
+        V: Space whose nodes they are.
+        values: Of the owned nodes.
+    """
+    work = la.vector(V.dofmap.index_map, 1)
+    work.array[: len(values)] = values
+    work.scatter_forward()
+    cells = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
+    nodes = V.dofmap.list[:cells]
+    of_cells = work.array[nodes]
+    below = of_cells < of_cells.max(axis=1, initial=-np.inf, keepdims=True) * (1 - _EQUAL)
+    marks = la.vector(V.dofmap.index_map, 1)
+    marks.array[nodes[below]] = 1.0
+    marks.scatter_reverse(la.InsertMode.add)
+    return np.asarray(marks.array[: len(values)] == 0)
