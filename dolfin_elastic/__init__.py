@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from dolfin_elastic.case.run import restart as restart
     from dolfin_elastic.case.run import run as run
     from dolfin_elastic.mesh import Body as Body
+    from dolfin_elastic.mesh import EdgeSelector as EdgeSelector
+    from dolfin_elastic.mesh import PointSelector as PointSelector
     from dolfin_elastic.mesh import Selector as Selector
     from dolfin_elastic.mesh import box_body as box_body
     from dolfin_elastic.mesh import name_parts as name_parts
@@ -83,7 +85,16 @@ if TYPE_CHECKING:
 _PLACES = {
     "case.case": ("Case", "read_case"),
     "case.run": ("restart", "run"),
-    "mesh": ("Body", "Selector", "box_body", "name_parts", "read_body", "rectangle_body"),
+    "mesh": (
+        "Body",
+        "EdgeSelector",
+        "PointSelector",
+        "Selector",
+        "box_body",
+        "name_parts",
+        "read_body",
+        "rectangle_body",
+    ),
     "model.materials.registry": (
         "ArrudaBoyce",
         "BlatzKo",

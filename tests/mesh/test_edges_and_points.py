@@ -21,6 +21,7 @@ from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.mesh import (
     Body,
+    Cylinder,
     EdgeSelector,
     PointSelector,
     box_body,
@@ -31,6 +32,7 @@ from dolfin_elastic.mesh import (
 from dolfin_elastic.mesh.distribute import build_body
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile, RawMesh, assemble
 from dolfin_elastic.mesh.geometry.simplices import edge_nodes, vertex_nodes
+from dolfin_elastic.problem.loads.edges_points import extent
 
 COMM = MPI.COMM_WORLD
 
@@ -107,6 +109,32 @@ def test_physical_curves_and_points_of_gmsh(
     assert body.notes == ()
     assert length(body, "seam") == pytest.approx(2.0, abs=1e-9)
     assert places(body, "corner") == [(2.0, 1.0, 1.0)]
+
+
+GEO = """SetFactory("OpenCASCADE");
+Cylinder(1) = {0, 0, 0, 0, 0, 1, 2};
+Physical Volume("disk") = {1};
+Physical Curve("rim") = Curve In BoundingBox{-2.1, -2.1, 0.9, 2.1, 2.1, 1.1};
+Physical Point("start") = Point In BoundingBox{1.9, -0.1, 0.9, 2.1, 0.1, 1.1};
+Mesh.MeshSizeMax = 0.8;
+"""
+
+
+def test_curves_and_vertices_of_cad_follow_curved_cells(folder: Path) -> None:
+    """The length of a circle to O(h^4) of curved cells, h^2/(24 R^2) = 7e-3 of straight ones.
+
+    By the name of the file and by geometry it is the same edge.
+    """
+    on_root(COMM, lambda: (folder / "disk.geo").write_text(GEO))
+    for curved, near in ((True, 1e-4), (False, 1e-2)):
+        body = read_body(folder / "disk.geo", comm=COMM, curved=curved)
+        around = Cylinder(axis="z", point=(0, 0, 0), radius=2)
+        found = EdgeSelector(cylinder=around, plane="z", at="max")
+        body = name_parts(body, edges={"found": found})
+        for name in ("rim", "found"):
+            assert extent(body, "edge", [name]) == pytest.approx(4 * np.pi, rel=near)
+        assert np.array_equal(body.edges["rim"], body.edges["found"])
+        assert places(body, "start") == [(2.0, 0.0, 1.0)]
 
 
 def test_points_of_a_plane_mesh_are_read_and_its_curves_stay_surfaces() -> None:

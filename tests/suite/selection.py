@@ -59,13 +59,16 @@ REFERENCES = {
 meshes, supports, loads, pressures and probes, have tests of their own; on one rank only, but for
 the linear ones, which run on two so that reference cases as such do."""
 SHARED = {
+    "case/test_node_loads.py",
     "case/test_restart.py",
+    "mesh/test_edges_and_points.py",
     "mesh/test_read.py",
     "mesh/test_refine.py",
     "model/loads/test_loads.py",
     "model/loads/test_pressure.py",
     "model/supports/test_supports.py",
     "problem/loads/test_contact.py",
+    "problem/loads/test_edges_points.py",
     "problem/test_mixed.py",
     "problem/periodic/test_periodic.py",
     "problem/test_problem.py",
