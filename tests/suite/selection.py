@@ -59,6 +59,7 @@ REFERENCES = {
 meshes, supports, loads, pressures and probes, have tests of their own; on one rank only, but for
 the linear ones, which run on two so that reference cases as such do."""
 SHARED = {
+    "case/converge/test_converge.py",
     "case/test_node_loads.py",
     "case/test_restart.py",
     "mesh/test_edges_and_points.py",

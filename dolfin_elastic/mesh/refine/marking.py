@@ -8,6 +8,9 @@ from mpi4py import MPI
 from dolfin_elastic.core.types import FloatArray, IndexArray
 
 _HALVINGS = 60
+_EQUAL = 1e-6
+"""Cells whose indicators differ by this share are taken together: images of each other in a body
+with symmetry would else part by round-off, differently on other numbers of ranks."""
 
 
 def bulk(comm: MPI.Comm, indicators: FloatArray, share: float) -> IndexArray:
@@ -36,4 +39,5 @@ def bulk(comm: MPI.Comm, indicators: FloatArray, share: float) -> IndexArray:
         middle = 0.5 * (low + high)
         above = float(comm.allreduce(float(indicators[indicators >= middle].sum())))
         low, high = (middle, high) if above >= share * whole else (low, middle)
-    return np.flatnonzero((indicators >= low) & (indicators > 0.0)).astype(np.int32)
+    near = (1.0 - _EQUAL) * low
+    return np.flatnonzero((indicators >= near) & (indicators > 0.0)).astype(np.int32)

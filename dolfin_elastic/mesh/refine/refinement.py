@@ -101,6 +101,7 @@ def refine_body(body: Body, cells: IndexArray) -> Refinement:
         points=parts["points"],
         fields={},
         notes=notes,
+        information=(),
     )
     bare = Refinement(body, finer, corners, of_parents)
     fields = {name: _carried_field(bare, field) for name, field in body.fields.items()}
