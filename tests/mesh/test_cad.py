@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers.cad import block, stack, write
 from mpi4py import MPI
@@ -16,6 +17,7 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import Selector, mesh_statistics, name_parts, read_body
 from dolfin_elastic.mesh.body import extent
 from dolfin_elastic.mesh.formats.cad.units import stated_unit
+from dolfin_elastic.mesh.refine.refinement import refine_body
 
 COMM = MPI.COMM_WORLD
 MILLI = "( LENGTH_UNIT() NAMED_UNIT(*) SI_UNIT(.MILLI.,.METRE.) )"
@@ -84,6 +86,17 @@ def test_a_script_that_merges_a_step_file_is_in_its_millimetres(folder: Path) ->
     body = read_body(folder / "a.geo")
     assert extent(body)[0] == pytest.approx(12 * 0.0254, rel=1e-6)
     assert body.unit.name == "mm" and not body.notes
+
+
+def test_refined_bodies_return_to_the_surfaces_of_a_file_in_inches(folder: Path) -> None:
+    """The nodes that refining makes on a cylinder of 1 inch lie on it."""
+    write(folder / "part.step", lambda occ: occ.addCylinder(0, 0, 0, 0, 0, 1, 1), in_unit(INCH))
+    body = read_body(folder / "part.step", size=1, curved=False)
+    fine = refine_body(body, body.owned_cells()).body
+    assert not fine.notes and fine.unit.name == "in"
+    bound = np.pi * 0.0254**3
+    coarse_error, error = (1 - mesh_statistics(b).volume / bound for b in (body, fine))
+    assert 0 < error < 0.3 * coarse_error
 
 
 @pytest.mark.parametrize(("suffix", "unit"), [(".iges", "mm"), (".brep", None)])
