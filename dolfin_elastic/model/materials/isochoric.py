@@ -64,6 +64,11 @@ class Volumetric(SplitLaw):
 
     strain_of_volume: ClassVar[bool] = True
 
+    @property
+    def curved_strain(self) -> bool:
+        """See `SplitLaw`."""
+        return self.volumetric != "quadratic"
+
     def volume_strain(self, F: Expr) -> Expr:
         """See `VOLUME_STRAINS`."""
         return VOLUME_STRAINS[self.volumetric](ufl.det(F))

@@ -162,6 +162,11 @@ class SplitLaw(Law):
         F = ufl.variable(F)
         return ufl.diff(self.volume_strain(F), F)
 
+    @property
+    def curved_strain(self) -> bool:
+        """The volume strain is a function g(J) that is not affine."""
+        return self.strain_of_volume
+
     def incompressibility(self, F: Expr) -> Expr:
         """The constraint of a modulus k that is infinite: J - 1, or the volume strain.
 

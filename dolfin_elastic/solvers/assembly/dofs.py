@@ -59,7 +59,7 @@ class ConstrainedDofs:
             self.bcs = [self._condition(every if displacement_fixed else dirichlet.dofs)]
             lifted = [self._condition(entries.reshape(-1))]
         self.level = self._find_level()
-        self.fixed_pressures = np.empty(0, dtype=np.int32)
+        self.fixed_pressures: IndexArray = np.empty(0, dtype=np.int32)
         if self.level is not None:
             self.fixed_pressures = self.level.pinned_owned
             self.bcs = [*self.bcs, fem.dirichletbc(self._values, self.level.pinned)]

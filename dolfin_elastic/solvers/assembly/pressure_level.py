@@ -38,12 +38,16 @@ from dolfin_elastic.mesh.geometry.simplices import (
     prepare_facets,
 )
 from dolfin_elastic.problem.connectivity import ConnectedBodies
+from dolfin_elastic.problem.material_regions import MaterialRegion, poisson
 from dolfin_elastic.problem.problem import Problem
 
 log = logging.getLogger("dolfin_elastic")
 
 FREE = 1e-9
 """Volume that free displacements change, over that of all of a surface, that is round-off."""
+
+NEARLY = 0.4985
+"""Poisson's ratio from which K times an error of J is seen: K/mu = 300."""
 
 ROUND_OFF = 1e-10
 """Change of volume, over the volume, that is round-off."""
@@ -77,7 +81,7 @@ class EnclosedBody:
     @property
     def label(self) -> str:
         """The body in words."""
-        return f"the body '{self.name}'" if self.name else "the body"
+        return _label(self.name)
 
 
 class PressureLevel:
@@ -90,25 +94,29 @@ class PressureLevel:
         bodies: The enclosed ones.
         pinned: Local entries of the pressures that are fixed, owned and ghost.
         pivots: Diagonal of the tangent there, negative [N/m].
+        nearly: Names of others that are nearly incompressible and held all around, with a g(J) of
+            which the mean is not that of J - 1: K times their difference, an error of the mesh, is
+            in their pressure.
     """
 
     def __init__(self, problem: Problem) -> None:
         self._problem, self._comm = problem, problem.body.comm
         self.bodies: list[EnclosedBody] = []
-        self.pinned = np.empty(0, dtype=np.int32)
+        self.pinned: IndexArray = np.empty(0, dtype=np.int32)
         self.pivots: FloatArray = np.empty(0)
         self._said = False
-        if not any(part.incompressible for part in problem.regions) or problem.unknowns.has(
-            "stretch"
-        ):
+        self.nearly: list[str] = []
+        if not problem.mixed or problem.unknowns.has("stretch"):
             return
         bodies = ConnectedBodies(problem)
         self._swept, self._share = _volume_gradient(problem)
-        found = self._enclosed(bodies)
+        found = self._enclosed(bodies, [part for part in problem.regions if part.incompressible])
+        names = bodies.names()
+        curved = self._enclosed(bodies, [part for part in problem.regions if _errs(part)])
+        self.nearly = [names[k] for k in curved if k not in found]
         if not found:
             return
         self._check_laws()
-        names = bodies.names()
         weights = _shape_integrals(problem)
         for k in found:
             self.bodies.append(self._body(bodies, k, names[k], weights))
@@ -117,13 +125,18 @@ class PressureLevel:
 
     # --- which bodies ---
 
-    def _enclosed(self, bodies: ConnectedBodies) -> list[int]:
-        """Numbers of the bodies that are incompressible and held all around. Collective."""
+    def _enclosed(self, bodies: ConnectedBodies, parts: list[MaterialRegion]) -> list[int]:
+        """Numbers of the bodies that are held all around. Collective.
+
+        Args:
+            bodies: All bodies.
+            parts: Of these materials alone.
+        """
         count, nodes = bodies.count, bodies.of_node
         cells = np.asarray(self._problem.unknowns.U.dofmap.list)[:, 0]
         soft = np.zeros(count)
         for part in self._problem.regions:
-            if not part.incompressible:
+            if all(part is not other for other in parts):
                 np.add.at(soft, nodes[cells[part.cells]], 1.0)
         soft = total(self._comm, soft)
         free = np.abs(self._free_part().reshape(-1, self._problem.body.dim)).max(axis=1)
@@ -248,11 +261,19 @@ class PressureLevel:
     def report(self) -> None:
         """Says in the log which pressures are known up to a constant."""
         for note in self.notes():
-            log.info("%s", note)
+            log.log(logging.WARNING if "error of the mesh" in note else logging.INFO, "%s", note)
+
+    def _errors(self) -> list[str]:
+        return [
+            f"{_label(name)} is nearly incompressible and has no free surface: the mean of its "
+            "pressure is K times an error of the mesh, for its U(J) is not quadratic; nu = 0.5, or "
+            'volumetric = "quadratic", has no such error'
+            for name in self.nearly
+        ]
 
     def notes(self) -> list[str]:
         """What a user should know of the enclosed bodies."""
-        return [
+        return self._errors() + [
             f"{body.label} is incompressible and has no free surface: its pressure is known up to "
             "a constant, and the one whose mean is zero is taken"
             for body in self.bodies
@@ -291,6 +312,18 @@ class PressureLevel:
                     body.label,
                     abs(change) / swept,
                 )
+
+
+def _label(name: str) -> str:
+    return f"the body '{name}'" if name else "the body"
+
+
+def _errs(part: MaterialRegion) -> bool:
+    """Whether a material's mean pressure, where it is enclosed, has the error of the mesh."""
+    if part.incompressible:
+        return True
+    curved = part.compliance is not None and bool(getattr(part.law, "curved_strain", False))
+    return curved and poisson(part.typical) > NEARLY
 
 
 def _pressure_dofs(problem: Problem) -> IndexArray:
@@ -336,7 +369,9 @@ def _volume_gradient(problem: Problem) -> tuple[FloatArray, float]:
     )
     nodes = np.take_along_axis(np.asarray(V.dofmap.list)[cells], closure[sides], axis=1)
     weights = points.weights * _ring(problem, points.X)
-    shares = np.einsum("fp,pk,fpi->fki", weights, table, points.N)
+    assert points.N is not None
+    normals = weights[..., None] * points.N
+    shares = np.asarray(np.einsum("pk,fpi->fki", table, normals), dtype=np.float64)
     entries = (nodes[:, :, None] * dim + np.arange(dim)).astype(np.int32)
     vector = la.vector(problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs)
     rows = problem.unknowns.mixed_dofs(entries.reshape(-1))

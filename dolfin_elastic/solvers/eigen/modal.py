@@ -26,6 +26,7 @@ from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 from dolfin_elastic.solvers.eigen.effective_mass import (
     Frame,
     Mass,
@@ -189,8 +190,8 @@ class Vibration:
             self.whole = Frame(problem, self.mass, everywhere)
             self.rigid = rigid_modes(self.assembler, self.mass)
             self.mass.constrain()
-            if self.assembler.level is not None:
-                self.assembler.level.report()
+            if self.assembler.problem.mixed:
+                PressureLevel(self.assembler.problem).report()
             self.room = self._room() - constrained_motions(self.assembler) - len(self.rigid)
         if self.room <= 0 and not self.rigid:
             raise InputError(

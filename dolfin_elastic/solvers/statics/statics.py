@@ -12,6 +12,7 @@ from dolfin_elastic.core.schema import settings_from
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 from dolfin_elastic.solvers.breakpoints import corners, driven_by_formula
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
@@ -78,8 +79,8 @@ class Statics:
         with ExitStack() as owned:
             assembler = Assembler(self.problem)
             owned.callback(assembler.destroy)
-            if assembler.level is not None:
-                assembler.level.report()
+            if self.problem.mixed:
+                PressureLevel(self.problem).report()
             scalars = Scalars(assembler) if self.problem.has_scalars else None
             watch = JacobianWatch(self.problem)
             newton = Newton(

@@ -14,6 +14,7 @@ from dolfin_elastic import (
     Growth,
     LinearElastic,
     Modal,
+    MooneyRivlin,
     NeoHookean,
     Problem,
     Rigid,
@@ -203,3 +204,18 @@ def test_modes_of_a_held_body():
     modes = [mode.frequency for mode in Modal(problem, count=3).steps()]
     # The square's Stokes eigenvalues, 52.3447 the lowest (times mu/rho): omega^2.
     assert (2 * np.pi * modes[0]) ** 2 == pytest.approx(52.3447, rel=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        (MooneyRivlin(c10=0.5, c01=0.1, nu=0.4999), True),
+        (MooneyRivlin(c10=0.5, c01=0.1, nu=0.4999, volumetric="quadratic"), False),
+        (MooneyRivlin(c10=0.5, c01=0.1, nu=0.47), False),
+        (NeoHookean(mu=1.0, nu=0.4999), True),
+    ],
+)
+def test_the_mean_pressure_of_a_nearly_incompressible_body(law, said):
+    """With K = 5e4 mu, U not quadratic and 8 x 8 cells it was a hundred times what it should be."""
+    notes = PressureLevel(block(SHEAR, law)).notes()
+    assert any("nearly incompressible and has no free surface" in note for note in notes) is said

@@ -36,6 +36,11 @@ class FixedCorotated(Isotropic, SplitLaw):
         """2 mu (F - R)."""
         return 2 * self.mu * (F - polar(F)[0])
 
+    @property
+    def curved_strain(self) -> bool:
+        """J - 1 is affine."""
+        return False
+
     def volume_strain(self, F: Expr) -> Expr:
         """J - 1."""
         return ufl.det(F) - 1

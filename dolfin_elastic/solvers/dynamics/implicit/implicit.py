@@ -18,6 +18,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass
+from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
 from dolfin_elastic.solvers.dynamics.audit import MotionAuditor
 from dolfin_elastic.solvers.dynamics.consistent_start import (
@@ -118,8 +119,8 @@ class Implicit:
         self.a = fem.Function(problem.V, name="acceleration of the scheme")
         choice = choose(problem, linear, moving=True)
         log.info("%s", choice.why)
-        if self.assembler.level is not None:
-            self.assembler.level.report()
+        if problem.mixed:
+            PressureLevel(problem).report()
         self.ts = PETSc.TS().create(problem.body.comm)
         self._owned.callback(self.ts.destroy)
         self.ts.setOptionsPrefix(PREFIX)
