@@ -34,6 +34,8 @@ from dolfin_elastic.problem.state import RestartState, State
 from dolfin_elastic.problem.transfer import refined_unknowns
 from dolfin_elastic.results.checkpoint.lock import FolderLock
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
+from dolfin_elastic.results.recovery.peaks import Peak, find_peaks, largest
+from dolfin_elastic.results.recovery.singular import singular_places
 from dolfin_elastic.solvers.statics.load_stepping import NearEnd
 from dolfin_elastic.solvers.statics.statics import Statics
 
@@ -42,8 +44,8 @@ States = Generator[State, None, None]
 
 REFINEMENTS, UNKNOWNS = 8, 500_000
 """Limits unless others are given."""
-_MESHES, _CONFIRMED = 3, 3
-"""Meshes that must be seen, for two may agree by accident; refinements that must show a growth."""
+_MESHES = 3
+"""Meshes that must be seen: two may agree by accident."""
 _SHARE, _PEAK_SHARE = {2: 0.7, 3: 0.5}, 0.9
 """Share of the squared error that the refined cells carry: of all cells, in the plane and in space,
 where each gives more; and of the cells at the peak."""
@@ -132,6 +134,7 @@ class _Solved:
         saved: The solver's restart state there.
         measured: The quantity.
         estimate: Of the error.
+        peak: Where the quantity is the largest von Mises stress.
         newton: Newton iterations.
     """
 
@@ -141,6 +144,7 @@ class _Solved:
     saved: RestartState
     measured: Measured
     estimate: ErrorEstimate
+    peak: Peak | None
     newton: int
 
 
@@ -221,9 +225,13 @@ class _Convergence:
             assert saved is not None
             state = self.case.output.make_probe(problem).add_to(state)
             with timing.stage("output"):
-                measured = Measurement(self.goal.quantity, problem, body)(state)
-                estimate = ErrorEstimator(problem)(state)
-        return _Solved(body, problem, state, saved, measured, estimate, newton)
+                measurement = Measurement(self.goal.quantity, problem, body)
+                measured, estimate = measurement(state), ErrorEstimator(problem)(state)
+                peak = None
+                if self.goal.quantity.is_stress and measured.place:
+                    places = singular_places(problem)
+                    peak = largest(problem, estimate, measurement.chosen(), places=places)
+        return _Solved(body, problem, state, saved, measured, estimate, peak, newton)
 
     # --- what is known ---
 
@@ -246,7 +254,7 @@ class _Convergence:
             cells=problem.body.num_cells,
             unknowns=problem.num_dofs,
             value=measured.value,
-            error=max(found.error, least) if len(values) > 1 else float("nan"),
+            error=max(found.error, least) if len(values) > 1 else _recovered(solved.peak),
             limit=found.limit,
             rate=found.rate,
             energy_error=solved.estimate.relative,
@@ -257,7 +265,7 @@ class _Convergence:
         progress = replace(progress, levels=(*levels, level))
         if solved.state.failure:
             return self._ended(progress, "audit", f"audit FAIL: {solved.state.failure}")
-        if reason := self._singular(progress):
+        if reason := self._singular(progress, solved):
             return self._ended(progress, "singular", reason)
         if level.number >= _MESHES and level.error <= self.goal.tolerance:
             return replace(progress, verdict="reached")
@@ -274,20 +282,28 @@ class _Convergence:
         on_root(self.comm, lambda: write_report(ended, self.folder))
         return ended
 
-    def _singular(self, progress: Progress) -> str:
-        """Why the quantity has no limit; empty: it may have one."""
-        place = progress.last.place
+    def _singular(self, progress: Progress, solved: _Solved) -> str:
+        """Why the quantity has no limit; empty: it may have one. Collective.
+
+        Where the geometry says so two refinements confirm it, else three.
+        """
+        place, peak = progress.last.place, solved.peak
+        known = peak.singular if peak is not None else ""
         sizes = [level.size for level in progress.levels]
         values = [level.value for level in progress.levels]
-        exponent = grows(sizes, values, _CONFIRMED) if place else 0.0
+        exponent = grows(sizes, values, 2 if known else 3) if place else 0.0
         if not exponent:
             return ""
         at = ", ".join(f"{x:.4g}" for x in place)
-        return (
-            f"{progress.quantity} has no limit: at ({at}) m it grows with every refinement, like "
-            f"h^-{exponent:.2f}, as at a re-entrant edge, the rim of a support or a point load; "
-            "ask for a part away from there, or round the edge"
+        by = f", at {known}," if known else ""
+        text = (
+            f"{progress.quantity} has no limit: at ({at}) m{by} it grows with every refinement, "
+            f"like h^-{exponent:.2f}"
         )
+        regular = find_peaks(solved.problem, solved.estimate).regular if known else None
+        if regular is not None:
+            text += f"; the largest elsewhere is {regular.text()}"
+        return text
 
     # --- the next mesh ---
 
@@ -312,3 +328,8 @@ class _Convergence:
                 writer.write(solved.state)
         with timing.stage("output"):
             on_root(self.comm, lambda: write_report(progress, self.folder))
+
+
+def _recovered(peak: Peak | None) -> float:
+    """The error that is known of one mesh alone; nan if it is not."""
+    return float("nan") if peak is None else peak.error

@@ -63,10 +63,12 @@ def extrapolate(
     s = rate if observed is None else min(observed, rate)
     ahead = last / ((N[-1] / N[-2]) ** s - 1.0)
     limit = float(q[-1]) + ahead
-    factor = ASSUMED if observed is None else OBSERVED
-    return Extrapolation(
-        limit, _relative(factor * abs(ahead), limit), np.nan if observed is None else observed
-    )
+    if observed is None:
+        return Extrapolation(limit, _relative(ASSUMED * abs(ahead), limit))
+    # A last step that is smaller than the rate allows may be so by accident: the one before counts.
+    before = np.diff(q) / np.diff(N**-s) * N[-1] ** -s
+    left = float(np.max(np.abs(before)))
+    return Extrapolation(limit, _relative(OBSERVED * left, limit), observed)
 
 
 def _relative(error: float, value: float) -> float:

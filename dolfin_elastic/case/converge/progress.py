@@ -19,7 +19,8 @@ class Level:
         cells: Of the mesh, on all ranks.
         unknowns: Of the problem.
         value: The quantity, in its SI unit.
-        error: Its estimated relative error; nan with one mesh.
+        error: Its estimated relative error; of the first mesh that of the recovered stress, nan of
+            other quantities.
         limit: Its extrapolated value; nan where there is none.
         rate: Observed s of an error that falls like N^-s; nan where it is not known.
         energy_error: Estimated relative error in the energy norm.

@@ -10,7 +10,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError, nearest
-from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, cells_beside_facets
@@ -78,6 +78,11 @@ class Quantity:
     def is_field(self) -> bool:
         """It is the largest value of a field (of the safety factor the smallest)."""
         return self.name in FIELDS
+
+    @property
+    def is_stress(self) -> bool:
+        """It is the largest von Mises stress."""
+        return self.name in ("von_mises", "von_mises_nodal")
 
     @property
     def unit(self) -> str:
@@ -192,6 +197,12 @@ class Measurement:
         limit = _PEAK * top[0] if top[0] > 0 else top[0] / _PEAK
         cells = self._touching(members[own >= limit]) if nodal else members[own >= limit]
         return Measured(sign * top[0], top[1:], _size_at(body, np.array(top[1:])), cells)
+
+    def chosen(self) -> BoolArray:
+        """Whether an owned node is on the part. Collective."""
+        found = np.zeros(self._problem.V.dofmap.index_map.size_local, dtype=bool)
+        found[self._nodes()] = True
+        return found
 
     def _nodes(self) -> IndexArray:
         """Owned nodes of the displacement's space on the part. Collective."""

@@ -26,9 +26,10 @@ def test_two_values() -> None:
 
 
 def test_a_rate_too_good_is_not_relied_upon() -> None:
-    """Values that happen to be alike: the error is that of the rate expected."""
+    """Values that happen to be alike: what the step before leaves at the rate expected."""
     found = extrapolate([100, 200, 400], [1.0, 1.1, 1.101], rate=1.0)
-    assert found.error == pytest.approx(OBSERVED * 0.001 / 1.102)
+    assert found.limit == pytest.approx(1.102)
+    assert found.error == pytest.approx(OBSERVED * 0.05 / 1.102)
 
 
 @pytest.mark.parametrize("values", [[1.0, 1.2, 1.1], [1.0, 1.1, 1.2], [1.0, 1.1, 1.3]])
