@@ -256,6 +256,7 @@ def _singular_supports(case: Case, body: Body) -> Iterator[str]:
     The stress at the distance r of a force on a line goes as 1/r, of a force at a point of a solid
     as 1/r^2.  Source: Timoshenko & Goodier, Theory of Elasticity (1970), sections 36 and 138.
     """
+    found: dict[str, str] = {}
     for i, support in enumerate(case.support):
         if not isinstance(support, PrescribingSupport):
             continue
@@ -264,10 +265,14 @@ def _singular_supports(case: Case, body: Body) -> Iterator[str]:
             if "surface" in kinds and name not in body.uncovered:
                 continue
             what = "edge" if kinds[0] == "edge" else "point" if kinds == ["point"] else "nodes"
-            yield (
-                f"support[{i}] holds the {what} '{name}': its reaction is exact, but where it is "
-                "not zero the stress beside it is singular and grows with every refinement"
-            )
+            found.setdefault(name, f"the {what} '{name}' (support[{i}])")
+    if found:
+        several = len(found) > 1
+        yield (
+            f"{', '.join(found.values())} {'are' if several else 'is'} held: the "
+            f"reaction{'s are' if several else ' is'} exact, but the stress beside is singular, "
+            f"growing with every refinement, where {'they are' if several else 'it is'} not zero"
+        )
 
 
 def _prescribes_all(support: Restraint, dim: int) -> bool:
