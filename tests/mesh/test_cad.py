@@ -159,12 +159,12 @@ def test_names_of_faces_of_bodies_that_are_alike(folder: Path) -> None:
 def test_bodies_that_are_not_joined_are_noted_with_the_place(folder: Path) -> None:
     write(folder / "stack.step", stack)
     body = read_body(folder / "stack.step", size=2, join=False)
-    first, second = body.notes
+    first, second, *_ = body.notes
     assert "'body1' and 'body2' touch on 16 mm^2 near (4, 2, 3) mm" in first
     assert "mesh.join = true joins them" in first and "2 unconnected pieces" in second
     text = 'SetFactory("OpenCASCADE");\nBox(1) = {0,0,0,1,1,1};\nBox(2) = {1,0,0,1,1,1};\n'
     on_root(COMM, lambda: (folder / "a.geo").write_text(text) and None)
-    first, _ = read_body(folder / "a.geo", size=1).notes
+    first, *_ = read_body(folder / "a.geo", size=1).notes
     assert "touch on 1 m^2 near (1, 0.5, 0.5) m" in first and "Coherence;" in first
     on_root(COMM, lambda: (folder / "a.geo").write_text(f"{text}Coherence;\n") and None)
     assert not read_body(folder / "a.geo", size=1).notes

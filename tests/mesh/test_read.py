@@ -432,6 +432,19 @@ def test_unused_points_duplicates_and_reversed_cells_are_noted(folder: Path) -> 
     assert "3 of 6 cells list their points the other way round (harmless" in information
 
 
+def test_pieces_that_touch_are_noted_with_the_place(folder: Path) -> None:
+    """Two cubes side by side with nodes of their own: they part without a word."""
+    points = np.vstack([POINTS, POINTS + np.array([1, 0, 0])])
+    made(lambda: write_cube(folder / "two.vtu", points, np.vstack([CUBE, CUBE + len(POINTS)])))
+    pieces, same = read_body(folder / "two.vtu", scale=1e-3).notes
+    assert "2 unconnected pieces of 6, 6 cells" in pieces
+    assert "4 nodes of different pieces are at the same places, near (1, " in same
+    assert ") mm: the pieces touch there and are not joined" in same
+    points[8:] += [0.5, 0, 0]
+    made(lambda: write_cube(folder / "two.vtu", points, np.vstack([CUBE, CUBE + len(POINTS)])))
+    assert len(read_body(folder / "two.vtu").notes) == 1
+
+
 FAULTS: dict[str, tuple[Callable[[], dict[str, object]], str]] = {
     "flat": (
         lambda: {

@@ -233,11 +233,36 @@ def _pieces(raw: RawMesh) -> RawMesh:
     if len(sizes) == 1:
         return raw
     text = ", ".join(str(s) for s in sizes[:5]) + (" ..." if len(sizes) > 5 else "")
-    return _noted(
+    raw = _noted(
         raw,
         f"the mesh is in {len(sizes)} unconnected pieces of {text} cells: each "
         "needs its own support",
     )
+    same = _same_places(raw, np.asarray(label))
+    if not len(same):
+        return raw
+    return _noted(
+        raw,
+        f"{len(same)} nodes of different pieces are at the same places, "
+        f"{format_points(raw.points[same], len(same), raw.unit)}: the pieces touch there and are "
+        "not joined; where they are to be, merge the nodes (in Gmsh: Coherence Mesh;)",
+    )
+
+
+def _same_places(raw: RawMesh, piece: IntArray) -> IntArray:
+    """Vertices that are where one of another piece is, one of each place.
+
+    Args:
+        raw: The mesh.
+        piece: Number of the piece of each point, shape (N,).
+    """
+    nodes = np.unique(_corners(raw))
+    near = 1e-9 * np.linalg.norm(np.ptp(raw.points[nodes], axis=0))
+    places = np.round(raw.points[nodes] / near)
+    order = np.lexsort((piece[nodes], *places.T))
+    here, there = order[:-1], order[1:]
+    same = (places[here] == places[there]).all(axis=1) & (piece[nodes[here]] != piece[nodes[there]])
+    return np.asarray(nodes[there[same]])
 
 
 def check_distributed(comm: MPI.Comm, cells: IntArray, points: int, dim: int) -> None:
