@@ -76,8 +76,11 @@ class Quantity:
 
     @property
     def is_field(self) -> bool:
-        """It is the largest value of a field (of the safety factor the smallest)."""
-        return self.name in FIELDS
+        """It is the largest value of a field (of the safety factor the smallest).
+
+        A reaction is the force of a whole support, not the largest of its nodal forces.
+        """
+        return self.name in FIELDS and self.name != "reaction"
 
     @property
     def is_stress(self) -> bool:
@@ -104,7 +107,8 @@ class Quantity:
         Args:
             degree: Of the displacement.
         """
-        return 2 * degree if "energy" in self.name or "reaction" in self.name else degree
+        whole = not self.is_field and ("energy" in self.name or "reaction" in self.name)
+        return 2 * degree if whole else degree
 
     def check(self, body: Body, probes: Sequence[str], supports: Sequence[str]) -> None:
         """Checks what can be known before anything is computed. Not collective.
@@ -125,9 +129,9 @@ class Quantity:
                 raise _unknown("no support", self.part, supports)
         elif self.part in probes:
             return
-        elif self.part not in parts:
+        elif not body.kinds(self.part):
             raise _unknown("no part and no probe", self.part, [*parts, *probes])
-        elif self.name not in FIELDS:
+        elif not self.is_field:
             raise _unknown("no field", self.name, FIELDS)
 
 

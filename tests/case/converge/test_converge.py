@@ -235,6 +235,22 @@ def test_ranks_agree(tmp_path: Path) -> None:
         assert np.allclose(other, first, rtol=1e-7)
 
 
+def test_reaction_of_a_support(tmp_path: Path) -> None:
+    """The length of the whole force, which is that of the load on every mesh."""
+    folder = on_root(WORLD, lambda: tmp_path)
+    made = Case.from_dict(
+        {
+            "mesh": {"rectangle": {"size": [1, 1], "cells": [2, 2]}, "degree": 1},
+            "materials": {"steel": {"law": "linear-elastic", "E": 1000.0, "nu": 0.3}},
+            "support": [{"on": "left"}],
+            "load": [{"kind": "traction", "on": "right", "value": [3.0, 4.0]}],
+        }
+    )
+    progress = last(made, folder / "out", "reaction of left", "1%")
+    assert [level.value for level in progress.levels] == pytest.approx([5, 5, 5], rel=1e-9)
+    assert (progress.verdict, progress.quantity.unit) == ("reached", "N")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
