@@ -198,8 +198,7 @@ class _Convergence:
             log.warning("%s", note)
         probes = [*self.case.output.probes]
         supports = [support.label for support in self.case.support]
-        with locate_errors(self.case.file):
-            self.goal.quantity.check(body, probes, supports)
+        self.goal.quantity.check(body, probes, supports)
         return body
 
     def _solve(
