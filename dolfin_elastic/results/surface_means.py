@@ -156,7 +156,7 @@ class ReactionSums:
         self._nodes = {
             name: _owned_nodes(problem, part)
             if isinstance(part, str)
-            else _node_at(problem, part, f"output.probes.{name}")
+            else node_at(problem, part, f"output.probes.{name}")
             for name, part in parts.items()
         }
 
@@ -176,8 +176,17 @@ def _owned_nodes(problem: Problem, part: str) -> IndexArray:
     return np.asarray(nodes[nodes < problem.V.dofmap.index_map.size_local])
 
 
-def _node_at(problem: Problem, place: Sequence[float], where: str) -> IndexArray:
-    """The node at a place, on the rank that owns it; the others have none. Collective."""
+def node_at(problem: Problem, place: Sequence[float], where: str) -> IndexArray:
+    """The node at a place, on the rank that owns it; the others have none. Collective.
+
+    Args:
+        problem: Whose displacement has the nodes.
+        place: In the reference configuration, shape (gdim,) [m].
+        where: Key of the case file, for the message.
+
+    Raises:
+        InputError: There is none.
+    """
     own, dim = problem.V.dofmap.index_map.size_local, problem.body.dim
     x = problem.V.tabulate_dof_coordinates()[:own, :dim]
     distance = np.linalg.norm(x - np.array(place[:dim]), axis=1)

@@ -33,6 +33,7 @@ from dolfin_elastic.case.check.sizes import (
     region_sizes,
     surface_sizes,
 )
+from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import CaseError, InputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import refuse_case_keys
@@ -42,6 +43,7 @@ from dolfin_elastic.problem.material_regions import locking_notes
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.files import why_not_made
 from dolfin_elastic.results.probes import duplicate_column
+from dolfin_elastic.results.surface_means import REACTION, node_at
 from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 from dolfin_elastic.solvers.diagnostics.rigid_body import (
     FreeBody,
@@ -145,15 +147,19 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
 
 
 def check_probes(case: Case, problem: Problem) -> None:
-    """Checks that no probe has the column of a reaction or momentum in history.csv. Not collective.
+    """Checks columns of probes in history.csv, and that reactions are read at nodes. Collective.
 
     Args:
         case: Its probes.
         problem: Made of the case.
 
     Raises:
-        InputError: A probe has.
+        InputError: A probe has the column of a reaction or momentum, or no node.
     """
+    for name, probe in case.output.probes.items():
+        if probe.at is not None and REACTION in probe.fields:
+            place = probe.place(problem.body.unit.metres)
+            node_at(problem, place, f"output.probes.{key_text(name)}")
     taken = {f"reaction_{support.label}" for support in problem.supports}
     taken |= {f"reaction_{pair.label}" for pair in problem.contact_pairs}
     if case.dynamics is not None:

@@ -177,6 +177,14 @@ def test_folders_that_cannot_be_made(tmp_path: Path, folder: str, why: str) -> N
         report(made)
 
 
+def test_reactions_are_read_at_nodes() -> None:
+    """Said before the run, in the words of the run."""
+    probe = {"at": [0, 0.4, 0], "fields": ["reaction"]}
+    with pytest.raises(InputError, match=r"output\.probes\.p: there is no node at \(0, 0\.4, 0\)"):
+        report(case(output={"probes": {"p": probe}}))
+    report(case(output={"probes": {"p": {**probe, "at": [0, 1, 0]}}}))
+
+
 def test_a_check_leaves_nothing_behind(tmp_path: Path) -> None:
     """Folders that can be made are not."""
     made = Case.from_dict(case(output={"folder": "deep/results"}).to_dict(), tmp_path)
