@@ -172,7 +172,7 @@ class _Convergence:
                     progress,
                     "unknowns",
                     f"the next mesh has {problem.num_dofs} unknowns, above the limit of "
-                    f"{self.goal.unknowns} (--unknowns)",
+                    f"{self.goal.unknowns} (--unknowns){_doubt(before.peak)}",
                 )
                 yield progress
                 return
@@ -274,7 +274,8 @@ class _Convergence:
             return self._ended(
                 progress,
                 "refinements",
-                f"that is {self.goal.refinements} refinements, the limit (--refinements)",
+                f"that is {self.goal.refinements} refinements, the limit (--refinements)"
+                f"{_doubt(solved.peak)}",
             )
         return progress
 
@@ -329,6 +330,12 @@ class _Convergence:
                 writer.write(solved.state)
         with timing.stage("output"):
             on_root(self.comm, lambda: write_report(progress, self.folder))
+
+
+def _doubt(peak: Peak | None) -> str:
+    """What the geometry says against an extrapolation; empty if nothing."""
+    singular = "" if peak is None else peak.singular
+    return f"; it is at {singular}, where the stress has no limit" if singular else ""
 
 
 def _recovered(peak: Peak | None) -> float:
