@@ -124,6 +124,7 @@ def test_info(tmp_path: Path) -> None:
     assert all(name in out for name in ("dolfinx", "petsc", "blas"))
 
 
+@pytest.mark.long
 def test_converge(folder: Path) -> None:
     """A line a mesh, the table, exit code 0; with less work allowed code 6 and the reason."""
     what = ["--until", "strain_energy"]
@@ -143,6 +144,7 @@ def test_converge(folder: Path) -> None:
     assert "above the limit of 200 (--unknowns)" in out
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_run(folder: Path, ranks: int) -> None:
     """A line a step, a summary, the files, and each of them once."""
@@ -195,6 +197,7 @@ def test_quiet_and_folder(folder: Path) -> None:
     assert not (folder / "case_results").exists()
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("ranks", [1, 2, 3])
 def test_wrong_case(folder: Path, ranks: int) -> None:
     """One message, exit code 2, no folder, on any number of ranks."""
@@ -225,6 +228,7 @@ def test_motion(folder: Path) -> None:
     assert not (folder / "case_results").exists()
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_no_solution(folder: Path, ranks: int) -> None:
     """Exit code 3, the reason on screen and in the summary, results so far complete."""
@@ -241,6 +245,7 @@ def test_no_solution(folder: Path, ranks: int) -> None:
     assert "no equilibrium" in summary["reason"]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_no_place_for_results(folder: Path, ranks: int) -> None:
     """Exit code 4 with the file and the cause."""
@@ -249,7 +254,7 @@ def test_no_place_for_results(folder: Path, ranks: int) -> None:
     assert err.count("error: cannot write case.toml/results") == 1
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("ranks", "broken"), [(1, 0), (2, 1), (3, 2), (2, -1)])
 def test_fault_of_the_program(folder: Path, ranks: int, broken: int) -> None:
     """One traceback, and no rank waits for ever."""
@@ -261,6 +266,7 @@ def test_fault_of_the_program(folder: Path, ranks: int, broken: int) -> None:
         assert f"rank {max(broken, 0)} of {ranks}:" in err
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_interrupted(folder: Path, ranks: int) -> None:
     """Ctrl-C ends the run after the current step; what is written can be read."""

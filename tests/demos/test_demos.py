@@ -65,7 +65,7 @@ def test_all_there() -> None:
     assert {path.stem for path in SCRIPTS} == set(CHECKED)
 
 
-@pytest.mark.sample(6)
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize("script", MARKED, ids=lambda path: path.stem)
 def test_script(script: Path, ranks: int, tmp_path: Path) -> None:
@@ -84,7 +84,7 @@ def test_tetrahedron_on_three_ranks(tmp_path: Path) -> None:
     assert re.search(CHECKED["tetrahedron"], out)
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("case", CASES, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_case(case: Path, tmp_path: Path) -> None:
     """What the command line says of it."""

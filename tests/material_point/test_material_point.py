@@ -115,7 +115,7 @@ def test_programs_know_what_ufl_can_say():
 # --- checks ---
 
 
-@pytest.mark.sample(5)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("name", MATERIALS)
 def test_every_law_passes(name):
     found = material_report(gate.make(name))
@@ -271,6 +271,7 @@ def test_st_venant_kirchhoff_loses_ellipticity():
     assert verdicts(material_report(NeoHookean(E=E, nu=NU)))["elliptic, uniaxial"] == "pass"
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("law", "text"),
     [
@@ -362,7 +363,7 @@ def started(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 @ALONE
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
@@ -387,6 +388,7 @@ def test_commands(words, code, said, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["m.toml"]
 
 
+@pytest.mark.long
 @ALONE
 def test_on_two_ranks_it_is_said_once(tmp_path):
     (tmp_path / "m.toml").write_text(FILE)

@@ -449,6 +449,7 @@ def strip(degree: int = 2, nu: float = 0.4999, **how: Any) -> Problem:
     )
 
 
+@pytest.mark.long
 def test_adaptive_steps_judge_the_displacement_only():
     """As many steps as with displacements alone at nu = 0.3, and the same end at that nu."""
     found = []

@@ -135,7 +135,7 @@ def waves(problem: Problem, seed: int) -> np.ndarray:
 SPLIT = [name for name, kind in MATERIALS.items() if issubclass(kind, SplitLaw)]
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("name", "formulation"),
     [(name, "displacement") for name in MATERIALS] + [(name, "mixed") for name in SPLIT],
@@ -406,6 +406,7 @@ def test_time_moves_loads_and_supports():
         )
 
 
+@pytest.mark.long
 def test_more_exact_integration_can_be_asked_for():
     """Quadratic elements under-integrate on purpose; degree 6 changes little, so both are right."""
     energies = []

@@ -93,7 +93,7 @@ def worst(difference: FloatArray) -> float:
     return float(COMM.allreduce(np.abs(difference).max(initial=0.0), op=MPI.MAX))
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(5)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("law", [LinearElastic, StVenantKirchhoff, NeoHookean, Textbook])

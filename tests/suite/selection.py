@@ -37,16 +37,23 @@ POINTS = {
 }
 """Tests of numbers and texts, and of rates, in which ranks take no part: on one rank only."""
 LAWS = {
+    "case/converge/test_converge.py",
     "mesh/test_selection.py",
     "model/materials/test_law_input.py",
     "model/materials/test_laws.py",
     "model/materials/test_user_energy.py",
     "problem/test_dimension.py",
+    "solvers/diagnostics/test_diagnose.py",
+    "solvers/dynamics/explicit/test_impact.py",
+    "solvers/dynamics/implicit/test_implicit.py",
+    "solvers/dynamics/implicit/test_incompressible_motion.py",
+    "solvers/dynamics/test_energy_balance.py",
     "solvers/statics/test_arc_length.py",
     "solvers/statics/test_hard_cases.py",
+    "verification/test_enclosed.py",
 }
-"""Tests of every law, or of names, on bodies of a few cells, and long paths: on several ranks in
-the rest only."""
+"""Tests of every law, or of names, on bodies of a few cells, and of long paths whose solvers other
+files try on several ranks: there in the rest only."""
 REFERENCES = {
     "verification/test_bending.py",
     "verification/test_closed_forms.py",

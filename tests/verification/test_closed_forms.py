@@ -23,7 +23,7 @@ def test_the_table() -> None:
     assert len({row.name for row in ROWS}) == len(ROWS)
 
 
-@pytest.mark.sample(5)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
 def test_closed_form(row: Row, folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     """The known numbers, or a word."""

@@ -104,7 +104,7 @@ FULLY = ("linear-elastic", "st-venant-kirchhoff", "neo-hookean", "textbook")
 """Laws that are tried on every element; the others, which take long to compile, in space."""
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(4)
 @pytest.mark.parametrize(
     ("name", "dim", "degree"),
     [

@@ -109,7 +109,7 @@ def scale_of(key: str, numbers: dict[str, float]) -> float:
     return float(np.linalg.norm(group))
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_all_numbers_agree(serial_only: Any, serial: dict[str, dict[str, float]], ranks: int):
     parallel = run(ranks)

@@ -232,7 +232,7 @@ BARS = [
 ]
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(("size", "cells", "nu"), BARS)
 def test_linear_elements_in_bending(size: Any, cells: Any, nu: float) -> None:
     """What is foretold is found, but for a third of the excess over 1."""

@@ -189,6 +189,7 @@ def test_limits(tmp_path: Path, limits: dict[str, int], verdict: str, reason: st
     assert json.loads(text)["verdict"] == verdict
 
 
+@pytest.mark.long
 def test_nonlinear(tmp_path: Path) -> None:
     """Newton's method goes on from the coarser mesh: one step, few iterations."""
     folder = on_root(WORLD, lambda: tmp_path)

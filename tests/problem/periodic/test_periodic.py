@@ -94,7 +94,7 @@ def cored(body: Body, low: float = 0.0, **fields: Any) -> Problem:
 # --- a homogeneous cell: P is that of the law, whatever the mesh ---
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_homogeneous(dim, degree):
@@ -138,7 +138,7 @@ def test_thickness_and_plane_stress():
     assert abs(numbers["P33"]) < 1e-9 * E * 1e-3
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 def test_mixed(degree):
     """A pressure beside the displacement is periodic, too."""
@@ -201,6 +201,7 @@ def test_large_laminate():
 # --- free strains ---
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_uniaxial(degree):
     """Neo-Hookean, E = 1e6, nu = 0.3, pulled by half, free across: the reference of the bench."""

@@ -46,6 +46,7 @@ from dolfin_elastic.solvers.assembly.tangent import TangentMatrix
 # --- the oscillator ---
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("radius", [1.0, 0.8, 0.0])
 def test_second_order_in_time(radius):
     """Distance from the exact place in the plane of u and v/omega, over four time steps."""
@@ -435,6 +436,7 @@ def test_a_linear_body_is_assembled_once(monkeypatch):
     assert len(calls) == 1
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     "solver",
     [

@@ -221,7 +221,7 @@ def own(field: fem.Function) -> int:
     return int(field.function_space.dofmap.index_map.size_local)
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("kind", "scheme"),
     [

@@ -58,6 +58,7 @@ def run(problem: Problem, **settings: Any) -> list[State]:
     return list(Dynamics(problem, **settings).steps())
 
 
+@pytest.mark.long
 def test_cells_inside_out_are_told_of_once(
     comm: MPI.Comm, caplog: pytest.LogCaptureFixture
 ) -> None:
