@@ -12,6 +12,7 @@ import numpy as np
 from dolfin_elastic.case.case import locate_errors, read_materials
 from dolfin_elastic.core.errors import CaseError, nearest
 from dolfin_elastic.core.schema import known_keys
+from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.material_point.homogeneous_tests import ResponseCurve
 from dolfin_elastic.material_point.report import MaterialReport
 from dolfin_elastic.model.materials.law import Law
@@ -176,9 +177,6 @@ def table(curve: ResponseCurve) -> str:
     return "\n".join([",".join(heads), *lines]) + "\n"
 
 
-_STRESS_UNITS = ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"), (1.0, "Pa"))
-
-
 def _draw(name: str, found: MaterialReport, path: Path) -> None:
     """One picture of all curves."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -200,7 +198,7 @@ def _panel(axis: Any, curve: ResponseCurve) -> None:
     i, j = curve.mode.shown
     nominal, true = curve.P[:, i, j], curve.cauchy[:, i, j]
     top = float(np.abs(nominal).max()) or 1.0
-    size, unit = next((u for u in _STRESS_UNITS if top >= u[0]), _STRESS_UNITS[-1])
+    size, unit = stress_unit(top)
     axis.plot(curve.values, nominal / size, label=f"nominal P{i + 1}{j + 1}", color="#1f5f8b")
     axis.plot(curve.values, true / size, "--", label=f"Cauchy {i + 1}{j + 1}", color="#b0562f")
     axis.plot([curve.mode.rest], [0], "o", color="#303840", markersize=3)

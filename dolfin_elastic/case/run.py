@@ -23,6 +23,7 @@ from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, OutputError, SolveError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.signals import remove_stop_file
+from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, RestartableSolver, State
 from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
@@ -134,12 +135,7 @@ class _Run:
             description = describe_run(self.case, fingerprint(body), self.petsc, before)
         if before is not None:
             before.check_mesh(description)
-        for text in body.information:
-            log.info("mesh: %s", text)
-        for note in body.notes:
-            log.warning("mesh: %s", note)
-        for note in check(self.case, body):
-            log.warning("%s", note)
+        log_notes(self.case, body)
         problem = self.case.make_problem(body)
         for find in (contact_notes, bending_notes, shape_notes):
             for note in find(self.case, problem):
@@ -257,6 +253,21 @@ class _RunCheckpoints:
 
 
 # --- output files ---
+
+
+def log_notes(case: Case, body: Body) -> None:
+    """Logs how a body was made, and warns of what is doubtful in it and in its case. Collective.
+
+    Args:
+        case: The case.
+        body: Its body.
+    """
+    for text in body.information:
+        log.info("mesh: %s", text)
+    for note in body.notes:
+        log.warning("mesh: %s", note)
+    for note in check(case, body):
+        log.warning("%s", note)
 
 
 @contextmanager

@@ -98,6 +98,19 @@ def _registry() -> pint.UnitRegistry:
     return pint.UnitRegistry()
 
 
+def stress_unit(largest: float) -> tuple[float, str]:
+    """Unit in which people read a stress.
+
+    Args:
+        largest: The largest of the values that are shown together [Pa].
+
+    Returns:
+        The unit in Pa, and its name: Pa, kPa, MPa or GPa.
+    """
+    units = ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"))
+    return next((unit for unit in units if largest >= unit[0]), (1.0, "Pa"))
+
+
 def is_quantity(text: str) -> bool:
     """True for a number, bare or followed by a known unit: ``"2"``, ``"2 mm"``; no formula."""
     parts = _split(text)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import shutil
-import tempfile
 import tomllib
 from collections.abc import Iterator
 from contextlib import suppress
@@ -51,16 +49,6 @@ method = "direct"
 [output]
 fields = ["displacement"]
 """
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    """One folder for all ranks."""
-    made = COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else "")
-    yield Path(made)
-    COMM.barrier()
-    if COMM.rank == 0:
-        shutil.rmtree(made)
 
 
 def case_of(folder: Path, text: str) -> Case:

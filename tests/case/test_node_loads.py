@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import csv
-import shutil
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,16 +14,6 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import FloatArray, IntArray
 
 COMM = MPI.COMM_WORLD
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    """A folder that all ranks see."""
-    path = Path(on_root(COMM, tempfile.mkdtemp))
-    yield path
-    COMM.barrier()
-    if COMM.rank == 0:
-        shutil.rmtree(path)
 
 
 def brick() -> tuple[FloatArray, IntArray]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.decks import COMM, box, inp_text, made, numbers, quadratic, shared_folder
+from helpers.decks import COMM, box, inp_text, made, numbers, quadratic
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case
@@ -20,12 +19,6 @@ from dolfin_elastic.mesh import Body, Selector, mesh_statistics, name_parts, rea
 from dolfin_elastic.mesh.formats.abaqus import read_abaqus
 
 POINTS, CELLS = box((1, 1, 1), (1, 1, 1))
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    with shared_folder() as path:
-        yield path
 
 
 def deck(folder: Path, text: str) -> Body:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -35,16 +32,6 @@ from dolfin_elastic.mesh.geometry.simplices import edge_nodes, vertex_nodes
 from dolfin_elastic.problem.loads.edges_points import extent
 
 COMM = MPI.COMM_WORLD
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    """A folder that all ranks see."""
-    path = Path(on_root(COMM, tempfile.mkdtemp))
-    yield path
-    COMM.barrier()
-    if COMM.rank == 0:
-        shutil.rmtree(path)
 
 
 def length(body: Body, name: str) -> float:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,16 +28,6 @@ from dolfin_elastic.mesh import (
 
 COMM = MPI.COMM_WORLD
 SHARED = ROOT.parent / "shared" / "meshes"
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    """A folder that all ranks see."""
-    path = Path(on_root(COMM, tempfile.mkdtemp))
-    yield path
-    COMM.barrier()
-    if COMM.rank == 0:
-        shutil.rmtree(path)
 
 
 def made(action: Callable[[], object]) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.bodies import drawing
-from helpers.decks import COMM, box, made, quadratic, shared_folder
+from helpers.decks import COMM, box, made, quadratic
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
@@ -20,12 +20,6 @@ POINTS, CELLS = box((1, 1, 1), (1, 1, 1))
 ROUND = {4: [0, 1, 2, 3], 3: [0, 1, 2], 2: [0, 1]}
 ROUND[10] = [0, 4, 1, 5, 2, 6, 7, 8, 9, 3]  # corners and midside nodes in turns
 ROUND[6] = [0, 3, 1, 4, 2, 5]
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    with shared_folder() as path:
-        yield path
 
 
 def dataset(number: int, lines: Sequence[str]) -> str:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import base64
 import struct
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.decks import COMM, box, made, quadratic, shared_folder
+from helpers.decks import COMM, box, made, quadratic
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
@@ -19,12 +18,6 @@ from dolfin_elastic.mesh import mesh_statistics, read_body
 from dolfin_elastic.mesh.formats.vtu import read_vtu
 
 POINTS, CELLS = box((1, 1, 1), (1, 1, 1))
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    with shared_folder() as path:
-        yield path
 
 
 class Modes:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import shutil
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -53,16 +51,6 @@ from dolfin_elastic.results.extremes import extremes
 COMM = MPI.COMM_WORLD
 SHARED = ROOT.parent / "shared" / "meshes"
 FREE = "free"
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    """One folder for all ranks."""
-    made = COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else "")
-    yield Path(made)
-    COMM.barrier()
-    if COMM.rank == 0:
-        shutil.rmtree(made)
 
 
 def made(action: Callable[[], object]) -> None:

@@ -8,10 +8,8 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -46,16 +44,6 @@ from dolfin_elastic.results.pictures import colour_bar, pictures, renderer
 from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
 from dolfin_elastic.results.pictures.pictures import Appearance, picture
 from dolfin_elastic.results.pictures.surface import Surface, gather_surface
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    """A folder that all ranks see, removed at the end."""
-    keeper = tempfile.TemporaryDirectory() if COMM.rank == 0 else None
-    yield Path(COMM.bcast(keeper.name if keeper else ""))
-    COMM.barrier()
-    if keeper:
-        keeper.cleanup()
 
 
 def grids(path: Path) -> list[ET.Element]:

@@ -17,12 +17,11 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, locate_errors
-from dolfin_elastic.case.check import check
 from dolfin_elastic.case.converge.extrapolation import extrapolate, grows
 from dolfin_elastic.case.converge.progress import Level, Progress
 from dolfin_elastic.case.converge.quantity import Measured, Measurement, Quantity
 from dolfin_elastic.case.converge.report import write_report
-from dolfin_elastic.case.run import open_outputs
+from dolfin_elastic.case.run import log_notes, open_outputs
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root, total
@@ -190,12 +189,7 @@ class _Convergence:
     def _first_body(self) -> Body:
         with timing.stage("mesh"):
             body = self.case.read_body(self.comm)
-        for text in body.information:
-            log.info("mesh: %s", text)
-        for note in body.notes:
-            log.warning("mesh: %s", note)
-        for note in check(self.case, body):
-            log.warning("%s", note)
+        log_notes(self.case, body)
         probes = [*self.case.output.probes]
         supports = [support.label for support in self.case.support]
         self.goal.quantity.check(body, probes, supports)

@@ -10,6 +10,7 @@ from dolfinx import fem, la
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray
+from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.results.recovery.error import ErrorEstimate
 from dolfin_elastic.results.recovery.singular import SingularPlaces, singular_places
 from dolfin_elastic.results.recovery.stress import von_mises
@@ -21,7 +22,6 @@ _EQUAL = 1e-9
 """Relative difference of stresses below which none is the larger one."""
 _LOWER = 0.5
 """Share of the largest stress away from singular places that a peak must have to be told."""
-_PREFIXES = (("G", 1e9), ("M", 1e6), ("k", 1e3))
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,10 @@ class Peak:
 
     def text(self) -> str:
         """Value and place for people, such as "184 MPa at (0.016, 0, 0.01) m on 'fillet'"."""
-        name, factor = next((p for p in _PREFIXES if self.value >= p[1]), ("", 1.0))
+        factor, unit = stress_unit(self.value)
         place = ", ".join(f"{0.0 if abs(x) < 1e-12 else x:.4g}" for x in self.place)
         on = f" on '{self.surface}'" if self.surface else ""
-        return f"{self.value / factor:.3g} {name}Pa at ({place}) m{on}"
+        return f"{self.value / factor:.3g} {unit} at ({place}) m{on}"
 
 
 @dataclass(frozen=True)
