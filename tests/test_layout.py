@@ -77,6 +77,46 @@ def test_classes():
     assert not large
 
 
+def public_functions(
+    node: ast.Module | ast.ClassDef, path: str
+) -> Iterator[tuple[str, list[str], str]]:
+    """Public functions and methods: name, arguments without self and cls, docstring."""
+    for item in node.body:
+        if not isinstance(item, ast.ClassDef | ast.FunctionDef) or item.name.startswith("_"):
+            continue
+        name = f"{path}.{item.name}"
+        if isinstance(item, ast.ClassDef):
+            yield from public_functions(item, name)
+            continue
+        every = item.args
+        arguments = [a.arg for a in (*every.posonlyargs, *every.args, *every.kwonlyargs)]
+        arguments += [a.arg for a in (every.vararg, every.kwarg) if a is not None]
+        bound = isinstance(node, ast.ClassDef) and arguments[:1] in (["self"], ["cls"])
+        yield name, arguments[bound:], ast.get_docstring(item) or ""
+
+
+def test_arguments_are_documented():
+    """Public functions of two or more arguments name each of them under Args.
+
+    Left out are overriding methods that refer to the one where the arguments stand ("See `Base`").
+    """
+    several = [
+        function
+        for module, tree in TREES.items()
+        for function in public_functions(tree, module)
+        if len(function[1]) >= 2
+    ]
+    assert len(several) > 400  # the list is that of the package
+    missing = []
+    for name, arguments, text in several:
+        documented = text.partition("Args:\n")[2]
+        lines = [line.split(": ")[0] for line in documented.splitlines()]
+        named = {word.strip(" *") for line in lines for word in line.split(",")}
+        if "See `" not in text:
+            missing += [f"{name}({argument})" for argument in arguments if argument not in named]
+    assert not missing
+
+
 def test_a_plain_problem_visits_few_modules():
     """A block held on one side and pulled on the other, from its problem to the first load step.
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 from pydantic import model_validator
 
 from dolfin_elastic.case.model_tables import ModelTables
 from dolfin_elastic.case.tables import Output
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.outputs import Output as File
@@ -51,7 +52,7 @@ class AnalysisTables(ModelTables):
 
     @model_validator(mode="before")
     @classmethod
-    def _refuse_both(cls, tables: Any) -> Any:
+    def _refuse_both(cls, tables: object) -> object:
         # Before the tables are read: errors in one that the user then leaves out do not matter.
         if isinstance(tables, Mapping) and all(
             tables.get(key) is not None for key in ("statics", "dynamics")
@@ -114,7 +115,7 @@ class AnalysisTables(ModelTables):
         """
         return None if self.mesh.curved is None and self.degree > 1 else bool(self.mesh.curved)
 
-    def solver_for(self, problem: Problem, petsc: Mapping[str, Any] | None) -> Solver:
+    def solver_for(self, problem: Problem, petsc: PetscOptions | None) -> Solver:
         """The solver of the analysis. Collective.
 
         Args:

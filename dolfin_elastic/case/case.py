@@ -28,6 +28,7 @@ from dolfin_elastic.case.tables import Material, table_of
 from dolfin_elastic.case.toml import read_toml, toml_text
 from dolfin_elastic.core.errors import InputError, RestartError
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import within
 from dolfin_elastic.mesh import Body, name_parts
 from dolfin_elastic.problem.problem import Problem
@@ -118,7 +119,7 @@ class Case(AnalysisTables):
         with locate_errors(self.file):
             return self.problem_on(body, self.degree)
 
-    def make_solver(self, problem: Problem, *, petsc: Mapping[str, Any] | None = None) -> Solver:
+    def make_solver(self, problem: Problem, *, petsc: PetscOptions | None = None) -> Solver:
         """The solver of the case's analysis. Collective.
 
         Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,10 +19,15 @@ from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.results.files import make_folder, replace_text, writing
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 _PARTS = ("11", "22", "33", "12", "13", "23")
 
 
-def read_laws(what: str, constants: Mapping[str, Any], only: str | None = None) -> dict[str, Law]:
+def read_laws(
+    what: str, constants: Mapping[str, object], only: str | None = None
+) -> dict[str, Law]:
     """The materials of a case file, or one law with constants from the command line.
 
     Not collective.
@@ -52,13 +57,13 @@ def read_laws(what: str, constants: Mapping[str, Any], only: str | None = None) 
     return laws if only is None else {only: laws[only]}
 
 
-def read_constants(words: Sequence[str]) -> dict[str, Any]:
+def read_constants(words: Sequence[str]) -> dict[str, object]:
     """``["--E", "10 MPa", "--nu=0.3"]`` as a dictionary; a value in brackets is a list.
 
     Raises:
         InputError: A word is no option, or an option has no value.
     """
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     rest = list(words)
     while rest:
         word = rest.pop(0)
@@ -71,7 +76,7 @@ def read_constants(words: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-def _value(name: str, text: str) -> Any:
+def _value(name: str, text: str) -> object:
     if not text.startswith("["):
         return text
     try:
@@ -80,7 +85,7 @@ def _value(name: str, text: str) -> Any:
         raise CaseError(f"--{name}: {text} is no list", expected="for example [1, 0, 0]") from None
 
 
-def law_table() -> list[dict[str, Any]]:
+def law_table() -> list[dict[str, object]]:
     """Every law with formula, parameters and source, from the docstring of its class."""
     return [
         {
@@ -194,7 +199,7 @@ def _draw(name: str, found: MaterialReport, path: Path) -> None:
         figure.savefig(path, dpi=130)
 
 
-def _panel(axis: Any, curve: ResponseCurve) -> None:
+def _panel(axis: Axes, curve: ResponseCurve) -> None:
     i, j = curve.mode.shown
     nominal, true = curve.P[:, i, j], curve.cauchy[:, i, j]
     top = float(np.abs(nominal).max()) or 1.0

@@ -65,27 +65,27 @@ class ModelTables(Record):
 
     @field_validator("surfaces", "regions", mode="before")
     @classmethod
-    def _selectors(cls, tables: Any) -> dict[str, list[Selector]]:
+    def _selectors(cls, tables: object) -> dict[str, list[Selector]]:
         return read_named(tables, selectors(Selector))
 
     @field_validator("edges", mode="before")
     @classmethod
-    def _edges(cls, tables: Any) -> dict[str, list[EdgeSelector]]:
+    def _edges(cls, tables: object) -> dict[str, list[EdgeSelector]]:
         return read_named(tables, selectors(EdgeSelector))
 
     @field_validator("points", mode="before")
     @classmethod
-    def _points(cls, tables: Any) -> dict[str, list[PointSelector]]:
+    def _points(cls, tables: object) -> dict[str, list[PointSelector]]:
         return read_named(tables, selectors(PointSelector))
 
     @field_validator("materials", mode="before")
     @classmethod
-    def _materials(cls, tables: Any) -> dict[str, Material]:
+    def _materials(cls, tables: object) -> dict[str, Material]:
         return read_material_tables(tables)
 
     @field_validator("support", "load", "contact", mode="before")
     @classmethod
-    def _rows(cls, rows: Any, info: ValidationInfo) -> list[Record]:
+    def _rows(cls, rows: object, info: ValidationInfo) -> list[Record]:
         key = str(info.field_name)
         if not isinstance(rows, list | tuple):
             raise InputError(
@@ -133,7 +133,7 @@ class ModelTables(Record):
         )
 
 
-def read_material_tables(tables: Any) -> dict[str, Material]:
+def read_material_tables(tables: object) -> dict[str, Material]:
     """The table [materials]: name to material.
 
     Raises:
@@ -148,7 +148,7 @@ def read_material_tables(tables: Any) -> dict[str, Material]:
 # --- rows of lists ---
 
 
-def _support(row: Any) -> Restraint:
+def _support(row: object) -> Restraint:
     if isinstance(row, Restraint):
         return row
     table = {"kind": "displacement", **as_table(row)}
@@ -161,21 +161,22 @@ def _support_table(support: Restraint) -> dict[str, Any]:
     return table if support.kind == "displacement" else {"kind": support.kind, **table}
 
 
-def _load(row: Any) -> Load:
+def _load(row: object) -> Load:
     if isinstance(row, Load):
         return row
+    table = as_table(row)
     with _vector("value"):
-        return class_named(LOADS, row, "kind")(**row)
+        return class_named(LOADS, table, "kind")(**table)
 
 
-def _contact(row: Any) -> Contact:
+def _contact(row: object) -> Contact:
     if isinstance(row, Contact):
         return row
     with _vector("motion"):
         return Contact(**as_table(row))
 
 
-_ROWS: Mapping[str, Callable[[Any], Record]] = {
+_ROWS: Mapping[str, Callable[[object], Record]] = {
     "support": _support,
     "load": _load,
     "contact": _contact,

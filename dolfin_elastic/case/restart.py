@@ -17,6 +17,7 @@ from dolfin_elastic.case.curve_files import CURVED
 from dolfin_elastic.case.toml import toml_text
 from dolfin_elastic.core.errors import InputError, RestartError, nearest
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.results.checkpoint.checkpoints import (
@@ -204,7 +205,7 @@ def _status(folder: Path) -> str:
 
 
 def describe_run(
-    case: Case, mesh: Mapping[str, Any], petsc: Mapping[str, Any], before: Unfinished | None = None
+    case: Case, mesh: Mapping[str, Any], petsc: PetscOptions, before: Unfinished | None = None
 ) -> RunDescription:
     """The description of a run that its checkpoints carry. Not collective.
 
@@ -281,7 +282,7 @@ def _difference(case: Case, other: Case) -> str:
     return _first_difference(here, there) or "the case"
 
 
-def _first_difference(here: Any, there: Any, path: str = "") -> str:
+def _first_difference(here: object, there: object, path: str = "") -> str:
     if isinstance(here, dict) and isinstance(there, dict):
         pairs = [(f".{key}", here.get(key), there.get(key)) for key in {**here, **there}]
     elif isinstance(here, list) and isinstance(there, list) and len(here) == len(there):

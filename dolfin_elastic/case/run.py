@@ -22,6 +22,7 @@ from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, OutputError, SolveError
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
 from dolfin_elastic.core.signals import remove_stop_file
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
@@ -45,7 +46,7 @@ def run(
     case: Case,
     *,
     output: str | PathLike[str] | None = None,
-    petsc: Mapping[str, Any] | None = None,
+    petsc: PetscOptions | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
     asked: Callable[[], bool] | None = None,
 ) -> States:
@@ -74,7 +75,7 @@ def restart(
     folder: str | PathLike[str] | Unfinished,
     *,
     case: Case | None = None,
-    petsc: Mapping[str, Any] | None = None,
+    petsc: PetscOptions | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
     asked: Callable[[], bool] | None = None,
 ) -> States:
@@ -110,7 +111,7 @@ class _Run:
 
     case: Case
     folder: Path
-    petsc: dict[str, Any]
+    petsc: dict[str, PetscValue]
     comm: MPI.Comm
     asked: Callable[[], bool] | None
 

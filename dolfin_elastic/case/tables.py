@@ -5,7 +5,7 @@ An error names the key inside its table; the caller that reads the table puts it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -221,7 +221,7 @@ class Material(Record):
         return () if self.on is None else (self.on,) if isinstance(self.on, str) else (*self.on,)
 
     @classmethod
-    def read(cls, table: Any) -> Material:
+    def read(cls, table: object) -> Material:
         """From a case file's table, or from a law."""
         if isinstance(table, Material):
             return table
@@ -357,7 +357,7 @@ class Output(Record):
 # --- reading ---
 
 
-def as_table(value: Any) -> dict[str, Any]:
+def as_table(value: object) -> dict[str, Any]:
     """A table, or a record as one.
 
     Raises:
@@ -370,7 +370,7 @@ def as_table(value: Any) -> dict[str, Any]:
     return dict(value)
 
 
-def class_named(kinds: Mapping[str, type[T]], table: Any, key: str) -> type[T]:
+def class_named(kinds: Mapping[str, type[T]], table: object, key: str) -> type[T]:
     """The class that a table's `law` or `kind` names.
 
     Args:
@@ -391,7 +391,7 @@ def class_named(kinds: Mapping[str, type[T]], table: Any, key: str) -> type[T]:
     return kinds[name]
 
 
-def read_named(tables: Any, read: Callable[[Any], T]) -> dict[str, T]:
+def read_named(tables: object, read: Callable[[object], T]) -> dict[str, T]:
     """Reads each entry of a table of tables.
 
     Args:
@@ -401,7 +401,7 @@ def read_named(tables: Any, read: Callable[[Any], T]) -> dict[str, T]:
     return {name: _at(key_text(name), read, table) for name, table in as_table(tables).items()}
 
 
-def read_list(rows: Any, read: Callable[[Any], T]) -> list[T]:
+def read_list(rows: Iterable[object], read: Callable[[object], T]) -> list[T]:
     """Reads each entry of a list of tables.
 
     Args:
@@ -411,7 +411,7 @@ def read_list(rows: Any, read: Callable[[Any], T]) -> list[T]:
     return [_at(f"[{index}]", read, row) for index, row in enumerate(rows)]
 
 
-def _at(key: str, read: Callable[[Any], T], table: Any) -> T:
+def _at(key: str, read: Callable[[object], T], table: object) -> T:
     """Reads a table, with its key in front of the key of an error."""
     try:
         return read(table)
@@ -419,17 +419,17 @@ def _at(key: str, read: Callable[[Any], T], table: Any) -> T:
         raise within(key, error) from None
 
 
-def selectors(kind: type[P]) -> Callable[[Any], list[P]]:
+def selectors(kind: type[P]) -> Callable[[object], list[P]]:
     """Reads one selector, or several whose parts are joined.
 
     Args:
         kind: `Selector`, `EdgeSelector` or `PointSelector`.
     """
 
-    def one(value: Any) -> P:
+    def one(value: object) -> P:
         return value if isinstance(value, kind) else kind(**as_table(value))
 
-    def read(value: Any) -> list[P]:
+    def read(value: object) -> list[P]:
         return read_list(value, one) if isinstance(value, list | tuple) else [one(value)]
 
     return read

@@ -14,7 +14,7 @@ from dolfin_elastic.core.errors import CaseError, nearest, not_shown
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
-def toml_text(tables: Mapping[str, Any]) -> str:
+def toml_text(tables: Mapping[str, object]) -> str:
     """A TOML document in the layout of a case file, see Decisions in CONTRIBUTING.md.
 
     Args:
@@ -26,26 +26,26 @@ def toml_text(tables: Mapping[str, Any]) -> str:
     for key, value in tables.items():
         if isinstance(value, Mapping):
             blocks += _blocks(key_text(key), value)
-        elif _is_table(value):
+        elif isinstance(value, list | tuple) and _is_table(value):
             blocks += [_block(f"[[{key_text(key)}]]", row) for row in value]
     return "\n\n".join(blocks) + "\n"
 
 
-def _is_table(value: Any) -> bool:
+def _is_table(value: object) -> bool:
     """Whether a value is a table, or a list of tables only."""
     rows = value if isinstance(value, list | tuple) and value else [value]
     return all(isinstance(row, Mapping) for row in rows)
 
 
-def _blocks(key: str, table: Mapping[str, Any]) -> list[str]:
+def _blocks(key: str, table: Mapping[str, object]) -> list[str]:
     """The table ``[key]``, or ``[key.name]`` for each where all are materials."""
-    named = table and all(isinstance(v, Mapping) and "law" in v for v in table.values())
-    if not named:
+    materials = {n: row for n, row in table.items() if isinstance(row, Mapping) and "law" in row}
+    if not table or len(materials) < len(table):
         return [_block(f"[{key}]", table)]
-    return [_block(f"[{key}.{key_text(name)}]", row) for name, row in table.items()]
+    return [_block(f"[{key}.{key_text(name)}]", row) for name, row in materials.items()]
 
 
-def _block(head: str, table: Mapping[str, Any]) -> str:
+def _block(head: str, table: Mapping[str, object]) -> str:
     return "\n".join([head, *(f"{key_text(k)} = {value_text(v)}" for k, v in table.items())])
 
 
@@ -54,7 +54,7 @@ def key_text(key: str) -> str:
     return key if _BARE.fullmatch(key) else value_text(key)
 
 
-def value_text(value: Any) -> str:
+def value_text(value: object) -> str:
     """A value in one line.
 
     Raises:

@@ -11,7 +11,7 @@ import textwrap
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -343,7 +343,7 @@ def show_restart(folder: Path) -> None:
         print(f"to go on after step {step}: dolfin-elastic restart {folder}")
 
 
-def show_versions(found: Mapping[str, Any]) -> None:
+def show_versions(found: Mapping[str, object]) -> None:
     """Prints name and value, one a line."""
     width = max(map(len, found))
     for name, value in found.items():

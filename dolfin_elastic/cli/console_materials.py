@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 _MARKS = {"pass": "ok", "fail": "FAILED", "note": "note"}
 
 
-def as_json(value: Any) -> str:
+def as_json(value: object) -> str:
     """JSON without nan and inf, which are null."""
     return json.dumps(_plain(value), indent=2, ensure_ascii=False)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     if isinstance(value, Mapping):
         return {key: _plain(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
@@ -35,7 +35,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def report_table(found: MaterialReport) -> dict[str, Any]:
+def report_table(found: MaterialReport) -> dict[str, object]:
     """The tests of a material as plain values, for scripts."""
     return {
         "passed": not found.failed,

@@ -51,6 +51,16 @@ def converge(
     `displacement of PROBE`, `FIELD of PROBE`, `reaction of SUPPORT`, or a column of history.csv.
     The mesh is refined where the estimated error is.  The table of all meshes, a plot and the
     results of the last one go to CASE_converged.  Exit code 6: not known as well as wanted.
+
+    \f
+    Args:
+        case: The case file.
+        petsc: PETSc options as they stand on the command line.
+        until: The quantity, and its largest error as a share of its value.
+        refinements: Largest number of refinements.
+        unknowns: Largest number of unknowns of a mesh.
+        output: Folder of the results, in place of `CASE_converged`.
+        quiet: Show warnings and errors only.
     """
     options, at_start = parse_arguments(petsc or [])
     start_petsc(at_start)

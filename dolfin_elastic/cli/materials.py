@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -79,7 +79,7 @@ def materials(
 def _test_materials(
     what: str,
     only: str | None,
-    constants: dict[str, Any],
+    constants: dict[str, object],
     stretch: float,
     output: Path | None,
     json: bool,

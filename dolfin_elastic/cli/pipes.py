@@ -6,7 +6,8 @@ import io
 import os
 import signal
 import sys
-from typing import Any, TextIO
+from collections.abc import Buffer
+from typing import TextIO
 
 _LINE_MODES = ("line_buffering", "write_through")
 
@@ -37,7 +38,7 @@ def _surviving(stream: TextIO) -> TextIO:
 class _PipeOrNull(io.FileIO):
     """A pipe that becomes /dev/null when its reader has gone."""
 
-    def write(self, data: Any, /) -> int:
+    def write(self, data: Buffer, /) -> int:
         try:
             return super().write(data)
         except BrokenPipeError:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -36,7 +35,7 @@ def integration_entities(mesh: Mesh, facets: IndexArray) -> IndexArray:
     return np.stack([first, np.argmax(local, axis=1)], axis=1).astype(np.int32).reshape(-1)
 
 
-def interpolation_points(element: Any) -> FloatArray:
+def interpolation_points(element: fem.FiniteElement) -> FloatArray:
     """Interpolation points of an element: a method in 0.9, a property from 0.10."""
     points = element.interpolation_points
     return points() if callable(points) else points

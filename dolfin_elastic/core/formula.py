@@ -19,9 +19,9 @@ from __future__ import annotations
 import ast
 import math
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from ufl.core.expr import Expr
@@ -36,13 +36,13 @@ from dolfin_elastic.core.formula_functions import (
     numeric,
     symbolic,
 )
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import FloatArray, Scalar
 
 MAX_LENGTH = 1000
 MAX_DEPTH = 100
 
-Tree = float | str | tuple[Any, ...]
-"""A number, a name, or (operation, argument, ...)."""
+Tree: TypeAlias = float | str | tuple[str, list[Any]]
+"""A number, a name, or an operation with its arguments."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Formula:
             return np.array(np.broadcast_to(result, shape), dtype=np.float64)
         return self._finite(float(result), values)
 
-    def ufl(self, **values: Expr | float) -> Any:
+    def ufl(self, **values: Expr | float) -> Expr | float:
         """The formula as a UFL expression.
 
         Args:
@@ -117,7 +117,7 @@ class Formula:
             raise FormulaError(f"a part of '{self.text}' is not finite") from None
         return result if isinstance(result, Expr) else self._finite(float(result), values)
 
-    def _finite(self, result: float, values: dict[str, Any]) -> float:
+    def _finite(self, result: float, values: Mapping[str, Scalar]) -> float:
         if math.isfinite(result):
             return result
         known = [n for n in sorted(self.names) if not isinstance(values[n], Expr)]
@@ -131,12 +131,14 @@ def _not_finite(result: float) -> str:
     return "not a real number" if math.isnan(result) else "infinite"
 
 
-def _walk(tree: Tree, values: dict[str, Any], apply: Callable[[Operation, list[Any]], Any]) -> Any:
+def _walk(
+    tree: Tree, values: Mapping[str, Scalar], apply: Callable[[Operation, list[Scalar]], Scalar]
+) -> Scalar:
     if isinstance(tree, float):
         return tree
     if isinstance(tree, str):
         return values[tree]
-    name, *args = tree
+    name, args = tree
     return apply(OPERATIONS[name], [_walk(arg, values, apply) for arg in args])
 
 
@@ -297,11 +299,11 @@ class _Reader:
             case ast.Name(id=name):
                 return self._name(name[:-1], node)
             case ast.UnaryOp(op=sign, operand=inner):
-                return ("-u" if isinstance(sign, ast.USub) else "+u", self._value(inner))
+                return ("-u" if isinstance(sign, ast.USub) else "+u", [self._value(inner)])
             case ast.BinOp(left=left, op=op, right=right):
-                return (_SYMBOLS[type(op)], self._value(left), self._value(right))
+                return (_SYMBOLS[type(op)], [self._value(left), self._value(right)])
             case ast.Compare(left=left, ops=[op], comparators=[right]):
-                return (_SYMBOLS[type(op)], self._value(left), self._value(right))
+                return (_SYMBOLS[type(op)], [self._value(left), self._value(right)])
             case ast.Compare():
                 raise self._fault("comparisons cannot be chained", node, "use where() twice")
             case ast.Call(func=ast.Name(id=name), args=args):
@@ -340,8 +342,8 @@ class _Reader:
                 node,
             )
         if name == "where":
-            return (name, self._condition(args[0]), *map(self._value, args[1:]))
-        return (name, *map(self._value, args))
+            return (name, [self._condition(args[0]), *map(self._value, args[1:])])
+        return (name, [*map(self._value, args)])
 
     def _condition(self, node: ast.expr) -> Tree:
         tree = self._tree(node)

@@ -7,13 +7,14 @@ import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
 
 import numpy as np
 import ufl
 from ufl.algebra import Abs
 from ufl.constantvalue import ScalarValue, Zero
 from ufl.core.expr import Expr
+
+from dolfin_elastic.core.types import Scalar
 
 
 @dataclass(frozen=True)
@@ -27,26 +28,26 @@ class Operation:
         most: Largest number of arguments.
     """
 
-    numeric: Callable[..., Any]
-    symbolic: Callable[..., Any]
+    numeric: Callable[..., Scalar]
+    symbolic: Callable[..., Scalar]
     fewest: int
     most: float
 
 
 def _op(
-    numeric: Callable[..., Any],
-    symbolic: Callable[..., Any],
+    numeric: Callable[..., Scalar],
+    symbolic: Callable[..., Scalar],
     fewest: int = 1,
     most: float | None = None,
 ) -> Operation:
     return Operation(numeric, symbolic, fewest, fewest if most is None else most)
 
 
-def _fold(function: Callable[[Any, Any], Any]) -> Callable[..., Any]:
+def _fold(function: Callable[[Scalar, Scalar], Scalar]) -> Callable[..., Scalar]:
     return lambda *args: reduce(function, args)
 
 
-def _choose(condition: Any, then: Any, otherwise: Any) -> Any:
+def _choose(condition: Expr | bool, then: Scalar, otherwise: Scalar) -> Scalar:
     if isinstance(condition, bool | np.bool_):
         return then if condition else otherwise
     return ufl.conditional(condition, then, otherwise)
@@ -64,7 +65,7 @@ def _ramp(a: Expr) -> Expr:
     return ufl.max_value(0, ufl.min_value(1, a))
 
 
-def _smooth(a: Any) -> Any:
+def _smooth(a: Scalar) -> Scalar:
     return a * a * (3 - 2 * a)
 
 
@@ -111,7 +112,7 @@ COMPARISONS = frozenset({"<", "<=", ">", ">="})
 OPERATIONS = OPERATORS | FUNCTIONS
 
 
-def numeric(operation: Operation, args: list[Any]) -> Any:
+def numeric(operation: Operation, args: list[Scalar]) -> Scalar:
     """Applies an operation to numbers and arrays.
 
     Args:
@@ -121,7 +122,7 @@ def numeric(operation: Operation, args: list[Any]) -> Any:
     return operation.numeric(*args)
 
 
-def symbolic(operation: Operation, args: list[Any]) -> Any:
+def symbolic(operation: Operation, args: list[Scalar]) -> Scalar:
     """Applies an operation to UFL expressions; without any of them, to numbers.
 
     Args:
@@ -140,7 +141,7 @@ def symbolic(operation: Operation, args: list[Any]) -> Any:
     return bool(result) if isinstance(result, np.bool_) else float(result)
 
 
-def _folded(result: Any) -> Any:
+def _folded(result: Expr) -> Expr | float:
     # "0*x + 9" is a number again.  As UFL's whole numbers, 9^9^9^9 would be worked out exactly.
     return float(result) if isinstance(result, ScalarValue | Zero) else result
 
@@ -148,7 +149,7 @@ def _folded(result: Any) -> Any:
 _SMALL = 1e6
 
 
-def _literal(value: float) -> float | int:
+def _literal(value: Scalar) -> float | int:
     # Whole numbers as integers: UFL then sees that x^2 is a polynomial of degree 2.
     if not math.isfinite(value):
         raise ArithmeticError

@@ -9,7 +9,7 @@ import platform
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import IO, Any, TypeVar, cast
+from typing import IO, TypedDict, TypeVar, cast
 
 import dolfinx
 import numpy as np
@@ -17,12 +17,14 @@ import ufl
 from dolfinx import fem, jit
 from mpi4py import MPI
 from ufl.classes import Label
+from ufl.core.expr import Expr
 from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 from ufl.corealg.traversal import traverse_unique_terminals
 
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 
 T = TypeVar("T")
 # No -ffast-math: it would hide the NaN and Inf by which an inverted element is seen.
@@ -36,6 +38,20 @@ FLAGS = (
     "-fno-schedule-insns2",
     "-g0",
 )
+
+
+class JitOptions(TypedDict):
+    """Options of DOLFINx's form compiler.
+
+    Attributes:
+        cffi_extra_compile_args: Flags of the C compiler.
+        timeout: Seconds to wait for another process that compiles the same form.
+        cache_dir: Folder of compiled forms.
+    """
+
+    cffi_extra_compile_args: list[str]
+    timeout: int
+    cache_dir: Path
 
 
 def cache_folder() -> Path:
@@ -57,9 +73,9 @@ def _processor() -> str:
     return f"{platform.machine()}-{hashlib.sha256(flags.encode()).hexdigest()[:10]}"
 
 
-def options(comm: MPI.Comm) -> dict[str, Any]:
+def options(comm: MPI.Comm) -> JitOptions:
     """Options for `fem.form` and `fem.Expression`, the same on all ranks. Collective."""
-    folder = on_root(comm, lambda: str(cache_folder()))
+    folder = on_root(comm, cache_folder)
     return {"cffi_extra_compile_args": list(FLAGS), "timeout": 600, "cache_dir": folder}
 
 
@@ -79,9 +95,9 @@ def _locked_cache(folder: Path) -> Iterator[None]:
             lock.close()
 
 
-def _cache_part(jit_options: dict[str, Any], key: str) -> dict[str, Any]:
+def _cache_part(jit_options: JitOptions, key: str) -> JitOptions:
     """The options with the part of the cache for a form, by the first letter of its hash."""
-    return {**jit_options, "cache_dir": Path(jit_options["cache_dir"]) / key[0]}
+    return {**jit_options, "cache_dir": jit_options["cache_dir"] / key[0]}
 
 
 def _lock(folder: Path) -> IO[str] | None:
@@ -104,7 +120,7 @@ def _lock(folder: Path) -> IO[str] | None:
 def compile_forms(
     comm: MPI.Comm,
     forms: Sequence[ufl.Form],
-    jit_options: dict[str, Any],
+    jit_options: JitOptions,
 ) -> list[fem.Form]:
     """Compiles UFL forms, each on one of the ranks, and makes DOLFINx forms of them.
 
@@ -133,9 +149,9 @@ def compile_forms(
 
 def compile_expression(
     comm: MPI.Comm,
-    expression: Any,
-    points: Any,
-    jit_options: dict[str, Any],
+    expression: Expr,
+    points: FloatArray,
+    jit_options: JitOptions,
 ) -> fem.Expression:
     """Compiles a UFL expression at points of the reference cell. Collective.
 
@@ -171,7 +187,7 @@ class _Relabelling(MultiFunction):
         return self._labels[label]
 
 
-def _with_numbered_labels(expression: Any) -> Any:
+def _with_numbered_labels(expression: Expr) -> Expr:
     """The expression with the labels of its variables (`ufl.variable`) counted from zero.
 
     FFCx names a compiled expression by its content, and a label by the number of variables that the
@@ -183,7 +199,7 @@ def _with_numbered_labels(expression: Any) -> Any:
     return map_expr_dag(_Relabelling(labels), expression) if labels else expression
 
 
-def _on_all_ranks(comm: MPI.Comm, part: dict[str, Any], make: Callable[[], T]) -> T:
+def _on_all_ranks(comm: MPI.Comm, part: JitOptions, make: Callable[[], T]) -> T:
     """Calls a function on every rank; an error of any rank is raised on all. Collective."""
     error: Exception | None = None
     made: T | None = None
@@ -197,9 +213,7 @@ def _on_all_ranks(comm: MPI.Comm, part: dict[str, Any], make: Callable[[], T]) -
     return cast("T", made)
 
 
-def _compile_shares(
-    comm: MPI.Comm, forms: Sequence[ufl.Form], parts: Sequence[dict[str, Any]]
-) -> None:
+def _compile_shares(comm: MPI.Comm, forms: Sequence[ufl.Form], parts: Sequence[JitOptions]) -> None:
     """Compiles this rank's share of forms into the cache; DOLFINx would compile all on rank 0.
 
     Collective.

@@ -7,13 +7,18 @@ before any module that imports petsc4py.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import TypeAlias
 
 from dolfin_elastic.core.errors import CaseError
 
 PREFIX = "elastic_"
 """Prefix of the options of all solvers of this package."""
+
+PetscValue: TypeAlias = bool | int | float | str | None
+"""Value of an option; True and None stand for options without a value."""
+PetscOptions: TypeAlias = Mapping[str, PetscValue]
+"""Option, with or without `PREFIX`, to value."""
 
 CASE_KEYS = {
     "ts_type": "dynamics.scheme",
@@ -74,7 +79,7 @@ def refuse_case_keys(names: Iterable[str], where: str) -> None:
             )
 
 
-def parse_arguments(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
+def parse_arguments(arguments: list[str]) -> tuple[dict[str, PetscValue], list[str]]:
     """Reads PETSc options as they stand on a command line.
 
     Args:
@@ -88,7 +93,7 @@ def parse_arguments(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
         CaseError: An argument is neither an option nor the value of one, or a key of the case
             file stands for the option.
     """
-    options: dict[str, Any] = {}
+    options: dict[str, str | None] = {}
     name = ""
     for argument in arguments:
         if argument.startswith("-") and not _is_number(argument):
@@ -105,7 +110,7 @@ def parse_arguments(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
     refuse_case_keys(options, "command line")
     at_start = [name for name in options if name in AT_START]
     started = [text for name in at_start for text in (f"-{name}", options.pop(name)) if text]
-    return options, started
+    return {**options}, started
 
 
 def _is_number(text: str) -> bool:

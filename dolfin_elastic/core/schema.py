@@ -22,6 +22,7 @@ from pydantic import (
     model_validator,
 )
 from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.units import Quantity
@@ -60,7 +61,7 @@ class Record(BaseModel, metaclass=_InputErrorMeta):
 
     @model_validator(mode="before")
     @classmethod
-    def _refuse_unknown_keys(cls, data: Any) -> Any:
+    def _refuse_unknown_keys(cls, data: object) -> object:
         if isinstance(data, dict):
             fields = {key: f for n, f in cls.model_fields.items() for key in _names(n, f)}
             for name, value in data.items():
@@ -72,7 +73,7 @@ class Record(BaseModel, metaclass=_InputErrorMeta):
         return data
 
 
-def _refuse_boolean(kinds: Sequence[Any], where: str, value: Any) -> None:
+def _refuse_boolean(kinds: Sequence[object], where: str, value: object) -> None:
     """Refuses booleans where numbers are expected: pydantic would read `steps = true` as 1."""
     members = [member for kind in kinds for member in _members(kind)]
     if isinstance(value, list | tuple):
@@ -88,7 +89,7 @@ def _refuse_boolean(kinds: Sequence[Any], where: str, value: Any) -> None:
         raise InputError(f"{quoted(value)} is wrong", where=where, expected=expected)
 
 
-def _refuse_non_boolean(kind: Any, where: str, value: Any) -> None:
+def _refuse_non_boolean(kind: object, where: str, value: object) -> None:
     """Refuses "no", "off" and 0 for false, which pydantic would take."""
     if (
         _members(kind) == [bool]
@@ -100,7 +101,7 @@ def _refuse_non_boolean(kind: Any, where: str, value: Any) -> None:
         )
 
 
-def _validates_itself(metadata: Iterable[Any]) -> bool:
+def _validates_itself(metadata: Iterable[object]) -> bool:
     """The type validates its own input and reports its own errors."""
     return any(isinstance(one, Quantity | BeforeValidator) for one in metadata)
 
@@ -130,7 +131,7 @@ def input_error(record: type[BaseModel], error: ValidationError) -> InputError:
     return InputError(what, where=path, expected=_accepted(same))
 
 
-def _inner(fault: Any) -> Any:
+def _inner(fault: ErrorDetails) -> object:
     return fault.get("ctx", {}).get("error")
 
 
@@ -145,7 +146,7 @@ def within(path: str, error: InputError) -> InputError:
     return type(error)(error.what, where=path + joint + error.where, expected=error.expected)
 
 
-def _rank(found: tuple[str, Any]) -> int:
+def _rank(found: tuple[str, ErrorDetails]) -> int:
     # What was written and is wrong comes before what is only missing.
     return int(found[1]["type"] == "missing")
 
@@ -153,7 +154,7 @@ def _rank(found: tuple[str, Any]) -> int:
 LONGEST_QUOTED = 60
 
 
-def quoted(value: Any) -> str:
+def quoted(value: object) -> str:
     """A value as it stands in a case file, shortened."""
     try:
         text = json.dumps(value, ensure_ascii=False)
@@ -186,7 +187,7 @@ _TYPE_NAMES = {
 }
 
 
-def _accepted(faults: Sequence[Any]) -> str:
+def _accepted(faults: Sequence[ErrorDetails]) -> str:
     """What would have been accepted, over all members of a union."""
     for fault in faults:
         choices = re.findall(r"'([^']*)'", str(fault.get("ctx", {}).get("expected", "")))
@@ -196,7 +197,7 @@ def _accepted(faults: Sequence[Any]) -> str:
     return "expected " + " or ".join(wanted)
 
 
-def _phrase(fault: Any) -> str:
+def _phrase(fault: ErrorDetails) -> str:
     context = fault.get("ctx", {})
     if fault["type"] == "literal_error":
         return str(context["expected"])
@@ -217,7 +218,8 @@ def dotted_path(record: type[BaseModel], path: Iterable[str | int]) -> str:
         record: Type of the record that was validated.
         path: Location of the fault as pydantic gives it.
     """
-    text, kinds = "", [record]
+    text = ""
+    kinds: list[object] = [record]
     for part in path:
         below = [kind for one in kinds for kind in _part_types(one, part)]
         if isinstance(part, int):
@@ -228,7 +230,7 @@ def dotted_path(record: type[BaseModel], path: Iterable[str | int]) -> str:
     return text
 
 
-def _part_types(kind: Any, part: str | int) -> list[Any]:
+def _part_types(kind: object, part: str | int) -> list[object]:
     """Types of the values that a type holds under a key or index; empty if it has no such part."""
     origin, inside = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and origin is None and issubclass(kind, BaseModel):
@@ -241,7 +243,7 @@ def _part_types(kind: Any, part: str | int) -> list[Any]:
     return []
 
 
-def _members(kind: Any) -> list[Any]:
+def _members(kind: object) -> list[object]:
     """The members of a union, or the type itself."""
     origin = get_origin(kind)
     if origin is Annotated:

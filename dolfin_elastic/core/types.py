@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from ufl.core.expr import Expr
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 """Coordinates, displacements, forces, values of fields."""
@@ -18,5 +19,7 @@ IntArray: TypeAlias = npt.NDArray[np.int64]
 """Global indices, numbers of nodes in files, marks of regions."""
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 """Masks."""
+Scalar: TypeAlias = float | FloatArray | Expr
+"""A number, its values at several points, or a scalar UFL expression."""
 AnyArray: TypeAlias = npt.NDArray[Any]
 """Arrays whose entries are of several types, or of one that only the caller knows."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
+from pydantic import GetCoreSchemaHandler
 from pydantic_core import core_schema
 
 from dolfin_elastic.core.errors import UnitError
@@ -135,7 +136,7 @@ def _known(unit: str) -> bool:
     return True
 
 
-def to_si(value: float | str, unit: str) -> float:
+def to_si(value: object, unit: str) -> float:
     """A number, or a text with a number and a unit, in SI units.
 
     Args:
@@ -274,7 +275,7 @@ class SpatialValue(ABC):
 
     @property
     @abstractmethod
-    def written(self) -> Any:
+    def written(self) -> object:
         """As it stands in a case file."""
 
     def __gt__(self, other: object) -> bool:
@@ -296,7 +297,7 @@ class Quantity:
 
     unit: str
 
-    def read(self, value: Any, bounded: Callable[[float], float]) -> float | SpatialValue:
+    def read(self, value: object, bounded: Callable[[float], float]) -> float | SpatialValue:
         """Reads a number in SI units; a `SpatialValue` is returned as it is.
 
         Args:
@@ -308,13 +309,15 @@ class Quantity:
         """
         return value if isinstance(value, SpatialValue) else bounded(to_si(value, self.unit))
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
         return core_schema.no_info_wrap_validator_function(
             self.read, handler(source), serialization=as_written
         )
 
 
-def _as_written(value: Any) -> Any:
+def _as_written(value: object) -> object:
     return value.written if isinstance(value, SpatialValue) else value
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from mpi4py import MPI
@@ -45,14 +45,14 @@ class Finding:
     check: str
     verdict: Literal["pass", "fail", "note"]
     text: str
-    values: dict[str, Any]
+    values: Mapping[str, object]
 
 
-def _found(check: str, good: bool, text: str, **values: Any) -> Finding:
+def _found(check: str, good: bool, text: str, **values: object) -> Finding:
     return Finding(check, "pass" if good else "fail", text, values)
 
 
-def _note(check: str, text: str, **values: Any) -> Finding:
+def _note(check: str, text: str, **values: object) -> Finding:
     return Finding(check, "note", text, values)
 
 
@@ -252,10 +252,14 @@ def _relative(a: AnyArray, b: AnyArray, least: float) -> float:
 # --- derivatives ---
 
 
+Evaluation: TypeAlias = Callable[[AnyArray], AnyArray]
+"""Energy, stress or tangent of a law at deformation gradients, shape (n, 3, 3)."""
+
+
 def derivatives(tested: LawUnderTest) -> Iterator[Finding]:
     """P = dpsi/dF and A = dP/dF, against central differences of fourth order."""
     F = tested.samples[::2]
-    pairs: list[tuple[str, Any, Any]] = [
+    pairs: list[tuple[str, Evaluation, Evaluation]] = [
         ("tangent is dP/dF", tested.point.stress, tested.point.tangent)
     ]
     if tested.law.has_energy:
@@ -274,7 +278,7 @@ def derivatives(tested: LawUnderTest) -> Iterator[Finding]:
         yield _found(name, good, f"largest difference {error:.2g}", error=error)
 
 
-def _differences(f: Any, F: AnyArray, step: float) -> AnyArray:
+def _differences(f: Evaluation, F: AnyArray, step: float) -> AnyArray:
     D = step * np.eye(9).reshape(9, 1, 3, 3)
     shifted = np.concatenate([F + k * D for k in (1, -1, 2, -2)]).reshape(-1, 3, 3)
     values = f(shifted)

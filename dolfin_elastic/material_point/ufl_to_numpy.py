@@ -38,7 +38,7 @@ from ufl.classes import (
 )
 from ufl.corealg.traversal import unique_post_traversal
 
-from dolfin_elastic.core.types import AnyArray
+from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.model.materials.law import Law
 
 Step = Callable[[list[AnyArray]], AnyArray]
@@ -87,7 +87,7 @@ def _aligned(e: Expr, free: Sequence[int], rank: int) -> Callable[[AnyArray], An
         rank: Number of axes of the result's shape.
     """
     own, own_rank = _rank(e)
-    index: list[Any] = [slice(None) if i in own else None for i in free]
+    index: list[slice | None] = [slice(None) if i in own else None for i in free]
     index += [None] * (rank - own_rank)
     return lambda a: a[(*index, ...)]
 
@@ -104,7 +104,7 @@ def _indexed(e: Indexed) -> Step:
     tensor, multi = e.ufl_operands
     own, _ = _rank(tensor)
     labels = list(own)
-    pick: list[Any] = [slice(None)] * len(own)
+    pick: list[slice | int] = [slice(None)] * len(own)
     for index in multi.indices():
         fixed = isinstance(index, FixedIndex)
         pick.append(int(index) if fixed else slice(None))
@@ -148,7 +148,7 @@ def _index_sum(e: IndexSum) -> Step:
     return add
 
 
-def _constant(value: Any) -> Step:
+def _constant(value: float | FloatArray) -> Step:
     array = np.asarray(value, dtype=np.float64)[..., None]
     return lambda args: array
 

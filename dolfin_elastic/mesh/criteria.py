@@ -109,7 +109,15 @@ def not_found(
     owned: BoolArray,
     searched_in: str,
 ) -> MeshError:
-    """Error of a selector that finds nothing: counts, and the smallest distances. Collective."""
+    """Error of a selector that finds nothing: counts, and the smallest distances. Collective.
+
+    Args:
+        comm: The ranks of the mesh.
+        space: Of the body.
+        tests: The selector's criteria, each evaluated for all n facets, edges, nodes or cells.
+        owned: Which of them this rank owns, shape (n,).
+        searched_in: What was searched, in the plural: "facets of the surface".
+    """
     findings = []
     for test in tests:
         count = int(total(comm, int(np.count_nonzero((test.distance <= test.limit) & owned))))
@@ -192,7 +200,15 @@ def distance_from_box(selector: Place, space: BoundingBox) -> Callable[[FloatArr
 def curved_tests(
     selector: Place, space: BoundingBox
 ) -> list[tuple[str, Callable[[FloatArray], FloatArray]]]:
-    """Name and signed distance function of the sphere and the cylinder, negative inside."""
+    """Signed distance [m] from the sphere and the cylinder of a selector, negative inside.
+
+    Args:
+        selector: Its sphere and cylinder.
+        space: Of the body.
+
+    Returns:
+        For each of them its name, and a function from points [m], shape (n, dim), to shape (n,).
+    """
     found = []
     if (sphere := selector.sphere) is not None:
         center, radius = space.point(sphere.center, "sphere.center"), space.metres(sphere.radius)
@@ -249,7 +265,15 @@ def place_criteria(selector: Place, space: BoundingBox, corners: FloatArray) -> 
 
 
 def fulfilled(tests: Sequence[Criterion], count: int) -> BoolArray:
-    """Which of `count` facets, edges, nodes or cells fulfil all criteria."""
+    """Which facets, edges, nodes or cells fulfil all criteria.
+
+    Args:
+        tests: The criteria; without any, all fulfil them.
+        count: Number n of facets, edges, nodes or cells.
+
+    Returns:
+        Shape (n,).
+    """
     inside = np.ones(count, dtype=bool)
     for test in tests:
         inside &= test.distance <= test.limit

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
@@ -68,7 +69,7 @@ class MeshField:
         return np.asarray(np.einsum("kn,cnj->ckj", shape_functions(mesh, points), nodes))
 
 
-def as_columns(data: Any, rows: int, name: str) -> FloatArray:
+def as_columns(data: npt.ArrayLike, rows: int, name: str) -> FloatArray:
     """Data of a file as an array with one row for each cell or point.
 
     Args:

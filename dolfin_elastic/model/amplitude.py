@@ -5,7 +5,7 @@ In statics "time" is the load parameter, from 0 (nothing) to 1 (everything).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any
@@ -110,7 +110,7 @@ class Amplitude:
         """It is a formula in t, which may oscillate between any two times."""
         return self.formula is not None and self.formula.names == frozenset({"t"})
 
-    def with_rows(self, rows: Any) -> Amplitude:
+    def with_rows(self, rows: Sequence[Sequence[float | str]]) -> Amplitude:
         """The same amplitude with the rows of its file.
 
         Raises:
@@ -124,7 +124,7 @@ PROPORTIONAL = Amplitude("t", Formula.parse("t", allowed=("t",)))
 """The load factor itself, also above 1 and below 0."""
 
 
-def amplitude(written: Any) -> Amplitude:
+def amplitude(written: object) -> Amplitude:
     """Reads an amplitude from what a user wrote.
 
     Raises:
@@ -159,7 +159,7 @@ def _from_text(text: str) -> Amplitude:
     return Amplitude(text, Formula.parse(text, allowed=("t",)))
 
 
-def _table(rows: Any) -> Rows:
+def _table(rows: Sequence[Any]) -> Rows:
     if not rows or any(not isinstance(row, list | tuple) or len(row) != 2 for row in rows):
         raise InputError("a curve's table needs pairs [t, value]", expected=_EXPECTED)
     table = tuple((to_si(t, "s"), to_si(value, "")) for t, value in rows)
@@ -169,7 +169,7 @@ def _table(rows: Any) -> Rows:
     return table
 
 
-def _from_keys(keys: Mapping[str, Any]) -> Amplitude:
+def _from_keys(keys: Mapping[str, object]) -> Amplitude:
     known = ("smooth",) if "smooth" in keys else ("file", "time", "value")
     for key in keys:
         if key not in known:
@@ -178,12 +178,13 @@ def _from_keys(keys: Mapping[str, Any]) -> Amplitude:
         if not isinstance(keys["smooth"], list | tuple):
             raise InputError("a curve's table needs pairs [t, value]", where="smooth")
         return Amplitude(_table(keys["smooth"]), smooth=True)
+    texts = {key: text for key, text in keys.items() if isinstance(text, str) and text}
     for key, value in keys.items():
-        if not isinstance(value, str) or not value:
+        if key not in texts:
             raise InputError(f"{value!r} is wrong", where=key, expected="expected a text")
     if "file" not in keys:
         raise InputError("this key is missing", where="file", expected=_EXPECTED)
-    return Amplitude("file", source=CurveFile(**keys))
+    return Amplitude("file", source=CurveFile(**texts))
 
 
 def _written(value: Amplitude | None) -> Any:

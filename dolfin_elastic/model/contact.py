@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.types import Scalar
 from dolfin_elastic.core.units import ForceDensity, Length
 from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.on_surfaces import OnSurfaces
@@ -24,7 +25,11 @@ from dolfin_elastic.model.values import amplitude_of, components
 
 Place = Annotated[list[Length], Field(min_length=2, max_length=3)]
 Vector = Annotated[list[float], Field(min_length=2, max_length=3)]
-Gap = tuple[Any, list[Any]]
+Constant = Callable[[float], Scalar]
+"""A number as a constant of a form, or as it is."""
+Root = Callable[[Scalar], Scalar]
+"""The square root, of UFL or of numpy."""
+Gap = tuple[Scalar, list[Scalar]]
 """Signed distance [m] and components of the obstacle's outward unit normal."""
 
 
@@ -49,9 +54,7 @@ class Obstacle(Record):
         """
 
     @abstractmethod
-    def gap(
-        self, x: Sequence[Any], number: Callable[[float], Any], root: Callable[[Any], Any]
-    ) -> Gap:
+    def gap(self, x: Sequence[Scalar], number: Constant, root: Root) -> Gap:
         """Signed distance and outward normal at points.
 
         Args:
@@ -111,9 +114,7 @@ class Plane(Obstacle):
         assert self.normal is not None
         return self.point, _unit(self.normal)
 
-    def gap(
-        self, x: Sequence[Any], number: Callable[[float], Any], root: Callable[[Any], Any]
-    ) -> Gap:
+    def gap(self, x: Sequence[Scalar], number: Constant, root: Root) -> Gap:
         """See `Obstacle.gap`: g = (x - point) . n."""
         point, normal = self._placed(len(x))
         n = [number(item) for item in normal]
@@ -148,9 +149,7 @@ class SphereObstacle(Obstacle):
                 expected="[0, y]",
             )
 
-    def gap(
-        self, x: Sequence[Any], number: Callable[[float], Any], root: Callable[[Any], Any]
-    ) -> Gap:
+    def gap(self, x: Sequence[Scalar], number: Constant, root: Root) -> Gap:
         """See `Obstacle.gap`: g = |x - center| - radius, or its negative inside."""
         arm = [a - number(c) for a, c in zip(x, self.center, strict=True)]
         return _round(arm, number(self.radius), root, self.inside)
@@ -200,9 +199,7 @@ class CylinderObstacle(Obstacle):
         if dim == 3 and not isinstance(self.axis, str):
             _check_length(self.axis, dim, "axis")
 
-    def gap(
-        self, x: Sequence[Any], number: Callable[[float], Any], root: Callable[[Any], Any]
-    ) -> Gap:
+    def gap(self, x: Sequence[Scalar], number: Constant, root: Root) -> Gap:
         """See `Obstacle.gap`: g is the distance from the axis minus the radius, or its negative."""
         arm = [a - number(p) for a, p in zip(x, self.point, strict=True)]
         if isinstance(self.axis, str):
@@ -215,7 +212,7 @@ class CylinderObstacle(Obstacle):
         return _round(across, number(self.radius), root, self.inside)
 
 
-def _round(arm: list[Any], radius: Any, root: Callable[[Any], Any], inside: bool) -> Gap:
+def _round(arm: list[Scalar], radius: Scalar, root: Root, inside: bool) -> Gap:
     # On the axis or in the centre the normal is not defined.  The small term makes it 0 there and
     # keeps derivatives finite; elsewhere it is below round-off.
     length = root(sum(item * item for item in arm) + 1e-16 * radius * radius)

@@ -26,7 +26,7 @@ class WeightedMeasure:
     weight: Expr | None
     measure: ufl.Measure
 
-    def ufl_domain(self) -> Any:
+    def ufl_domain(self) -> ufl.Mesh:
         """The mesh in UFL."""
         return self.measure.ufl_domain()
 
@@ -34,7 +34,7 @@ class WeightedMeasure:
         """The same with another quadrature rule, see `ufl.Measure`."""
         return WeightedMeasure(self.weight, self.measure(**kwargs))
 
-    def __rmul__(self, integrand: Any) -> ufl.Form:
+    def __rmul__(self, integrand: Expr) -> ufl.Form:
         """The integral's form."""
         return (integrand if self.weight is None else integrand * self.weight) * self.measure
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -156,7 +157,7 @@ def _number(value: Component, t: float) -> float:
     return float(value.evaluate(t=t)) if isinstance(value, Formula) else float(value or 0.0)
 
 
-def _matrix(written: Any, unit: str, key: str) -> Matrix:
+def _matrix(written: Sequence[Sequence[object]], unit: str, key: str) -> Matrix:
     rows = len(written)
     if rows not in (2, 3) or any(len(row) != rows for row in written):
         raise InputError(
@@ -170,7 +171,7 @@ def _matrix(written: Any, unit: str, key: str) -> Matrix:
     )
 
 
-def _component(written: Any, unit: str, where: str) -> Component:
+def _component(written: object, unit: str, where: str) -> Component:
     try:
         value = component(written, unit, may_be_free=True)
     except InputError as error:

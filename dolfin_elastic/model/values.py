@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ Component = float | Formula | None
 """A number in SI units, a formula in x, y, z [m] and t, or None for a free component."""
 
 
-def component(written: Any, unit: str, *, may_be_free: bool = False) -> Component:
+def component(written: object, unit: str, *, may_be_free: bool = False) -> Component:
     """Reads one component.
 
     Args:
@@ -61,7 +60,7 @@ def misspelt_unit(text: str, names: Collection[str] = COORDINATES) -> bool:
 
 
 def components(
-    written: Any, unit: str, *, key: str = "", may_be_free: bool = False
+    written: object, unit: str, *, key: str = "", may_be_free: bool = False
 ) -> tuple[Component, ...]:
     """Reads a vector of two or three components.
 

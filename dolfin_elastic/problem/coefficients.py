@@ -284,7 +284,7 @@ class CoefficientBinder:
         points = self._sampler.points
         return np.linalg.inv(np.column_stack([1 - points.sum(axis=1), points]))
 
-    def _constant(self, number: Any) -> fem.Constant:
+    def _constant(self, number: float | list[float]) -> fem.Constant:
         return fem.Constant(self.body.mesh, np.asarray(number, dtype=np.float64))
 
     @cached_property

@@ -19,7 +19,6 @@ Lord Rayleigh, The Theory of Sound (1877), section 81; J. F. Hall, Earthq. Eng. 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import ufl
 from dolfinx import fem
@@ -29,19 +28,19 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.dimension import gradient_variation
 from dolfin_elastic.model.materials.growth import GrownLaw
+from dolfin_elastic.model.materials.law import Law, ModifiedLaw, SplitLaw
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 
 
 @dataclass(frozen=True)
-class _Shape:
+class _Shape(ModifiedLaw):
     """A law without what its pressure carries."""
 
-    law: Any
+    law: SplitLaw
 
-    @property
-    def linear(self) -> bool:
-        return bool(self.law.linear)
+    def energy(self, F: Expr) -> Expr:
+        return self.law.shape_energy(F)
 
     def stress(self, F: Expr) -> Expr:
         return self.law.shape_stress(F)
@@ -166,7 +165,7 @@ class Damping:
     def _test(self) -> Expr:
         return self._gradient(ufl.TestFunction(self._problem.W))
 
-    def _volume(self, region: MaterialRegion) -> Any:
+    def _volume(self, region: MaterialRegion) -> ufl.Form:
         return self._problem.weak_form.volume(region, self._problem.weak_form.rule(region))
 
     def _viscous(self, region: MaterialRegion, rate: Expr) -> Expr:
@@ -177,7 +176,10 @@ class Damping:
         return F * (2 * eta * ufl.sym(F.T * dF))
 
     def _elastic_stress(self, region: MaterialRegion) -> Expr:
-        law: Any = region.law if region.compliance is None else _Shape(region.law)
+        law: Law | ModifiedLaw = region.law
+        if region.compliance is not None:
+            assert isinstance(region.law, SplitLaw)
+            law = _Shape(region.law)
         growth = self._problem.eigenstrains.get(region.name)
         return (law if growth is None else GrownLaw(law, growth)).stress(self._F)
 

@@ -249,7 +249,7 @@ class Problem:
         return self.unknowns.has("pressure")
 
     @cached_property
-    def jit(self) -> dict[str, object]:
+    def jit(self) -> jit.JitOptions:
         """Options for the form compiler. Collective."""
         return jit.options(self.body.comm)
 

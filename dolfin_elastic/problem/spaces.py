@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import basix.ufl
 import numpy as np
@@ -17,13 +16,12 @@ from dolfinx import fem
 from dolfinx.fem import Constant
 from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
+from ufl.finiteelement import AbstractFiniteElement
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
-
-Element = Any
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ class Unknowns:
         self.scale = {e.name: Constant(mesh, 1.0) for e in self.auxiliary_fields}
 
     def _spaces(
-        self, mesh: Mesh, elements: Sequence[Element]
+        self, mesh: Mesh, elements: Sequence[AbstractFiniteElement]
     ) -> tuple[fem.FunctionSpace, fem.FunctionSpace, fem.FunctionSpace, IndexArray | None]:
         """V, U, W, and the entry of W of each entry of V where these differ."""
         if not self.auxiliary_fields:

@@ -20,7 +20,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from types import ModuleType
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from mpi4py import MPI
@@ -29,6 +30,9 @@ from dolfin_elastic.core.errors import OutputError
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.results.files import need_space, writing
+
+if TYPE_CHECKING:
+    import h5py
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ def _allocate(path: Path, arrays: Mapping[str, Rows]) -> dict[str, int]:
         raise OutputError(f"cannot write {path}: {error}") from error
 
 
-def _create_array(h5py: Any, file: Any, name: str, rows: Rows) -> int:
+def _create_array(h5py: ModuleType, file: h5py.File, name: str, rows: Rows) -> int:
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     properties.set_layout(h5py.h5d.CONTIGUOUS)
     properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 import basix
 import numpy as np
@@ -60,7 +60,7 @@ class ProbePoint(Record):
 
     @model_validator(mode="before")
     @classmethod
-    def _short(cls, value: Any) -> Any:
+    def _short(cls, value: object) -> object:
         """A list of coordinates stands for a point where the displacement is evaluated."""
         return {"at": value} if isinstance(value, list | tuple) else value
 

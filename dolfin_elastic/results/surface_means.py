@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import ufl
@@ -89,7 +89,7 @@ class SurfaceMean:
         self._form = compile_forms(mesh.comm, [form], problem.jit)[0]
         self._sums = fem.Function(space).x.array.reshape(-1, size)
 
-    def _measure(self, surface: str) -> Any:
+    def _measure(self, surface: str) -> ufl.Measure:
         """Integration over the surface; facets of region k of the problem have the number 1 + k."""
         body = self.problem.body
         mesh, tdim = body.mesh, body.mesh.topology.dim

@@ -7,7 +7,7 @@ that is wanted.  The solution is interpolated to the finer mesh, from where Newt
 from __future__ import annotations
 
 import logging
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from dolfin_elastic.case.run import log_notes, open_outputs
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root, total
+from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.refine.marking import bulk
 from dolfin_elastic.mesh.refine.refinement import Refinement, refine_body
@@ -72,7 +73,7 @@ def converge(
     goal: Goal,
     *,
     output: Path | None = None,
-    petsc: Mapping[str, Any] | None = None,
+    petsc: PetscOptions | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> Generator[Progress, None, None]:
     """Solves a case on finer and finer meshes; yields what is known after each.  Collective.
@@ -154,7 +155,7 @@ class _Convergence:
     case: Case
     goal: Goal
     folder: Path
-    petsc: dict[str, Any]
+    petsc: dict[str, PetscValue]
     comm: MPI.Comm
     lock: FolderLock
 

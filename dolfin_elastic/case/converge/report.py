@@ -6,7 +6,6 @@ import json
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -48,7 +47,7 @@ def _row(level: Level) -> dict[str, float | None]:
     return {name: v if math.isfinite(v) else None for name, v in values.items()}
 
 
-def _summary(progress: Progress) -> dict[str, Any]:
+def _summary(progress: Progress) -> dict[str, object]:
     last = _row(progress.last)
     return {
         "verdict": progress.verdict,

@@ -29,7 +29,14 @@ def find(labels: IntArray, wanted: IntArray) -> IntArray:
 
 
 def find_all(labels: IntArray, wanted: IntArray) -> IntArray:
-    """Rows of the nodes of elements; see `find`.
+    """Rows of the nodes of elements in a table of nodes.
+
+    Args:
+        labels: Numbers of all nodes in ascending order, shape (n,).
+        wanted: Numbers of the elements' nodes, of any shape.
+
+    Returns:
+        Shape of `wanted`.
 
     Raises:
         MeshError: A node does not exist.

@@ -6,7 +6,7 @@ import contextlib
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.fields import as_columns
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile
+
+if TYPE_CHECKING:
+    import meshio
 
 # Integer cell data that are references of the format itself: their number is the name.
 REFERENCES = ("gmsh:physical", "medit:ref", "nastran:ref", "tetgen:ref", "cell_tags")
@@ -53,7 +56,7 @@ def is_number(data: AnyArray) -> bool:
     return data.dtype.kind in "fiu"
 
 
-def _cell_data(mesh: Any, i: int) -> dict[str, FloatArray]:
+def _cell_data(mesh: meshio.Mesh, i: int) -> dict[str, FloatArray]:
     """Cell data that are fields; integers name parts instead, see `sets_by_value`."""
     found = {}
     for name, blocks in mesh.cell_data.items():
@@ -65,7 +68,7 @@ def _cell_data(mesh: Any, i: int) -> dict[str, FloatArray]:
     return found
 
 
-def _read(path: Path) -> Any:
+def _read(path: Path) -> meshio.Mesh:
     import meshio
 
     output = io.StringIO()
@@ -92,7 +95,7 @@ def _reason(path: Path, error: Exception) -> str:
     return " ".join(f"{type(error).__name__} {error}".split())[:300]
 
 
-def _nodes(cells: Any, path: Path) -> IntArray:
+def _nodes(cells: meshio.CellBlock, path: Path) -> IntArray:
     try:
         nodes = np.asarray(cells.data, dtype=np.int64)
     except (ValueError, TypeError):  # ragged: polyhedra
@@ -100,7 +103,7 @@ def _nodes(cells: Any, path: Path) -> IntArray:
     return nodes.reshape(len(nodes), -1)
 
 
-def _parts(mesh: Any, i: int) -> dict[str, IntArray]:
+def _parts(mesh: meshio.Mesh, i: int) -> dict[str, IntArray]:
     parts: dict[str, IntArray] = {}
     for name, sets in (mesh.cell_sets or {}).items():
         # meshio's own helper sets are no names of the user.
@@ -120,7 +123,7 @@ def _add(parts: dict[str, IntArray], name: str, rows: IntArray) -> None:
     parts[name] = np.union1d(rows, parts[name]) if name in parts else rows
 
 
-def _numbered(key: str, mesh: Any, dim: int) -> Mapping[int, Sequence[str]]:
+def _numbered(key: str, mesh: meshio.Mesh, dim: int) -> Mapping[int, Sequence[str]]:
     """Names of the values of integer cell data, where the format has some."""
     if key == "cell_tags":
         return getattr(mesh, "cell_tags", {}) or {}
@@ -161,7 +164,7 @@ def sets_by_value(
     return parts
 
 
-def _tagged(tags: Any, names: Mapping[int, Sequence[str]]) -> dict[str, IntArray]:
+def _tagged(tags: IntArray | None, names: Mapping[int, Sequence[str]]) -> dict[str, IntArray]:
     """Groups of points of MED files."""
     sets: dict[str, IntArray] = {}
     if tags is None:

@@ -15,7 +15,6 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -207,7 +206,9 @@ class _File:
             raise MeshError(f"the array '{name}' has {len(values)} numbers, {need} are needed")
         return values
 
-    def _decoded(self, array: ElementTree.Element, dtype: np.dtype[Any], need: int) -> AnyArray:
+    def _decoded(
+        self, array: ElementTree.Element, dtype: np.dtype[np.generic], need: int
+    ) -> AnyArray:
         layout = array.get("format", "ascii")
         if layout == "ascii":
             words = (array.text or "").split()

@@ -11,10 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, TypeVar, cast
+from types import ModuleType
+from typing import TypeVar, cast
 
 import numpy as np
 from dolfinx import fem, la
+from dolfinx.common import IndexMap
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
@@ -147,7 +149,7 @@ class _Model:
         dim: 3, or 2: then its curves are the surfaces.
     """
 
-    def __init__(self, model: Any, dim: int) -> None:
+    def __init__(self, model: ModuleType, dim: int) -> None:
         self._model, self._dim = model, dim - 1
         self.surfaces = [int(tag) for _, tag in model.getEntities(self._dim)]
 
@@ -264,7 +266,7 @@ def _shared(space: fem.FunctionSpace, links: _Links) -> _Links:
     return links
 
 
-def _merge(index: Any, links: _Links, received: Mapping[int, list[_Touching]]) -> None:
+def _merge(index: IndexMap, links: _Links, received: Mapping[int, list[_Touching]]) -> None:
     nodes = index.global_to_local(np.array([*received], dtype=np.int64))
     for node, touching in zip(nodes, received.values(), strict=True):
         if node >= 0:

@@ -28,7 +28,12 @@ _SHAPES = {2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 
 
 def lagrange(dim: int, degree: int) -> basix.finite_element.FiniteElement:
-    """The Lagrange element of geometry and displacements on triangles or tetrahedra."""
+    """The Lagrange element of geometry and displacements on triangles or tetrahedra.
+
+    Args:
+        dim: 2 or 3.
+        degree: Of its polynomials.
+    """
     return basix.create_element(
         basix.ElementFamily.P, _SHAPES[dim], degree, basix.LagrangeVariant.equispaced
     )

@@ -85,7 +85,7 @@ class Growth(Eigenstrain):
             rows = self._rows(self.value)
         return tuple(item for row in rows for item in row)
 
-    def _rows(self, written: Any) -> list[list[Component]]:
+    def _rows(self, written: list[Any]) -> list[list[Component]]:
         if len(written) == 3 and all(isinstance(row, list | tuple) for row in written):
             if any(len(row) != 3 for row in written):
                 raise InputError("this is no 3x3 list", expected=_GROWTH)

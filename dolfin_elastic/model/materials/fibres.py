@@ -6,7 +6,8 @@ In a record a direction is a list of three components (two in a plane).  A law r
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Literal
 
 import ufl
 from ufl.core.expr import Expr
@@ -14,12 +15,12 @@ from ufl.core.expr import Expr
 Axis = Literal["x", "y", "z"]
 
 
-def axis_vector(axis: Any) -> Any:
+def axis_vector(axis: object) -> object:
     """The unit vector of "x", "y" or "z"; any other value unchanged."""
     return [float(name == axis) for name in "xyz"] if isinstance(axis, str) else axis
 
 
-def as_floats(value: Any) -> list[float] | None:
+def as_floats(value: object) -> list[float] | None:
     """A list of numbers as floats; None for anything else."""
     if not isinstance(value, list | tuple) or not value:
         return None
@@ -28,7 +29,7 @@ def as_floats(value: Any) -> list[float] | None:
     return [float(item) for item in value]
 
 
-def direction(value: Any) -> Expr:
+def direction(value: Expr | Sequence[float]) -> Expr:
     """A direction as a UFL unit vector with three components.
 
     Args:
@@ -40,7 +41,7 @@ def direction(value: Any) -> Expr:
     return vector / ufl.sqrt(ufl.inner(vector, vector))
 
 
-def frame(axis1: Any, axis2: Any) -> tuple[Expr, Expr, Expr]:
+def frame(axis1: Expr | Sequence[float], axis2: Expr | Sequence[float]) -> tuple[Expr, Expr, Expr]:
     """Orthonormal frame of an orthotropic material, three UFL vectors (Gram-Schmidt).
 
     Args:

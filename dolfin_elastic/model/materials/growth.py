@@ -28,7 +28,7 @@ class GrownLaw(ModifiedLaw):
         growth: Fg, a UFL tensor of shape (3, 3).
     """
 
-    law: Law | Mixed
+    law: Law | ModifiedLaw
     growth: Expr
 
     def elastic(self, F: Expr) -> Expr:
@@ -53,4 +53,5 @@ class GrownLaw(ModifiedLaw):
 
     def gap(self, F: Expr) -> Expr:
         """Residual of the pressure's equation, see `Mixed.gap`."""
-        return self._volume * self.law.gap(self.elastic(F))  # type: ignore[union-attr]
+        assert isinstance(self.law, Mixed)
+        return self._volume * self.law.gap(self.elastic(F))

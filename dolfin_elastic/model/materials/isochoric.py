@@ -12,6 +12,7 @@ from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import Scalar
 from dolfin_elastic.core.units import Number, Stress
 from dolfin_elastic.model.kinematics import cofactor
 from dolfin_elastic.model.materials import moduli
@@ -33,7 +34,7 @@ def simo_taylor(J: Expr) -> Expr:
     Source: J. C. Simo and R. L. Taylor, Comput. Methods Appl. Mech. Eng. 35 (1982) 107.
     """
     t = (J - 1) / (J + 1)
-    series: Any = 0.0
+    series: Scalar = 0.0
     for n in reversed(range(TERMS)):
         series = series * t**2 + 1 / (2 * n + 3)
     near = ufl.lt(abs(t), NEAR)
@@ -94,7 +95,7 @@ class Isochoric(Volumetric):
     def shear(self) -> float:
         """Shear modulus at small strains [Pa], from the constants of the shape."""
 
-    def model_post_init(self, context: Any) -> None:
+    def model_post_init(self, context: object) -> None:
         """Fills in whichever of K and nu was not given."""
         given = {name: getattr(self, name) for name in ("K", "nu") if name in self.model_fields_set}
         if len(given) != 1:

@@ -58,12 +58,12 @@ class Law(Record):
     """Logged once in every run that uses the law."""
     directions: ClassVar[tuple[str, ...]] = ()
     """Fields that are vectors in the reference configuration; read them by `fibres.direction`."""
-    example: ClassVar[Mapping[str, Any]] = {}
+    example: ClassVar[Mapping[str, object]] = {}
     """Constants as a case file gives them, for the law's page and for tests."""
 
     @model_validator(mode="before")
     @classmethod
-    def _read_varying(cls, data: Any) -> Any:
+    def _read_varying(cls, data: object) -> object:
         return spatial.constants(cls, data) if isinstance(data, dict) else data
 
     @classmethod
@@ -259,9 +259,9 @@ class Isotropic(Law):
     )
     mu: Stress = Field(default_factory=placeholder)
 
-    example: ClassVar[Mapping[str, Any]] = {"E": "1 MPa", "nu": 0.3}
+    example: ClassVar[Mapping[str, object]] = {"E": "1 MPa", "nu": 0.3}
 
-    def model_post_init(self, context: Any) -> None:
+    def model_post_init(self, context: object) -> None:
         """Fills in the three constants that were not given."""
         given = {
             name: getattr(self, name) for name in moduli.NAMES if name in self.model_fields_set

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import Scalar
 
 NAMES = ("E", "nu", "K", "lmbda", "mu")
 
@@ -29,13 +29,13 @@ class Moduli:
     mu: float
 
 
-def _from_E_lmbda(E: Any, lmbda: Any) -> tuple[Any, Any]:
+def _from_E_lmbda(E: Scalar, lmbda: Scalar) -> tuple[Scalar, Scalar]:
     root = (E * E + 9 * lmbda * lmbda + 2 * E * lmbda) ** 0.5
     return lmbda, (E - 3 * lmbda + root) / 4
 
 
 # Each pair to (lmbda, mu).
-_TO_LAME: dict[tuple[str, ...], Callable[[Any, Any], tuple[Any, Any]]] = {
+_TO_LAME: dict[tuple[str, ...], Callable[[Scalar, Scalar], tuple[Scalar, Scalar]]] = {
     ("E", "nu"): lambda E, nu: (E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))),
     ("E", "K"): lambda E, K: (3 * K * (3 * K - E) / (9 * K - E), 3 * K * E / (9 * K - E)),
     ("E", "lmbda"): _from_E_lmbda,
@@ -67,7 +67,7 @@ def complete(**given: float) -> Moduli:
     if given.get("nu") == 0.5:
         return _incompressible(given)
     try:
-        lmbda, mu = _TO_LAME[names](given[names[0]], given[names[1]])
+        lmbda, mu = map(float, _TO_LAME[names](given[names[0]], given[names[1]]))
     except ZeroDivisionError:
         raise _unstable(given) from None
     E, nu, K = _engineering(lmbda, mu, given)
@@ -88,7 +88,7 @@ def _incompressible(given: dict[str, float]) -> Moduli:
     return Moduli(E=given.get("E", 3 * mu), nu=0.5, K=math.inf, lmbda=math.inf, mu=mu)
 
 
-def check_given(given: Mapping[str, Any]) -> tuple[str, ...]:
+def check_given(given: Mapping[str, Scalar]) -> tuple[str, ...]:
     """The names of the two constants, in the order of `NAMES`.
 
     Raises:
@@ -105,7 +105,7 @@ def check_given(given: Mapping[str, Any]) -> tuple[str, ...]:
     return names
 
 
-def is_half(nu: Any) -> bool:
+def is_half(nu: object) -> bool:
     """Whether Poisson's ratio is the number 0.5, or a UFL constant of that value.
 
     Never for arrays: they differ from rank to rank, and all ranks must take the same branch.
@@ -114,7 +114,7 @@ def is_half(nu: Any) -> bool:
     return isinstance(value, float | np.ndarray) and np.ndim(value) == 0 and bool(value == 0.5)
 
 
-def symbolic(given: Mapping[str, Any]) -> dict[str, Any]:
+def symbolic(given: Mapping[str, Scalar]) -> dict[str, Scalar]:
     """All five constants from two that are arrays or UFL expressions, without any check."""
     names = tuple(name for name in NAMES if name in given)
     if is_half(given.get("nu")):

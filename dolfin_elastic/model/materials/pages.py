@@ -12,7 +12,6 @@ import json
 import re
 import sys
 from pathlib import Path
-from typing import Any
 
 from pydantic_core import PydanticUndefined
 
@@ -119,7 +118,7 @@ def write(folder: Path) -> None:
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def main(arguments: list[Any]) -> None:
+def main(arguments: list[str]) -> None:
     """The command in the module's head."""
     write(Path(arguments[0]) if arguments else Path("docs/laws"))
 

@@ -100,7 +100,7 @@ class SpatialDirection(SpatialValue):
     components: tuple[float | SpatialFormula, ...]
 
     @property
-    def written(self) -> list[Any]:
+    def written(self) -> list[object]:
         """As it stands in a case file."""
         return [getattr(item, "written", item) for item in self.components]
 
@@ -112,7 +112,7 @@ class _FieldTable(Record):
     unit: str = ""
 
 
-def constant(value: Any, unit: str) -> Any:
+def constant(value: object, unit: str) -> object:
     """Reads a constant that may vary in space; any other value is returned unchanged.
 
     Args:
@@ -132,7 +132,7 @@ def constant(value: Any, unit: str) -> Any:
     return SpatialFormula(value, unit) if formula.names else float(formula.evaluate())
 
 
-def _field(value: Mapping[str, Any], unit: str) -> SpatialField:
+def _field(value: Mapping[str, object], unit: str) -> SpatialField:
     table = _FieldTable(**value)
     try:
         factor = to_si(f"1 {table.unit}", unit) if table.unit else 1.0
@@ -141,7 +141,7 @@ def _field(value: Mapping[str, Any], unit: str) -> SpatialField:
     return SpatialField(table.field, table.unit, factor)
 
 
-def constants(kind: type[BaseModel], table: Mapping[str, Any]) -> dict[str, Any]:
+def constants(kind: type[BaseModel], table: Mapping[str, object]) -> dict[str, object]:
     """A law's table with its spatially varying constants read.
 
     Args:
@@ -185,7 +185,7 @@ def _unit(info: FieldInfo) -> str | None:
 class _Direction:
     """Reads ``[1, 0, 0]``, ``["cos(z)", "sin(z)", 0]`` or ``{field = "fibre"}``."""
 
-    def read(self, value: Any) -> tuple[float, ...] | SpatialValue:
+    def read(self, value: object) -> tuple[float, ...] | SpatialValue:
         if isinstance(value, SpatialValue):
             return value
         if isinstance(value, Mapping):
@@ -198,19 +198,22 @@ class _Direction:
         items = tuple(self._component(i, item) for i, item in enumerate([*value, 0.0][:3]))
         if any(isinstance(item, SpatialFormula) for item in items):
             return SpatialDirection(items)
-        length = float(np.linalg.norm(items))
+        vector = np.array(items, dtype=np.float64)
+        length = float(np.linalg.norm(vector))
         if length == 0:
             raise InputError("a direction needs a length", expected="for example [1, 0, 0]")
-        return tuple(float(item) / length for item in items)
+        return tuple(float(item) for item in vector / length)
 
-    def _component(self, index: int, item: Any) -> Any:
+    def _component(self, index: int, item: object) -> float | SpatialFormula:
         try:
             read = constant(item, "")
-            return read if isinstance(read, SpatialValue) else to_si(read, "")
+            return read if isinstance(read, SpatialFormula) else to_si(read, "")
         except InputError as error:
             raise error.at(f"[{index}]") from None
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: object
+    ) -> core_schema.CoreSchema:
         return core_schema.no_info_plain_validator_function(self.read, serialization=as_written)
 
 
@@ -234,7 +237,7 @@ class Range:
     high_too: bool = False
 
     @classmethod
-    def of(cls, metadata: Iterable[Any]) -> Range:
+    def of(cls, metadata: Iterable[object]) -> Range:
         """The range that pydantic's gt, ge, lt and le leave."""
         found: dict[str, Any] = {}
         for item in metadata:

@@ -8,13 +8,13 @@ minutes, and eigenvectors do not exist where stretches meet, as they do at F = I
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import ufl
 from ufl.core.expr import Expr
 
+from dolfin_elastic.core.types import Scalar
 from dolfin_elastic.model.kinematics import cofactor
 
 CLOSE = 1e-4
@@ -40,10 +40,10 @@ class Shape:
 
     d: Expr
     squares: tuple[Expr, Expr, Expr]
-    powers: tuple[Any, ...]
+    powers: tuple[Scalar, ...]
     close: Expr
 
-    def total(self, f: Callable[[Expr], Expr], series: list[Any]) -> Expr:
+    def total(self, f: Callable[[Expr], Expr], series: Sequence[Scalar]) -> Expr:
         """Sum of f over the three squared stretches, a UFL scalar.
 
         Args:
@@ -81,7 +81,7 @@ def _shape(j2: Expr, j3: Expr, d: Expr, r: Expr) -> Shape:
     second = 1 + p * ufl.cos(theta - 2 * math.pi / 3)
     third = 1 + p * ufl.cos(theta + 2 * math.pi / 3)
     third = ufl.conditional(ufl.lt(third, CRUSHED), d / (first * second), third)
-    powers: list[Any] = [3.0, 0.0, 2 * j2]
+    powers: list[Scalar] = [3.0, 0.0, 2 * j2]
     while len(powers) <= ORDER:  # b^3 = j2 b + j3, Cayley and Hamilton
         powers.append(j2 * powers[-2] + j3 * powers[-3])
     return Shape(d, (first, second, third), tuple(powers), ufl.lt(j2, CLOSE))
@@ -152,9 +152,9 @@ def isochoric_stress(psi: Callable[[Shape], Expr], F: Expr) -> Expr:
     return 2 / q * (by_j2 * Fb + by_j3 * (Fb * b) - along_F * F)
 
 
-def power_series(exponent: Any) -> list[Any]:
+def power_series(exponent: Scalar) -> list[Scalar]:
     """Taylor coefficients of (1 + b)^exponent."""
-    terms: list[Any] = [1.0]
+    terms: list[Scalar] = [1.0]
     for n in range(1, ORDER + 1):
         terms.append(terms[-1] * (exponent - (n - 1)) / n)
     return terms

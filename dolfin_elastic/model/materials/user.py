@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, ClassVar, Self
 
 from pydantic import Field, PrivateAttr, field_validator, model_validator
@@ -42,7 +42,7 @@ class UserEnergy(Law):
 
     @field_validator("parameters", mode="before")
     @classmethod
-    def _numbers(cls, table: Any) -> dict[str, float]:
+    def _numbers(cls, table: object) -> dict[str, float]:
         if not isinstance(table, Mapping):
             raise InputError(f"{quoted(table)} is wrong", expected='expected {mu = "1 MPa", ...}')
         numbers = {}
@@ -91,7 +91,7 @@ class UserEnergy(Law):
         """See the class."""
         return self.written_energy(F)
 
-    def _values(self, F: Expr, wanted: Any) -> dict[str, Expr]:
+    def _values(self, F: Expr, wanted: Collection[str]) -> dict[str, Expr]:
         return user_names.values(F, wanted, fibre=self.fibre, fibre2=self.fibre2)
 
 
@@ -185,7 +185,7 @@ class SplitFormulaEnergy(UserVolumetric, FormulaEnergy):
     """A formula and a volumetric part."""
 
 
-def _if_formula(value: Any) -> InputError | None:
+def _if_formula(value: object) -> InputError | None:
     """The error where a formula stands in place of a number; None where the value is none."""
     if not isinstance(value, str) or not any(mark in value for mark in (*"+-*/^(", *COORDINATES)):
         return None
@@ -215,7 +215,7 @@ def _check_parameter(name: str, taken: frozenset[str]) -> None:
         raise InputError("pi is a number already", where=where, expected="choose another name")
 
 
-def read_energy(table: Mapping[str, Any]) -> FormulaEnergy:
+def read_energy(table: Mapping[str, object]) -> FormulaEnergy:
     """The law of a case-file table with the key `energy`."""
     if "law" in table:
         raise InputError(
@@ -252,7 +252,7 @@ class Energy(UserEnergy):
         function: Energy per reference volume [J/m^3] as a UFL expression.
     """
 
-    function: Callable[..., Any]
+    function: Callable[..., Expr]
 
     own_keys: ClassVar[tuple[str, ...]] = (
         "density",
@@ -263,7 +263,7 @@ class Energy(UserEnergy):
         "fibre2",
     )
 
-    def __init__(self, function: Callable[..., Any], **given: Any) -> None:
+    def __init__(self, function: Callable[..., Expr], **given: Any) -> None:
         keys = {key: given.pop(key) for key in self.own_keys if key in given}
         super().__init__(
             function=function, parameters=_parameter_values(function, given, keys), **keys
@@ -289,8 +289,8 @@ class SplitEnergy(UserVolumetric, Energy):
 
 
 def _parameter_values(
-    function: Callable[..., Any], given: dict[str, Any], keys: Mapping[str, Any]
-) -> dict[str, Any]:
+    function: Callable[..., Expr], given: dict[str, object], keys: Mapping[str, object]
+) -> dict[str, object]:
     """A value for each of the function's parameters."""
     fibres = {"fibre": "fibre" in keys, "fibre2": "fibre2" in keys}
     known = user_names.known(**fibres) | {*user_names.TENSORS}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from functools import cache
-from typing import Any
 
 import ufl
 from ufl.core.expr import Expr
@@ -58,8 +57,8 @@ def values(
     F: Expr,
     wanted: Collection[str],
     *,
-    fibre: Sequence[Any] | None = None,
-    fibre2: Sequence[Any] | None = None,
+    fibre: Sequence[float] | None = None,
+    fibre2: Sequence[float] | None = None,
 ) -> dict[str, Expr]:
     """UFL expressions of the names in `wanted`; other names in it are left out.
 
@@ -99,7 +98,7 @@ def values(
 
 
 def _fibres(
-    F: Expr, C: Expr, fibre: Sequence[Any] | None, fibre2: Sequence[Any] | None
+    F: Expr, C: Expr, fibre: Sequence[float] | None, fibre2: Sequence[float] | None
 ) -> dict[str, Callable[[], Expr]]:
     """Names of invariants of the fibres, with functions that build their expressions."""
     if fibre is None:

@@ -210,7 +210,7 @@ class Normal(PrescribingSupport):
         return self._scale(self.value, t, default) * _evaluated(self.value, x, t)
 
 
-def _read_at(key: str, written: Any, unit: str) -> Component:
+def _read_at(key: str, written: object, unit: str) -> Component:
     try:
         return component(written, unit)
     except InputError as error:

@@ -99,7 +99,7 @@ class Rigid(Restraint):
         }
 
     def _components(
-        self, key: str, written: Any, unit: str, *, free: bool
+        self, key: str, written: object, unit: str, *, free: bool
     ) -> tuple[Component, ...]:
         """Numbers, formulas in t, or None for free components; empty if the key is not given."""
         if written is None:
@@ -191,7 +191,7 @@ class Rigid(Restraint):
         )
 
 
-def _single(written: Any, unit: str, free: bool) -> Component:
+def _single(written: object, unit: str, free: bool) -> Component:
     if (
         isinstance(written, str)
         and written != FREE

@@ -27,6 +27,14 @@ from dolfin_elastic.model.values import Component, component, components
 T = TypeVar("T")
 
 
+class FormConstant(Protocol):
+    """A constant of forms with the number that it has now."""
+
+    @property
+    def value(self) -> float:
+        """The number."""
+
+
 class HeldPart(Protocol):
     """Surfaces, edges or points that a spring or dashpot holds."""
 
@@ -39,7 +47,7 @@ class HeldPart(Protocol):
         """Measure of the reference area of surfaces, the length of edges, the number of points."""
 
     @property
-    def size(self) -> Callable[[], Any]:
+    def size(self) -> Callable[[], FormConstant]:
         """Gives that area, length or number as a constant [m^2, m, 1]; collective."""
 
 
@@ -232,7 +240,7 @@ class ResistingSupport(Restraint):
         return most * sum(context.v) * context.held(self.surfaces).measure
 
 
-def _located(key: str, read: Callable[[Any, str], T], written: Any, unit: str) -> T:
+def _located(key: str, read: Callable[[object, str], T], written: object, unit: str) -> T:
     """Reads the value of a key; errors name the key."""
     try:
         return read(written, unit)

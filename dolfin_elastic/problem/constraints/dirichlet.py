@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -219,7 +218,7 @@ class DirichletConditions:
         rows = self.skew.constrained_part(array.reshape(-1, self._bs)[nodes])
         return np.concatenate([values, rows.reshape(-1)])
 
-    def impose(self, array: FloatArray, values: npt.NDArray[np.floating[Any]]) -> None:
+    def impose(self, array: FloatArray, values: npt.NDArray[np.float32 | np.float64]) -> None:
         """Puts prescribed values into a local vector of the displacement's space.
 
         Args:

@@ -220,8 +220,9 @@ class ContactPair:
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
         x = self.places() + u[self._in_V] - self.shift.value
         found, normal = self.contact.obstacle.gap(list(x.T), float, np.sqrt)
-        normals = [np.broadcast_to(item, found.shape) for item in normal]
-        return np.asarray(found, dtype=np.float64), np.stack(normals, axis=1)
+        gaps = np.asarray(found, dtype=np.float64)
+        normals = [np.broadcast_to(item, gaps.shape) for item in normal]
+        return gaps, np.stack(normals, axis=1)
 
     @property
     def pressing(self) -> BoolArray:

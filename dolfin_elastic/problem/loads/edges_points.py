@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import ufl
@@ -43,7 +42,7 @@ class SummedMeasure:
 
     terms: tuple[tuple[Expr, ufl.Measure], ...]
 
-    def __rmul__(self, integrand: Any) -> ufl.Form:
+    def __rmul__(self, integrand: Expr) -> ufl.Form:
         """The integral's form."""
         return sum((integrand * factor) * measure for factor, measure in self.terms)
 

@@ -9,11 +9,12 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
+from ufl.finiteelement import AbstractFiniteElement
 
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.problem.periodic.dofmap import Field, MergedDofmap
 from dolfin_elastic.problem.periodic.unit_cell import Cell
-from dolfin_elastic.problem.spaces import AuxiliaryField, Element, Unknowns
+from dolfin_elastic.problem.spaces import AuxiliaryField, Unknowns
 
 
 class Fluctuation(Unknowns):
@@ -51,7 +52,7 @@ class Fluctuation(Unknowns):
         return (nodes[:, None] * self._dim + np.arange(self._dim, dtype=np.int32)).reshape(-1)
 
     def _spaces(
-        self, mesh: Mesh, elements: Sequence[Element]
+        self, mesh: Mesh, elements: Sequence[AbstractFiniteElement]
     ) -> tuple[fem.FunctionSpace, fem.FunctionSpace, fem.FunctionSpace, IndexArray]:
         pairing = self.cell.pairing
         if not self.auxiliary_fields:

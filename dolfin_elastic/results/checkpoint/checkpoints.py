@@ -33,6 +33,7 @@ from pydantic import Field, model_validator
 from dolfin_elastic.core import __version__
 from dolfin_elastic.core.errors import InputError, RestartError
 from dolfin_elastic.core.parallel import agree, largest, on_root
+from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import Record, UnusedKeys, refuse_unused_keys
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import AnyArray
@@ -74,7 +75,7 @@ class CheckpointSettings(Record):
 
     @model_validator(mode="before")
     @classmethod
-    def _from_short_form(cls, value: Any) -> Any:
+    def _from_short_form(cls, value: object) -> object:
         if isinstance(value, bool):
             return {"off": not value}
         if isinstance(value, int | float):
@@ -106,7 +107,7 @@ class RunDescription:
     case: str
     file: str
     mesh: Mapping[str, Any]
-    petsc: Mapping[str, Any]
+    petsc: PetscOptions
 
 
 class DofOrderings:
@@ -404,7 +405,7 @@ def _replace(path: Path, text: str) -> None:
     sync(path.parent)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Values without a JSON type: numpy's numbers become Python's, PETSc options text."""
     return value.item() if isinstance(value, np.generic) else str(value)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from mpi4py import MPI
 
@@ -52,7 +50,7 @@ def array_checksum(comm: MPI.Comm, rows: Rows) -> str:
     return _text(total(comm, checksum(rows.values, places)))
 
 
-def fingerprint(body: Body) -> dict[str, Any]:
+def fingerprint(body: Body) -> dict[str, object]:
     """Numbers that identify a mesh with its regions and surfaces, as JSON data. Collective."""
     mesh, cells = body.mesh, body.owned_cells()
     original = np.asarray(mesh.topology.original_cell_index)
@@ -71,7 +69,7 @@ def fingerprint(body: Body) -> dict[str, Any]:
     }
 
 
-def _lower_parts(body: Body) -> dict[str, Any]:
+def _lower_parts(body: Body) -> dict[str, object]:
     """Numbers of edges and nodes by name, if there are any. Collective."""
     edges = {name: int(total(body.comm, len(body.owned_edges(name)))) for name in body.edges}
     points = {name: int(total(body.comm, len(body.owned_points(name)))) for name in body.points}

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 import pyvista as pv
 from vtkmodules.vtkRenderingCore import vtkActor2D, vtkPolyDataMapper2D
 
@@ -36,7 +38,11 @@ _HEADLINE, _LETTERS = 15, 85
 _ROOM, _SHIFT = (0.74, 0.8), 0.12
 
 
-def _surface(data: Any, *, deformed: bool) -> pv.PolyData:
+Arrays: TypeAlias = Mapping[str, npt.NDArray[Any]]
+"""Points, triangles, values and texts of a picture, as `pictures.Painter` writes them."""
+
+
+def _surface(data: Arrays, *, deformed: bool) -> pv.PolyData:
     points = data["points"] + (float(data["scale"]) * data["u"] if deformed else 0.0)
     faces = np.insert(data["triangles"], 0, 3, axis=1)
     mesh = pv.PolyData(points, faces.ravel())
@@ -45,7 +51,7 @@ def _surface(data: Any, *, deformed: bool) -> pv.PolyData:
     return mesh
 
 
-def _edges(reference: pv.PolyData, points: Any) -> pv.PolyData:
+def _edges(reference: pv.PolyData, points: pv.pyvista_ndarray) -> pv.PolyData:
     """Sharp edges of the undeformed body, drawn at other positions of its points."""
     reference = reference.copy()
     reference.point_data["number"] = np.arange(reference.n_points)
@@ -69,7 +75,7 @@ def _without_short(edges: pv.PolyData, least: float) -> pv.PolyData:
     return edges.extract_cells(np.flatnonzero(long)).extract_geometry()
 
 
-def _add_body(plot: pv.Plotter, data: Any) -> Any:
+def _add_body(plot: pv.Plotter, data: Arrays) -> pv.DataSetMapper:
     """Adds the body and its edges; returns the mapper of values to colours."""
     reference, deformed = _surface(data, deformed=False), _surface(data, deformed=True)
     flat = bool(data["plane"])
@@ -102,12 +108,12 @@ def _add_outline(plot: pv.Plotter, reference: pv.PolyData) -> None:
         plot.add_silhouette(reference, color=_GHOST, line_width=2.5, decimate=None)
 
 
-def _by_value(data: Any) -> dict[str, Any]:
+def _by_value(data: Arrays) -> dict[str, object]:
     ticks = data["ticks"]
     return {"scalars": "value", "cmap": "viridis", "clim": [ticks[0], ticks[-1]]}
 
 
-def _by_name(mesh: pv.PolyData, numbers: Any) -> dict[str, Any]:
+def _by_name(mesh: pv.PolyData, numbers: npt.NDArray[np.int64]) -> dict[str, object]:
     colours = np.array([pv.Color(c).int_rgb for c in _NAMED], dtype=np.uint8)
     mesh.cell_data["colour"] = colours[np.asarray(numbers) % len(_NAMED)]
     return {"scalars": "colour", "rgb": True, "preference": "cell"}
@@ -124,7 +130,7 @@ def _add_lines(plot: pv.Plotter, lines: pv.PolyData, colour: str, width: float) 
         )
 
 
-def _add_text(plot: pv.Plotter, data: Any, mapper: Any) -> None:
+def _add_text(plot: pv.Plotter, data: Arrays, mapper: pv.DataSetMapper) -> None:
     if "names" in data:
         _add_legend(plot, data)
     else:
@@ -141,7 +147,7 @@ def _plain(text: str) -> str:
     return text.replace("$", "\\$")
 
 
-def _add_bar(plot: pv.Plotter, data: Any, mapper: Any) -> None:
+def _add_bar(plot: pv.Plotter, data: Arrays, mapper: pv.DataSetMapper) -> None:
     bar = plot.add_scalar_bar(
         mapper=mapper,
         title=str(data["label"]) + "\n",
@@ -160,7 +166,7 @@ def _add_bar(plot: pv.Plotter, data: Any, mapper: Any) -> None:
     bar.SetCustomLabels(pv.convert_array(np.asarray(data["ticks"], dtype=float)))
 
 
-def _add_legend(plot: pv.Plotter, data: Any) -> None:
+def _add_legend(plot: pv.Plotter, data: Arrays) -> None:
     """A legend of the names of visible cells with their colours."""
     top, left = 0.74, 0.84
     plot.add_text(
@@ -193,7 +199,7 @@ def _add_square(plot: pv.Plotter, corner: tuple[float, float], colour: str) -> N
     plot.renderer.AddActor2D(actor)
 
 
-def _aim(plot: pv.Plotter, data: Any) -> None:
+def _aim(plot: pv.Plotter, data: Arrays) -> None:
     direction = np.array(_DIRECTIONS[str(data["view"])], dtype=float)
     up = (0, 1, 0) if abs(direction[2]) == np.linalg.norm(direction) else (0, 0, 1)
     plot.view_vector(direction, viewup=up)
@@ -202,7 +208,7 @@ def _aim(plot: pv.Plotter, data: Any) -> None:
     plot.camera.SetWindowCenter(_SHIFT, 0.0)
 
 
-def _fill(plot: pv.Plotter, data: Any) -> None:
+def _fill(plot: pv.Plotter, data: Arrays) -> None:
     """Centres the visible body and scales it to the room left of the colour bar."""
     ahead = np.array(plot.camera.direction)
     right = np.cross(ahead, plot.camera.up)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -16,6 +15,9 @@ from dolfin_elastic.results.grid import Grid
 # A triangle whose nodes are corners a, b, c and the middles of bc, ac, ab, as four triangles.
 _QUARTERS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2], [5, 3, 4]])
 _CORNERS = 3
+
+_Share = tuple[AnyArray, AnyArray, AnyArray, dict[str, AnyArray], AnyArray | None]
+"""Triangles, global numbers of points, points, values and values of cells of one rank."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +59,11 @@ def gather_surface(
     return _joined(parts) if grid.mesh.comm.rank == 0 else None
 
 
-def _to_root(comm: MPI.Comm, own: Any) -> list[Any]:
+def _to_root(comm: MPI.Comm, own: _Share) -> list[_Share]:
     return comm.gather(own) or []
 
 
-def _joined(parts: list[Any]) -> Surface:
+def _joined(parts: list[_Share]) -> Surface:
     """One surface from the parts of all ranks; points that several ranks have are merged."""
     numbers = np.concatenate([part[1] for part in parts])
     _, first, new = np.unique(numbers, return_index=True, return_inverse=True)
@@ -72,8 +74,8 @@ def _joined(parts: list[Any]) -> Surface:
     points = np.concatenate([part[2] for part in parts])[first]
     names = parts[0][3]
     values = {k: np.concatenate([part[3][k] for part in parts])[first] for k in names}
-    shares = [part[4] for part in parts]
-    of_cells = None if shares[0] is None else np.concatenate(shares)
+    shares = [part[4] for part in parts if part[4] is not None]
+    of_cells = np.concatenate(shares) if shares else None
     return Surface(triangles, points, values, of_cells)
 
 

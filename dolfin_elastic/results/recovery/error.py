@@ -43,6 +43,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.geometry.curved import cell_jacobians, quadrature_rule
 from dolfin_elastic.model.materials.growth import GrownLaw
+from dolfin_elastic.model.materials.law import Law, ModifiedLaw
 from dolfin_elastic.model.materials.mixed import Mixed
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.recovery.patches import cell_edges
@@ -215,7 +216,8 @@ def _work_pairs(
     Returns:
         Pairs of UFL scalars, and how often each counts; see the module.
     """
-    response, F = problem.weak_form.response(region, w), problem.weak_form.F(w)
+    response: Law | ModifiedLaw = problem.weak_form.response(region, w)
+    F = problem.weak_form.F(w)
     volume: Expr | float = 1.0
     if isinstance(response, GrownLaw):
         F = response.elastic(F)

@@ -17,7 +17,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -58,7 +58,7 @@ class ModesWriter:
     def __init__(self, problem: Problem, path: Path, *, frames: int, amplitude: float) -> None:
         self.comm, self.path, self.frames = problem.body.comm, path, frames
         self._size = amplitude * max(extent(problem.body))
-        self._rows: list[dict[str, Any]] = []
+        self._rows: list[dict[str, object]] = []
         self._grid = Grid(problem.V)
         self._data = path.parent / _DATA
         with stage("output"):
@@ -149,7 +149,7 @@ def listing(folder: Path) -> list[Path]:
     return sorted(found, key=lambda path: int(path.stem.removeprefix("mode_")))
 
 
-def row(mode: Mode) -> dict[str, Any]:
+def row(mode: Mode) -> dict[str, object]:
     """Column to value of a mode in SI units, in the columns' order."""
     if mode.kind == "buckling":
         return {"mode": mode.number, "kind": mode.kind, "load_factor": mode.load_factor}
@@ -170,7 +170,7 @@ def _columns(kind: str, values: Mapping[str, float]) -> dict[str, float]:
     return {f"{kind}_{name}": value for name, value in values.items()}
 
 
-def _table(rows: list[dict[str, Any]]) -> str:
+def _table(rows: list[dict[str, object]]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\r\n")
     writer.writeheader()

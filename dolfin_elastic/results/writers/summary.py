@@ -74,9 +74,9 @@ class SummaryWriter:
         before = dict(saved or {})
         self._started = before.get("started", _now())
         self._newton, self._krylov = before.get("newton", 0), before.get("krylov", 0)
-        self._last: dict[str, Any] = before.get("last", _NUMBERS)
+        self._last: dict[str, object] = before.get("last", _NUMBERS)
         self._spent: dict[str, float] = before.get("timings", {})
-        self._restarts: list[dict[str, Any]] = before.get("restarts", [])
+        self._restarts: list[dict[str, object]] = before.get("restarts", [])
         if saved is not None:
             again = {"step": self._last["steps"], "t": self._last["t"], "ranks": self.comm.size}
             self._restarts = [*self._restarts, {**again, "at": _now()}]
@@ -133,7 +133,7 @@ class SummaryWriter:
             estimate = self._estimator(state) if state and self._estimator else None
             stress = estimate.stress if estimate else None
             found = self._extremes.of(state, stress) if state and self._extremes else {}
-            extra: dict[str, Any] = {
+            extra: dict[str, object] = {
                 "finished": _now(),
                 "extremes": {name: asdict(extreme) for name, extreme in found.items()},
             }
@@ -146,7 +146,9 @@ class SummaryWriter:
                 extra["volume_change"] = max(abs(value - 1) for value in J)
             self._save(status, str(error) if error else "", extra)
 
-    def _save(self, status: str, reason: str = "", extra: Mapping[str, Any] | None = None) -> None:
+    def _save(
+        self, status: str, reason: str = "", extra: Mapping[str, object] | None = None
+    ) -> None:
         content = {
             "status": status,
             "reason": reason,
@@ -165,7 +167,7 @@ class SummaryWriter:
         on_root(self.comm, lambda: replace_text(self.path, text))
         self._written = time.monotonic()
 
-    def _sizes(self) -> dict[str, Any]:
+    def _sizes(self) -> dict[str, object]:
         return {
             "dofs": self.problem.num_dofs,
             "cells": self.problem.body.num_cells,
@@ -173,11 +175,11 @@ class SummaryWriter:
             "degree": self.problem.degree,
         }
 
-    def _numbers(self) -> dict[str, Any]:
+    def _numbers(self) -> dict[str, object]:
         counts = {"newton_iterations": self._newton, "krylov_iterations": self._krylov}
         return {**self._last, **counts, "audit": self._audits.as_json(), **self._of_modes()}
 
-    def _of_modes(self) -> dict[str, Any]:
+    def _of_modes(self) -> dict[str, object]:
         """The modes, masses and inertias of the body, and shares of the modes' effective masses."""
         if not self._modes:
             return {}
@@ -196,7 +198,7 @@ class SummaryWriter:
         }
 
 
-_NUMBERS: dict[str, Any] = {
+_NUMBERS: dict[str, object] = {
     "steps": 0,
     "t": None,
     "load_factor": None,
@@ -212,7 +214,7 @@ _NUMBERS: dict[str, Any] = {
 """Numbers of the last step, in the file's order, before there is one."""
 
 
-def _numbers(state: State) -> dict[str, Any]:
+def _numbers(state: State) -> dict[str, object]:
     """Numbers of one step."""
     return {
         **_NUMBERS,
@@ -228,7 +230,7 @@ def _numbers(state: State) -> dict[str, Any]:
     }
 
 
-def _error(problem: Problem, estimate: ErrorEstimate) -> dict[str, Any]:
+def _error(problem: Problem, estimate: ErrorEstimate) -> dict[str, object]:
     """The estimated error and the largest stresses; tells them in the log, too. Collective."""
     peaks = find_peaks(problem, estimate)
     if peaks.largest.value > 0:
@@ -275,7 +277,7 @@ def versions() -> dict[str, str]:
     }
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """A value in JSON's types; numbers that are not finite become null, for JSON has none."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
@@ -296,10 +298,10 @@ class WorstAudit:
         saved: Restart state: the worst audits before the checkpoint.
     """
 
-    def __init__(self, saved: Iterable[Mapping[str, Any]] = ()) -> None:
+    def __init__(self, saved: Iterable[Mapping[str, object]] = ()) -> None:
         self._audits, self._failure = [_audit(table) for table in saved], ""
 
-    def restart_state(self) -> list[dict[str, Any]]:
+    def restart_state(self) -> list[dict[str, object]]:
         """The worst audits so far, as JSON data."""
         return [asdict(audit) for audit in self._audits]
 
@@ -309,7 +311,7 @@ class WorstAudit:
         if state.audit is not None:
             self._audits = _extremes([*self._audits, state.audit])
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, object]:
         """Verdict, reasons and the worst numbers; empty where nothing is audited."""
         if not self._audits:  # explicit motion
             return {"verdict": "fail", "reasons": [self._failure]} if self._failure else {}

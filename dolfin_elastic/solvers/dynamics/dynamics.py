@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys, settings_from
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
@@ -41,7 +42,7 @@ class Dynamics:
         settings: DynamicsSettings | None = None,
         *,
         linear: LinearSettings | None = None,
-        petsc: Mapping[str, Any] | None = None,
+        petsc: PetscOptions | None = None,
         **fields: Any,
     ) -> None:
         refuse_scalars(problem)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -48,7 +48,7 @@ class Rayleigh(Record):
 
     @model_validator(mode="before")
     @classmethod
-    def _short(cls, value: Any) -> Any:
+    def _short(cls, value: object) -> object:
         """Two numbers stand for both."""
         if not isinstance(value, list | tuple):
             return value
@@ -225,7 +225,7 @@ def _refuse_tiny(key: str, step: float, end: float, share: float) -> None:
         )
 
 
-def _initial_values(key: str, written: list[Any], unit: str) -> tuple[Component, ...]:
+def _initial_values(key: str, written: Sequence[object], unit: str) -> tuple[Component, ...]:
     """Components of a vector at the start, which cannot depend on time."""
     found = components(written, unit, key=key) if written else ()
     if depends_on_time(found):

@@ -24,7 +24,7 @@ differences along the path.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,7 @@ from pydantic import Field
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import Record, settings_from
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
@@ -106,7 +107,7 @@ class Buckling(PreloadedAnalysis):
         *,
         statics: StaticsSettings | None = None,
         linear: LinearSettings | None = None,
-        petsc: Mapping[str, Any] | None = None,
+        petsc: PetscOptions | None = None,
         **fields: Any,
     ) -> None:
         super().__init__(problem, statics, linear, petsc)

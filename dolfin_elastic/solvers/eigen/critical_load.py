@@ -12,13 +12,12 @@ Source: G. Golub and C. Van Loan, Matrix Computations (2013), sections 8.1.5 and
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from petsc4py import PETSc
 from slepc4py import SLEPc
 
-from dolfin_elastic.core.petsc_options import PREFIX
+from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
@@ -60,7 +59,7 @@ class CriticalLoad:
         *,
         sign: int,
         choice: Choice,
-        users: Mapping[str, Any],
+        users: PetscOptions,
         tolerance: float,
     ) -> None:
         self._problem, self._K, self._G, self._sign = problem, stiffness, rate, sign
@@ -128,7 +127,7 @@ class CriticalLoad:
             for thing in (eps, A, *spaces):
                 thing.destroy()
 
-    def _prepare(self, eps: Any, A: PETSc.Mat, count: int) -> None:
+    def _prepare(self, eps: SLEPc.EPS, A: PETSc.Mat, count: int) -> None:
         kind = SLEPc.EPS.ProblemType
         eps.setOptionsPrefix(PREFIX)
         eps.setOperators(A, self._K)
@@ -139,7 +138,7 @@ class CriticalLoad:
         eps.getST().setType(SLEPc.ST.Type.SHIFT)
         eps.getST().setShift(0.0)
 
-    def _pairs(self, eps: Any) -> list[Pair]:
+    def _pairs(self, eps: SLEPc.EPS) -> list[Pair]:
         vector, found = self._vector(None), []
         for k in range(int(eps.getConverged())):
             theta = complex(eps.getEigenpair(k, vector))

@@ -7,7 +7,7 @@ mass M.  Source: K.-J. Bathe, Finite Element Procedures (2014), sections 4.2.1 a
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, Self
 
 import numpy as np
@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import Record, settings_from
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
@@ -109,7 +110,7 @@ class Modal(PreloadedAnalysis):
         *,
         statics: StaticsSettings | None = None,
         linear: LinearSettings | None = None,
-        petsc: Mapping[str, Any] | None = None,
+        petsc: PetscOptions | None = None,
         **fields: Any,
     ) -> None:
         super().__init__(problem, statics, linear, petsc)

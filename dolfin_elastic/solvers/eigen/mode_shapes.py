@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.parallel import largest, total
-from dolfin_elastic.core.petsc_options import PREFIX
+from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.problem.problem import Problem
@@ -99,7 +99,7 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
         )
 
 
-def shared(users: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def shared(users: PetscOptions) -> tuple[dict[str, PetscValue], dict[str, PetscValue]]:
     """The user's PETSc options for the way to a loaded state, and those for its modes."""
     plain = {name.lstrip("-").removeprefix(PREFIX): value for name, value in users.items()}
     modal = {name: value for name, value in plain.items() if name.startswith(_OF_MODES)}

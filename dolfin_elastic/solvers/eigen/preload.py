@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
 from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys, within
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
@@ -35,7 +35,7 @@ class PreloadedAnalysis(ABC):
         problem: Problem,
         statics: StaticsSettings | None,
         linear: LinearSettings | None,
-        petsc: Mapping[str, Any] | None,
+        petsc: PetscOptions | None,
     ) -> None:
         self.problem, self._way = problem, statics
         self.statics, self.linear = statics or StaticsSettings(), linear or LinearSettings()
@@ -71,7 +71,7 @@ class PreloadedAnalysis(ABC):
         """Yields the modes only. Collective."""
         yield from (found for found in self.steps() if isinstance(found, Mode))
 
-    def of_modes(self, *, loaded: bool) -> dict[str, Any]:
+    def of_modes(self, *, loaded: bool) -> dict[str, PetscValue]:
         """PETSc options of the eigenvalue analysis.
 
         Args:

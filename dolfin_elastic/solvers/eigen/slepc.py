@@ -13,10 +13,9 @@ Computations (2013), section 8.1.5 (inertia).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
@@ -24,7 +23,7 @@ from slepc4py import SLEPc
 
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.parallel import largest
-from dolfin_elastic.core.petsc_options import PREFIX
+from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
@@ -81,7 +80,7 @@ def choose_eigen(problem: Problem, settings: LinearSettings) -> Choice:
     return Choice(False, prefixed(options), why)
 
 
-def prefixed(options: Mapping[str, Any]) -> dict[str, Any]:
+def prefixed(options: PetscOptions) -> dict[str, PetscValue]:
     """Options of a linear solver inside SLEPc's spectral transformation."""
     return {f"st_{name}": value for name, value in options.items()}
 
@@ -162,7 +161,7 @@ class Spectrum:
         B: PETSc.Mat,
         *,
         choice: Choice,
-        users: Mapping[str, Any],
+        users: PetscOptions,
         tolerance: float,
     ) -> None:
         self.problem, self.A, self.B = problem, A, B
@@ -234,7 +233,7 @@ class Spectrum:
                     thing.destroy()
             self._multigrid = None
 
-    def _solver(self, shift: float, count: int, room: int) -> Any:
+    def _solver(self, shift: float, count: int, room: int) -> SLEPc.EPS:
         eps = SLEPc.EPS().create(self.A.comm)
         eps.setOptionsPrefix(PREFIX)
         eps.setOperators(self.A, self.B)
@@ -249,7 +248,7 @@ class Spectrum:
         transform.setShift(shift)
         return eps
 
-    def _prepare(self, transform: Any, shift: float) -> PETSc.Mat | None:
+    def _prepare(self, transform: SLEPc.ST, shift: float) -> PETSc.Mat | None:
         """Attaches multigrid and its near null space; returns a matrix that the caller destroys."""
         if self.counted:
             return None
@@ -264,7 +263,7 @@ class Spectrum:
             self._multigrid = PMultigrid(self.problem, ksp.getPC())
         return matrix
 
-    def _pairs(self, eps: Any, shift: float, count: int) -> list[Pair]:
+    def _pairs(self, eps: SLEPc.EPS, shift: float, count: int) -> list[Pair]:
         found = int(eps.getConverged())
         if found < count:
             raise ConvergenceError(
@@ -288,7 +287,7 @@ class Spectrum:
         return vector
 
 
-def _reason(eps: Any) -> str:
+def _reason(eps: SLEPc.EPS) -> str:
     names = vars(SLEPc.EPS.ConvergedReason)
     number = eps.getConvergedReason()
     return next((n for n, value in names.items() if value == number), str(number))

@@ -9,10 +9,11 @@ elements (PCMG), then the same.  A pressure is split off (PCFIELDSPLIT).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
+from dolfin_elastic.core.petsc_options import PetscValue
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.problem.problem import Problem
 
@@ -29,9 +30,13 @@ LAST_DIRECT = {2: 1_000_000, 3: 150_000}
 """Largest number of unknowns that are factorised when iterations have failed."""
 
 
-GMRES: dict[str, Any] = {"ksp_type": "gmres", "ksp_gmres_restart": 100, "ksp_pc_side": "right"}
+GMRES: dict[str, PetscValue] = {
+    "ksp_type": "gmres",
+    "ksp_gmres_restart": 100,
+    "ksp_pc_side": "right",
+}
 
-GAMG: dict[str, Any] = {
+GAMG: dict[str, PetscValue] = {
     "pc_type": "gamg",
     "pc_gamg_threshold": 0.01,
     "pc_gamg_coarse_eq_limit": 500,
@@ -41,7 +46,7 @@ GAMG: dict[str, Any] = {
     "mg_levels_pc_type": "pbjacobi",
 }
 
-P_MULTIGRID: dict[str, Any] = {
+P_MULTIGRID: dict[str, PetscValue] = {
     "pc_type": "mg",
     "pc_mg_galerkin": "both",
     "mg_levels_ksp_type": "chebyshev",
@@ -51,7 +56,7 @@ P_MULTIGRID: dict[str, Any] = {
 }
 """From quadratic elements to linear ones, which GAMG coarsens on; see `PMultigrid`."""
 
-SCHUR: dict[str, Any] = {
+SCHUR: dict[str, PetscValue] = {
     "pc_type": "fieldsplit",
     "pc_fieldsplit_type": "schur",
     "pc_fieldsplit_schur_fact_type": "upper",
@@ -86,7 +91,7 @@ class Choice:
     """
 
     direct: bool
-    options: dict[str, Any]
+    options: dict[str, PetscValue]
     why: str
 
 
@@ -123,7 +128,7 @@ def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) 
     return Choice(False, options, f"iterative solver ({krylov}, {grid}): {size}")
 
 
-def factorising(symmetric: bool) -> dict[str, Any]:
+def factorising(symmetric: bool) -> dict[str, PetscValue]:
     """Options of a direct solver.
 
     Args:
@@ -140,9 +145,9 @@ def factorising(symmetric: bool) -> dict[str, Any]:
     }
 
 
-def _iterative(problem: Problem, symmetric: bool) -> dict[str, Any]:
+def _iterative(problem: Problem, symmetric: bool) -> dict[str, PetscValue]:
     """Options of a Krylov method, by conjugate gradients where the whole system is symmetric."""
-    krylov: dict[str, Any] = {
+    krylov: dict[str, PetscValue] = {
         "ksp_type": "cg" if symmetric else "gmres",
         "ksp_max_it": 500,
         # Setting multigrid up costs as much as many iterations: once a load step is enough.
@@ -157,6 +162,6 @@ def _iterative(problem: Problem, symmetric: bool) -> dict[str, Any]:
     return krylov | inner
 
 
-def multigrid(degree: int) -> dict[str, Any]:
+def multigrid(degree: int) -> dict[str, PetscValue]:
     """Options of the preconditioner of a displacement of degree 1 or 2."""
     return GAMG if degree == 1 else P_MULTIGRID

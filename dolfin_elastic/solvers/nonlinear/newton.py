@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from dolfin_elastic.core.petsc_options import PREFIX
+from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
@@ -68,8 +68,8 @@ class Newton:
         choice: Choice,
         tolerance: Tolerance,
         *,
-        defaults: Mapping[str, Any] | None = None,
-        users: Mapping[str, Any] | None = None,
+        defaults: PetscOptions | None = None,
+        users: PetscOptions | None = None,
         snes: PETSc.SNES | None = None,
         inertia: Inertia | None = None,
         scalars: ScalarUnknowns | None = None,
@@ -342,6 +342,6 @@ class Newton:
         self._f.destroy()
 
 
-_SNES: dict[str, Any] = {
+_SNES: dict[str, PetscValue] = {
     "snes_type": "newtonls",
 }

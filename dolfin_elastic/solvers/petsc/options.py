@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.petsc_options import PREFIX, refuse_case_keys
+from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue, refuse_case_keys
 from dolfin_elastic.solvers.petsc.c_api import option_used
 
 log = logging.getLogger("dolfin_elastic")
@@ -31,16 +30,16 @@ class Options:
         InputError: A key of the case stands for one of the user's.
     """
 
-    def __init__(self, defaults: Mapping[str, Any], users: Mapping[str, Any]) -> None:
+    def __init__(self, defaults: PetscOptions, users: PetscOptions) -> None:
         self.users = {name.lstrip("-").removeprefix(PREFIX): value for name, value in users.items()}
         refuse_case_keys(self.users, "solver.petsc")
         self._all = {**defaults, **self.users}
         self._reported = False
-        self._uses: list[dict[str, Any]] = []
+        self._uses: list[dict[str, PetscValue]] = []
         self._used: set[str] = set()
 
     @contextmanager
-    def in_force(self, **more: Any) -> Iterator[None]:
+    def in_force(self, **more: PetscValue) -> Iterator[None]:
         """Puts the options into PETSc's database and takes them out again.
 
         May be nested, as where a TS solves with the options of its Newton's method: the inner use
@@ -65,7 +64,7 @@ class Options:
                 if name in outer:
                     database[PREFIX + name] = _text(outer[name])
 
-    def take(self, name: str) -> dict[str, Any]:
+    def take(self, name: str) -> dict[str, PetscValue]:
         """Takes an option of the user out, for a caller that carries it out itself.
 
         Args:
@@ -77,7 +76,7 @@ class Options:
         self._all.pop(name, None)
         return {name: self.users.pop(name)} if name in self.users else {}
 
-    def update(self, defaults: Mapping[str, Any]) -> None:
+    def update(self, defaults: PetscOptions) -> None:
         """Changes defaults for all later uses; the user's options still win.
 
         Args:
@@ -125,7 +124,7 @@ _NO_OPTION = (55, 59, 78, 98)
 """Codes that no option is to blame for: PETSC_ERR_MEM, _SIG, _MEMC and _MPI."""
 
 
-def _text(value: Any) -> Any:
+def _text(value: PetscValue) -> bool | int | float | str:
     return "" if value is None or value is True else value
 
 

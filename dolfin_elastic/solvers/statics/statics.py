@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import settings_from
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
@@ -45,7 +46,7 @@ class Statics:
         settings: StaticsSettings | None = None,
         *,
         linear: LinearSettings | None = None,
-        petsc: Mapping[str, Any] | None = None,
+        petsc: PetscOptions | None = None,
         preload: bool = False,
         **fields: Any,
     ) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 
@@ -12,7 +12,7 @@ _LEAST = 0.1
 """Smallest over largest determinant of the map of a curved cell; in straight ones it is 1."""
 
 
-def follow_curves(gmsh: Any, dim: int, curved: bool | None) -> str:
+def follow_curves(gmsh: ModuleType, dim: int, curved: bool | None) -> str:
     """Makes the cells quadratic, with their boundary nodes on the CAD surfaces.
 
     Where cells would fold, in a thin wall or at a small fillet, Gmsh moves nodes inside the body as
@@ -54,7 +54,7 @@ _KINDS = {1: 8, 2: 9, 3: 11}
 """Their types."""
 
 
-def _nodes(gmsh: Any, dim: int) -> tuple[IntArray, IntArray, FloatArray]:
+def _nodes(gmsh: ModuleType, dim: int) -> tuple[IntArray, IntArray, FloatArray]:
     """Tags, nodes of shape (n, k) and their places (n, k, 3) of the quadratic cells of a kind."""
     cells, nodes = gmsh.model.mesh.getElementsByType(_KINDS[dim])
     tags, places, _ = gmsh.model.mesh.getNodes()
@@ -64,7 +64,7 @@ def _nodes(gmsh: Any, dim: int) -> tuple[IntArray, IntArray, FloatArray]:
     return np.asarray(cells), nodes, np.asarray(places).reshape(-1, 3)[at]
 
 
-def _is_curved(gmsh: Any, dim: int) -> bool:
+def _is_curved(gmsh: ModuleType, dim: int) -> bool:
     """Whether a quadratic facet of the boundary has a middle node off its straight edge."""
     _, _, x = _nodes(gmsh, dim - 1)
     return any(
@@ -76,7 +76,7 @@ def _is_curved(gmsh: Any, dim: int) -> bool:
     )
 
 
-def _folded(gmsh: Any, dim: int) -> IntArray:
+def _folded(gmsh: ModuleType, dim: int) -> IntArray:
     """Positions of the cells whose map is singular, or almost, somewhere in them."""
     tags = gmsh.model.mesh.getElementsByType(_KINDS[dim])[0].tolist()
     low, high = (
@@ -89,7 +89,7 @@ def _folded(gmsh: Any, dim: int) -> IntArray:
     return np.flatnonzero(smallest < _LEAST * largest)
 
 
-def _straighten_folded(gmsh: Any, dim: int) -> int:
+def _straighten_folded(gmsh: ModuleType, dim: int) -> int:
     """Makes the edges of folded cells straight, and of those that then fold; their number."""
     straight: set[int] = set()
     while new := {int(cell) for cell in _folded(gmsh, dim)} - straight:

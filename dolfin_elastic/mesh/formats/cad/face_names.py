@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 
@@ -22,7 +22,7 @@ _NEAR = 1e-5
 _NUMBERS = r"[-+]?[\d.]+(?:[Ee][-+]?\d+)?"
 
 
-def face_names(gmsh: Any, path: Path, scale: float) -> tuple[dict[Entity, str], list[str]]:
+def face_names(gmsh: ModuleType, path: Path, scale: float) -> tuple[dict[Entity, str], list[str]]:
     """Names of the faces of Gmsh's model of a STEP file. Local.
 
     Args:
@@ -75,7 +75,7 @@ def _sizes(faces: Sequence[FloatArray]) -> list[FloatArray]:
     return [*within_faces, np.linalg.norm(middles[:, None] - middles[None], axis=2).ravel()]
 
 
-def _corners(gmsh: Any, face: Entity) -> FloatArray:
+def _corners(gmsh: ModuleType, face: Entity) -> FloatArray:
     points = gmsh.model.getBoundary([face], combined=False, oriented=False, recursive=True)
     places = [gmsh.model.getValue(0, tag, []) for _, tag in dict.fromkeys(points)]
     return np.array(places, dtype=np.float64).reshape(-1, 3)

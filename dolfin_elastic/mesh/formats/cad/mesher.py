@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.units import METRE, LengthUnit
@@ -90,7 +90,7 @@ def mesh_cad(
 
 
 @contextmanager
-def open_model(path: Path) -> Iterator[Any]:
+def open_model(path: Path) -> Iterator[ModuleType]:
     """Gmsh's model of a CAD file, which is not meshed. Local.
 
     Args:
@@ -126,7 +126,7 @@ def model_unit(stated: LengthUnit | None, path: Path) -> float:
     return 1.0 if stated is None or is_script else 1e-3 / stated.metres
 
 
-def _mesh(gmsh: Any, size: float | None, dim: int, source: str, lengths: Lengths) -> str:
+def _mesh(gmsh: ModuleType, size: float | None, dim: int, source: str, lengths: Lengths) -> str:
     """Meshes the current model; returns the size in words."""
     has_sizes = _has_sizes(gmsh)
     if size is not None:
@@ -150,7 +150,7 @@ def _mesh(gmsh: Any, size: float | None, dim: int, source: str, lengths: Lengths
     return f"{factor:g} times the {default}, with which Gmsh finds no valid mesh"
 
 
-def _generate(gmsh: Any, dim: int, source: str, *, retry: bool) -> float:
+def _generate(gmsh: ModuleType, dim: int, source: str, *, retry: bool) -> float:
     """Makes the cells; the factor on the default size with which that succeeded."""
     before = gmsh.option.getNumber("Mesh.MeshSizeFactor")
     errors = []
@@ -168,7 +168,7 @@ def _generate(gmsh: Any, dim: int, source: str, *, retry: bool) -> float:
     )
 
 
-def _errors_of_meshing(gmsh: Any, dim: int) -> str:
+def _errors_of_meshing(gmsh: ModuleType, dim: int) -> str:
     """Makes the cells; what Gmsh reports if it cannot."""
     start = len(gmsh.logger.get())
     before = gmsh.option.getNumber("General.AbortOnError")
@@ -187,7 +187,7 @@ MAX_CELLS = 5e7
 """Cells that one rank can mesh."""
 
 
-def _check_count(gmsh: Any, size: float, dim: int, name: str, lengths: Lengths) -> None:
+def _check_count(gmsh: ModuleType, size: float, dim: int, name: str, lengths: Lengths) -> None:
     """Refuses sizes that give too many cells, such as a size in mm for a body in m.
 
     A cell of edge h fills about h^3/8 (a tetrahedron) or h^2/2 (a triangle).
@@ -211,7 +211,7 @@ def _check_count(gmsh: Any, size: float, dim: int, name: str, lengths: Lengths) 
         )
 
 
-def _occ_entities(gmsh: Any, dim: int) -> list[tuple[int, int]]:
+def _occ_entities(gmsh: ModuleType, dim: int) -> list[tuple[int, int]]:
     """Solids (surfaces in 2D) of the OpenCASCADE kernel, which computes their volume."""
     return [
         entity
@@ -231,7 +231,7 @@ def _check_last_line(path: Path) -> None:
         )
 
 
-def _has_sizes(gmsh: Any) -> bool:
+def _has_sizes(gmsh: ModuleType) -> bool:
     """True where a .geo file asks for sizes of its own, which may be finer."""
     points = gmsh.model.getEntities(0)
     return len(gmsh.model.mesh.field.list()) > 0 or any(
@@ -251,7 +251,7 @@ def convert_msh(path: Path) -> MeshFile:
         return _save_and_read(gmsh)
 
 
-def _save_and_read(gmsh: Any) -> MeshFile:
+def _save_and_read(gmsh: ModuleType) -> MeshFile:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "mesh.msh"
         for name, value in _SAVE_OPTIONS.items():
@@ -261,7 +261,7 @@ def _save_and_read(gmsh: Any) -> MeshFile:
 
 
 @contextmanager
-def _gmsh(path: Path, *, read: bool = True) -> Iterator[Any]:
+def _gmsh(path: Path, *, read: bool = True) -> Iterator[ModuleType]:
     """Gmsh without output; its errors are raised as `MeshError`.
 
     Args:
@@ -307,7 +307,7 @@ def _gmsh(path: Path, *, read: bool = True) -> Iterator[Any]:
             _restore_gmsh(gmsh, before, options)
 
 
-def _logged_errors(gmsh: Any, start: int = 0) -> str:
+def _logged_errors(gmsh: ModuleType, start: int = 0) -> str:
     """The first three error messages of Gmsh, from a line of its log on."""
     lines = [
         line.split(":", 1)[1].strip()
@@ -317,7 +317,7 @@ def _logged_errors(gmsh: Any, start: int = 0) -> str:
     return "; ".join(dict.fromkeys(lines[:3]))
 
 
-def _restore_gmsh(gmsh: Any, before: list[str], options: dict[str, float]) -> None:
+def _restore_gmsh(gmsh: ModuleType, before: list[str], options: dict[str, float]) -> None:
     """Restores options and models of a Gmsh session that the caller had started."""
     for name, value in options.items():
         gmsh.option.setNumber(name, value)

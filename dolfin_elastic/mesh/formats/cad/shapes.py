@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 
@@ -76,7 +76,7 @@ class Remarks:
     notes: list[str] = field(default_factory=list)
 
 
-def import_shapes(gmsh: Any, path: Path, *, join: bool, lengths: Lengths) -> Remarks:
+def import_shapes(gmsh: ModuleType, path: Path, *, join: bool, lengths: Lengths) -> Remarks:
     """Loads a file into the current model, and names its bodies as physical groups. Local.
 
     Args:
@@ -107,14 +107,14 @@ def import_shapes(gmsh: Any, path: Path, *, join: bool, lengths: Lengths) -> Rem
     return remarks
 
 
-def _add_groups(gmsh: Any, names: Mapping[Entity, str]) -> None:
+def _add_groups(gmsh: ModuleType, names: Mapping[Entity, str]) -> None:
     """Makes physical groups of entities of one dimension by their names, one in each line."""
     for name in dict.fromkeys(n for lines in names.values() for n in lines.split("\n") if n):
         found = [entity for entity, lines in names.items() if name in lines.split("\n")]
         gmsh.model.addPhysicalGroup(found[0][0], [tag for _, tag in found], name=name)
 
 
-def load_shapes(gmsh: Any, path: Path) -> None:
+def load_shapes(gmsh: ModuleType, path: Path) -> None:
     """Loads a file into the current model as it is. Local.
 
     Args:
@@ -142,7 +142,7 @@ def _no_output() -> Iterator[None]:
         os.close(nothing)
 
 
-def _name(gmsh: Any, body: Entity) -> str:
+def _name(gmsh: ModuleType, body: Entity) -> str:
     """The part's name: the last of "Shapes/assembly/instance/part"; empty without one."""
     name = str(gmsh.model.getEntityName(*body)).rpartition("/")[2]
     return "" if name.startswith(_NAMELESS) else name
@@ -151,18 +151,18 @@ def _name(gmsh: Any, body: Entity) -> str:
 # --- faces into solids ---
 
 
-def diagonal(gmsh: Any) -> float:
+def diagonal(gmsh: ModuleType) -> float:
     """Diagonal of the model's bounding box."""
     box = np.array(gmsh.model.getBoundingBox(-1, -1))
     return float(np.linalg.norm(box[3:] - box[:3]))
 
 
-def _is_flat(gmsh: Any) -> bool:
+def _is_flat(gmsh: ModuleType) -> bool:
     box = gmsh.model.getBoundingBox(-1, -1)
     return bool(box[5] - box[2] <= 1e-6 * diagonal(gmsh))
 
 
-def _sew(gmsh: Any, source: str, lengths: Lengths) -> list[str]:
+def _sew(gmsh: ModuleType, source: str, lengths: Lengths) -> list[str]:
     """Sews faces into solids.
 
     Returns:
@@ -209,7 +209,7 @@ def _sew(gmsh: Any, source: str, lengths: Lengths) -> list[str]:
     return [f"{len(faces)} faces sewn into {solids} solid{'s' if solids > 1 else ''}{closed}"]
 
 
-def _edges(gmsh: Any) -> dict[tuple[int, ...], list[Entity]]:
+def _edges(gmsh: ModuleType) -> dict[tuple[int, ...], list[Entity]]:
     """Place (middle and extent, over the tolerance) of each edge, to the faces that have one there.
 
     The seam of a cylinder is there twice.
@@ -251,7 +251,7 @@ def _connected(faces: Sequence[Entity], edges: Iterable[Sequence[Entity]]) -> li
 
 
 def _join(
-    gmsh: Any,
+    gmsh: ModuleType,
     names: Mapping[Entity, str],
     faces: Mapping[Entity, str],
     remarks: Remarks,
@@ -302,14 +302,14 @@ def _lines(found: Mapping[Entity, Sequence[str]]) -> dict[Entity, str]:
     return {entity: "\n".join(dict.fromkeys(names)) for entity, names in found.items()}
 
 
-def _place(gmsh: Any, face: Entity) -> FloatArray:
+def _place(gmsh: ModuleType, face: Entity) -> FloatArray:
     """Middle of a face, and the root of its area."""
     occ = gmsh.model.occ
     return np.array([*occ.getCenterOfMass(*face), occ.getMass(*face) ** 0.5])
 
 
 def _fragments(
-    gmsh: Any, bodies: Sequence[Entity], faces: Sequence[Entity] = ()
+    gmsh: ModuleType, bodies: Sequence[Entity], faces: Sequence[Entity] = ()
 ) -> list[list[Entity]]:
     """Splits bodies and faces at one another; for each of them its parts."""
     entities = [*bodies, *faces]
@@ -326,7 +326,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _shared(
-    gmsh: Any, names: Mapping[Entity, Sequence[str]]
+    gmsh: ModuleType, names: Mapping[Entity, Sequence[str]]
 ) -> list[tuple[tuple[str, ...], float, tuple[float, ...]]]:
     """Pairs of bodies with the area that they share and a place on it."""
     areas: dict[tuple[str, ...], float] = {}
@@ -341,7 +341,7 @@ def _shared(
     return [(pair, area, places[pair]) for pair, area in areas.items()]
 
 
-def touching(gmsh: Any, lengths: Lengths, advice: str) -> list[str]:
+def touching(gmsh: ModuleType, lengths: Lengths, advice: str) -> list[str]:
     """Notes on bodies of the current model that touch without sharing a face. Local.
 
     A copy of the bodies is joined: what they share then and not before is where they touch.

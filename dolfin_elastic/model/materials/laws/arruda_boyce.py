@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 from ufl.core.expr import Expr
@@ -35,7 +35,7 @@ class ArrudaBoyce(Isochoric):
     limit: Number = Field(gt=1)
 
     barrier: ClassVar[bool] = True
-    example: ClassVar[Mapping[str, Any]] = {"mu": "350 kPa", "limit": 2.8, "nu": 0.4}
+    example: ClassVar[Mapping[str, object]] = {"mu": "350 kPa", "limit": 2.8, "nu": 0.4}
 
     def shear(self) -> float:
         """2 dpsi/dI1 at I1 = 3."""

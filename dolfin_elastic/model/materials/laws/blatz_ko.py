@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import ufl
 from ufl.core.expr import Expr
@@ -25,7 +25,7 @@ class BlatzKo(Isotropic):
 
     barrier: ClassVar[bool] = True
 
-    def model_post_init(self, context: Any) -> None:
+    def model_post_init(self, context: object) -> None:
         """Completes the moduli; a foam gets thinner when it is drawn."""
         super().model_post_init(context)
         if not self.spatial_constants() and not 0 < self.lmbda < float("inf"):

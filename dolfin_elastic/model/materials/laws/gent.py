@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import ufl
 from pydantic import Field
@@ -32,7 +32,7 @@ class Gent(Isochoric):
     limit: Number = Field(gt=0)
 
     barrier: ClassVar[bool] = True
-    example: ClassVar[Mapping[str, Any]] = {"mu": "385 kPa", "limit": 60, "nu": 0.4}
+    example: ClassVar[Mapping[str, object]] = {"mu": "385 kPa", "limit": 60, "nu": 0.4}
 
     def shear(self) -> float:
         """See the class."""

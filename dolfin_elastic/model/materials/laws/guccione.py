@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import ufl
 from pydantic import Field
@@ -43,7 +43,7 @@ class Guccione(Volumetric):
 
     barrier: ClassVar[bool] = True
     directions: ClassVar[tuple[str, ...]] = ("fibre",)
-    example: ClassVar[Mapping[str, Any]] = {
+    example: ClassVar[Mapping[str, object]] = {
         "C": "100 kPa",
         "bf": 8,
         "bt": 2,

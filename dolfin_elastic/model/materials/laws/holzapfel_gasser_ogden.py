@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import ufl
 from pydantic import Field
@@ -49,7 +49,7 @@ class HolzapfelGasserOgden(Volumetric):
 
     barrier: ClassVar[bool] = True
     directions: ClassVar[tuple[str, ...]] = ("fibre", "fibre2")
-    example: ClassVar[Mapping[str, Any]] = {
+    example: ClassVar[Mapping[str, object]] = {
         "mu": "300 kPa",
         "k1": "200 kPa",
         "k2": 0.8,

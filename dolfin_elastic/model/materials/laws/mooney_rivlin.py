@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 from ufl.core.expr import Expr
@@ -32,7 +32,7 @@ class MooneyRivlin(Isochoric):
     c01: Stress = Field(ge=0)
 
     barrier: ClassVar[bool] = True
-    example: ClassVar[Mapping[str, Any]] = {"c10": "150 kPa", "c01": "40 kPa", "nu": 0.4}
+    example: ClassVar[Mapping[str, object]] = {"c10": "150 kPa", "c01": "40 kPa", "nu": 0.4}
 
     def shear(self) -> float:
         """2 (c10 + c01)."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import Scalar
 from dolfin_elastic.core.units import Number, Stress
 from dolfin_elastic.model.materials.isochoric import Isochoric
 from dolfin_elastic.model.materials.spectral import (
@@ -39,13 +40,13 @@ class Ogden(Isochoric):
     alpha: Annotated[list[Number], Field(min_length=1)]
 
     barrier: ClassVar[bool] = True
-    example: ClassVar[Mapping[str, Any]] = {
+    example: ClassVar[Mapping[str, object]] = {
         "mu": ["0.63 MPa", "1.2 kPa", "-10 kPa"],
         "alpha": [1.3, 5.0, -2.0],
         "nu": 0.4,
     }
 
-    def model_post_init(self, context: Any) -> None:
+    def model_post_init(self, context: object) -> None:
         """Checks the lists, and fills in K or nu."""
         if len(self.mu) != len(self.alpha) or 0 in self.alpha:
             raise InputError(
@@ -63,7 +64,7 @@ class Ogden(Isochoric):
         for p in range(len(self.mu)):
             half = self.alpha[p] / 2
 
-            def power(square: Expr, half: Any = half) -> Expr:
+            def power(square: Expr, half: Scalar = half) -> Expr:
                 """A principal stretch to the power of this term's exponent.
 
                 Args:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import ufl
 from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import Scalar
 from dolfin_elastic.core.units import Number, Stress
 from dolfin_elastic.model.kinematics import infinitesimal_strain
 from dolfin_elastic.model.materials.fibres import as_floats, frame
@@ -62,7 +63,7 @@ class Orthotropic(Law):
     linear: ClassVar[bool] = True
     frame_indifferent: ClassVar[bool] = False
     directions: ClassVar[tuple[str, ...]] = ("axis1", "axis2")
-    example: ClassVar[Mapping[str, Any]] = {
+    example: ClassVar[Mapping[str, object]] = {
         "E1": "1 MPa",
         "E2": "600 kPa",
         "E3": "300 kPa",
@@ -76,7 +77,7 @@ class Orthotropic(Law):
         "axis2": [0, 1, 1],
     }
 
-    def model_post_init(self, context: Any) -> None:
+    def model_post_init(self, context: object) -> None:
         """Checks that the solid is stable and that its axes differ."""
         if any(name not in self.directions for name in self.spatial_constants()):
             return
@@ -109,7 +110,7 @@ class Orthotropic(Law):
                 expected="axis2 must point to one side of axis1",
             )
 
-    def _determinant(self) -> Any:
+    def _determinant(self) -> Scalar:
         """Determinant of the compliances of tension, times E1 E2 E3."""
         r12, r13, r23 = self.E2 / self.E1, self.E3 / self.E1, self.E3 / self.E2
         return (
@@ -120,7 +121,7 @@ class Orthotropic(Law):
             - 2 * self.nu12 * self.nu23 * self.nu13 * r13
         )
 
-    def _stiffness(self) -> list[list[Any]]:
+    def _stiffness(self) -> list[list[Scalar]]:
         r12, r13, r23 = self.E2 / self.E1, self.E3 / self.E1, self.E3 / self.E2
         nu12, nu13, nu23 = self.nu12, self.nu13, self.nu23
         D = self._determinant()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 from ufl.core.expr import Expr
@@ -33,7 +33,7 @@ class Yeoh(Isochoric):
     c30: Stress = Field(default=0.0, ge=0)
 
     barrier: ClassVar[bool] = True
-    example: ClassVar[Mapping[str, Any]] = {
+    example: ClassVar[Mapping[str, object]] = {
         "c10": "190 kPa",
         "c20": "-20 kPa",
         "c30": "5 kPa",

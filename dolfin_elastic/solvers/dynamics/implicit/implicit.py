@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import ConvergenceError
-from dolfin_elastic.core.petsc_options import PREFIX
+from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
@@ -101,7 +100,7 @@ class Implicit:
         velocity: fem.Function,
         settings: DynamicsSettings,
         linear: LinearSettings,
-        petsc: Mapping[str, Any],
+        petsc: PetscOptions,
     ) -> None:
         self.settings, self.problem, self.v = settings, problem, velocity
         self._owned = ExitStack()
@@ -111,7 +110,7 @@ class Implicit:
             self.destroy()
             raise
 
-    def _prepare(self, linear: LinearSettings, petsc: Mapping[str, Any]) -> None:
+    def _prepare(self, linear: LinearSettings, petsc: PetscOptions) -> None:
         problem, settings = self.problem, self.settings
         self.moving = DynamicResidual(problem, **settings.damping)
         self._owned.callback(self.moving.destroy)
@@ -187,7 +186,7 @@ class Implicit:
         self.scheme = row.scheme(context)
         return parameters
 
-    def _defaults(self) -> dict[str, Any]:
+    def _defaults(self) -> dict[str, PetscValue]:
         more = {"snes_linesearch_type": "basic", **self.newton.choice.options}
         return {**self.control.options, **more, **self.scheme.options}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import AfterValidator, BeforeValidator
 
@@ -21,7 +21,7 @@ _EXPECTED = (
 )
 
 
-def _not_bare(value: Any) -> Any:
+def _not_bare(value: object) -> object:
     """Refuses numbers without a unit: 2.0 might be steps or seconds."""
     bare = isinstance(value, bool | float)
     if isinstance(value, str):

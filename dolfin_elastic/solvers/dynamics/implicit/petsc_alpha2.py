@@ -6,12 +6,13 @@ cannot be gone on with exactly.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.petsc_options import PetscValue
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.incompressible import partly_incompressible
 from dolfin_elastic.problem.problem import Problem
@@ -77,7 +78,7 @@ class PetscAlpha2(ImplicitScheme):
             )
 
     @property
-    def options(self) -> dict[str, Any]:
+    def options(self) -> dict[str, PetscValue]:
         """See `ImplicitScheme.options`: petsc4py's setter is that of another scheme, TSALPHA."""
         return {"ts_alpha_radius": self.context.parameters.spectral_radius}
 

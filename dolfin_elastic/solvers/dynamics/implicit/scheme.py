@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.petsc_options import PetscValue
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
@@ -105,7 +106,7 @@ class ImplicitScheme(ABC):
         """
 
     @property
-    def options(self) -> dict[str, Any]:
+    def options(self) -> dict[str, PetscValue]:
         """PETSc options that the scheme needs, without prefix."""
         return {}
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import logging
 from bisect import bisect_right
-from collections.abc import Mapping
 from math import ceil
 from typing import Any
 
@@ -26,6 +25,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
 from dolfin_elastic.solvers.breakpoints import corners, driven_by_formula
 from dolfin_elastic.solvers.dynamics.implicit.output_times import OutputTimes
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
@@ -93,7 +93,7 @@ class StepControl:
             )
 
     @property
-    def options(self) -> dict[str, Any]:
+    def options(self) -> dict[str, PetscValue]:
         """PETSc options of TSAdapt."""
         if not self._adaptive:
             return {"ts_adapt_type": "none"}
@@ -181,7 +181,7 @@ class StepControl:
             self._ts.setTolerances(rtol=0.0, atol=atol)
 
 
-def warn_of_inexact_restart(reason: str, options: Mapping[str, Any]) -> None:
+def warn_of_inexact_restart(reason: str, options: PetscOptions) -> None:
     """Warns where PETSc has data of former steps that cannot be saved: steps then differ a little.
 
     Args:

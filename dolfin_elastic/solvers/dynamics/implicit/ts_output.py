@@ -7,10 +7,9 @@ as there are states.
 
 from __future__ import annotations
 
-from typing import Any
-
 from petsc4py import PETSc
 
+from dolfin_elastic.core.petsc_options import PetscValue
 from dolfin_elastic.solvers.petsc.options import Options
 
 
@@ -62,7 +61,7 @@ class TSOutput:
             self._viewer.destroy()
 
 
-def _words(value: Any) -> list[str]:
+def _words(value: PetscValue) -> list[str]:
     """Type, file, format and mode of a viewer, as PETSc's options spell it."""
     text = "" if value is None or value is True else str(value)
     return [*text.split(":"), "", "", ""][:4]
