@@ -179,7 +179,7 @@ class LogHandler(logging.Handler):
 
     def __init__(self, rank: int, screen: Console) -> None:
         super().__init__()
-        self.addFilter(lambda record: rank == 0)
+        self.addFilter(lambda record: rank == 0 or hasattr(record, "every_rank"))
         self.screen = screen
 
     def emit(self, record: logging.LogRecord) -> None:

@@ -10,7 +10,8 @@ ElasticError                      base: `except ElasticError` catches all of the
 ├── SolveError          exit 3    the input is right, but no solution was found
 │   ├── ConvergenceError          Newton or the load stepping gave up
 │   └── StabilityError            explicit dynamics diverged, or its step exceeds the stable one
-└── OutputError         exit 4    results cannot be written
+├── OutputError         exit 4    results cannot be written
+└── StoppedError        exit 130  the user has asked for the end of the run
 """
 
 from __future__ import annotations
@@ -171,6 +172,12 @@ class OutputError(ElasticError):
     """Results cannot be written."""
 
     exit_code = 4
+
+
+class StoppedError(ElasticError):
+    """A signal, or a file "stop", has asked for the end of the run."""
+
+    exit_code = 130
 
 
 SHOWN = "DOLFIN_ELASTIC_SHOWN"

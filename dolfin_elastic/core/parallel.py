@@ -11,8 +11,10 @@ from mpi4py import MPI
 
 T = TypeVar("T")
 
-# Every rank logs the same messages: only those of rank 0 are shown.
-logging.getLogger("dolfin_elastic").addFilter(lambda record: MPI.COMM_WORLD.rank == 0)
+# Every rank logs the same messages: only those of rank 0 are shown, and those of one rank alone.
+logging.getLogger("dolfin_elastic").addFilter(
+    lambda record: MPI.COMM_WORLD.rank == 0 or hasattr(record, "every_rank")
+)
 
 
 def agree(comm: MPI.Comm, error: Exception | None) -> None:

@@ -1,19 +1,22 @@
-"""Signals and a file by which a user ends a run after its step, or asks for a checkpoint."""
+"""Signals and a file by which a user ends a run, or asks for a checkpoint."""
 
 from __future__ import annotations
 
 import os
 import signal
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
+from dolfin_elastic.core.errors import StoppedError
+
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-INTERRUPTED = 130
+INTERRUPTED = StoppedError.exit_code
 """Exit code of a run that was stopped."""
 
 STOP_FILE = "stop"
@@ -22,9 +25,15 @@ STOP_FILE = "stop"
 SAME_SIGNAL = 0.5
 """Signals closer than this [s] count as one: a launcher forwards what the group got already."""
 
+LAST = 3
+"""Signals after which the process ends at once, wherever it is."""
+
 
 class Stop:
-    """Records signals and a file "stop"; the second signal to stop ends the process at once.
+    """Records signals and a file "stop", which end the run as soon as all ranks can agree on it.
+
+    While it exists, `raise_if_asked` and `raise_if_agreed` ask it.  The second signal changes
+    nothing but the message; the third ends the process at once, with the last checkpoint on disk.
 
     Args:
         folder: Folder of the results, where a file called "stop" may appear.
@@ -32,21 +41,30 @@ class Stop:
 
     def __init__(self, folder: Path) -> None:
         self.asked, self._checkpoint, self._file = False, False, folder / STOP_FILE
-        self._since = 0.0
+        self._since, self._signals, self._looked = 0.0, 0, 0.0
+        self._interruptible = False
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2):
             signal.signal(number, self._request_stop)
         signal.signal(signal.SIGUSR1, self._request_checkpoint)
+        _current.append(self)
 
     def _request_stop(self, number: int, frame: FrameType | None) -> None:
-        if self.asked:
-            if time.monotonic() - self._since > SAME_SIGNAL:
-                os._exit(INTERRUPTED)
+        now = time.monotonic()
+        if self._signals and now - self._since < SAME_SIGNAL:
             return
-        self.asked, self._since = True, time.monotonic()
+        self.asked, self._since, self._signals = True, now, self._signals + 1
+        if self._signals >= LAST:
+            os._exit(INTERRUPTED)
         if launched_rank() == 0:
-            # Not `print`: it is not reentrant, and the signal may have interrupted one.
-            with suppress(OSError):  # the terminal may be closed
-                os.write(2, b"\nstopping after this step; once more: at once\n")
+            _tell(
+                "\nstopping with a checkpoint of the last complete step"
+                if self._signals == 1
+                else "\nstopping once the linear solver or the writing of files has ended; once "
+                "more: at once, and only the last checkpoint is left"
+            )
+        if self._interruptible:
+            self._interruptible = False
+            raise StoppedError(_WORDS)
 
     def _request_checkpoint(self, number: int, frame: FrameType | None) -> None:
         self._checkpoint = True
@@ -56,16 +74,82 @@ class Stop:
         wanted, self._checkpoint = self._checkpoint, False
         return wanted
 
+    def asked_here(self) -> bool:
+        """Whether this rank got a signal to stop, or sees the file. Not collective."""
+        now = time.monotonic()
+        if not self.asked and now - self._looked > 1.0:
+            self._looked = now
+            self.asked = self._file.exists()
+        return self.asked
+
     def agreed(self, comm: MPI.Comm) -> bool:
         """Whether any rank got a signal to stop, or the file exists; same on all. Collective."""
         from dolfin_elastic.core.parallel import largest
 
         if comm.rank == 0 and self._file.exists():
             self.asked = True
-            with suppress(OSError):  # the terminal may be closed
-                os.write(2, f"stopping: there was a file {self._file}\n".encode())
+            _tell(f"stopping: there was a file {self._file}")
             remove_stop_file(self._file.parent)  # or the next run would stop at once
         return largest(comm, float(self.asked)) > 0
+
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """See the function."""
+        if self.asked:
+            raise StoppedError(_WORDS)
+        self._interruptible = True
+        try:
+            yield
+        finally:
+            self._interruptible = False
+
+
+_WORDS = "stopped on request"
+_current: list[Stop] = []
+"""The last one is asked; empty in a program of the user's, who has signals of his own."""
+
+
+def _tell(text: str) -> None:
+    # Not `print`: it is not reentrant, and the signal may have interrupted one.
+    with suppress(OSError):  # the terminal may be closed
+        os.write(2, f"{text}\n".encode())
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Makes a signal to stop raise at once inside.  For work of this rank alone, not for MPI.
+
+    Raises:
+        StoppedError: One came, or had come before.
+    """
+    if not _current:
+        yield
+        return
+    with _current[-1].interruptible():
+        yield
+
+
+def raise_if_asked() -> None:
+    """Ends what this rank does alone, where the run shall stop. Not collective.
+
+    Raises:
+        StoppedError: This rank got a signal, or sees the file "stop".
+    """
+    if _current and _current[-1].asked_here():
+        raise StoppedError(_WORDS)
+
+
+def raise_if_agreed(comm: MPI.Comm) -> None:
+    """Ends what all ranks do, where the run shall stop. Collective.
+
+    Args:
+        comm: The ranks of the run.
+
+    Raises:
+        StoppedError: Any rank got a signal, or the file "stop" exists; on all ranks.
+    """
+    if _current and _current[-1].agreed(comm):
+        raise StoppedError(_WORDS)
 
 
 def remove_stop_file(folder: Path) -> None:

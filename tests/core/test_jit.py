@@ -2,6 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
 import ufl
@@ -9,7 +20,10 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic import box_body
-from dolfin_elastic.core import jit
+from dolfin_elastic.core import jit, signals
+from dolfin_elastic.core.errors import OutputError, StoppedError
+from dolfin_elastic.core.jit import cache, claim
+from dolfin_elastic.core.jit.cache import find_or_compile, private_folders
 from dolfin_elastic.core.parallel import on_root
 
 
@@ -28,3 +42,227 @@ def test_an_expression_is_compiled_once(comm: MPI.Comm, folder, monkeypatch: pyt
         values.append(expression.eval(body.mesh, np.array([0], dtype=np.int32)).flat[0])
     assert values == pytest.approx([1.0, 2.0])
     assert on_root(comm, lambda: len([*folder.rglob("*.c")])) == 1
+
+
+def compiled(comm: MPI.Comm) -> float:
+    """A small expression, compiled or found, at a point where it is 3."""
+    body = box_body(size=(1, 1, 1), cells=(1, 1, 1), comm=comm)
+    u = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (3,))))
+    u.interpolate(lambda x: x)
+    points = np.array([[0.25, 0.25, 0.25]])
+    expression = jit.compile_expression(comm, ufl.div(u), points, jit.options(comm))
+    return float(expression.eval(body.mesh, np.array([0], dtype=np.int32)).flat[0])
+
+
+def cut(folder: Path) -> None:
+    so = next(folder.glob("*.so"))
+    whole = so.read_bytes()
+    so.unlink()  # another file: the first is in use
+    so.write_bytes(whole[: len(whole) // 2])
+
+
+def emptied(folder: Path) -> None:
+    so = next(folder.glob("*.so"))
+    so.unlink()
+    so.touch()
+
+
+def missing(folder: Path) -> None:
+    next(folder.glob("*.so")).unlink()
+
+
+def left_over(folder: Path) -> None:
+    for file in folder.iterdir():
+        if file.suffix != ".cached":
+            file.unlink()
+
+
+@pytest.mark.parametrize("damage", [cut, emptied, missing, left_over])
+def test_a_damaged_form_is_compiled_again(
+    damage: Callable[[Path], None], comm: MPI.Comm, folder, monkeypatch, caplog
+):
+    """With one warning; loading a cut library would be a bus error, not an exception."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
+    monkeypatch.setattr(cache, "_told", set())
+    assert compiled(comm) == pytest.approx(3.0)
+    on_root(comm, lambda: damage(next(folder.rglob("*.c.cached")).parent))
+    assert compiled(comm) == pytest.approx(3.0)
+    told = [r.message for r in caplog.records if "damaged" in r.message]
+    assert len(comm.allreduce(told)) == 1
+    assert on_root(comm, lambda: len([*folder.rglob("*.so")])) == 1
+    assert not on_root(comm, lambda: [*folder.rglob("*.claim"), *folder.rglob("*.part-*")])
+    assert compiled(comm) == pytest.approx(3.0)
+    assert len([r for r in caplog.records if "damaged" in r.message]) == len(told)
+
+
+def test_where_the_cache_cannot_be_written(comm: MPI.Comm, monkeypatch, caplog):
+    """A home that is for reading only: forms are compiled elsewhere, with one warning."""
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc")
+    monkeypatch.setattr(cache, "_told", set())
+    assert compiled(comm) == pytest.approx(3.0)
+    assert compiled(comm) == pytest.approx(3.0)
+    told = [r.message for r in caplog.records if "cannot be kept" in r.message]
+    assert len(comm.allreduce(told)) == 1
+
+
+# --- the cache alone, with a compiler that writes a file ---
+
+serial = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="no rank is waited for in here")
+
+
+def write(text: str) -> Callable[[Path], object]:
+    return lambda into: (into / "code").write_text(text)
+
+
+def refuse(into: Path) -> None:
+    raise AssertionError("compiled")
+
+
+def holder(root: Path, key: str, **keys: object) -> Path:
+    """A claim of this process, or of one that differs from it."""
+    root.mkdir(exist_ok=True)
+    file = root / f".{key}.claim"
+    file.write_text(json.dumps({"token": "t", "beat": 0, **claim._this_process(), **keys}))
+    return file
+
+
+@serial
+def test_a_finished_form_is_taken_without_a_lock(tmp_path: Path):
+    """Whoever holds it, also from a folder in which nothing may be written."""
+    found = find_or_compile([tmp_path / "a"], "f", write("1"))
+    holder(tmp_path / "a", "f")
+    assert find_or_compile([tmp_path / "b", tmp_path / "a"], "f", refuse) == found
+    assert not (tmp_path / "b").exists()
+
+
+@serial
+def test_different_forms_are_compiled_side_by_side(tmp_path: Path, caplog):
+    """The other one has not ended when this one has; the same form is waited for."""
+    begun, end = threading.Event(), threading.Event()
+
+    def slow(into: Path) -> None:
+        begun.set()
+        assert end.wait(30)
+        write("slow")(into)
+
+    first = threading.Thread(target=find_or_compile, args=([tmp_path], "slow", slow))
+    first.start()
+    assert begun.wait(10)
+    find_or_compile([tmp_path], "other", write("2"))
+    assert first.is_alive()
+    second = threading.Thread(target=find_or_compile, args=([tmp_path], "slow", refuse))
+    second.start()
+    time.sleep(0.5)
+    assert second.is_alive()
+    end.set()
+    first.join(5)
+    second.join(5)
+    assert not first.is_alive() and not second.is_alive()
+    assert {file.name for file in tmp_path.iterdir()} == {"slow", "other"}
+
+
+@serial
+def test_waiting_says_for_whom(tmp_path: Path, monkeypatch, caplog):
+    """After 5 s, in the test 0.3; the holder, on another machine, shows that it lives."""
+    monkeypatch.setattr(claim, "QUIET", 0.3)
+    monkeypatch.setattr(claim, "PATIENCE", 0.6)
+    file = holder(tmp_path, "f", host="node7", pid=4711, where="elsewhere")
+
+    def beat() -> None:
+        for count in range(20):
+            file.write_text(json.dumps({**json.loads(file.read_text()), "beat": count}))
+            time.sleep(0.1)
+        (tmp_path / "f").mkdir()
+        (tmp_path / "f/whole.json").write_text(json.dumps({"code": cache._checksum(file)}))
+        shutil.copy(file, tmp_path / "f/code")
+
+    other = threading.Thread(target=beat)
+    other.start()
+    find_or_compile([tmp_path], "f", refuse)
+    other.join()
+    assert [r.message for r in caplog.records] == [
+        "waiting for process 4711 on node7, which compiles the same form"
+    ]
+
+
+@serial
+def test_a_dead_holder_is_noticed(tmp_path: Path, monkeypatch):
+    """At once where its number means a process, a reused one, too; elsewhere as it is still."""
+    with subprocess.Popen([sys.executable, "-c", ""]) as process:
+        process.wait()
+    for number, keys in enumerate([{"pid": process.pid}, {"started": "1"}]):
+        holder(tmp_path, f"f{number}", **keys)
+        begin = time.monotonic()
+        find_or_compile([tmp_path], f"f{number}", write("1"))
+        assert time.monotonic() - begin < 2.0
+    monkeypatch.setattr(claim, "PATIENCE", 0.5)
+    for number, keys in enumerate([{"where": "elsewhere"}, {"where": "", "host": ""}]):
+        holder(tmp_path, f"g{number}", **keys)
+        begin = time.monotonic()
+        find_or_compile([tmp_path], f"g{number}", write("1"))
+        assert 0.3 < time.monotonic() - begin < 3.0
+    assert not [*tmp_path.glob(".*")]
+
+
+@serial
+def test_a_sleeper_that_was_taken_for_dead(tmp_path: Path):
+    """It wakes when another process has compiled the form: nothing is lost, nobody fails."""
+
+    def asleep(into: Path) -> None:
+        (tmp_path / ".f.claim").unlink()
+        find_or_compile([tmp_path], "f", write("the other"))
+        raise FileNotFoundError(into)  # which the other one has removed
+
+    assert find_or_compile([tmp_path], "f", asleep) == tmp_path / "f"
+    assert (tmp_path / "f/code").read_text() == "the other"
+
+
+@serial
+@pytest.mark.parametrize("waiting", [True, False])
+def test_a_signal_is_heard(waiting: bool, tmp_path: Path, monkeypatch, capfd):
+    """While another process is waited for, and while this one compiles."""
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)}
+    before[signal.SIGUSR2] = signal.getsignal(signal.SIGUSR2)
+    monkeypatch.setattr(signals, "_current", [])
+    try:
+        signals.Stop(tmp_path)
+        if waiting:
+            holder(tmp_path, "f")
+        threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        begin = time.monotonic()
+        with pytest.raises(StoppedError), signals.interruptible():
+            find_or_compile([tmp_path], "f", lambda into: time.sleep(30))
+        assert time.monotonic() - begin < 2.0
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert "stopping with a checkpoint" in capfd.readouterr().err
+    assert not [*tmp_path.glob(".*part-*")]
+
+
+@serial
+def test_a_full_disk(tmp_path: Path, monkeypatch, caplog):
+    """The next folder is taken; where there is none, the message has the cause of each."""
+    monkeypatch.setattr(cache, "_told", set())
+    monkeypatch.setattr(cache.shutil, "disk_usage", free := Free())
+    spare = private_folders("test")[0].with_name(tmp_path.parent.name + "spare")
+    free.folders = {tmp_path: 1 << 20, spare: 1 << 40}
+    found = find_or_compile([tmp_path, spare], "f", write("1"))
+    assert found == spare / "f"
+    assert spare.stat().st_mode & 0o077 == 0
+    assert f"compiled forms cannot be kept ({tmp_path}: no space left on device)" in caplog.text
+    free.folders[spare] = 0
+    with pytest.raises(OutputError, match=r"no space left on device; .*no space left on device"):
+        find_or_compile([tmp_path, spare], "g", refuse)
+    shutil.rmtree(spare)
+
+
+class Free:
+    """Free space by folder, in place of the disk's."""
+
+    def __init__(self) -> None:
+        self.folders: dict[Path, int] = {}
+
+    def __call__(self, folder: Path) -> Free:
+        self.free = self.folders[folder]
+        return self

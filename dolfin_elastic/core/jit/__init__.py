@@ -1,0 +1,12 @@
+"""Compiling forms: flags, all ranks at work, a cache that many runs share and that mends itself."""
+
+from dolfin_elastic.core.jit.cache import cache_folder
+from dolfin_elastic.core.jit.compile import (
+    FLAGS,
+    JitOptions,
+    compile_expression,
+    compile_forms,
+    options,
+)
+
+__all__ = ["FLAGS", "JitOptions", "cache_folder", "compile_expression", "compile_forms", "options"]

@@ -1,0 +1,231 @@
+"""Compiling forms and expressions: flags, and all ranks at work."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sysconfig
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypedDict, TypeVar, cast
+from uuid import uuid4
+
+import dolfinx
+import ffcx
+import numpy as np
+import ufl
+from dolfinx import fem, jit
+from ffcx.naming import compute_signature
+from mpi4py import MPI
+from ufl.classes import Label
+from ufl.core.expr import Expr
+from ufl.corealg.map_dag import map_expr_dag
+from ufl.corealg.multifunction import MultiFunction
+from ufl.corealg.traversal import traverse_unique_terminals
+
+from dolfin_elastic.core.jit.cache import cache_folder, find_or_compile, private_folders
+from dolfin_elastic.core.parallel import agree, on_root
+from dolfin_elastic.core.signals import interruptible
+from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
+
+T = TypeVar("T")
+# No -ffast-math: it would hide the NaN and Inf by which an inverted element is seen.
+# Without the second scheduling pass: on the long straight-line code of a tangent at one point gcc
+# takes minutes for it (130 s against 0.4 s for a neo-Hookean solid), and the code is no faster.
+FLAGS = (
+    "-O3",
+    "-march=native",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fno-schedule-insns2",
+    "-g0",
+)
+
+
+class JitOptions(TypedDict):
+    """Options of DOLFINx's form compiler.
+
+    Attributes:
+        cffi_extra_compile_args: Flags of the C compiler.
+        cffi_debug: Compile for a debugger.
+        timeout: Seconds for which FFCx waits for another process; no process here meets that.
+        cache_dir: Folder of compiled forms.
+    """
+
+    cffi_extra_compile_args: list[str]
+    cffi_debug: bool
+    timeout: int
+    cache_dir: Path
+
+
+type Compilable = ufl.Form | tuple[Expr, FloatArray]
+"""A form, or an expression with points."""
+
+_private_names: dict[Path, str] = {}
+"""Folder of the cache to the name of the folders in its place, the same on all ranks."""
+
+
+def options(comm: MPI.Comm) -> JitOptions:
+    """Options for `fem.form` and `fem.Expression`, the same on all ranks. Collective."""
+    folder, name = on_root(comm, _cache_and_private_name)
+    _private_names[folder] = name
+    return {
+        "cffi_extra_compile_args": list(FLAGS),
+        "cffi_debug": False,
+        "timeout": 600,
+        "cache_dir": folder,
+    }
+
+
+def _cache_and_private_name() -> tuple[Path, str]:
+    folder = cache_folder()
+    return folder, _private_names.get(folder) or f"{os.getuid()}-{uuid4().hex}"
+
+
+def compile_forms(
+    comm: MPI.Comm,
+    forms: Sequence[ufl.Form],
+    jit_options: JitOptions,
+) -> list[fem.Form]:
+    """Compiles UFL forms, each on one of the ranks, and makes DOLFINx forms of them.
+
+    Collective.
+
+    Args:
+        comm: The ranks of the forms' mesh.
+        forms: UFL forms.
+        jit_options: From `options`.
+
+    Returns:
+        The forms ready to be assembled.
+
+    Raises:
+        OutputError: There is no folder for compiled forms.
+        StoppedError: A signal has asked for the end of the run meanwhile.
+        Exception: What the form compiler raised on any rank.
+    """
+    with stage("compile"):
+        found = _compiled(comm, forms, jit_options)
+        return [
+            _on_all_ranks(comm, lambda f=form, o=one: fem.form(f, jit_options=o))  # type: ignore[misc]
+            for form, one in zip(forms, found, strict=True)
+        ]
+
+
+def compile_expression(
+    comm: MPI.Comm,
+    expression: Expr,
+    points: FloatArray,
+    jit_options: JitOptions,
+) -> fem.Expression:
+    """Compiles a UFL expression at points of the reference cell. Collective.
+
+    Args:
+        comm: The ranks of the expression's mesh.
+        expression: UFL expression of any shape.
+        points: Points of the reference cell, shape (n, dim).
+        jit_options: From `options`.
+
+    Raises:
+        Exception: What the form compiler raised on any rank.
+    """
+    expression = _with_numbered_labels(expression)
+    places = np.reshape(points, (-1, np.shape(points)[-1]))  # as `fem.Expression` has them
+    with stage("compile"):
+        found = _compiled(comm, [(expression, places)], jit_options)[0]
+        return _on_all_ranks(comm, lambda: fem.Expression(expression, points, jit_options=found))
+
+
+class _Relabelling(MultiFunction):
+    """Exchanges the labels of variables."""
+
+    expr = MultiFunction.reuse_if_untouched
+
+    def __init__(self, labels: dict[Label, Label]) -> None:
+        super().__init__()
+        self._labels = labels
+
+    def label(self, label: Label) -> Label:
+        """The other label."""
+        return self._labels[label]
+
+
+def _with_numbered_labels(expression: Expr) -> Expr:
+    """The expression with the labels of its variables (`ufl.variable`) counted from zero.
+
+    FFCx names a compiled expression by its content, and a label by the number of variables that the
+    process had made before: without this, the same expression has another name in each problem of a
+    process and is compiled again.  (In forms UFL counts the labels anew by itself.)
+    """
+    found = {node for node in traverse_unique_terminals(expression) if isinstance(node, Label)}
+    labels = {old: Label(i) for i, old in enumerate(sorted(found, key=Label.count))}
+    return map_expr_dag(_Relabelling(labels), expression) if labels else expression
+
+
+def _compiled(
+    comm: MPI.Comm, objects: Sequence[Compilable], jit_options: JitOptions
+) -> list[JitOptions]:
+    """The options by which DOLFINx finds each of several forms compiled. Collective.
+
+    Each rank compiles its share; DOLFINx would compile all on rank 0.  Then each looks for itself:
+    ranks on other machines may have folders of their own.
+    """
+    mine = list(objects[comm.rank :: comm.size])
+    for share in [mine, objects] if comm.size > 1 else [objects]:
+        folders: list[Path] = []
+        error: Exception | None = None
+        try:
+            with interruptible():
+                folders = [_find_or_compile(one, jit_options) for one in share]
+        except Exception as caught:  # raised on all ranks just below
+            error = caught
+        agree(comm, error)
+    return [{**jit_options, "cache_dir": folder} for folder in folders]
+
+
+def _find_or_compile(form: Compilable, jit_options: JitOptions) -> Path:
+    """Folder of a compiled form or expression with its points. Not collective."""
+    scalar = {"scalar_type": dolfinx.default_scalar_type}
+    root = jit_options["cache_dir"]
+    roots = [root, *private_folders(_private_names[root])]
+    # All that FFCx makes the name of a module from: its options, the flags, Python and the C
+    # compiler's own settings.
+    flags = [jit_options["cffi_extra_compile_args"], jit_options["cffi_debug"]]
+    python = [sysconfig.get_config_var(name) for name in ("CFLAGS", "SOABI")]
+    tag = "".join(map(str, [sorted(ffcx.get_options(scalar).items()), *flags, *python]))
+
+    def compile_into(folder: Path) -> None:
+        with _root_log_kept():
+            jit.ffcx_jit(
+                MPI.COMM_SELF,
+                form,
+                jit_options={**jit_options, "cache_dir": folder},
+                form_compiler_options=scalar,
+            )
+
+    return find_or_compile(roots, compute_signature([form], tag), compile_into)
+
+
+@contextmanager
+def _root_log_kept() -> Iterator[None]:
+    """FFCx exchanges the handlers of the root logger, and leaves them so after an error."""
+    root = logging.getLogger()
+    before = root.handlers
+    try:
+        yield
+    finally:
+        root.handlers = before
+
+
+def _on_all_ranks(comm: MPI.Comm, make: Callable[[], T]) -> T:
+    """Calls a function on every rank; an error of any rank is raised on all. Collective."""
+    error: Exception | None = None
+    made: T | None = None
+    try:
+        made = make()
+    except Exception as caught:  # raised on all ranks just below
+        error = caught
+    agree(comm, error)
+    return cast("T", made)
