@@ -8,7 +8,7 @@ import sysconfig
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypedDict, TypeVar, cast
+from typing import TypeAlias, TypedDict, TypeVar, cast
 from uuid import uuid4
 
 import dolfinx
@@ -60,7 +60,7 @@ class JitOptions(TypedDict):
     cache_dir: Path
 
 
-type Compilable = ufl.Form | tuple[Expr, FloatArray]
+Compilable: TypeAlias = ufl.Form | tuple[Expr, FloatArray]
 """A form, or an expression with points."""
 
 _private_names: dict[Path, str] = {}
