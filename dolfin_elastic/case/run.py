@@ -16,7 +16,9 @@ from mpi4py import MPI
 from dolfin_elastic.case.analysis import Solver
 from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.check import check
+from dolfin_elastic.case.check.formulas import check_poles
 from dolfin_elastic.case.check.initial_state import contact_notes
+from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.mesh_quality import bending_notes, shape_notes
 from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished
 from dolfin_elastic.core import timing
@@ -138,6 +140,8 @@ class _Run:
             before.check_mesh(description)
         log_notes(self.case, body)
         problem = self.case.make_problem(body)
+        with locate_errors(self.case.file):
+            check_poles(self.case, Integrals(problem))
         for find in (contact_notes, bending_notes, shape_notes):
             for note in find(self.case, problem):
                 log.warning("%s", note)

@@ -21,6 +21,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -99,6 +100,15 @@ class Formula:
             return np.array(np.broadcast_to(result, shape), dtype=np.float64)
         return self._finite(float(result), values)
 
+    @cached_property
+    def divisors(self) -> tuple[Formula, ...]:
+        """What the formula may have poles at the zeros of, with all parts of it that vary.
+
+        These are denominators, bases of powers and, of a tangent, the cosine of its argument.
+        """
+        found = dict.fromkeys(part for tree in _divisors(self._tree) for part in _parts(tree))
+        return tuple(Formula(self.text, names, tree) for tree in found if (names := _names(tree)))
+
     def ufl(self, **values: Expr | float) -> Expr | float:
         """The formula as a UFL expression.
 
@@ -129,6 +139,35 @@ class Formula:
 
 def _not_finite(result: float) -> str:
     return "not a real number" if math.isnan(result) else "infinite"
+
+
+def _divisors(tree: Tree) -> Iterator[Tree]:
+    """Denominators, bases of powers but for those with positive exponents, cosines of tangents."""
+    if not isinstance(tree, tuple):
+        return
+    name, *args = tree
+    if name == "/":
+        yield args[1]
+    elif name == "^" and (_names(args[1]) or _walk(args[1], {}, numeric) < 0):
+        yield args[0]
+    elif name == "tan":
+        yield ("cos", args[0])
+    for arg in args:
+        yield from _divisors(arg)
+
+
+def _parts(tree: Tree) -> Iterator[Tree]:
+    """The tree and all in it that have a value, no comparisons."""
+    if not (isinstance(tree, tuple) and tree[0] in COMPARISONS):
+        yield tree
+    for arg in tree[1:] if isinstance(tree, tuple) else ():
+        yield from _parts(arg)
+
+
+def _names(tree: Tree) -> frozenset[str]:
+    if isinstance(tree, tuple):
+        return frozenset[str]().union(*map(_names, tree[1:]))
+    return frozenset({tree}) if isinstance(tree, str) else frozenset()
 
 
 def _walk(

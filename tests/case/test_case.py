@@ -636,26 +636,47 @@ def test_any_value_anywhere(text: str) -> None:
                 Case.from_dict(tables, file="case.toml").to_toml()
 
 
-@pytest.mark.parametrize("kind", ["case", "mesh", "curve"])
+AWAY = "/nowhere/data/part"
+XDMF = f"""<Xdmf Version="3.0"><Domain><Grid Name="mesh" GridType="Uniform">
+<Topology TopologyType="Tetrahedron"><DataItem Dimensions="1 4" Format="HDF">{AWAY}.h5:/t</DataItem>
+</Topology></Grid></Domain></Xdmf>"""
+OUTSIDE: dict[str, tuple[str, str]] = {
+    "case": ("", ""),
+    "mesh": (f"{AWAY}.msh", ""),
+    "curve": ("", ""),
+    "included": ("deck.inp", f"*NODE\n1, 0., 0., 0.\n*INCLUDE, INPUT={AWAY}.inp\n"),
+    "merged": ("part.geo", f'Merge "{AWAY}.step";\n'),
+    "in a script": ("part.geo", f'Include "{AWAY}.geo";\n'),
+    "numbers": ("part.xdmf", XDMF),
+}
+"""Kind to the mesh file of the case, and its content."""
+
+
+@pytest.mark.parametrize("kind", OUTSIDE)
 def test_files_that_docker_run_does_not_show(
     folder: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """They were called missing, with the nearest name in a folder that is not the user's."""
     monkeypatch.setenv("DOLFIN_ELASTIC_SHOWN", f"{folder}:/somewhere/else")
-    away = "/nowhere/data/part"
-    text = GOOD.replace("box = {size = [2, 1, 1], cells = [2, 1, 1]}", f'file = "{away}.msh"')
+    mesh, content = OUTSIDE[kind]
+    text = GOOD
+    if mesh:
+        text = GOOD.replace("box = {size = [2, 1, 1], cells = [2, 1, 1]}", f'file = "{mesh}"')
     if kind == "curve":
-        text = GOOD.replace("[[load]]", f'[[load]]\ncurve = {{file = "{away}.csv"}}', 1)
-    path = Path(f"{away}.toml") if kind == "case" else folder / "case.toml"
+        text = GOOD.replace("[[load]]", f'[[load]]\ncurve = {{file = "{AWAY}.csv"}}', 1)
+    path = Path(f"{AWAY}.toml") if kind == "case" else folder / "case.toml"
     if kind != "case":
         on_root(MPI.COMM_WORLD, lambda: path.write_text(text))
+    if content:
+        on_root(MPI.COMM_WORLD, lambda: (folder / mesh).write_text(content))
     with pytest.raises(InputError) as caught:
         read_case(path).read_body()
     assert "DOLFIN_ELASTIC_BIND=/nowhere/data in front of the command" in str(caught.value)
     monkeypatch.delenv("DOLFIN_ELASTIC_SHOWN")  # on the machine itself
     with pytest.raises(InputError) as caught:
         read_case(path).read_body()
-    assert "there is no" in str(caught.value)
+    said = ("there is no", "Unable to open file", "is not beside it")
+    assert any(words in str(caught.value) for words in said)
     assert "BIND" not in str(caught.value)
 
 

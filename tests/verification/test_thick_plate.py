@@ -21,8 +21,8 @@ from dolfin_elastic.mesh.formats.raw import Block, MeshFile, RawMesh, assemble
 
 COMM = MPI.COMM_WORLD
 HEIGHT = 0.6
-GRADING = 2.0
-"""Exponent of the distance from the inner rim, where the stress changes fast."""
+GRADING = 1.3
+"""Exponent of the distances from D, around which the stress changes fast, in all directions."""
 TARGET = -5.38e6
 
 
@@ -49,8 +49,11 @@ def plate(counts: tuple[int, int, int]) -> Body:
     The outer face and the line at its mid-height come as sets of nodes, as in a deck of Abaqus.
     """
     s, cells = quadratic_box(counts)
-    layers = np.linspace(0, 1, counts[0] + 1)
-    s[:, 0] = np.interp(s[:, 0], layers, layers**GRADING)  # midside nodes stay in the middle
+    upper = counts[2] - 2  # two layers below mid-height
+    below = [0, 0.25, *(1 - 0.5 * np.linspace(1, 0, upper + 1) ** GRADING)]
+    layers = [np.linspace(0, 1, n + 1) ** GRADING for n in counts[:2]] + [np.array(below)]
+    for j, heights in enumerate(layers):  # midside nodes stay in the middle
+        s[:, j] = np.interp(s[:, j], np.linspace(0, 1, len(heights)), heights)
     angle = np.pi / 2 * s[:, 1]
     x = np.stack(
         [
@@ -102,16 +105,19 @@ def stress_at_d(body: Body, line: str) -> tuple[float, FloatArray]:
 
 
 def test_le10() -> None:
-    """The stress at D to 3 % in 1536 cells, and the line bears the whole pressure.
+    """The stress at D to 1 % in 576 and in 1440 cells; the line bears the whole pressure.
 
-    Meshes of 576, 1152, 1536 and 3456 cells give 1.061, 1.036, 1.015 and 1.015 of the target: the
-    value at a corner of the body is extrapolated.  The loaded area is pi/4 (3.25 2.75 - 2 1) m^2;
-    that of quadratic cells is short of it by O(h^4).
+    576, 1440, 2880 and 5880 cells give 1.001, 1.002, 1.004 and 1.003 of the target.  Cells must be
+    fine along the rim, whose radius is 0.5 m at D, and in height, too: graded along the radius
+    alone, 1536 cells give 1.015.  The line has no area to bear force, so that the deflection grows
+    with every refinement, here by 1 %.  The loaded area is pi/4 (3.25 2.75 - 2 1) m^2; that of
+    quadratic cells is short of it by O(h^4).
     """
-    body = plate((8, 8, 4))
-    stress, reaction = stress_at_d(body, "line")
     area = np.pi / 4 * (3.25 * 2.75 - 2)
-    assert reaction[2] == pytest.approx(1e6 * area, rel=1e-5)
-    assert stress == pytest.approx(TARGET, rel=0.03)
+    for counts in ((4, 6, 4), (6, 8, 5)):
+        body = plate(counts)
+        stress, reaction = stress_at_d(body, "line")
+        assert reaction[2] == pytest.approx(1e6 * area, rel=8e-2 / counts[1] ** 4)
+        assert stress == pytest.approx(TARGET, rel=0.01)
     by_nodes, _ = stress_at_d(body, "line of nodes")
     assert by_nodes == pytest.approx(stress, rel=1e-9)

@@ -9,18 +9,17 @@ import numpy as np
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.consistency import acts_on_surfaces
+from dolfin_elastic.case.check.formulas import all_times
 from dolfin_elastic.case.check.initial_state import TIMES
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.core.errors import CaseError
-from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.geometry.curved import QuadraturePoints
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.loads import ConcentratedLoad, Load, LoadPoints
 from dolfin_elastic.model.supports.rigid_surface import Rigid
-from dolfin_elastic.model.supports.springs import ResistingSupport
-from dolfin_elastic.model.values import Component, depends_on_time, number_at, vector_at
+from dolfin_elastic.model.values import depends_on_time, vector_at
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
 from dolfin_elastic.problem.material_regions import young
 from dolfin_elastic.problem.problem import Problem
@@ -97,59 +96,6 @@ def stress_notes(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) ->
         )
 
 
-def check_formulas(case: Case, integrals: Integrals) -> None:
-    """Evaluates springs, warmth and growth, which have no resultant, over all times. Collective.
-
-    Args:
-        case: Its loads and supports.
-        integrals: Of the case's problem.
-
-    Raises:
-        CaseError: A formula gives no finite number somewhere.
-    """
-    for i, load in enumerate(case.load):
-        if load.is_eigenstrain:
-            points = integrals.cells(load.parts)
-            _check_everywhere(case, integrals, f"load[{i}].value", load.values, points)
-    body = integrals.body
-    for i, support in enumerate(case.support):
-        names = [n for n in support.surfaces if n in body.surfaces and n not in body.uncovered]
-        if isinstance(support, ResistingSupport) and names:
-            points = integrals.facets(names)
-            given = {**support.vectors, "normal": support.coefficients if support.by_normal else ()}
-            for key, values in given.items():
-                _check_everywhere(case, integrals, f"support[{i}].{key}", values, points)
-
-
-def _all_times(case: Case) -> list[float]:
-    """Times of a motion, or load parameters of statics without 0, where no load acts."""
-    if case.dynamics is None:
-        return [float(t) for t in np.linspace(0.0, case.final_load, TIMES)[1:]]
-    return [float(t) for t in np.linspace(0.0, case.dynamics.end, TIMES)]
-
-
-def _check_everywhere(
-    case: Case,
-    integrals: Integrals,
-    where: str,
-    values: tuple[Component, ...],
-    points: QuadraturePoints,
-) -> None:
-    """Raises on all ranks where a formula gives no finite number. Collective."""
-    for value in values:
-        if not isinstance(value, Formula):
-            continue
-        for t in _all_times(case) if "t" in value.names else [0.0]:
-            with np.errstate(all="ignore"):
-                bad = ~np.isfinite(number_at(value, points.X, float(t)))
-            if total(integrals.body.comm, int(bad.sum())):
-                raise CaseError(
-                    f"'{value.text}' has no finite value somewhere at t = {t:g}",
-                    where=where,
-                    expected="a formula that gives a number at every place it acts on",
-                )
-
-
 def _load_sum(case: Case, index: int, load: Load, integrals: Integrals) -> LoadSum:
     """The resultant of a load at the time when it is largest. Collective."""
     name, on = f"load[{index}] ({load.kind})", ", ".join(load.parts) or "(whole body)"
@@ -162,7 +108,7 @@ def _load_sum(case: Case, index: int, load: Load, integrals: Integrals) -> LoadS
         found = dict.fromkeys(factors, _resultant(load, max(factors), points, integrals))
     sums = {t: factors[t] * s for t, s in found.items() if s is not None}
     if case.dynamics is None and sums and depends_on_time(load.values):
-        for t in _all_times(case):
+        for t in all_times(case):
             early = _resultant(load, float(t), points, integrals)
             _check_finite(index, np.zeros(1) if early is None else early, float(t))
     if not sums:

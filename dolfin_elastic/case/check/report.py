@@ -9,6 +9,7 @@ from mpi4py import MPI
 from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.check.cavities import cavity_notes
 from dolfin_elastic.case.check.consistency import check, run_notes
+from dolfin_elastic.case.check.formulas import check_formulas
 from dolfin_elastic.case.check.initial_state import (
     ContactGap,
     check_curves,
@@ -18,7 +19,7 @@ from dolfin_elastic.case.check.initial_state import (
     start_notes,
 )
 from dolfin_elastic.case.check.integrals import Integrals
-from dolfin_elastic.case.check.loads import LoadSum, check_formulas, load_sums, stress_notes
+from dolfin_elastic.case.check.loads import LoadSum, load_sums, stress_notes
 from dolfin_elastic.case.check.memory import Memory, memory
 from dolfin_elastic.case.check.mesh_quality import (
     bending_notes,

@@ -14,7 +14,7 @@ from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfin_elastic.core.compat import read_meshtags, reads_attributes_by_name
-from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.errors import MeshError, not_shown
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.core.units import LengthUnit
@@ -223,7 +223,7 @@ def _data_files(path: Path, root: ElementTree.Element) -> None:
                 raise MeshError(
                     f"its data file '{name}' is not beside it",
                     where=path.name,
-                    expected="keep the .xdmf and the .h5 together",
+                    expected=not_shown(path.parent / name) or "keep the .xdmf and the .h5 together",
                 )
 
 

@@ -53,7 +53,8 @@ from dolfin_elastic.results.writer import StepInterval, Steps
 log = logging.getLogger("dolfin_elastic")
 
 FOLDER, CASE = "checkpoints", "case.toml"
-FORMAT = 3
+FORMAT = 4
+"""Raised where content, fields or defaults of cases change: such a run is not gone on with."""
 _NAME = re.compile(r"step_(\d{6,})\.json")
 _UNREADABLE = (OSError, KeyError, RuntimeError, TypeError, ValueError)
 
@@ -319,9 +320,14 @@ def newest_checkpoint(comm: MPI.Comm, folder: Path) -> Checkpoint | None:
     Args:
         comm: The ranks that continue the run.
         folder: Of the results.
+
+    Raises:
+        RestartError: Another version of the program has written them all.
     """
     path = folder / FOLDER
-    for step in on_root(comm, lambda: _steps(path)):
+    steps = on_root(comm, lambda: _steps(path))
+    on_root(comm, lambda: _check_formats(path, steps))
+    for step in steps:
         fields, manifest = _files(path, step)
         content, fault = on_root(comm, partial(_content, manifest))
         fault = fault or _damage(comm, fields, content["arrays"])
@@ -329,6 +335,30 @@ def newest_checkpoint(comm: MPI.Comm, folder: Path) -> Checkpoint | None:
             return Checkpoint(comm, fields, content)
         log.warning("the checkpoint of step %d is damaged (%s): going back further", step, fault)
     return None
+
+
+def _check_formats(path: Path, steps: Sequence[int]) -> None:
+    """Refuses checkpoints of which all have another format. Not collective.
+
+    Raises:
+        RestartError: Another version of the program has written them.
+    """
+    found = set()
+    for step in steps:
+        try:
+            found.add(int(json.loads(_files(path, step)[1].read_text(encoding="utf-8"))["format"]))
+        except _UNREADABLE:
+            return
+    if not found or FORMAT in found:
+        return
+    written = ", ".join(map(str, sorted(found)))
+    which = "a newer" if min(found) > FORMAT else "an older"
+    raise RestartError(
+        f"{which} version of the program, with other defaults and fields, has written its "
+        f"checkpoints (format {written}, this one knows {FORMAT})",
+        where=str(path),
+        expected="go on with that version, or compute the case anew",
+    )
 
 
 def _content(manifest: Path) -> tuple[dict[str, Any], str]:

@@ -7,10 +7,12 @@ from typing import Any
 
 import pytest
 
+from dolfin_elastic import run
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check import report
 from dolfin_elastic.core.errors import InputError
 
+BOX = {"size": [2, 1, 1], "cells": [2, 1, 1]}
 MOTION = {"end": 0.1, "dt": 0.01}
 LID = {"plane": {"axis": "-z", "at": 1.1}, "on": "top"}
 
@@ -18,7 +20,7 @@ LID = {"plane": {"axis": "-z", "at": 1.1}, "on": "top"}
 def case(**tables: Any) -> Case:
     """A block of 2 x 1 x 1 m held at x = 0 and pulled at its other end."""
     defaults: dict[str, Any] = {
-        "mesh": {"box": {"size": [2, 1, 1], "cells": [2, 1, 1]}, "degree": 1},
+        "mesh": {"box": BOX, "degree": 1},
         "materials": {"m": {"law": "neo-hookean", "E": 1e6, "nu": 0.3, "density": 1000}},
         "support": [{"on": "left"}],
         "load": [{"kind": "traction", "on": "right", "value": [1e3, 0, 0]}],
@@ -89,6 +91,144 @@ def test_formulas_without_a_value(name: str) -> None:
     tables, text = FORMULAS[name]
     with pytest.raises(InputError, match=text):
         report(case(**tables))
+
+
+EDGE = {"edges": {"rim": {"between": ["right", "top"]}}, "mesh": {"box": BOX, "degree": 1}}
+POINT = {"points": {"tip": {"nearest": [2, 1, 1]}}, "mesh": {"box": BOX, "degree": 1}}
+
+BETWEEN: dict[str, tuple[dict[str, Any], str]] = {
+    "displacement": (
+        {"support": [{"on": "left"}, {"on": "top", "displacement": ["1e-6/(x - 0.503)", 0, 0]}]},
+        r"support\[1\]\.displacement: '.*' has no finite value near \(0\.503, \S+, 1\) m",
+    ),
+    "of even order": (
+        {"support": [{"on": "left"}, {"on": "top", "displacement": ["1e-6/(x-0.3)^2", 0, 0]}]},
+        r"support\[1\]\.displacement: .* near \(0\.3, ",
+    ),
+    "negative power": (
+        {"support": [{"on": "left"}, {"on": "top", "displacement": ["(x-0.3)^(-2)", 0, 0]}]},
+        r"support\[1\]\.displacement: .* near \(0\.3, ",
+    ),
+    "tangent": (
+        held(displacement=["tan(pi*y*0.7)", 0, 0]),
+        r"support\[1\].* near \(2, 0\.714286, ",
+    ),
+    "roller": (
+        {"support": [{"on": "left"}, {"kind": "roller", "on": "top", "displacement": "1/(y-0.3)"}]},
+        r"support\[1\]\.displacement: .* near \(\S+, 0\.3, 1\) m",
+    ),
+    "traction": (
+        load(value=["1/(z - 0.37)", 0, 0]),
+        r"load\[0\]\.value: .* near \(2, \S+, 0\.37\) m",
+    ),
+    "pressure": (
+        {"load": [{"kind": "pressure", "on": "top", "value": "1/(x - t)"}]},
+        r"load\[0\]\.value: .* near \(0\.025, \S+, 1\) m at t = 0\.025",
+    ),
+    "body force": (
+        {"load": [{"kind": "body-force", "value": ["1/(x - 1.1)", 0, 0]}]},
+        r"load\[0\]\.value: .* near \(1\.1, ",
+    ),
+    "warmth": (
+        {
+            "load": [{"kind": "thermal", "value": "1/(x - 1.1)"}],
+            "materials": {"m": {"law": "linear-elastic", "E": 1e6, "nu": 0.3, "expansion": 1e-5}},
+        },
+        r"load\[0\]\.value: .* near \(1\.1, ",
+    ),
+    "springs": (
+        held(kind="spring", stiffness=["1/(y - 0.3)^2", 1, 1]),
+        r"support\[1\]\.stiffness: .* near \(2, 0\.3, ",
+    ),
+    "springs on an edge": (
+        {
+            **EDGE,
+            "support": [
+                {"on": "left"},
+                {"kind": "spring", "on": "rim", "stiffness": ["1/(y - 0.3)^2", 1, 1]},
+            ],
+        },
+        r"support\[1\]\.stiffness: .* near \(2, 0\.3, 1\) m",
+    ),
+    "springs at a point": (
+        {
+            **POINT,
+            "support": [
+                {"on": "left"},
+                {"kind": "spring", "on": "tip", "stiffness": ["1/(y - 1)", 1, 1]},
+            ],
+        },
+        r"support\[1\]\.stiffness: .* has no finite value somewhere",
+    ),
+    "line force": (
+        {**EDGE, "load": [{"kind": "line-force", "on": "rim", "value": ["1/(y - 0.3)", 0, 0]}]},
+        r"load\[0\]\.value: .* near \(2, 0\.3, 1\) m",
+    ),
+    "line by its ends": (
+        {
+            "load": [
+                {
+                    "kind": "line-force",
+                    "start": [2, 0, 1],
+                    "end": [2, 1, 1],
+                    "value": ["1/(y-.3)", 0, 0],
+                }
+            ]
+        },
+        r"load\[0\]\.value: .* near \(2, 0\.3, 1\) m",
+    ),
+    "time": (load(value=["1/(t - 0.503)", 0, 0]), r"load\[0\]\.value: .* near t = 0\.503"),
+    "curve": (load(curve="1/(t - 0.503)"), r"load\[0\]\.curve: .* near t = 0\.503"),
+    "angle": (
+        held(kind="rotation", point=[0, 0, 0], axis="x", angle="1e-3/(t - 0.503)"),
+        r"support\[1\]: .* near t = 0\.503",
+    ),
+    "obstacle": (
+        {"contact": [{**LID, "motion": [0, 0, "1e-4/(t - 0.503)"]}]},
+        r"contact\[0\]\.motion: .* near t = 0\.503",
+    ),
+    "start": (
+        {"dynamics": {**MOTION, "initial_velocity": ["1/(x - 0.503)", 0, 0]}},
+        r"dynamics\.initial_velocity: .* near \(0\.503, ",
+    ),
+    "material": (
+        {"materials": {"m": {"law": "neo-hookean", "E": "1e6/(x - 0.503)^2", "nu": 0.3}}},
+        r"materials\.m\.E: .* near \(0\.503, ",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BETWEEN)
+def test_formulas_without_a_value_between_nodes(name: str) -> None:
+    """Nodes, points of integration and times that are looked at have values."""
+    tables, text = BETWEEN[name]
+    with pytest.raises(InputError, match=text):
+        report(case(**tables))
+
+
+def test_a_run_has_no_poles_either() -> None:
+    """Before anything is computed or written."""
+    tables, text = BETWEEN["displacement"]
+    with pytest.raises(InputError, match=text):
+        next(run(case(**tables), output="none"))
+
+
+def test_quotients_that_stay_finite() -> None:
+    """Removable singularities, jumps, peaks that have a value, and poles that can be integrated."""
+    for formula in (
+        "1e-3*sin(x - 0.503)/(x - 0.503)",
+        "1e-3*(exp(x - 0.503) - 1)/(x - 0.503)",
+        "1e-3/where(x < 0.503, -1, 1)",
+        "where(x < 0.6, 0, 1e-3/(x - 0.503))",
+        "1e-3/(1 + (x - 0.503)^2)",
+        "1e-12/(1e-9 + (x - 0.503)^2)",
+        "1e-3*(x - 0.503)^2",
+        "1e-3*tan(x/2)",
+    ):
+        moved = [{"on": "left"}, {"on": "top", "displacement": [formula, 0, 0]}]
+        assert report(case(support=moved)).notes is not None
+    punch = load(value=["1e3/sqrt(abs(y - 0.3))", 0, 0])  # contact pressure under an edge
+    assert report(case(**punch)).notes is not None
 
 
 def test_formulas_that_have_values() -> None:

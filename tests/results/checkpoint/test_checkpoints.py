@@ -295,6 +295,23 @@ def test_a_damaged_checkpoint_is_passed_over(
     assert step_found(folder, u) is None
 
 
+@pytest.mark.parametrize(("number", "which"), [(3, "an older"), (99, "a newer")])
+def test_checkpoints_of_another_version_are_refused(folder: Path, number: int, which: str) -> None:
+    """Format 3 had linear elements by default: it ended in "no field 'unknowns' of 81 values"."""
+
+    def other(text: str) -> str:
+        return json.dumps({**json.loads(text), "format": number})
+
+    _, u = several(folder, 4, 5)
+    on_root(WORLD, lambda: [rewrite(f, other) for f in (folder / FOLDER).glob("*.json")] and None)
+    with pytest.raises(
+        RestartError,
+        match=rf"checkpoints: {which} version .* \(format {number}, this one knows \d+\).*; "
+        "go on with that version, or compute the case anew",
+    ):
+        step_found(folder, u)
+
+
 @pytest.fixture
 def dying(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], None]]:
     """Makes the n-th change of the file system's names the last thing that a run does."""

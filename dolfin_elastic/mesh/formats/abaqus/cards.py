@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.errors import MeshError, not_shown
 from dolfin_elastic.core.types import FloatArray, IntArray
 
 Number = TypeVar("Number", np.int64, np.float64)
@@ -159,7 +159,7 @@ def read_cards(path: Path, depth: int = 0) -> Iterator[Card]:
         if card.word == "INCLUDE":
             inner = path.parent / card.option("INPUT")
             if not inner.is_file():
-                raise card.error(f"there is no file '{inner}'")
+                raise card.error(f"there is no file '{inner}'", expected=not_shown(inner))
             yield from read_cards(inner, depth + 1)
     yield card
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.errors import MeshError, not_shown
 
 _REFUSED = {
     **dict.fromkeys(
@@ -150,11 +150,15 @@ def _check_read(path: Path, token: _Token, statement: Sequence[_Token], depth: i
             where=path.name,
             expected=f'for example {token.text} "part.step";',
         )
+    found = path.parent / texts[0]  # an absolute path stays what it is
+    if not found.is_file() and (hint := not_shown(found)):
+        raise MeshError(
+            f"line {token.line}: there is no file '{found}'", where=path.name, expected=hint
+        )
     suffix = Path(texts[0]).suffix
     if suffix in _SHAPES or suffix in [shape.upper() for shape in _SHAPES]:
         return
     if suffix not in _SCRIPTS:
         raise _refusal(path, token, f"reads '{texts[0]}', a file of a kind that may hold commands")
-    found = path.parent / texts[0]  # an absolute path stays what it is
     if found.is_file() and not found.read_bytes().startswith(b"$"):
         check_script(found, depth + 1)

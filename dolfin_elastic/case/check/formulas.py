@@ -1,0 +1,374 @@
+"""Whether formulas have values wherever they are used: at nodes and points, and between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from mpi4py import MPI
+
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check.consistency import acts_on_surfaces
+from dolfin_elastic.case.check.initial_state import TIMES
+from dolfin_elastic.case.check.integrals import Integrals
+from dolfin_elastic.case.toml import key_text
+from dolfin_elastic.core.errors import CaseError
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.parallel import first_of, total
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.geometry.curved import edge_points, node_points
+from dolfin_elastic.mesh.geometry.simplices import (
+    EDGE_ENDS,
+    cell_corners,
+    cells_beside_edges,
+    facet_nodes,
+)
+from dolfin_elastic.model.contact import Contact
+from dolfin_elastic.model.loads import ConcentratedLoad, Load
+from dolfin_elastic.model.materials.spatial import PLACE, SpatialFormula
+from dolfin_elastic.model.supports.displacement import Normal, Restraint
+from dolfin_elastic.model.supports.springs import ResistingSupport
+from dolfin_elastic.model.values import Component, number_at
+from dolfin_elastic.problem.loads.edges_points import owned
+
+_HALVINGS = 60
+_FAR, _NEAR = 2.0**-15, 2.0**-30
+"""Distances from a zero of a denominator at which values are compared, in shares of a cell."""
+_ANY, _NOT_INTEGRABLE = 2.0**3, 2.0**12
+"""Growth from far to near of poles of the orders 0.2 and 0.8: values are needed, or integrals."""
+
+Place = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class _Use:
+    """Where formulas are used.
+
+    Attributes:
+        where: Key of the case.
+        values: Some of them may be formulas.
+        places: Corners of facets, cells or edges, then points inside them, or nodes [m]; shape
+            (entities, points, dim).  Found for formulas only.
+        inside: The first of the points inside, at which there must be values; None: others look.
+        growth: Of values near a pole, from which on it is refused.
+    """
+
+    where: str
+    values: tuple[Component, ...]
+    places: Callable[[], FloatArray]
+    inside: int | None
+    growth: float = _ANY
+
+
+def all_times(case: Case) -> list[float]:
+    """Times of a motion, or load parameters of statics without 0, where no load acts."""
+    if case.dynamics is None:
+        return [float(t) for t in np.linspace(0.0, case.final_load, TIMES)[1:]]
+    return [float(t) for t in np.linspace(0.0, case.dynamics.end, TIMES)]
+
+
+def check_formulas(case: Case, integrals: Integrals) -> None:
+    """Evaluates formulas that have no resultant, and looks for poles between places. Collective.
+
+    Args:
+        case: Its loads, supports, materials and initial motion.
+        integrals: Of the case's problem.
+
+    Raises:
+        CaseError: A formula gives no finite number somewhere.
+    """
+    times, comm = all_times(case), integrals.body.comm
+    for use in _uses(case, integrals):
+        formulas = [value for value in use.values if isinstance(value, Formula)]
+        if formulas and use.inside is not None:
+            X = use.places()[:, use.inside :]
+            for value in formulas:
+                _check_values(value, X, use.where, times, comm)
+    check_poles(case, integrals)
+
+
+def check_poles(case: Case, integrals: Integrals) -> None:
+    """Looks for poles of formulas between the places and times at which they are used. Collective.
+
+    A pole lies between two points of a facet, cell or edge at which a part of a denominator has
+    opposite signs, if values grow towards the place where it is zero.  In loads and springs, which
+    are integrated, poles such as 1/sqrt(x) are none.
+
+    Args:
+        case: Its loads, supports, materials and initial motion.
+        integrals: Of the case's problem.
+
+    Raises:
+        CaseError: There is a pole.
+    """
+    times, comm = all_times(case), integrals.body.comm
+    _check_in_time(case, [0.0, *times])
+    for use in _uses(case, integrals):
+        divided = [v for v in use.values if isinstance(v, Formula) and v.divisors]
+        X = use.places() if divided else np.empty(0)
+        for value in divided:
+            _check_poles(value, X, use, times, comm)
+
+
+def _check_in_time(case: Case, times: Sequence[float]) -> None:
+    """Looks for poles of formulas in t alone: curves, and what moves rigid surfaces and obstacles.
+
+    Raises:
+        CaseError: There is one.
+    """
+    given: list[tuple[str, object]] = []
+    for key in ("support", "load", "contact"):
+        for i, row in enumerate(getattr(case, key)):
+            if (curve := getattr(row, "curve", None)) is not None:
+                given.append((f"{key}[{i}].curve", curve.formula))
+            if isinstance(row, Restraint):
+                moved = [value for values in row.time_functions for value in values]
+                given += [(f"support[{i}]", value) for value in moved]
+            if isinstance(row, Contact):
+                given += [(f"contact[{i}].motion", value) for value in row.values]
+    for where, value in given:
+        if not isinstance(value, Formula) or value.names != {"t"}:
+            continue
+        pole = next(_poles_in_time(value, np.zeros((1, 1, 3)), times), None)
+        if pole is not None:
+            raise _no_value(value, where, pole, ())
+
+
+# --- what is evaluated where ---
+
+
+def _uses(case: Case, integrals: Integrals) -> Iterator[_Use]:
+    """All uses of numbers or formulas in the place, the same on all ranks. Local."""
+    for i, load in enumerate(case.load):
+        yield from _of_load(f"load[{i}]", load, integrals)
+    for i, support in enumerate(case.support):
+        yield from _of_support(f"support[{i}]", support, integrals)
+    body = integrals.body
+    if (motion := case.dynamics) is not None:
+        every = partial(_cells, integrals, body.owned_cells())
+        yield _Use("dynamics.initial_displacement", motion.displacement, every, None)
+        yield _Use("dynamics.initial_velocity", motion.velocity, every, None)
+    filled = {n: _cells_of(body, m.regions) for n, m in case.materials.items() if m.regions}
+    rest = np.setdiff1d(body.owned_cells(), _cells_of(body, [], *filled.values()))
+    for name, material in case.materials.items():
+        places = partial(_cells, integrals, filled.get(name, rest))
+        for constant, item in material.law.spatial_constants().items():
+            formula = item.known(body.fields) if isinstance(item, SpatialFormula) else None
+            if formula is not None and formula.names <= set(PLACE):
+                yield _Use(f"materials.{key_text(name)}.{constant}", (formula,), places, None)
+
+
+def _cells_of(body: Body, names: Sequence[str], *more: IndexArray) -> IndexArray:
+    """Owned cells of regions and others, each once, sorted."""
+    found = [np.empty(0, dtype=np.int32), *more, *(body.owned_cells(name) for name in names)]
+    return np.unique(np.concatenate(found))
+
+
+def _of_load(key: str, load: Load, integrals: Integrals) -> Iterator[_Use]:
+    body, inside, growth = integrals.body, None, _NOT_INTEGRABLE
+    if isinstance(load, ConcentratedLoad):
+        if load.on is not None and load.part_kinds != ("edge",):
+            return  # nodes have nothing between them
+        places = partial(_edges, body, load.parts) if load.on is not None else partial(_line, load)
+    elif acts_on_surfaces(load):
+        places = partial(_facets, integrals, load.parts)
+    else:
+        cells = _cells_of(body, load.parts) if load.parts else body.owned_cells()
+        places = partial(_cells, integrals, cells)
+        if load.is_eigenstrain:
+            inside, growth = body.dim + 1, _ANY
+    where = f"{key}.{'force' if 'force' in load.vectors else 'value'}"
+    yield _Use(where, load.values, places, inside, growth)
+
+
+def _of_support(key: str, support: Restraint, integrals: Integrals) -> Iterator[_Use]:
+    given, resists, body = dict(support.vectors), False, integrals.body
+    if isinstance(support, ResistingSupport):
+        resists = True
+        given["normal"] = support.coefficients if support.by_normal else ()
+    elif isinstance(support, Normal):
+        given["displacement"] = (support.value,)
+    for kind, names in _by_kind(body, support).items():
+        if kind == "point":
+            places, inside = partial(_nodes, body, names), 0
+        elif kind == "edge":
+            places, inside = partial(_edges, body, names), 2
+        else:
+            places, inside = partial(_facets, integrals, names), body.dim
+        growth = _NOT_INTEGRABLE if resists else _ANY
+        for name, values in given.items():
+            yield _Use(f"{key}.{name}", values, places, inside if resists else None, growth)
+
+
+def _by_kind(body: Body, support: Restraint) -> dict[str, list[str]]:
+    """Kind of part to the names of those that a support holds; empty sets of nodes left out."""
+    found: dict[str, list[str]] = {}
+    for name in support.surfaces:
+        if name in body.surfaces and name not in body.uncovered:
+            found.setdefault("surface", []).append(name)
+        elif name in body.parts["edge"]:
+            found.setdefault("edge", []).append(name)
+        elif name in body.parts["point"]:
+            found.setdefault("point", []).append(name)
+    return found
+
+
+def _facets(integrals: Integrals, names: Sequence[str]) -> FloatArray:
+    body = integrals.body
+    facets = np.unique(np.concatenate([body.owned_facets(name) for name in names]))
+    corners = body.mesh.geometry.x[facet_nodes(body.mesh, facets)][..., : body.dim]
+    return np.concatenate([corners, integrals.facets(names).X], axis=1)
+
+
+def _nodes(body: Body, names: Sequence[str]) -> FloatArray:
+    return node_points(body.mesh, owned(body, "point", names)).X
+
+
+def _line(load: ConcentratedLoad) -> FloatArray:
+    return load.samples()[0][None]
+
+
+def _cells(integrals: Integrals, cells: IndexArray) -> FloatArray:
+    inside = integrals.cells().X[cells]
+    return np.concatenate([cell_corners(integrals.body.mesh, cells), inside], axis=1)
+
+
+def _edges(body: Body, names: Sequence[str]) -> FloatArray:
+    edges = owned(body, "edge", names)
+    cells, local = cells_beside_edges(body.mesh, edges)
+    ends = np.take_along_axis(body.mesh.geometry.dofmap[cells], np.array(EDGE_ENDS)[local], axis=1)
+    inside = edge_points(body.mesh, edges, 4).X
+    return np.concatenate([np.asarray(body.mesh.geometry.x[ends]), inside], axis=1)
+
+
+# --- values and poles ---
+
+
+def _check_values(
+    value: Formula, X: FloatArray, where: str, times: Sequence[float], comm: MPI.Comm
+) -> None:
+    """Raises on all ranks where a formula gives no finite number. Collective."""
+    for t in times if "t" in value.names else [0.0]:
+        bad = ~np.isfinite(number_at(value, X, t))
+        if total(comm, int(bad.sum())):
+            raise CaseError(
+                f"'{value.text}' has no finite value somewhere at t = {t:g}",
+                where=where,
+                expected=_EXPECTED,
+            )
+
+
+def _check_poles(
+    value: Formula, X: FloatArray, use: _Use, times: Sequence[float], comm: MPI.Comm
+) -> None:
+    """Raises on all ranks where a formula has a pole between two points or times. Collective."""
+    poles = [
+        (t, place)
+        for t in (times if "t" in value.names else [0.0])
+        for place in _poles(value, X, t, use.growth)
+    ]
+    found = first_of(comm, poles)
+    if found is not None:
+        raise _no_value(value, use.where, *found)
+    if "t" in value.names:
+        early = first_of(comm, _poles_in_time(value, X, [0.0, *times]))
+        if early is not None:
+            raise _no_value(value, use.where, early, ())
+
+
+_EXPECTED = "a formula that gives a number at every place it acts on"
+
+
+def _no_value(formula: Formula, where: str, t: float, place: Place) -> CaseError:
+    near = [f"({', '.join(f'{x:.6g}' for x in place)}) m"] if place else []
+    near += [f"t = {t:.6g}"] if "t" in formula.names else []
+    return CaseError(
+        f"'{formula.text}' has no finite value near {' at '.join(near)}: it divides by zero",
+        where=where,
+        expected=_EXPECTED,
+    )
+
+
+def _poles(formula: Formula, X: FloatArray, t: float, growth: float) -> Iterator[Place]:
+    """Poles on lines between two points of one facet, cell or edge."""
+    if not X.size:
+        return
+    for divisor in formula.divisors:
+        values = np.nan_to_num(number_at(divisor, X, t))
+        low, high = values.argmin(axis=1), values.argmax(axis=1)
+        rows = np.flatnonzero((values.min(axis=1) < 0) & (values.max(axis=1) > 0))
+        start, end = X[rows, low[rows]], X[rows, high[rows]]
+
+        def at(s: FloatArray, start: FloatArray = start, end: FloatArray = end) -> FloatArray:
+            return start + s[:, None] * (end - start)
+
+        def zero(s: FloatArray, divisor: Formula = divisor) -> FloatArray:
+            return number_at(divisor, at(s), t)
+
+        roots = _roots(zero, len(rows))
+        grow = _grown(lambda s: np.abs(number_at(formula, at(s), t)), roots, growth)
+        yield from (tuple(map(float, place)) for place in at(roots)[grow])
+
+
+def _poles_in_time(formula: Formula, X: FloatArray, times: Sequence[float]) -> Iterator[float]:
+    """Poles between some times, of denominators that depend on nothing else."""
+    for divisor in formula.divisors if X.size else ():
+        if divisor.names != {"t"}:
+            continue
+        values = np.nan_to_num(divisor.evaluate(t=np.array(times)))
+        for (first, a), (last, b) in pairwise(zip(times, values, strict=True)):
+            if a * b >= 0:
+                continue
+
+            def at(s: FloatArray, first: float = first, last: float = last) -> FloatArray:
+                return first + s * (last - first)
+
+            def zero(s: FloatArray, divisor: Formula = divisor, sign: float = b) -> FloatArray:
+                return np.sign(sign) * np.asarray(divisor.evaluate(t=at(s)))
+
+            def size(s: FloatArray) -> FloatArray:
+                with np.errstate(all="ignore"):
+                    values = np.abs(number_at(formula, X, float(at(s)[0])))
+                return np.array([np.nanmax(np.append(values, 0.0))])
+
+            root = _roots(zero, 1)
+            if _grown(size, root, _ANY)[0]:
+                yield float(at(root)[0])
+
+
+def _roots(function: Callable[[FloatArray], FloatArray], count: int) -> FloatArray:
+    """Zeros of functions that are negative at 0 and positive at 1, by bisection.
+
+    Args:
+        function: Values of the functions at a number each.
+        count: Number of functions.
+    """
+    low, high = np.zeros(count), np.ones(count)
+    for _ in range(_HALVINGS if count else 0):
+        middle = (low + high) / 2
+        below = function(middle) < 0
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return high
+
+
+def _grown(size: Callable[[FloatArray], FloatArray], roots: FloatArray, growth: float) -> BoolArray:
+    """Where values grow towards zeros of denominators; a quotient of zeros counts as none.
+
+    Args:
+        size: Absolute values at a number for each zero.
+        roots: The zeros.
+        growth: From which on there is a pole.
+    """
+
+    def around(distance: float) -> FloatArray:
+        sides = [size(np.clip(roots + side * distance, 0.0, 1.0)) for side in (-1, 1)]
+        return np.nanmax([*sides, np.zeros(len(roots))], axis=0)
+
+    if not len(roots):
+        return np.zeros(0, dtype=bool)
+    near, far = around(_NEAR), around(_FAR)
+    return np.asarray((near > growth * far) | np.isinf(near))
