@@ -106,8 +106,10 @@ class Formula:
 
         These are denominators, bases of powers and, of a tangent, the cosine of its argument.
         """
-        found = dict.fromkeys(part for tree in _divisors(self._tree) for part in _parts(tree))
-        return tuple(Formula(self.text, names, tree) for tree in found if (names := _names(tree)))
+        found = {repr(p): p for tree in _divisors(self._tree) for p in _parts(tree)}
+        return tuple(
+            Formula(self.text, names, tree) for tree in found.values() if (names := _names(tree))
+        )
 
     def ufl(self, **values: Expr | float) -> Expr | float:
         """The formula as a UFL expression.
@@ -145,28 +147,34 @@ def _divisors(tree: Tree) -> Iterator[Tree]:
     """Denominators, bases of powers but for those with positive exponents, cosines of tangents."""
     if not isinstance(tree, tuple):
         return
-    name, *args = tree
+    name, args = tree
     if name == "/":
         yield args[1]
-    elif name == "^" and (_names(args[1]) or _walk(args[1], {}, numeric) < 0):
+    elif name == "^" and (_names(args[1]) or _negative(args[1])):
         yield args[0]
     elif name == "tan":
-        yield ("cos", args[0])
+        yield ("cos", args)
     for arg in args:
         yield from _divisors(arg)
+
+
+def _negative(tree: Tree) -> bool:
+    """Whether a part without names is a negative number."""
+    return bool(np.asarray(_walk(tree, {}, numeric)) < 0)
 
 
 def _parts(tree: Tree) -> Iterator[Tree]:
     """The tree and all in it that have a value, no comparisons."""
     if not (isinstance(tree, tuple) and tree[0] in COMPARISONS):
         yield tree
-    for arg in tree[1:] if isinstance(tree, tuple) else ():
+    for arg in tree[1] if isinstance(tree, tuple) else ():
         yield from _parts(arg)
 
 
 def _names(tree: Tree) -> frozenset[str]:
+    """Free names in a part of a formula."""
     if isinstance(tree, tuple):
-        return frozenset[str]().union(*map(_names, tree[1:]))
+        return frozenset[str]().union(*map(_names, tree[1]))
     return frozenset({tree}) if isinstance(tree, str) else frozenset()
 
 

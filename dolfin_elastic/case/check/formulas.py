@@ -347,7 +347,8 @@ def _roots(function: Callable[[FloatArray], FloatArray], count: int) -> FloatArr
         function: Values of the functions at a number each.
         count: Number of functions.
     """
-    low, high = np.zeros(count), np.ones(count)
+    low: FloatArray = np.zeros(count)
+    high: FloatArray = np.ones(count)
     for _ in range(_HALVINGS if count else 0):
         middle = (low + high) / 2
         below = function(middle) < 0
