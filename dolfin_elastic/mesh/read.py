@@ -20,6 +20,7 @@ from dolfin_elastic.mesh.formats.raw import MeshFile, RawMesh, assemble
 from dolfin_elastic.mesh.geometry.checks import check_cells
 
 SHAPES = (".step", ".stp", ".brep", ".iges", ".igs")
+_IN_PARTS = (".pvtu", ".pvd", ".vtm", ".vtmb")
 CAD = (".geo", ".geo_unrolled", *SHAPES)
 
 
@@ -66,13 +67,8 @@ def read_body(
     if suffix in (".xdmf", ".xmf"):
         from dolfin_elastic.mesh.formats.xdmf import read_xdmf
 
-        body = read_xdmf(path, comm=comm, unit=LengthUnit.of(scale or 1.0), dim=dim)
-        if curved is False and body.mesh.geometry.cmap.degree > 1:
-            raise MeshError(
-                "quadratic cells of XDMF files are not read as straight ones",
-                where=path.name,
-                expected="save the mesh as .vtu, or with linear cells",
-            )
+        unit = LengthUnit.of(scale or 1.0)
+        body = read_xdmf(path, comm=comm, unit=unit, dim=dim, straight_cells=curved is False)
         return check_cells(body)
     stated = on_root(comm, lambda: _stated_unit(path, suffix))
     unit = stated or METRE if scale is None else LengthUnit.of(scale)
@@ -154,6 +150,14 @@ def _check_file(
             expected=nearest(path.name, known)
             if known
             else f"nor any other {path.suffix} file in '{folder}'",
+        )
+    if path.suffix.lower() in _IN_PARTS:
+        from dolfin_elastic.mesh.formats.vtu import ONE_PIECE
+
+        raise MeshError(
+            f"a {path.suffix} file only names the files of its pieces",
+            where=path.name,
+            expected=ONE_PIECE,
         )
     if path.is_dir():
         raise MeshError(f"'{path}' is a folder, not a mesh file")

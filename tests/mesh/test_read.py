@@ -679,12 +679,39 @@ def test_straight_cells_of_a_case(folder: Path) -> None:
     assert mesh_statistics(body).volume == pytest.approx(1)
 
 
-def test_straight_cells_are_not_for_xdmf(folder: Path) -> None:
+def test_straight_cells_of_xdmf(folder: Path) -> None:
+    """They were refused; those of files that only DOLFINx reads still are."""
     import meshio
+    from dolfinx.io import XDMFFile
 
     points, cells = quadratic(*box((1, 1, 1), (1, 1, 1)))
+    made(lambda: meshio.Mesh(points, [("tetra10", cells)]).write(folder / "whole.vtu"))
+    points[(points == [0.5, 0, 0]).all(axis=1)] += [0, 0.9, 0.9]
+    part = np.array([1, 1, 1, 2, 2, 2])
+    mesh = meshio.Mesh(points, [("tetra10", cells)], cell_data={"part": [part]})
     made(lambda: write_cube(folder / "cube.xdmf"))
-    made(lambda: meshio.Mesh(points, [("tetra10", cells)]).write(folder / "quadratic.xdmf"))
+    made(lambda: mesh.write(folder / "quadratic.xdmf"))
     assert read_body(folder / "cube.xdmf", curved=False).num_cells == 6
-    with pytest.raises(MeshError, match="XDMF files are not read as straight ones"):
-        read_body(folder / "quadratic.xdmf", curved=False)
+    with pytest.raises(MeshError, match="fold over themselves"):
+        read_body(folder / "quadratic.xdmf")
+    body = read_body(folder / "quadratic.xdmf", curved=False)
+    size = mesh_statistics(body)
+    assert body.mesh.geometry.cmap.degree == 1
+    assert size.volume == pytest.approx(1)
+    assert size.regions == pytest.approx({"part_1": 0.5, "part_2": 0.5})
+    bent = read_body(folder / "whole.vtu").mesh
+    with XDMFFile(COMM, str(folder / "series.xdmf"), "w") as file:
+        file.write_mesh(bent)
+        bent.name = "again"
+        file.write_mesh(bent)
+    assert read_body(folder / "series.xdmf").mesh.geometry.cmap.degree == 2
+    with pytest.raises(MeshError, match=r"series.xdmf: its quadratic .*; save the mesh as \.vtu"):
+        read_body(folder / "series.xdmf", curved=False)
+
+
+@pytest.mark.parametrize("suffix", [".pvtu", ".pvd", ".vtm"])
+def test_files_of_pieces_are_told_apart(folder: Path, suffix: str) -> None:
+    """They were of an "unknown suffix"."""
+    made(lambda: (folder / f"body{suffix}").write_text("<VTKFile/>"))
+    with pytest.raises(MeshError, match=r"only names the files of its pieces; .* one \.vtu file"):
+        read_body(folder / f"body{suffix}")

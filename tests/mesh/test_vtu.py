@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import struct
+import sys
 import zlib
 from pathlib import Path
 
@@ -72,6 +73,8 @@ def by_vtk(path: Path, *, mode: int, base64: bool, compressor: int, bits: int) -
         (Modes.BINARY, False, Modes.NONE, 64),
         (Modes.BINARY, False, Modes.ZLIB, 32),
         (Modes.BINARY, False, Modes.LZMA, 64),
+        (Modes.APPENDED, False, Modes.LZ4, 64),
+        (Modes.BINARY, False, Modes.LZ4, 32),
         (Modes.TEXT, False, Modes.NONE, 32),
     ],
 )
@@ -89,10 +92,17 @@ def test_what_vtk_writes(folder: Path, mode: int, base64: bool, compressor: int,
     assert np.array_equal(place.values, body.mesh.geometry.x)
 
 
-def test_data_that_are_compressed_otherwise_are_named(folder: Path) -> None:
+def test_data_that_are_compressed_otherwise_are_named(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = folder / "cube.vtu"
     made(lambda: by_vtk(path, mode=2, base64=False, compressor=Modes.LZ4, bits=32))
-    with pytest.raises(MeshError, match="compressed by vtkLZ4DataCompressor are not read"):
+    monkeypatch.setitem(sys.modules, "lz4", None)
+    with pytest.raises(MeshError, match="LZ4, for which the Python package lz4 is missing"):
+        read_body(path)
+    other = path.read_bytes().replace(b"vtkLZ4Data", b"vtkOwnData")
+    made(lambda: path.write_bytes(other))
+    with pytest.raises(MeshError, match="by vtkOwnDataCompressor are not read; .* Compressor Type"):
         read_body(path)
 
 
@@ -242,7 +252,7 @@ def test_sizes_that_lie(folder: Path, lie: str) -> None:
     assert str(caught.value).startswith("cube.vtu: ")
 
 
-@pytest.mark.parametrize("compressor", [Modes.NONE, Modes.ZLIB])
+@pytest.mark.parametrize("compressor", [Modes.NONE, Modes.ZLIB, Modes.LZ4])
 def test_damaged_files(folder: Path, compressor: int) -> None:
     """Cut at many places, and with bytes changed: read, or a MeshError, never anything else."""
     path, bad = folder / "cube.vtu", folder / "bad.vtu"

@@ -72,6 +72,7 @@ _TYPES = {
     "UInt32": "u4",
     "UInt64": "u8",
 }
+ONE_PIECE = "save it as one .vtu file (in ParaView: Merge Blocks, Clean to Grid, Save Data)"
 _GHOSTS = "vtkGhostType"
 _DUPLICATE = 1  # flag of a cell that another file has
 
@@ -123,7 +124,7 @@ class _File:
         if len(pieces) != 1:
             raise MeshError(
                 f"the grid is in {len(pieces)} pieces",
-                expected="save it as one piece (in ParaView: filters Merge Blocks, Clean to Grid)",
+                expected=ONE_PIECE,
             )
         piece = pieces[0]
         count, cells = (_count(piece, key) for key in ("NumberOfPoints", "NumberOfCells"))
@@ -329,7 +330,31 @@ def _decompressor(name: str) -> Callable[[bytes, int], bytes] | None:
         return lambda data, most: zlib.decompressobj().decompress(data, most)
     if name == "vtkLZMADataCompressor":
         return lambda data, most: lzma.LZMADecompressor().decompress(data, most)
-    raise MeshError(f"data compressed by {name} are not read", expected="use ZLib, LZMA or none")
+    if name == "vtkLZ4DataCompressor":
+        return _lz4()
+    raise MeshError(
+        f"data compressed by {name} are not read",
+        expected="save it with ZLib, LZ4, LZMA or none (in ParaView: Save Data, Compressor Type)",
+    )
+
+
+def _lz4() -> Callable[[bytes, int], bytes]:
+    """Decompression of LZ4 blocks, by a package that Matplotlib's fonts bring along in Debian."""
+    try:
+        import lz4.block
+    except ImportError:
+        raise MeshError(
+            "its data are compressed by LZ4, for which the Python package lz4 is missing",
+            expected="install it, or save with ZLib (in ParaView: Save Data, Compressor Type)",
+        ) from None
+
+    def decompress(data: bytes, most: int) -> bytes:
+        try:
+            return bytes(lz4.block.decompress(data, uncompressed_size=most))
+        except lz4.block.LZ4BlockError as error:
+            raise MeshError(f"a compressed block is damaged: {error}") from None
+
+    return decompress
 
 
 def _count(element: ElementTree.Element, key: str, default: int | None = None) -> int:

@@ -21,7 +21,7 @@ from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import build_body, make_mesh
 from dolfin_elastic.mesh.fields import MeshField, distribute_rows
-from dolfin_elastic.mesh.formats.cleaning import check_distributed
+from dolfin_elastic.mesh.formats.cleaning import check_distributed, straight
 from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
 from dolfin_elastic.mesh.geometry.simplices import prepare_edges, vertex_nodes
 
@@ -60,16 +60,27 @@ class _Data:
 
 @dataclass(frozen=True)
 class _Contents:
-    """Content of the file; `grid` is empty if DOLFINx cannot read it, and meshio must."""
+    """Content of the file; `grid` is empty if DOLFINx cannot read it, and meshio must.
+
+    `order` is the geometric degree of its cells, 0 where it is not known.
+    """
 
     grid: str
     dim: int
     spatial: int
     tags: tuple[_Tags, ...]
     data: tuple[_Data, ...] = ()
+    order: int = 0
 
 
-def read_xdmf(path: Path, *, comm: MPI.Comm, unit: LengthUnit, dim: int | None) -> Body:
+def read_xdmf(
+    path: Path,
+    *,
+    comm: MPI.Comm,
+    unit: LengthUnit,
+    dim: int | None,
+    straight_cells: bool = False,
+) -> Body:
     """Reads a mesh and its tags; each value v of the tags `facets` becomes ``facets_v``.
 
     Collective.
@@ -79,11 +90,14 @@ def read_xdmf(path: Path, *, comm: MPI.Comm, unit: LengthUnit, dim: int | None) 
         comm: The ranks that share the mesh.
         unit: Unit of length of the file.
         dim: 2 or 3 to choose the elements; by default the highest dimension.
+        straight_cells: Quadratic cells are read as straight ones, on one rank.
 
     Raises:
         MeshError: The file cannot be read.
     """
     contents = on_root(comm, lambda: _contents(path))
+    if straight_cells and contents.order != 1:
+        return build_body(lambda: _straight(path, dim), comm=comm, unit=unit, source=path.name)
     if (
         not contents.grid
         or contents.spatial != contents.dim
@@ -132,7 +146,8 @@ def _contents(path: Path) -> _Contents:
         return _Contents("", 0, 0, ())
     tags = [t for g in grids if _kind(g) in _DIMS for t in _tags(g)]
     data = _data(main, [g for g in root.iter("Grid") if g.find("Topology") is None])
-    return _Contents(main.get("Name", ""), _DIMS[kind], width, tuple(tags), tuple(data))
+    order = 2 if kind.endswith(("_6", "_10")) else 1
+    return _Contents(main.get("Name", ""), _DIMS[kind], width, tuple(tags), tuple(data), order)
 
 
 def _tags(grid: ElementTree.Element) -> list[_Tags]:
@@ -225,6 +240,18 @@ def _data_files(path: Path, root: ElementTree.Element) -> None:
                     where=path.name,
                     expected=not_shown(path.parent / name) or "keep the .xdmf and the .h5 together",
                 )
+
+
+def _straight(path: Path, dim: int | None) -> RawMesh:
+    """Read by meshio, which knows files of a single grid. On one rank."""
+    try:
+        return straight(_by_meshio(path, dim))
+    except MeshError as error:
+        raise MeshError(
+            f"its quadratic cells are not read as straight ones: {error.what}",
+            where=path.name,
+            expected="save the mesh as .vtu, or with linear cells",
+        ) from None
 
 
 def _by_meshio(path: Path, dim: int | None) -> RawMesh:
