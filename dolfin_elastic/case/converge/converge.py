@@ -241,16 +241,19 @@ class _Convergence:
         fineness = [float(h**-d) for h in sizes] if local else unknowns
         rate = self.goal.quantity.order(problem.degree) / d
         found = extrapolate(fineness, values, rate=rate)
-        # Displacements and energies are hardly known better than by the energy's error; the forces
-        # of supports balance the loads on every mesh.
+        # Two meshes may agree by accident: displacements and energies are hardly known better than
+        # by the energy's error, and peaks of stress by that of the recovered stress.  The forces of
+        # supports balance the loads on every mesh.
+        recovered = _recovered(solved.peak)
         bare = bool(measured.place) or self.goal.quantity.name.startswith("reaction")
         least = 0.0 if bare else solved.estimate.relative**2
+        least = least if solved.peak is None else recovered
         level = Level(
             number=len(levels) + 1,
             cells=problem.body.num_cells,
             unknowns=problem.num_dofs,
             value=measured.value,
-            error=max(found.error, least) if len(values) > 1 else _recovered(solved.peak),
+            error=max(found.error, least) if len(values) > 1 else recovered,
             limit=found.limit,
             rate=found.rate,
             energy_error=solved.estimate.relative,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem, la
+from mpi4py import MPI
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray
@@ -135,18 +136,36 @@ def largest(
     if not np.isfinite(best):
         return Peak(0.0, (), "", 0.0)
     own, surface = None, _surface_at(problem, node, -rank)
+    around = _largest_around(problem, node if comm.rank == -rank else -1, estimate.difference)
     if comm.rank == -rank:
         x = problem.V.tabulate_dof_coordinates()[node, : problem.body.dim]
         own = Peak(
             mine,
             tuple(float(a) for a in x),
             problem.regions[int(estimate.stress.region[node])].name,
-            float(estimate.stress_error[node]) / mine if mine > 0 else 0.0,
+            max(float(estimate.stress_error[node]), around) / mine if mine > 0 else 0.0,
             surface,
             places.reason(node) if places is not None else "",
         )
     found: Peak = comm.bcast(own, root=-rank)
     return found
+
+
+def _largest_around(problem: Problem, node: int, values: FloatArray) -> float:
+    """Largest value at the nodes of the cells around a node of one rank. Collective.
+
+    Args:
+        problem: The problem that is solved.
+        node: Owned node; negative on all ranks but one.
+        values: At the owned nodes and ghosts.
+    """
+    comm, dofmap = problem.body.comm, problem.V.dofmap
+    first = dofmap.index_map.local_range[0]
+    number = comm.allreduce(first + node if node >= 0 else -1, op=MPI.MAX)
+    (local,) = dofmap.index_map.global_to_local(np.array([number], dtype=np.int64))
+    nodes = dofmap.list[: len(problem.body.owned_cells())]
+    beside = nodes[(nodes == local).any(axis=1)] if local >= 0 else nodes[:0]
+    return float(comm.allreduce(float(values[beside].max(initial=0.0)), op=MPI.MAX))
 
 
 def _surface_at(problem: Problem, node: int, rank: int) -> str:
