@@ -140,11 +140,7 @@ class _Run:
             before.check_mesh(description)
         log_notes(self.case, body)
         problem = self.case.make_problem(body)
-        with locate_errors(self.case.file):
-            check_poles(self.case, Integrals(problem))
-        for find in (contact_notes, bending_notes, shape_notes):
-            for note in find(self.case, problem):
-                log.warning("%s", note)
+        check_problem(self.case, problem)
         solver = self.case.make_solver(problem, petsc=self.petsc)
         steps = _steps(solver, problem, before)
         step, settings = 0 if before is None else before.step, self.case.output.checkpoint
@@ -273,6 +269,23 @@ def log_notes(case: Case, body: Body) -> None:
         log.warning("mesh: %s", note)
     for note in check(case, body):
         log.warning("%s", note)
+
+
+def check_problem(case: Case, problem: Problem) -> None:
+    """Warns of obstacles out of reach, and of elements that do not fit the body. Collective.
+
+    Args:
+        case: The case.
+        problem: Made of the case.
+
+    Raises:
+        CaseError: A formula has a pole in the body, see `check_poles`.
+    """
+    with locate_errors(case.file):
+        check_poles(case, Integrals(problem))
+    for find in (contact_notes, bending_notes, shape_notes):
+        for note in find(case, problem):
+            log.warning("%s", note)
 
 
 @contextmanager

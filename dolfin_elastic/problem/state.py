@@ -98,6 +98,8 @@ class State:
         failure: Why nothing of the run so far is to be relied on, with the time of the worst; empty
             where nothing is known against it.
         done: Completed share of the whole run, 0 to 1.
+        derived: What outputs have computed of the state, by name, so that others need not compute
+            it again: the recovered stress, the estimated error.  Copies of the state share it.
     """
 
     step: int
@@ -121,6 +123,7 @@ class State:
     audit: Audit | None = None
     failure: str = ""
     done: float = 0.0
+    derived: dict[str, object] = field(default_factory=dict, compare=False, repr=False)
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 class Evaluator:
     """Evaluates fields of a problem's states.  All of it is collective.
 
-    Everything is compiled by the constructor: one kernel of all fields of cells per material.
+    The constructor compiles one kernel of all fields of cells per material.
 
     Args:
         problem: The problem that is solved.
@@ -47,8 +47,7 @@ class Evaluator:
         self._kernels = [self._kernel(part) for part in problem.regions] if self.cell_names else []
         self._error = ErrorEstimator(problem, self.w) if "error" in self.names else None
         recovered = any(FIELDS[name].recovered for name in self.names)
-        alone = recovered and self._error is None
-        self._recovery = StressRecovery(problem, self.w) if alone else None
+        self._recovery = StressRecovery(problem, self.w) if recovered else None
         if {"reaction", "residual"} & set(self.names):
             _ = self.residual
 
@@ -83,7 +82,7 @@ class Evaluator:
         """
         self.w.x.array[:] = (state.w or state.u).x.array
         error = None if self._error is None else self._error(state)
-        stress = error.stress if error else self._recovery() if self._recovery else None
+        stress = None if self._recovery is None else self._recovery(state)
         source = StateSource(self, state, self._cells(), stress, error)
         return {name: source.get(name) for name in (*self.names, *more)}
 

@@ -11,7 +11,7 @@ from dolfinx.mesh import Mesh
 from dolfin_elastic.core.types import AnyArray, IntArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.recovery.stress import NodalStress, StressRecovery
+from dolfin_elastic.results.recovery.stress import StressRecovery
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -37,29 +37,21 @@ class Extremes:
 
     Args:
         problem: The problem that is solved.
-        recovers: It recovers the stress itself; otherwise that is given.
     """
 
-    def __init__(self, problem: Problem, *, recovers: bool = True) -> None:
+    def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self.evaluate = Evaluator(problem, ["displacement", "jacobian"])
-        self._recovery = StressRecovery(problem, self.evaluate.w) if recovers else None
+        self._recovery = StressRecovery(problem, self.evaluate.w)
         self._limited = any(part.law.allowable is not None for part in problem.regions)
 
-    def of(self, state: State, stress: NodalStress | None = None) -> dict[str, Extreme]:
+    def of(self, state: State) -> dict[str, Extreme]:
         """Name to extreme: the same on all ranks.
 
         ``von_mises`` and ``displacement`` (largest), ``min_jacobian``, ``max_jacobian``, and where
         a material has an allowable stress the smallest ``safety_factor``.
-
-        Args:
-            state: The state.
-            stress: Its recovered stress, if that is known.
         """
-        values = self.evaluate(state)
-        if stress is None:
-            assert self._recovery is not None
-            stress = self._recovery()
+        values, stress = self.evaluate(state), self._recovery(state)
         J = values["jacobian"][:, 0]
         lengths = np.linalg.norm(values["displacement"], axis=1)
         found = {

@@ -11,17 +11,17 @@ from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.converge.extrapolation import extrapolate, grows
-from dolfin_elastic.case.converge.progress import Level, Progress
+from dolfin_elastic.case.converge.progress import Level, Progress, Verdict
 from dolfin_elastic.case.converge.quantity import Measured, Measurement, Quantity
 from dolfin_elastic.case.converge.report import write_report
-from dolfin_elastic.case.run import log_notes, open_outputs
+from dolfin_elastic.case.run import check_problem, log_notes, open_outputs
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root, total
@@ -167,7 +167,9 @@ class _Convergence:
         refinement, before = None, None
         while progress.verdict == "running":
             problem = self.case.make_problem(body)
-            if before is not None and problem.num_dofs > self.goal.unknowns:
+            if before is None:
+                check_problem(self.case, problem)
+            elif problem.num_dofs > self.goal.unknowns:
                 progress = self._ended(
                     progress,
                     "unknowns",
@@ -219,8 +221,9 @@ class _Convergence:
             assert saved is not None
             state = self.case.output.make_probe(problem).add_to(state)
             with timing.stage("output"):
+                estimate = ErrorEstimator(problem)(state)
                 measurement = Measurement(self.goal.quantity, problem, body)
-                measured, estimate = measurement(state), ErrorEstimator(problem)(state)
+                measured = measurement(state)
                 peak = None
                 if self.goal.quantity.is_stress and measured.place:
                     places = singular_places(problem)
@@ -277,7 +280,7 @@ class _Convergence:
             )
         return progress
 
-    def _ended(self, progress: Progress, verdict: Any, reason: str) -> Progress:
+    def _ended(self, progress: Progress, verdict: Verdict, reason: str) -> Progress:
         ended = replace(progress, verdict=verdict, reason=reason)
         on_root(self.comm, lambda: write_report(ended, self.folder))
         return ended

@@ -66,16 +66,18 @@ def local_thickness(mesh: Mesh, without: IndexArray) -> Thickness:
         thickness = np.where(values[:, -1] > 0, 2 / np.abs(values[:, -1]), np.inf)
     # Single cells of an irregular mesh are oblong at random; their neighbourhood is what bends.
     metric = walk.steps(_edges(cell_corners(mesh, np.arange(owned, dtype=np.int32))), 2)
-    turned = np.einsum("nki,nkl,nlj->nij", directions, metric, directions)
+    turned = directions.transpose(0, 2, 1) @ metric @ directions
     along = np.linalg.eigvalsh(turned[:, :-1, :-1])[:, -1]
     return Thickness(volumes, thickness, np.sqrt(turned[:, -1, -1]), np.sqrt(along))
 
 
 def _edges(corners: FloatArray) -> FloatArray:
-    """Mean over the edges e of e e, shape (n, d, d)."""
-    i, j = np.triu_indices(corners.shape[1], 1)
-    edges = corners[:, i] - corners[:, j]
-    return np.asarray(np.einsum("nki,nkj->nij", edges, edges) / len(i))
+    """Mean over the edges e of simplices of e e, shape (n, d, d).
+
+    The sum over the edges is d + 1 times that over the corners, taken from the barycentre.
+    """
+    arms = corners - corners.mean(axis=1, keepdims=True)
+    return np.asarray(arms.transpose(0, 2, 1) @ arms) * (2 / (corners.shape[1] - 1))
 
 
 class _Walk:
@@ -97,13 +99,16 @@ class _Walk:
         )
         weights = csr_array((np.repeat(volumes, d + 1), vertices.ravel(), start), shape=shape)
         self._weights = weights.T.tocsr()
-        around = self._gather(np.ones((len(volumes), 1)))
+        # From vertices to vertices: a third of the numbers of both steps through the cells.
+        self._between = self._weights @ self._mean
+        around = self._gathered(self._weights @ np.ones((len(volumes), 1)))
         # A vertex without cells on any rank has no volume, and no cell asks for its mean.
         self._around = np.where(around > 0, around, 1.0)
 
-    def _gather(self, values: FloatArray) -> FloatArray:
+    def _gathered(self, values: FloatArray) -> FloatArray:
+        """Sums over the ranks of values at the vertices, shape (vertices, columns)."""
         sums = la.vector(self._map, values.shape[1])
-        sums.array[:] = (self._weights @ values).ravel()
+        sums.array[:] = values.ravel()
         sums.scatter_reverse(la.InsertMode.add)
         sums.scatter_forward()
         return np.array(sums.array).reshape(-1, values.shape[1])
@@ -113,8 +118,10 @@ class _Walk:
         d = tensors.shape[1]
         upper = np.triu_indices(d)
         values = tensors[:, upper[0], upper[1]]
-        for _ in range(count):
-            values = self._mean @ (self._gather(values) / self._around)
+        at_vertices = self._gathered(self._weights @ values) / self._around
+        for _ in range(count - 1):
+            at_vertices = self._gathered(self._between @ at_vertices) / self._around
+        values = self._mean @ at_vertices
         found = np.empty_like(tensors)
         found[:, upper[0], upper[1]] = found[:, upper[1], upper[0]] = values
         return found

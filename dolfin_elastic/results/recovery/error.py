@@ -37,6 +37,7 @@ mixed elements: F. Brezzi and M. Fortin, Mixed and Hybrid Finite Element Methods
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,6 +55,7 @@ from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.recovery.patches import cell_edges
 from dolfin_elastic.results.recovery.stress import (
     COMPONENTS,
+    STRESS,
     NodalStress,
     RegionStress,
     means_at_nodes,
@@ -64,6 +66,8 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
+ERROR = "estimated error"
+"""Name of an `ErrorEstimate` in `State.derived`."""
 _LARGEST = 3.0
 """Square of the largest value of x over its mean square for x from -1 to 1."""
 _SHARES = (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
@@ -98,7 +102,9 @@ class ErrorEstimate:
 class ErrorEstimator:
     """Estimates the discretisation error of a problem's states.  All of it is collective.
 
-    The constructor compiles one kernel a material.
+    The error of a state is estimated once for all outputs: it stays in `State.derived`, and so does
+    the recovered stress.  The patches are made, and a kernel a material is compiled, for the first
+    state whose error is not known.
 
     Args:
         problem: The problem that is solved.
@@ -108,10 +114,21 @@ class ErrorEstimator:
     def __init__(self, problem: Problem, w: fem.Function | None = None) -> None:
         self._problem = problem
         self._w = fem.Function(problem.W) if w is None else w
-        self._regions = [_RegionError(problem, part, self._w) for part in problem.regions]
+
+    @cached_property
+    def _regions(self) -> list[_RegionError]:
+        return [_RegionError(self._problem, part, self._w) for part in self._problem.regions]
 
     def __call__(self, state: State) -> ErrorEstimate:
         """The estimate for one state."""
+        known = state.derived.get(ERROR)
+        if isinstance(known, ErrorEstimate):
+            return known
+        found = self._estimated(state)
+        state.derived.update({ERROR: found, STRESS: found.stress})
+        return found
+
+    def _estimated(self, state: State) -> ErrorEstimate:
         self._w.x.array[:] = (state.w or state.u).x.array
         problem, V = self._problem, self._problem.V
         own = len(problem.body.owned_cells())

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -25,6 +26,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.fields import SAFEST, cauchy_stress
 from dolfin_elastic.results.recovery.patches import Patches, sampling_points
 
@@ -212,20 +214,37 @@ class RegionStress:
         return np.full(shape, np.nan if self._allowable is None else self._allowable)
 
 
+STRESS = "recovered stress"
+"""Name of a `NodalStress` in `State.derived`."""
+
+
 class StressRecovery:
     """Recovers the stress of a problem's states at the nodes.  All of it is collective.
 
+    The stress of a state is recovered once for all outputs: it stays in `State.derived`.  The
+    patches are made, and kernels compiled, for the first state whose stress is not known.
+
     Args:
         problem: The problem that is solved.
-        w: All unknowns; it holds those of the state that is looked at.
+        w: All unknowns, if others share them; they are overwritten.
     """
 
-    def __init__(self, problem: Problem, w: fem.Function) -> None:
-        self._V, self._regions = problem.V, [RegionStress(problem, r, w) for r in problem.regions]
+    def __init__(self, problem: Problem, w: fem.Function | None = None) -> None:
+        self._problem, self._w = problem, fem.Function(problem.W) if w is None else w
 
-    def __call__(self) -> NodalStress:
-        """The recovered stress at the owned nodes."""
-        return NodalStress.of(self._V, [(part, part()) for part in self._regions])
+    @cached_property
+    def _regions(self) -> list[RegionStress]:
+        return [RegionStress(self._problem, part, self._w) for part in self._problem.regions]
+
+    def __call__(self, state: State) -> NodalStress:
+        """The recovered stress of a state at the owned nodes."""
+        known = state.derived.get(STRESS)
+        if isinstance(known, NodalStress):
+            return known
+        self._w.x.array[:] = (state.w or state.u).x.array
+        found = NodalStress.of(self._problem.V, [(part, part()) for part in self._regions])
+        state.derived[STRESS] = found
+        return found
 
 
 def means_at_nodes(V: fem.FunctionSpace, cells: IndexArray, values: FloatArray) -> FloatArray:

@@ -94,7 +94,7 @@ class SummaryWriter:
         with timing.stage("output"):
             if self._extremes is None:
                 self._estimator = ErrorEstimator(self.problem) if state.v is None else None
-                self._extremes = Extremes(self.problem, recovers=state.v is not None)
+                self._extremes = Extremes(self.problem)
             self._newton += state.newton
             self._krylov += state.krylov
             self._last_state.copy(state)
@@ -131,8 +131,7 @@ class SummaryWriter:
         with timing.stage("output"):
             state = self._last_state.state
             estimate = self._estimator(state) if state and self._estimator else None
-            stress = estimate.stress if estimate else None
-            found = self._extremes.of(state, stress) if state and self._extremes else {}
+            found = self._extremes.of(state) if state and self._extremes else {}
             extra: dict[str, object] = {
                 "finished": _now(),
                 "extremes": {name: asdict(extreme) for name, extreme in found.items()},

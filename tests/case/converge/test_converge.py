@@ -272,6 +272,24 @@ def test_unknown_results(tmp_path: Path, text: str, message: str) -> None:
     assert not on_root(WORLD, (folder / "out").exists)
 
 
+def test_notes_of_a_run(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """What `run` warns of is said of the first mesh, once: a beam of two linear cells across."""
+    folder = on_root(WORLD, lambda: tmp_path)
+    beam = Case.from_dict(
+        {
+            "mesh": {"rectangle": {"size": [8, 1], "cells": [16, 2]}, "degree": 1},
+            "materials": {"steel": {"law": "linear-elastic", "E": 1000.0, "nu": 0.3}},
+            "support": [{"on": "left"}],
+            "load": [{"kind": "traction", "on": "right", "value": [0, 1]}],
+            "output": {"fields": ["displacement"]},
+        },
+        folder,
+    )
+    last(beam, folder / "out", "strain_energy", "0.001%", refinements=1)
+    notes = [r.getMessage() for r in caplog.records if "bend too stiffly" in r.getMessage()]
+    assert WORLD.bcast(len(notes)) == 1
+
+
 @pytest.mark.parametrize("share", ["0", "100%", "three", "-1%", "nan"])
 def test_shares(share: str) -> None:
     """Between nothing and everything."""

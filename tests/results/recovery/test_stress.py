@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,13 +23,16 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.geometry.curved import cell_quadrature, shape_functions
 from dolfin_elastic.model.kinematics import embedded
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.results.extremes import Extremes
+from dolfin_elastic.results.recovery.error import ErrorEstimator
 from dolfin_elastic.results.recovery.patches import Patches, sampling_points
-from dolfin_elastic.results.recovery.stress import COMPONENTS, RegionStress
+from dolfin_elastic.results.recovery.stress import COMPONENTS, RegionStress, von_mises
 
 FREE = "free"
 
@@ -179,6 +183,35 @@ def test_a_probe_at_a_node_reads_the_field_there() -> None:
     for name in names:
         for row in values[name][here]:
             np.testing.assert_allclose(row, found[f"a_{name}"], rtol=1e-9)
+
+
+def test_outputs_share_one_recovery(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stress of a state is recovered once in each of two regions, that of the next anew."""
+    problem, state = loaded(MPI.COMM_WORLD)
+    calls: list[str] = []
+    recover = RegionStress.__call__
+
+    def counted(part: RegionStress) -> FloatArray:
+        calls.append(part.region.name)
+        return recover(part)
+
+    monkeypatch.setattr(RegionStress, "__call__", counted)
+    fields, summary = Evaluator(problem, ["von_mises", "pressure"]), Extremes(problem)
+    estimator = ErrorEstimator(problem)
+    first = fields(state)["von_mises"]
+    largest = summary.of(replace(state, numbers={"of a probe": 1.0}))["von_mises"].value
+    assert len(calls) == 2
+    comm = problem.body.comm
+    assert largest == comm.allreduce(first.max(initial=0.0), op=MPI.MAX)
+
+    state.u.x.array[:] *= 2
+    later = State(2, 2.0, state.u)
+    estimate = estimator(later)
+    second = fields(later)["von_mises"]
+    assert summary.of(later)["von_mises"].value > 1.5 * largest
+    assert estimator(later) is estimate
+    assert len(calls) == 4
+    np.testing.assert_allclose(second[:, 0], von_mises(estimate.stress.stress), rtol=1e-12)
 
 
 def test_a_beam_in_bending() -> None:
