@@ -1,23 +1,48 @@
-"""Meshes: reading, generating, naming of parts, checks of cells."""
+"""Meshes: reading, generating, naming of parts, checks of cells.
 
-from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.mesh.generate import box_body, rectangle_body
-from dolfin_elastic.mesh.geometry.quality import MeshStatistics, mesh_statistics
-from dolfin_elastic.mesh.read import read_body
-from dolfin_elastic.mesh.selection import name_parts
-from dolfin_elastic.mesh.selectors import Cylinder, EdgeSelector, PointSelector, Selector, Sphere
+Each name is imported when it is first used: the process of Gmsh (`formats/cad/`) has no use for
+DOLFINx, which takes ten times as long to import.
+"""
 
-__all__ = [
-    "Body",
-    "Cylinder",
-    "EdgeSelector",
-    "MeshStatistics",
-    "PointSelector",
-    "Selector",
-    "Sphere",
-    "box_body",
-    "mesh_statistics",
-    "name_parts",
-    "read_body",
-    "rectangle_body",
-]
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dolfin_elastic.mesh.body import Body as Body
+    from dolfin_elastic.mesh.generate import box_body as box_body
+    from dolfin_elastic.mesh.generate import rectangle_body as rectangle_body
+    from dolfin_elastic.mesh.geometry.quality import MeshStatistics as MeshStatistics
+    from dolfin_elastic.mesh.geometry.quality import mesh_statistics as mesh_statistics
+    from dolfin_elastic.mesh.read import read_body as read_body
+    from dolfin_elastic.mesh.selection import name_parts as name_parts
+    from dolfin_elastic.mesh.selectors import Cylinder as Cylinder
+    from dolfin_elastic.mesh.selectors import EdgeSelector as EdgeSelector
+    from dolfin_elastic.mesh.selectors import PointSelector as PointSelector
+    from dolfin_elastic.mesh.selectors import Selector as Selector
+    from dolfin_elastic.mesh.selectors import Sphere as Sphere
+
+_WHERE = {
+    "Body": "body",
+    "Cylinder": "selectors",
+    "EdgeSelector": "selectors",
+    "MeshStatistics": "geometry.quality",
+    "PointSelector": "selectors",
+    "Selector": "selectors",
+    "Sphere": "selectors",
+    "box_body": "generate",
+    "mesh_statistics": "geometry.quality",
+    "name_parts": "selection",
+    "read_body": "read",
+    "rectangle_body": "generate",
+}
+__all__ = sorted(_WHERE)  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'dolfin_elastic.mesh' has no attribute '{name}'")
+    found = getattr(import_module(f"dolfin_elastic.mesh.{_WHERE[name]}"), name)
+    globals()[name] = found
+    return found

@@ -16,6 +16,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.mesh.fields import MeshField
+from dolfin_elastic.mesh.formats.cad.process import Permission
 
 T = TypeVar("T")
 _A = {"region": "a region", "surface": "a surface", "edge": "an edge", "point": "a point"}
@@ -75,10 +76,12 @@ class CadSource:
     Attributes:
         path: The file.
         scale: Metres per unit of length of Gmsh's model of it.
+        permission: What Gmsh may do when it reads the file again.
     """
 
     path: Path
     scale: float
+    permission: Permission
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.units import METRE, LengthUnit, to_si
 from dolfin_elastic.mesh.body import Body, CadSource
 from dolfin_elastic.mesh.distribute import Permutation, build_body
+from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.formats.cleaning import straight
 from dolfin_elastic.mesh.formats.raw import MeshFile, RawMesh, assemble
 from dolfin_elastic.mesh.geometry.checks import check_cells
@@ -38,6 +39,8 @@ def read_body(
     curved: bool | None = None,
     dim: int | None = None,
     join: bool | None = None,
+    trust: bool = False,
+    time_limit: float = 600.0,
 ) -> Body:
     """Reads a mesh, or meshes a CAD file, with the names of the file's parts.
 
@@ -57,6 +60,8 @@ def read_body(
             cells as straight ones.
         dim: 2 or 3 to choose the elements; by default the highest dimension in the file.
         join: Bodies of a STEP, IGES or BREP file that touch share the nodes there; True by default.
+        trust: A .geo file may do all that its user may: run commands, write files and read others.
+        time_limit: Time that Gmsh may take [s].
 
     Raises:
         MeshError: The file cannot be read, or the mesh is not fit for use.
@@ -76,8 +81,10 @@ def read_body(
     if edge is not None and not edge > 0:
         raise MeshError(f"the size of the elements must be positive, not {size}", where=path.name)
 
+    permission = Permission(trust, time_limit)
+
     def cad() -> MeshFile:
-        from dolfin_elastic.mesh.formats.cad.mesher import mesh_cad
+        from dolfin_elastic.mesh.formats.cad.read import mesh_cad
 
         return mesh_cad(
             path,
@@ -87,9 +94,10 @@ def read_body(
             join=join is not False,
             stated=stated,
             unit=unit,
+            permission=permission,
         )
 
-    read, permutation = _reader(path, suffix, cad)
+    read, permutation = _reader(path, suffix, cad, permission)
 
     def raw() -> RawMesh:
         found = assemble(read(), source=path.name, dim=dim)
@@ -103,10 +111,10 @@ def read_body(
         permutation=permutation,
     )
     if suffix in CAD:
-        from dolfin_elastic.mesh.formats.cad.mesher import model_unit
+        from dolfin_elastic.mesh.formats.cad.read import model_unit
 
         scale = model_unit(stated, path) * unit.metres
-        body = replace(body, cad=CadSource(path.absolute(), scale))
+        body = replace(body, cad=CadSource(path.absolute(), scale, permission))
     return check_cells(_with_unit(body, stated))
 
 
@@ -188,24 +196,24 @@ def _check_file(
 
 
 def _reader(
-    path: Path, suffix: str, cad: Callable[[], MeshFile]
+    path: Path, suffix: str, cad: Callable[[], MeshFile], permission: Permission
 ) -> tuple[Callable[[], MeshFile], Permutation]:
     if suffix == ".msh":
-        return lambda: _msh(path), cpp.io.perm_gmsh
+        return lambda: _msh(path, permission), cpp.io.perm_gmsh
     if suffix in CAD:
         return cad, cpp.io.perm_gmsh
     return lambda: _other_reader(suffix)(path), cpp.io.perm_vtk
 
 
-def _msh(path: Path) -> MeshFile:
+def _msh(path: Path, permission: Permission) -> MeshFile:
     from dolfin_elastic.mesh.formats.msh import OtherVersionError, read_msh
 
     try:
         return read_msh(path)
     except OtherVersionError:
-        from dolfin_elastic.mesh.formats.cad.mesher import convert_msh
+        from dolfin_elastic.mesh.formats.cad.read import convert_msh
 
-        return convert_msh(path)
+        return convert_msh(path, permission)
 
 
 def _other_reader(suffix: str) -> Callable[[Path], MeshFile]:

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import read_body
-from dolfin_elastic.mesh.formats.cad.script import check_script
+from dolfin_elastic.mesh.formats.cad.script import files_of_script
 
 BOX = 'SetFactory("OpenCASCADE");\nBox(1) = {0, 0, 0, 1, 1, 1};\n'
 COMMANDS = {
@@ -71,4 +71,4 @@ def test_what_describes_a_body_is_read(tmp_path: Path) -> None:
         f'{BOX}Printf("size %g, System of units", h > 0);\nFor i In {{1:3}}\n p = i;\nEndFor\n'
         'Physical Volume("Exit") = {1};\n'
     )
-    check_script(path)
+    assert {file.name for file in files_of_script(path)} == {"a.geo", "size.geo"}

@@ -6,26 +6,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import agree, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
-from dolfin_elastic.mesh.formats.raw import RawMesh
-
-
-def format_points(points: npt.ArrayLike, count: int, unit: str) -> str:
-    """The first five points as text, for messages.
-
-    Args:
-        points: Coordinates in the file's unit, shape (n, dim).
-        count: Number of all points; "..." is added if it exceeds those shown.
-        unit: Name of that unit.
-    """
-    rows = np.asarray(points, dtype=float)[:5]
-    text = ", ".join("(" + ", ".join(f"{x:.4g}" for x in row) + ")" for row in rows)
-    return f"near {text} {unit}{' ...' if count > len(rows) else ''}"
+from dolfin_elastic.mesh.formats.raw import RawMesh, format_points
 
 
 def clean(raw: RawMesh) -> RawMesh:

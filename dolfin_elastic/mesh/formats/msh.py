@@ -193,15 +193,38 @@ def read_msh(path: Path) -> MeshFile:
     return replace(mesh, point_data=data_rows(of_points, tags))
 
 
+_BEFORE = re.compile(rb"\s*(?:\$Comments\b.*?\$EndComments\s*)*", re.DOTALL)
+"""What may stand before the header."""
+
+
+def mesh_alone(data: bytes) -> bytes:
+    """The file from its header on: by its first line Gmsh takes it for a mesh, or for a script.
+
+    Args:
+        data: The file.
+
+    Raises:
+        MeshError: There is no header.
+    """
+    found = _BEFORE.match(data)
+    mesh = data[found.end() if found else 0 :]
+    if not re.match(rb"\$(?:NOD|MeshFormat)[ \t\r]*\n", mesh):
+        raise MeshError("this is not a Gmsh mesh (no $MeshFormat at the start)")
+    return mesh
+
+
 def _header(data: bytes) -> tuple[float, bool, bool]:
-    head = re.search(
-        rb"\$MeshFormat\s+([\d.]+)\s+([01])\s+(\d+)[^\n]*\n(....)?", data[:4096], re.DOTALL
+    head = re.match(
+        rb"\$MeshFormat\s+([\d.]+)\s+([01])\s+(\d+)[^\n]*\n(....)?", mesh_alone(data), re.DOTALL
     )
     if head is None:
-        if data.startswith(b"$NOD"):
+        if mesh_alone(data).startswith(b"$NOD"):
             raise OtherVersionError("1")
-        raise MeshError("this is not a Gmsh mesh (no $MeshFormat at the start)")
-    version, binary = float(head[1]), head[2] == b"1"
+        raise MeshError("section $MeshFormat is damaged")
+    try:
+        version, binary = float(head[1]), head[2] == b"1"
+    except ValueError:
+        raise MeshError("section $MeshFormat is damaged") from None
     if not (2 <= version < 3 or version == 4.1):
         raise OtherVersionError(head[1].decode())
     return version, binary, binary and head[4] == b"\0\0\0\1"

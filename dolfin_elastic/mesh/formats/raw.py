@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IntArray
@@ -323,3 +324,16 @@ def match_rows(table: IntArray, rows: IntArray) -> IntArray:
     place = np.full(len(both), -1, dtype=np.int64)
     place[group[: len(table)]] = np.arange(len(table))
     return np.asarray(place[group[len(table) :]])
+
+
+def format_points(points: npt.ArrayLike, count: int, unit: str) -> str:
+    """The first five points as text, for messages.
+
+    Args:
+        points: Coordinates in the file's unit, shape (n, dim).
+        count: Number of all points; "..." is added if it exceeds those shown.
+        unit: Name of that unit.
+    """
+    rows = np.asarray(points, dtype=float)[:5]
+    text = ", ".join("(" + ", ".join(f"{x:.4g}" for x in row) + ")" for row in rows)
+    return f"near {text} {unit}{' ...' if count > len(rows) else ''}"

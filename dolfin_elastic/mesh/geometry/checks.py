@@ -13,7 +13,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.mesh.formats.cleaning import format_points
+from dolfin_elastic.mesh.formats.raw import format_points
 from dolfin_elastic.mesh.geometry.curved import smallest_jacobians
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, qualities, signed_volumes
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
-from types import ModuleType
 from typing import TypeVar, cast
 
 import numpy as np
@@ -23,7 +22,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import agree, total
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import Body, CadSource, span
-from dolfin_elastic.mesh.formats.cad.mesher import open_model
+from dolfin_elastic.mesh.formats.cad.read import CadModel, open_model
 from dolfin_elastic.mesh.geometry.curved import cell_gradients, facet_points, quadrature_rule
 from dolfin_elastic.mesh.geometry.simplices import (
     boundary_facets,
@@ -91,7 +90,8 @@ class CadSurfaces:
         with ExitStack() as opened:
 
             def classified() -> tuple[_Model, IntArray]:
-                model = _Model(opened.enter_context(open_model(self._source.path)), body.dim)
+                source = open_model(self._source.path, self._source.permission)
+                model = _Model(opened.enter_context(source), body.dim)
                 return model, self._classify(model, body, facets, near)
 
             model, tags = _everywhere(body.comm, classified)
@@ -142,16 +142,16 @@ class CadSurfaces:
 
 
 class _Model:
-    """Gmsh's model, as points and surfaces.
+    """The model, as surfaces.
 
     Args:
-        model: Of Gmsh.
+        model: In Gmsh.
         dim: 3, or 2: then its curves are the surfaces.
     """
 
-    def __init__(self, model: ModuleType, dim: int) -> None:
+    def __init__(self, model: CadModel, dim: int) -> None:
         self._model, self._dim = model, dim - 1
-        self.surfaces = [int(tag) for _, tag in model.getEntities(self._dim)]
+        self.surfaces = model.entities(self._dim)
 
     def distances(self, tag: int, places: FloatArray, near: float) -> FloatArray:
         """Distances of places to a surface; infinite outside of its box by more than `near`.
@@ -161,24 +161,12 @@ class _Model:
             places: In the file's unit, shape (n, 3).
             near: In the file's unit.
         """
-        box = np.array(self._model.getBoundingBox(self._dim, tag))
+        box = self._model.box(self._dim, tag)
         inside = ((places >= box[:3] - near) & (places <= box[3:] + near)).all(axis=1)
         found = np.full(len(places), np.inf)
         chosen = places[inside]
-        found[inside] = np.linalg.norm(self._nearest(self._dim, tag, chosen) - chosen, axis=1)
+        found[inside] = np.linalg.norm(self._model.nearest(self._dim, tag, chosen) - chosen, axis=1)
         return found
-
-    def _nearest(self, dim: int, tag: int, places: FloatArray) -> FloatArray:
-        if not len(places):
-            return places
-        try:
-            found, _ = self._model.getClosestPoint(dim, tag, places.reshape(-1))
-        except Exception as error:
-            if type(error) is not Exception:  # Gmsh raises this base class itself
-                raise
-            what = "surface" if dim == 2 else "curve"
-            raise MeshError(f"Gmsh finds no nearest point on {what} {tag}: {error}") from None
-        return np.asarray(found, dtype=np.float64).reshape(-1, 3)
 
     def closest(self, surfaces: tuple[int, ...], places: FloatArray) -> FloatArray | None:
         """Nearest places on one surface, or on the curves in which two meet; None: they stay.
@@ -187,16 +175,14 @@ class _Model:
             surfaces: Their numbers.
             places: In the file's unit, shape (n, 3).
         """
-        straight = [self._model.getType(self._dim, tag) in _STRAIGHT for tag in surfaces]
+        straight = [self._model.kind(self._dim, tag) in _STRAIGHT for tag in surfaces]
         if all(straight) or len(surfaces) > self._dim:
             return None
         if len(surfaces) == 1:
-            return self._nearest(self._dim, surfaces[0], places)
-        around = [
-            {abs(int(t)) for t in self._model.getAdjacencies(self._dim, s)[1]} for s in surfaces
-        ]
+            return self._model.nearest(self._dim, surfaces[0], places)
+        around = [self._model.below(self._dim, s) for s in surfaces]
         curves = sorted(set.intersection(*around))
-        found = [self._nearest(self._dim - 1, curve, places) for curve in curves]
+        found = [self._model.nearest(self._dim - 1, curve, places) for curve in curves]
         if not found:
             return None
         away = np.array([np.linalg.norm(f - places, axis=1) for f in found])

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dolfin_elastic.core.errors import MeshError, not_shown
+from dolfin_elastic.core.errors import MeshError
 
 _REFUSED = {
     **dict.fromkeys(
@@ -28,11 +28,13 @@ _REFUSED = {
     **dict.fromkeys(("StringToName", "S2N"), "would make a statement from a text"),
 }
 """Words of statements of Gmsh.y that do more than describe a body, and what they do."""
+SCRIPTS = (".geo", ".geo_unrolled")
 _READING = ("Include", "Merge", "MergeWithBoundingBox")
 _SHAPES = (".step", ".stp", ".brep", ".iges", ".igs", ".stl")
 """Files that Gmsh reads by their suffix, in small or capital letters, and never as a script."""
-_SCRIPTS = (".geo", ".geo_unrolled", ".msh", ".pos", ".opt", "")
-"""Others: scripts, unless they begin with a section ("$MeshFormat")."""
+_PERHAPS_SCRIPTS = (*SCRIPTS, ".msh", ".pos", ".opt", "")
+"""Others: scripts, unless they begin with a line of `_SECTIONS`."""
+_SECTIONS = (b"$MeshFormat", b"$PostFormat")
 _LONGEST = 1000
 """Letters of a text; Gmsh's scanner ends one after 1023 and reads on as if it were closed."""
 
@@ -61,19 +63,58 @@ class _Token:
     line: int
 
 
-def check_script(path: Path, depth: int = 0) -> None:
-    """Refuses a script, or one that it includes, that would run commands or write files. Local.
+def files_of_script(path: Path) -> dict[Path, bytes]:
+    """A script and the files that it reads, by their paths relative to its folder. Local.
 
     Args:
         path: The script.
-        depth: Number of scripts that include one another to reach it.
 
     Raises:
-        MeshError: It would, or whether it would cannot be seen without running it.
+        MeshError: One of them would run commands, write files or read others from elsewhere, or
+            whether it would cannot be seen without running it.
+    """
+    found: dict[Path, bytes] = {}
+    _collect(path.parent, Path(path.name), found)
+    return found
+
+
+def _collect(folder: Path, script: Path, found: dict[Path, bytes], depth: int = 0) -> None:
+    """Checks a script and adds it and what it reads.
+
+    Args:
+        folder: Of the first script.
+        script: Relative to it.
+        found: To be added to.
+        depth: Number of scripts that include one another to reach it.
     """
     if depth > 10:
-        raise MeshError("scripts include one another without end", where=path.name)
-    data = path.read_bytes().replace(b"\r\n", b"\n")
+        raise MeshError("scripts include one another without end", where=script.name)
+    found[script] = (folder / script).read_bytes()
+    for name in _checked(script, found[script]):
+        file = script.parent / name
+        if file in found or not (folder / file).is_file():
+            continue  # of a missing one Gmsh tells
+        if not (folder / file).resolve().is_relative_to(folder.resolve()):
+            raise MeshError(
+                f"reads '{name}', which is outside of its folder",
+                where=script.name,
+                expected="copy it there; --trust is for scripts of your own",
+            )
+        content = (folder / file).read_bytes()
+        if _is_shape(name) or content.split(b"\n", 1)[0].rstrip(b"\r") in _SECTIONS:
+            found[file] = content
+        else:
+            _collect(folder, file, found, depth + 1)
+
+
+def _checked(path: Path, content: bytes) -> list[str]:
+    """Names of the files that a script reads, which may do nothing but describe a body.
+
+    Args:
+        path: The script, for messages.
+        content: Of it.
+    """
+    data = content.replace(b"\r\n", b"\n")
     if b"\0" in data or b"\r" in data:
         raise MeshError(
             "the file holds a zero byte or a carriage return without line feed",
@@ -84,6 +125,7 @@ def check_script(path: Path, depth: int = 0) -> None:
     if any(token.kind == "word" and token.text in _BLOCKS for token in everything):
         _check_hidden(path, everything)
     tokens = [token for token in everything if token.kind != "comment"]
+    read = []
     for i, token in enumerate(tokens):
         if token.kind != "word":
             continue
@@ -92,7 +134,8 @@ def check_script(path: Path, depth: int = 0) -> None:
         if token.text == "Printf" and _redirected(tokens, i + 1):
             raise _refusal(path, token, "would write files")
         if token.text in _READING:
-            _check_read(path, token, _statement(tokens, i + 1), depth)
+            read.append(_file_read(path, token, _statement(tokens, i + 1)))
+    return read
 
 
 def _check_hidden(path: Path, tokens: Sequence[_Token]) -> None:
@@ -108,7 +151,7 @@ def _refusal(path: Path, token: _Token, what: str) -> MeshError:
     return MeshError(
         f"line {token.line}: '{token.text}' {what}; a mesh file may only describe a body",
         where=path.name,
-        expected="leave the line out, or run Gmsh yourself and use the .msh that it saves",
+        expected="leave the line out; --trust is for scripts of your own",
     )
 
 
@@ -139,8 +182,8 @@ def _redirected(tokens: Sequence[_Token], start: int) -> bool:
     return False
 
 
-def _check_read(path: Path, token: _Token, statement: Sequence[_Token], depth: int) -> None:
-    """Checks the file of an Include or Merge; its name must be seen without running the script."""
+def _file_read(path: Path, token: _Token, statement: Sequence[_Token]) -> str:
+    """The file of an Include or Merge; its name must be seen without running the script."""
     words = [t.text for t in statement if t.kind == "word"]
     texts = [t.text[1:-1] for t in statement if t.kind == "text"]
     here = ("StrCat", "Str", "CurrentDirectory", "CurrentDir")
@@ -150,15 +193,14 @@ def _check_read(path: Path, token: _Token, statement: Sequence[_Token], depth: i
             where=path.name,
             expected=f'for example {token.text} "part.step";',
         )
-    found = path.parent / texts[0]  # an absolute path stays what it is
-    if not found.is_file() and (hint := not_shown(found)):
-        raise MeshError(
-            f"line {token.line}: there is no file '{found}'", where=path.name, expected=hint
-        )
-    suffix = Path(texts[0]).suffix
-    if suffix in _SHAPES or suffix in [shape.upper() for shape in _SHAPES]:
-        return
-    if suffix not in _SCRIPTS:
-        raise _refusal(path, token, f"reads '{texts[0]}', a file of a kind that may hold commands")
-    if found.is_file() and not found.read_bytes().startswith(b"$"):
-        check_script(found, depth + 1)
+    name = texts[0]
+    if not _is_shape(name) and Path(name).suffix not in _PERHAPS_SCRIPTS:
+        raise _refusal(path, token, f"reads '{name}', a file of a kind that may hold commands")
+    if Path(name).is_absolute() or ".." in Path(name).parts:
+        raise _refusal(path, token, f"reads '{name}', which is not in the folder of the script")
+    return name
+
+
+def _is_shape(name: str) -> bool:
+    suffix = Path(name).suffix
+    return suffix in _SHAPES or suffix in [shape.upper() for shape in _SHAPES]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -16,7 +14,7 @@ import numpy as np
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.formats.cad.face_names import face_names
-from dolfin_elastic.mesh.formats.cleaning import format_points
+from dolfin_elastic.mesh.formats.raw import format_points
 
 Entity = tuple[int, int]
 """Dimension and tag in Gmsh."""
@@ -121,25 +119,10 @@ def load_shapes(gmsh: ModuleType, path: Path) -> None:
         gmsh: Gmsh with an empty model.
         path: .step, .iges or .brep.
     """
-    with _no_output():
-        gmsh.model.occ.importShapes(
-            str(path), highestDimOnly=False, format=_FORMATS[path.suffix.lower()]
-        )
+    gmsh.model.occ.importShapes(
+        str(path), highestDimOnly=False, format=_FORMATS[path.suffix.lower()]
+    )
     gmsh.model.occ.synchronize()
-
-
-@contextmanager
-def _no_output() -> Iterator[None]:
-    """Without what OpenCASCADE's reader of IGES writes to the standard output."""
-    sys.stdout.flush()
-    before, nothing = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, 1)
-    try:
-        yield
-    finally:
-        os.dup2(before, 1)
-        os.close(before)
-        os.close(nothing)
 
 
 def _name(gmsh: ModuleType, body: Entity) -> str:

@@ -1,0 +1,221 @@
+"""`GmshProcess`: Gmsh in a process of its own, which can do no harm and can be ended.
+
+Gmsh carries out what its scripts say, commands included, takes files for scripts by their content,
+reads options from files beside a file, and ends its process on some damaged files; it has no option
+against any of these.  So it reads copies in a private folder, in a process that Landlock lets
+write its result and nothing else, with limits of time and memory.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.mesh.formats.cad import landlock
+
+_PROGRAM = """
+import sys
+sys.path[:] = {path}
+from dolfin_elastic.mesh.formats.cad.worker import main
+main()
+"""
+_ROOT = Path(__file__).resolve().parents[4]
+"""The folder that holds the package."""
+_ENVIRONMENT = ("PATH", "LANG", "LC_ALL", "LD_LIBRARY_PATH")
+"""What a process needs to find its libraries: nothing of MPI, which would take it for a rank."""
+_SHARE = 0.8
+"""Share of the free memory that Gmsh may take."""
+_LIBRARIES = 3e9
+"""Addresses that its libraries reserve and do not use [byte]."""
+
+
+@dataclass(frozen=True)
+class Permission:
+    """What Gmsh may do.
+
+    Attributes:
+        trusted: Everything that its user may: the file is his own.
+        seconds: Time that each task may take [s].
+    """
+
+    trusted: bool = False
+    seconds: float = 600.0
+
+
+class GmshProcess:
+    """A running Gmsh; see `gmsh_process`.
+
+    Args:
+        process: It.
+        path: Where it finds the file.
+        seconds: Time that each task may take [s].
+        memory: It may take [byte].
+    """
+
+    def __init__(
+        self, process: subprocess.Popen[bytes], path: Path, seconds: float, memory: int
+    ) -> None:
+        self._process, self._name = process, path.name
+        self._seconds, self._memory = seconds, memory
+        self._read = b""
+
+    def ask(self, task: str, **arguments: Any) -> Any:
+        """Lets Gmsh do something.
+
+        Args:
+            task: One of the methods `do_...` of the worker.
+            arguments: Its arguments, as JSON has them.
+
+        Returns:
+            Its answer, as JSON has it.
+
+        Raises:
+            MeshError: Gmsh cannot do it, or takes too long or too much memory.
+        """
+        line = json.dumps({"do": task, "with": arguments}).encode() + b"\n"
+        answer = json.loads(self._exchange(line))
+        if "refused" in answer:
+            what, where, expected = answer["refused"]
+            raise MeshError(what, where=where, expected=expected)
+        if "short" in answer:
+            raise self._needs("more memory")
+        if "fault" in answer:
+            raise RuntimeError(f"in the process of Gmsh: {answer['fault']}")
+        return answer["answer"]
+
+    def _exchange(self, line: bytes) -> bytes:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        until = time.monotonic() + self._seconds
+        try:
+            self._process.stdin.write(line)
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            raise self._ended() from None
+        while b"\n" not in self._read[-1:]:
+            left = until - time.monotonic()
+            ready, _, _ = select.select([self._process.stdout], [], [], max(left, 0.0))
+            if not ready:
+                raise MeshError(
+                    f"Gmsh was stopped after {self._seconds:g} s",
+                    where=self._name,
+                    expected="larger elements (mesh.size), or more time: mesh.time_limit",
+                )
+            part = os.read(self._process.stdout.fileno(), 1 << 20)
+            if not part:
+                raise self._ended()
+            self._read += part
+        found, self._read = self._read, b""
+        return found
+
+    def _ended(self) -> MeshError:
+        """What is to be said of a process that has ended by itself."""
+        code = self._process.wait()
+        how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+        if -code in (signal.SIGKILL, signal.SIGABRT):  # C++ aborts where it gets no memory
+            return self._needs(f"more memory, or has failed ({how})")
+        return MeshError(
+            f"Gmsh has crashed ({how})", where=self._name, expected="a file that is not damaged"
+        )
+
+    def _needs(self, what: str) -> MeshError:
+        return MeshError(
+            f"Gmsh needs {what}; it may take {self._memory / 1e9:.2g} GB here",
+            where=self._name,
+            expected="larger elements (mesh.size), or a machine with more free memory",
+        )
+
+
+@contextmanager
+def gmsh_process(
+    path: Path, files: Mapping[Path, bytes], permission: Permission
+) -> Iterator[tuple[GmshProcess, Path]]:
+    """Starts Gmsh with copies of a file and of those that it reads; ends it afterwards. Local.
+
+    Args:
+        path: The file.
+        files: Path relative to the file's folder, and content; of a trusted one they are not used.
+        permission: What it may do.
+
+    Yields:
+        Gmsh, and the folder into which it writes.
+    """
+    with tempfile.TemporaryDirectory(prefix="dolfin_elastic-gmsh-") as name:
+        readable, writable = Path(name, "read"), Path(name, "write")
+        writable.mkdir()
+        for file, content in files.items():
+            copy = readable / file
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(content)
+        memory = int(_SHARE * _free_memory() + _LIBRARIES)
+        terms = {
+            "file": str(path.absolute() if permission.trusted else readable / path.name),
+            "readable": str(readable),
+            "writable": str(writable),
+            "memory": memory,
+            "confined": not permission.trusted and landlock.version() > 0,
+        }
+        with _started(permission, path, writable) as process:
+            gmsh = GmshProcess(process, path, permission.seconds, memory)
+            assert process.stdin is not None
+            process.stdin.write(json.dumps(terms).encode() + b"\n")
+            yield gmsh, writable
+
+
+@contextmanager
+def _started(
+    permission: Permission, path: Path, writable: Path
+) -> Iterator[subprocess.Popen[bytes]]:
+    """The process, which does not outlive the context."""
+    # Of the current folder nothing is imported.
+    folders = [str(_ROOT), *(folder for folder in sys.path if os.path.isabs(folder))]
+    environment = {name: os.environ[name] for name in _ENVIRONMENT if name in os.environ}
+    # One thread: Landlock holds for those that are started later only.
+    environment |= {"TMPDIR": str(writable), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    process = subprocess.Popen(
+        [sys.executable, "-I", "-c", _PROGRAM.format(path=folders)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        # One thread: Landlock holds for those that are started later only.
+        env={
+            **environment,
+            "TMPDIR": str(writable),
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        },
+        cwd=path.absolute().parent if permission.trusted else writable,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def _free_memory() -> float:
+    """Memory [byte] that nobody uses on this machine, or in this container."""
+    with open("/proc/meminfo", encoding="ascii") as file:
+        lines = dict(line.split(":", 1) for line in file)
+    free = 1024.0 * int(lines["MemAvailable"].split()[0])
+    try:
+        most, used = (
+            int(Path(f"/sys/fs/cgroup/memory.{name}").read_text(encoding="ascii"))
+            for name in ("max", "current")
+        )
+    except (OSError, ValueError):  # there are none, or the limit is "max"
+        return free
+    return min(free, max(most - used, 0))

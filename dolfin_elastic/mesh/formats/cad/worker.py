@@ -1,0 +1,144 @@
+"""The process in which Gmsh runs: it reads questions and writes answers as lines of JSON.
+
+Whatever a file makes Gmsh do, it can read the folder that it was given, write the one beside it,
+and nothing else.  What it answers is data for the process that has started it, and no objects.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import resource
+import signal
+import sys
+import traceback
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.mesh.formats.cad import landlock
+from dolfin_elastic.mesh.formats.cad.meshing import load, logged_errors, mesh_file, save
+from dolfin_elastic.mesh.formats.cad.shapes import Lengths
+
+ASKED_OF_MODEL = ("getEntities", "getBoundingBox", "getClosestPoint", "getType", "getAdjacencies")
+"""Functions of Gmsh's model that tell something of it and change nothing."""
+_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
+
+
+def main() -> None:
+    """Answers questions until there are no more. The first line tells what it may do."""
+    # What libraries print to the standard output is no answer.
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    ctypes.CDLL(None).prctl(_DEATH_SIGNAL, signal.SIGKILL)
+    terms = json.loads(sys.stdin.readline())
+    worker = None
+    for line in sys.stdin:
+        try:
+            worker = worker or _Worker(terms)
+            answer = {"answer": worker.answer(json.loads(line))}
+        except MeshError as error:
+            answer = {"refused": [error.what, error.where, error.expected]}
+        except MemoryError:
+            answer = {"short": True}
+        except Exception:
+            answer = {"fault": traceback.format_exc()}
+        answers.write(json.dumps(answer, default=_plain) + "\n")
+        answers.flush()
+
+
+def _plain(value: Any) -> Any:
+    """Arrays and numbers of numpy as JSON has them."""
+    return value.tolist()
+
+
+class _Worker:
+    """Gmsh, confined.
+
+    Args:
+        terms: The `file`, the folders that are `readable` and `writable`, the largest `memory`
+            [byte], and whether to be `confined` to these folders.
+    """
+
+    def __init__(self, terms: Mapping[str, Any]) -> None:
+        self._path, self._folder = Path(terms["file"]), Path(terms["writable"])
+        try:
+            import gmsh
+        except ImportError:
+            raise MeshError(
+                "Gmsh is needed for this file but its Python module is not installed",
+                where=self._path.name,
+                expected="install python3-gmsh",
+            ) from None
+        resource.setrlimit(resource.RLIMIT_AS, (terms["memory"], terms["memory"]))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        if terms["confined"]:
+            # numpy imports some of its modules when they are needed.
+            landlock.confine(map(Path, [terms["readable"], *sys.path]), self._folder)
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
+        gmsh.logger.start()
+        gmsh.model.add(self._path.stem)
+        self._gmsh = gmsh
+
+    def answer(self, question: Mapping[str, Any]) -> Any:
+        """What a question asks for: the name of a method below, and its arguments.
+
+        Raises:
+            MeshError: Gmsh cannot do it.
+        """
+        try:
+            return getattr(self, f"do_{question['do']}")(**question["with"])
+        except Exception as error:
+            if type(error) is not Exception:  # Gmsh raises this base class itself
+                raise
+            told = logged_errors(self._gmsh) or str(error)
+            told = told.replace(f"{self._path.parent}{os.sep}", "")
+            raise MeshError(f"Gmsh cannot read or mesh it: {told}", where=self._path.name) from None
+
+    def do_mesh(
+        self,
+        size: float | None,
+        curved: bool | None,
+        dim: int | None,
+        join: bool,
+        unit: str,
+        factor: float,
+    ) -> tuple[list[str], list[str]]:
+        """Meshes the file; returns notes and information, see `mesh_file`."""
+        remarks = mesh_file(
+            self._gmsh,
+            self._path,
+            size=size,
+            curved=curved,
+            dim=dim,
+            join=join,
+            lengths=Lengths(unit, factor),
+        )
+        save(self._gmsh, self._folder)
+        return remarks.notes, remarks.information
+
+    def do_convert(self) -> None:
+        """Saves a mesh in the version that is read."""
+        self._gmsh.open(str(self._path))
+        save(self._gmsh, self._folder)
+
+    def do_load(self) -> None:
+        """Loads a CAD file, of which the next questions are."""
+        load(self._gmsh, self._path)
+
+    def do_ask(self, name: str, arguments: list[Any]) -> Any:
+        """The result of a function of the model.
+
+        Args:
+            name: One of `ASKED_OF_MODEL`.
+            arguments: Its arguments.
+        """
+        assert name in ASKED_OF_MODEL
+        arguments = [np.array(a) if isinstance(a, list) else a for a in arguments]
+        return getattr(self._gmsh.model, name)(*arguments)
