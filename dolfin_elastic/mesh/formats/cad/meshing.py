@@ -194,7 +194,12 @@ def _has_sizes(gmsh: ModuleType) -> bool:
 
 
 def logged_errors(gmsh: ModuleType, start: int = 0) -> str:
-    """The first three error messages of Gmsh, from a line of its log on."""
+    """The first three error messages of Gmsh.
+
+    Args:
+        gmsh: Gmsh, whose logger runs.
+        start: Line of its log to begin with.
+    """
     lines = [
         line.split(":", 1)[1].strip()
         for line in gmsh.logger.get()[start:]

@@ -75,7 +75,7 @@ class GmshProcess:
         """Lets Gmsh do something.
 
         Args:
-            task: One of the methods `do_...` of the worker.
+            task: A task of the worker.
             arguments: Its arguments, as JSON has them.
 
         Returns:

@@ -94,15 +94,30 @@ class CadModel:
         return [int(tag) for _, tag in self._ask("getEntities", dim)]
 
     def box(self, dim: int, tag: int) -> FloatArray:
-        """Smallest and largest coordinates of a curve or surface, shape (6,)."""
+        """Smallest and largest coordinates of a curve or surface, shape (6,).
+
+        Args:
+            dim: 1 or 2.
+            tag: Its number.
+        """
         return np.array(self._ask("getBoundingBox", dim, tag), dtype=np.float64)
 
     def kind(self, dim: int, tag: int) -> str:
-        """What a curve or surface is: "Line", "Plane", "Cylinder" ..."""
+        """What a curve or surface is: "Line", "Plane", "Cylinder" ...
+
+        Args:
+            dim: 1 or 2.
+            tag: Its number.
+        """
         return str(self._ask("getType", dim, tag))
 
     def below(self, dim: int, tag: int) -> set[int]:
-        """Numbers of the curves of a surface, or of the points of a curve."""
+        """Numbers of the curves of a surface, or of the points of a curve.
+
+        Args:
+            dim: 1 or 2.
+            tag: Its number.
+        """
         return {abs(int(t)) for t in self._ask("getAdjacencies", dim, tag)[1]}
 
     def nearest(self, dim: int, tag: int, places: FloatArray) -> FloatArray:

@@ -13,13 +13,14 @@ import resource
 import signal
 import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh.formats.cad import landlock
 from dolfin_elastic.mesh.formats.cad.meshing import load, logged_errors, mesh_file, save
 from dolfin_elastic.mesh.formats.cad.shapes import Lengths
@@ -51,7 +52,7 @@ def main() -> None:
         answers.flush()
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: AnyArray) -> object:
     """Arrays and numbers of numpy as JSON has them."""
     return value.tolist()
 
@@ -81,19 +82,24 @@ class _Worker:
             landlock.confine(map(Path, [terms["readable"], *sys.path]), self._folder)
         gmsh.initialize(readConfigFiles=False, interruptible=False)
         gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
         gmsh.logger.start()
         gmsh.model.add(self._path.stem)
         self._gmsh = gmsh
+        self._tasks: Mapping[str, Callable[..., object]] = {
+            "mesh": self._mesh,
+            "convert": self._convert,
+            "load": self._load,
+            "ask": self._ask,
+        }
 
-    def answer(self, question: Mapping[str, Any]) -> Any:
-        """What a question asks for: the name of a method below, and its arguments.
+    def answer(self, question: Mapping[str, Any]) -> object:
+        """What a question asks for: the name of a task, and its arguments.
 
         Raises:
             MeshError: Gmsh cannot do it.
         """
         try:
-            return getattr(self, f"do_{question['do']}")(**question["with"])
+            return self._tasks[question["do"]](**question["with"])
         except Exception as error:
             if type(error) is not Exception:  # Gmsh raises this base class itself
                 raise
@@ -101,7 +107,7 @@ class _Worker:
             told = told.replace(f"{self._path.parent}{os.sep}", "")
             raise MeshError(f"Gmsh cannot read or mesh it: {told}", where=self._path.name) from None
 
-    def do_mesh(
+    def _mesh(
         self,
         size: float | None,
         curved: bool | None,
@@ -123,16 +129,16 @@ class _Worker:
         save(self._gmsh, self._folder)
         return remarks.notes, remarks.information
 
-    def do_convert(self) -> None:
+    def _convert(self) -> None:
         """Saves a mesh in the version that is read."""
         self._gmsh.open(str(self._path))
         save(self._gmsh, self._folder)
 
-    def do_load(self) -> None:
+    def _load(self) -> None:
         """Loads a CAD file, of which the next questions are."""
         load(self._gmsh, self._path)
 
-    def do_ask(self, name: str, arguments: list[Any]) -> Any:
+    def _ask(self, name: str, arguments: list[list[float] | int]) -> object:
         """The result of a function of the model.
 
         Args:
@@ -140,5 +146,5 @@ class _Worker:
             arguments: Its arguments.
         """
         assert name in ASKED_OF_MODEL
-        arguments = [np.array(a) if isinstance(a, list) else a for a in arguments]
-        return getattr(self._gmsh.model, name)(*arguments)
+        converted = [np.array(a) if isinstance(a, list) else a for a in arguments]
+        return getattr(self._gmsh.model, name)(*converted)
