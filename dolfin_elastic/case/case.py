@@ -42,6 +42,7 @@ class Case(AnalysisTables):
 
     _file: str = PrivateAttr(default="")
     _folder: Path = PrivateAttr(default=Path())
+    _trusted: bool = PrivateAttr(default=False)
 
     # --- where it came from ---
 
@@ -62,7 +63,12 @@ class Case(AnalysisTables):
 
     @classmethod
     def from_dict(
-        cls, tables: Mapping[str, Any], folder: str | PathLike[str] = ".", *, file: str = ""
+        cls,
+        tables: Mapping[str, Any],
+        folder: str | PathLike[str] = ".",
+        *,
+        file: str = "",
+        trust: bool = False,
     ) -> Case:
         """A case from nested dictionaries, as TOML gives them.
 
@@ -70,13 +76,14 @@ class Case(AnalysisTables):
             tables: The top-level tables.
             folder: Folder that paths are relative to.
             file: Name of the file, for messages.
+            trust: A .geo script of its mesh may do all that its user may.
 
         Raises:
             InputError: With the file's name and the dotted key.
         """
         with locate_errors(file):
             case = with_curves(cls(**dict(tables)), Path(folder))
-        case._file, case._folder = file, Path(folder)
+        case._file, case._folder, case._trusted = file, Path(folder), trust
         return case
 
     # --- back to text ---
@@ -99,7 +106,7 @@ class Case(AnalysisTables):
         """The mesh with all its names. Collective."""
         key = next(k for k in ("file", "box", "rectangle") if getattr(self.mesh, k) is not None)
         with locate_errors(self.file, f"mesh.{key}", exact=False):
-            body = self.mesh.body(self.folder, comm, curved=self.curved)
+            body = self.mesh.body(self.folder, comm, curved=self.curved, trust=self._trusted)
         with locate_errors(self.file):
             return name_parts(
                 body,
@@ -143,7 +150,9 @@ class Case(AnalysisTables):
         return Path(f"{self.name}_results")
 
 
-def read_case(path: str | PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD) -> Case:
+def read_case(
+    path: str | PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD, trust: bool = False
+) -> Case:
     """Reads a case file on rank 0 and gives it to all ranks.
 
     Collective.
@@ -151,12 +160,15 @@ def read_case(path: str | PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD) -> 
     Args:
         path: A TOML file.
         comm: The ranks that need the case.
+        trust: A .geo script of its mesh may do all that its user may: run commands, write files.
 
     Raises:
         InputError: On every rank, with file, dotted key, and what is expected.
     """
     file = str(path)
-    return on_root(comm, lambda: Case.from_dict(read_toml(file), Path(file).parent, file=file))
+    return on_root(
+        comm, lambda: Case.from_dict(read_toml(file), Path(file).parent, file=file, trust=trust)
+    )
 
 
 def read_materials(path: str | PathLike[str]) -> dict[str, Material]:

@@ -106,7 +106,11 @@ class Unfinished:
 
 
 def unfinished(
-    folder: str | PathLike[str], *, case: Case | None = None, comm: MPI.Comm = MPI.COMM_WORLD
+    folder: str | PathLike[str],
+    *,
+    case: Case | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    trust: bool = False,
 ) -> Unfinished:
     """Finds the run in a folder of results. Collective.
 
@@ -114,6 +118,7 @@ def unfinished(
         folder: The folder.
         case: What it computes; needed only of a case with Python functions, which is no text.
         comm: The ranks that continue it.
+        trust: See `read_case`.
 
     Raises:
         RestartError: There is nothing to go on from, the case is another one, or it is still going.
@@ -140,7 +145,7 @@ def unfinished(
             where=str(path),
             expected="in Python: restart(folder, case=...)",
         )
-    written = read_case(copy, comm=comm) if text else None
+    written = read_case(copy, comm=comm, trust=trust) if text else None
     if written is not None and case is not None and _tables(case) != _tables(written):
         raise RestartError(
             "the case is not that of the checkpoint: " + _difference(case, written),

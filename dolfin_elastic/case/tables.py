@@ -25,7 +25,7 @@ from dolfin_elastic.core.schema import (
     quoted,
     within,
 )
-from dolfin_elastic.core.units import to_si
+from dolfin_elastic.core.units import Time, to_si
 from dolfin_elastic.mesh import (
     Body,
     box_body,
@@ -97,6 +97,7 @@ class MeshTable(Record):
         box: A box made on the spot.
         rectangle: A rectangle made on the spot.
         size: Size of the elements, for CAD files only.
+        time_limit: Time that Gmsh may take for a file.
         join: Whether bodies of a STEP, IGES or BREP file that touch are joined; True by default.
         curved: Whether a CAD file's cells are quadratic and follow curved surfaces; None: as
             `AnalysisTables.curved` says.  Of a finished mesh, false: quadratic cells are straight.
@@ -115,6 +116,7 @@ class MeshTable(Record):
     box: Box | None = None
     rectangle: Rectangle | None = None
     size: MeshLength | None = None
+    time_limit: Time = Field(default=600.0, gt=0)
     curved: bool | None = None
     join: bool | None = None
     unit: str | None = None
@@ -167,13 +169,16 @@ class MeshTable(Record):
         """Thickness of a plane body [m]."""
         return 1.0 if self.thickness is None else metres(self.thickness, body.unit.metres)
 
-    def body(self, folder: Path, comm: MPI.Comm, *, curved: bool | None) -> Body:
+    def body(
+        self, folder: Path, comm: MPI.Comm, *, curved: bool | None, trust: bool = False
+    ) -> Body:
         """Reads or generates the mesh. Collective.
 
         Args:
             folder: Folder that `file` is relative to.
             comm: The ranks that share the mesh.
             curved: Of CAD files, see `read_body`; of a finished mesh the key itself counts.
+            trust: A script may do all that its user may, see `read_body`.
 
         Raises:
             MeshError: The file cannot be read, or is no mesh of triangles or tetrahedra.
@@ -187,6 +192,8 @@ class MeshTable(Record):
                 size=self.size,
                 curved=curved,
                 join=self.join,
+                trust=trust,
+                time_limit=self.time_limit,
             )
         made = self.box or self.rectangle
         assert made is not None

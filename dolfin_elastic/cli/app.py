@@ -20,7 +20,7 @@ from click.exceptions import ClickException
 from dolfin_elastic.cli.converge import converge
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import survive_closed_pipes
-from dolfin_elastic.cli.run import log_to_screen, restart, run
+from dolfin_elastic.cli.run import Trust, log_to_screen, restart, run
 from dolfin_elastic.core import __version__
 from dolfin_elastic.core.errors import CaseError, ElasticError
 from dolfin_elastic.core.signals import INTERRUPTED, launched_rank
@@ -90,6 +90,7 @@ def _options(
 def check(
     case: CaseFile,
     json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
+    trust: Trust = False,
 ) -> None:
     """Say what is wrong with a case, or what it will compute.
 
@@ -103,6 +104,7 @@ def check(
     Args:
         case: The case file.
         json: Write the report as JSON.
+        trust: Let the mesh's script do all that the user may.
     """
     from mpi4py import MPI
 
@@ -111,7 +113,7 @@ def check(
 
     comm = MPI.COMM_WORLD
     log_to_screen(comm.rank, logging.ERROR)  # warnings are among the report's notes
-    found = report(read_case(case, comm=comm), comm=comm)
+    found = report(read_case(case, comm=comm, trust=trust), comm=comm)
     if comm.rank == 0 and json:
         from dataclasses import asdict
         from json import dumps

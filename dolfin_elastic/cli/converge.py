@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from click.exceptions import Exit
 
-from dolfin_elastic.cli.run import AUDIT_FAILED, Petsc, Quiet, begin
+from dolfin_elastic.cli.run import AUDIT_FAILED, Petsc, Quiet, Trust, begin
 from dolfin_elastic.core.petsc_options import parse_arguments, start_petsc
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ def converge(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
     ] = None,
+    trust: Trust = False,
     quiet: Quiet = False,
 ) -> None:
     """Refine the mesh of a static case until a result is known to a given share.
@@ -60,6 +61,7 @@ def converge(
         refinements: Largest number of refinements.
         unknowns: Largest number of unknowns of a mesh.
         output: Folder of the results, in place of `CASE_converged`.
+        trust: Let the mesh's script do all that the user may.
         quiet: Show warnings and errors only.
     """
     options, at_start = parse_arguments(petsc or [])
@@ -73,7 +75,7 @@ def converge(
 
     goal = Goal(Quantity.read(until[0]), tolerance(until[1]), refinements, int(unknowns))
     comm = begin(quiet)
-    read = read_case(case, comm=comm)
+    read = read_case(case, comm=comm, trust=trust)
     folder = output if output is not None else default_folder(read)
     visible = comm.rank == 0 and not quiet
     shown, progress = 0, None

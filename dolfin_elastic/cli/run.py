@@ -29,6 +29,10 @@ AUDIT_FAILED = 5
 
 Petsc = Annotated[list[str] | None, typer.Argument(metavar="[-- PETSC...]", hidden=True)]
 Profile = Annotated[bool, typer.Option("--profile", help="Show where time and memory went.")]
+Trust = Annotated[
+    bool,
+    typer.Option("--trust", help="Let a .geo script of your own run commands and write files."),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only problems.")]
 
 
@@ -40,6 +44,7 @@ def run(
         Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
     ] = None,
     profile: Profile = False,
+    trust: Trust = False,
     quiet: Quiet = False,
 ) -> None:
     """Compute a case file (TOML).
@@ -61,6 +66,7 @@ def run(
         petsc: PETSc options as they stand on the command line.
         output: Folder of the results, in place of the case's.
         profile: Show at the end where time and memory went.
+        trust: Let the mesh's script do all that the user may.
         quiet: Show warnings and errors only.
     """
     options, at_start = parse_arguments(petsc or [])
@@ -69,7 +75,7 @@ def run(
     from dolfin_elastic.case.run import run as run_case
 
     comm = begin(quiet)
-    read = read_case(case, comm=comm)
+    read = read_case(case, comm=comm, trust=trust)
     folder = output if output is not None else read.results_folder()
 
     stop = Stop(folder)
@@ -82,6 +88,7 @@ def restart(
     petsc: Petsc = None,
     *,
     profile: Profile = False,
+    trust: Trust = False,
     quiet: Quiet = False,
 ) -> None:
     """Go on with a run that was stopped or killed.
@@ -98,6 +105,7 @@ def restart(
         folder: Folder of the results.
         petsc: PETSc options as they stand on the command line.
         profile: Show at the end where time and memory went.
+        trust: Let the mesh's script do all that the user may.
         quiet: Show warnings and errors only.
     """
     options, at_start = parse_arguments(petsc or [])
@@ -106,7 +114,7 @@ def restart(
     from dolfin_elastic.case.run import restart as restart_case
 
     comm = begin(quiet)
-    found = unfinished(folder, comm=comm)
+    found = unfinished(folder, comm=comm, trust=trust)
     logging.getLogger("dolfin_elastic").info("%s", found.message())
 
     stop = Stop(folder)
