@@ -30,7 +30,7 @@ SMALLEST = 0.05
 """Stretch down to which compression is looked at."""
 
 _FURTHER = 1.5
-"""Times the logarithmic strain at which a law must still be elliptic to be said to go on."""
+"""Multiple of the logarithmic strain up to which an alternative law must be elliptic."""
 
 
 def law_in_words(law: Law) -> str:

@@ -170,7 +170,7 @@ def _regions(mesh: Mesh, raw: RawMesh | None) -> dict[str, IndexArray]:
 def _entities(
     mesh: Mesh, named: Mapping[str, IntArray], dim: int
 ) -> tuple[dict[str, IndexArray], dict[str, str]]:
-    """Local facets or edges of each name, also shared ones, and what is said of missing ones.
+    """Local facets or edges of each name, shared ones included, and messages about missing ones.
 
     Collective.
 

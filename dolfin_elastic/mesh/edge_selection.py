@@ -147,7 +147,12 @@ class _FacetsBeside:
         return np.where(np.round(rows[:, 3]) == 2, 2 * np.degrees(np.arccos(half)), 180.0)
 
     def inside_area(self, selector: EdgeSelector, space: BoundingBox) -> BoolArray:
-        """Local edges all facets of the boundary around which lie on the plane and so on, too."""
+        """Local edges whose adjacent boundary facets all lie on the plane, sphere or cylinder.
+
+        Args:
+            selector: Its plane, sphere and cylinder.
+            space: Of the body.
+        """
         surface = selector.model_copy(update={"box": None})
         corners = facet_corners(self._mesh, self.boundary)
         inside = fulfilled(place_criteria(surface, space, corners), len(corners))

@@ -132,12 +132,12 @@ def _stated_unit(path: Path, suffix: str) -> LengthUnit | None:
 
 
 def _with_unit(body: Body, stated: LengthUnit | None) -> Body:
-    """The body with what is to be said of its unit."""
+    """The body with a note on its unit of length."""
     if stated is None:
         return body
     if stated.metres == body.unit.metres:
-        told = f"lengths in {stated.name}, as the file says"
-        return replace(body, unit=stated, information=(*body.information, told))
+        text = f"lengths in {stated.name}, as the file says"
+        return replace(body, unit=stated, information=(*body.information, text))
     note = (
         f"the file says that its lengths are in {stated.name}, mesh.unit that they are in "
         f"{body.unit.name}, which counts: is that meant?"

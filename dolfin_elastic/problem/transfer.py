@@ -15,7 +15,7 @@ def refined_unknowns(
 ) -> FloatArray:
     """All unknowns of a problem, interpolated to the same problem on a finer mesh. Collective.
 
-    On cells whose places have not moved the finite element functions are the same.
+    The functions are the same on cells whose nodes were not moved to a CAD surface.
 
     Args:
         refinement: From the body of one to that of the other.

@@ -251,7 +251,9 @@ def test_sets_of_a_deck_with_loads(folder: Path) -> None:
     force = {"kind": "point-force", "on": "TIP", "value": [0, 0, "1 kN"]}
     held = case(folder, mesh={"file": "deck.inp"}, support=[{"on": "Left"}], load=[force])
     problem = held.make_problem(held.read_body())
-    assert "not read, since a case says it: *BOUNDARY, *CLOAD" in problem.body.information
+    assert (
+        "not read, because the case file states it: *BOUNDARY, *CLOAD" in problem.body.information
+    )
     *_, last = held.make_solver(problem).steps()
     assert last.reactions["Left"] == pytest.approx([0, 0, -1000], abs=1e-4)  # the linear solver's
     at = [{"kind": "point-force", "at": [4, 0.5, 0.5], "value": [0, 0, "1 kN"]}]

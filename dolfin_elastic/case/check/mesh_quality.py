@@ -181,7 +181,7 @@ def bending_stiffness(found: Thickness, ratios: FloatArray) -> FloatArray:
 
 
 def _ratios(problem: Problem) -> FloatArray:
-    """Poisson's ratio of the owned cells; of nearly incompressible ones locking tells."""
+    """Poisson's ratio of the owned cells; see `locking_notes` for nearly incompressible ones."""
     ratios = np.zeros(len(problem.body.owned_cells()))
     for region in problem.regions:
         nu = 0.3 if region.compliance is not None else poisson(region.typical)

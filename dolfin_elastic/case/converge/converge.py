@@ -48,18 +48,18 @@ _MESHES = 3
 """Meshes that must be seen: two may agree by accident."""
 _SHARE, _PEAK_SHARE = {2: 0.7, 3: 0.5}, 0.9
 """Share of the squared error that the refined cells carry: of all cells, in the plane and in space,
-where each gives more; and of the cells at the peak."""
+where a divided cell becomes more of them; and of the cells at the peak."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """What ends it.
+    """The quantity that is wanted, its tolerance, and the limits of the effort.
 
     Attributes:
-        quantity: What is to be known.
+        quantity: What is wanted.
         tolerance: Its relative error.
-        refinements: At most so many.
-        unknowns: No mesh with more is solved.
+        refinements: Largest number of refinements.
+        unknowns: Largest number of unknowns of a mesh.
     """
 
     quantity: Quantity
@@ -82,7 +82,7 @@ def converge(
 
     Args:
         case: From `read_case`, or made in Python; of statics.
-        goal: What ends it.
+        goal: The quantity, its tolerance, and limits.
         output: Folder of the results; by default that of `run` with "_converged" at its end.
         petsc: PETSc options that win over the case's own.
         comm: The ranks that work together.
@@ -334,7 +334,7 @@ class _Convergence:
 
 
 def _doubt(peak: Peak | None) -> str:
-    """What the geometry says against an extrapolation; empty if nothing."""
+    """A warning where the quantity is at a singular place; empty elsewhere."""
     singular = "" if peak is None else peak.singular
     return f"; it is at {singular}, where the stress has no limit" if singular else ""
 

@@ -56,8 +56,8 @@ def extrapolate(
     last = float(q[-1] - q[-2])
     observed = _observed(N, q) if len(q) == 3 else None
     if observed is None and len(q) == 3:
-        # They swing or do not slow down: the steps are all that is known, and they are the smaller
-        # the less the mesh was refined.
+        # The values oscillate or do not converge: only the differences are known, and these are the
+        # smaller the less the mesh was refined.
         ahead = float(np.max(np.abs(np.diff(q)))) / min(1.0, (N[-1] / N[-2]) ** rate - 1.0)
         return Extrapolation(error=_relative(ASSUMED * ahead, float(q[-1])))
     s = rate if observed is None else min(observed, rate)
@@ -65,7 +65,7 @@ def extrapolate(
     limit = float(q[-1]) + ahead
     if observed is None:
         return Extrapolation(limit, _relative(ASSUMED * abs(ahead), limit))
-    # A last step that is smaller than the rate allows may be so by accident: the one before counts.
+    # The last difference may be small by accident: that before it counts, too.
     before = np.diff(q) / np.diff(N**-s) * N[-1] ** -s
     left = float(np.max(np.abs(before)))
     return Extrapolation(limit, _relative(OBSERVED * left, limit), observed)
@@ -76,7 +76,7 @@ def _relative(error: float, value: float) -> float:
 
 
 def _observed(N: FloatArray, q: FloatArray) -> float | None:
-    """The rate of three values; None if they swing, or approach nothing.
+    """The rate of three values; None if they oscillate or do not converge.
 
     (N1^-s - N2^-s)/(N2^-s - N3^-s) grows with s, from log(N2/N1)/log(N3/N2) at s = 0, where the
     values grow like a logarithm.

@@ -49,7 +49,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is to be known, as it was written: "NAME" or "NAME on PART".
+    """The result that is wanted, as it was written: "NAME" or "NAME on PART".
 
     Attributes:
         name: A field, a column of history.csv, "displacement" or "reaction".
@@ -96,7 +96,7 @@ class Quantity:
         return next((unit for word, unit in units.items() if word in self.name), "")
 
     def order(self, degree: int) -> int:
-        """Order in the cells' size of the error that is relied upon where the solution is smooth.
+        """Order of convergence in the cell size that is assumed where the solution is smooth.
 
         Stresses have the order of the displacement gradient; energies and reactions, whose errors
         are products of two, twice that.  Displacements have one order more than their gradient
@@ -111,7 +111,7 @@ class Quantity:
         return 2 * degree if whole else degree
 
     def check(self, body: Body, probes: Sequence[str], supports: Sequence[str]) -> None:
-        """Checks what can be known before anything is computed. Not collective.
+        """Checks the names before anything is computed. Not collective.
 
         Args:
             body: The body.

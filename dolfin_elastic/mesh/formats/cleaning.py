@@ -51,13 +51,13 @@ def straight(raw: RawMesh) -> RawMesh:
     covered = raw.surfaces.keys() - raw.uncovered.keys()
     nodes = {n: rows[~midside[rows]] if n in covered else rows for n, rows in raw.nodes.items()}
     count = np.count_nonzero(midside)
-    told = f"quadratic cells read as straight ones, without {count} midside nodes"
+    text = f"quadratic cells read as straight ones, without {count} midside nodes"
     raw = replace(
         raw,
         cells=_corners(raw),
         order=1,
         nodes=nodes,
-        information=(*raw.information, told),
+        information=(*raw.information, text),
     )
     return _restricted(raw, ~midside, "are midside nodes, which straight cells have not")
 

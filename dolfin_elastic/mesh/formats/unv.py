@@ -1,7 +1,7 @@
 """I-DEAS universal files (.unv), as Salome, Gmsh, NX and Ansys write them.
 
-Read are nodes (datasets 15, 781, 2411), elements (780, 2412), groups (752, 2417, 2429, 2430, 2432,
-2435, 2452, 2467, 2477) and the unit of length (164); all else is passed over.
+It reads nodes (datasets 15, 781, 2411), elements (780, 2412), groups (752, 2417, 2429, 2430, 2432,
+2435, 2452, 2467, 2477) and the unit of length (164), and skips all other datasets.
 Source: Structural Dynamics Research Corporation, Universal File Datasets, I-DEAS Master Series.
 """
 
@@ -78,7 +78,12 @@ class _Dataset:
     file: str
 
     def error(self, what: str, row: int = 0) -> MeshError:
-        """An error that names file and line."""
+        """An error that names file and line.
+
+        Args:
+            what: What is wrong.
+            row: Index of the line in the dataset.
+        """
         return MeshError(f"dataset {self.number}: {what}", where=f"{self.file}:{self.start + row}")
 
     def floats(self) -> FloatArray:
@@ -86,7 +91,12 @@ class _Dataset:
         return np.asarray(self._numbers(np.float64), dtype=np.float64)
 
     def integers(self, first: int = 0, last: int | None = None) -> IntArray:
-        """All whole numbers in the lines from `first` to before `last`."""
+        """All whole numbers in some lines.
+
+        Args:
+            first: Index of the first line in the dataset.
+            last: Index of the line after the last one; None: to the end.
+        """
         return np.asarray(self._numbers(np.int64, first, last), dtype=np.int64)
 
     def _numbers(

@@ -1,9 +1,9 @@
-"""`CadSurfaces`: nodes that refining makes on the boundary go to the surfaces of the CAD file.
+"""`CadSurfaces` moves boundary nodes of a refined mesh to the surfaces of its CAD file.
 
 Each rank opens the file itself and moves its own nodes.  A boundary facet belongs to the surface on
-which all its corners lie, and of several (where a plane ends a cylinder) to the one that is nearest
-to the facet's middle.  Nodes between facets of two surfaces go to the curve in which these meet, so
-that edges stay sharp.  In a plane body curves take the place of surfaces.
+which all its corners lie; if there are several (where a plane ends a cylinder), to the one nearest
+to the middle of the facet.  Nodes between facets of two surfaces are moved to the curve in which
+these intersect, so that edges stay sharp.  In a plane body curves take the place of surfaces.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ _STRAIGHT = ("Plane", "Line")
 
 
 @dataclass(frozen=True)
-class _Touching:
-    """A surface that a node belongs to.
+class _NodeSurface:
+    """A surface on which a node lies.
 
     Attributes:
         surface: Its number in the CAD model.
@@ -55,7 +55,7 @@ class _Touching:
     size: float
 
 
-_Links = dict[int, list[_Touching]]
+_NodeSurfaces = dict[int, list[_NodeSurface]]
 """Local node of the finer mesh to its surfaces."""
 
 
@@ -94,15 +94,15 @@ class CadSurfaces:
                 model = _Model(opened.enter_context(source), body.dim)
                 return model, self._classify(model, body, facets, near)
 
-            model, tags = _everywhere(body.comm, classified)
+            model, tags = _on_each_rank(body.comm, classified)
             if not total(body.comm, int(np.count_nonzero(tags))):
-                note = f"no surface of {body.source} is where the mesh is: it keeps its shape"
+                note = f"the mesh does not lie on the surfaces of {body.source}: it keeps its shape"
                 return x, (note,)
             links = _shared(space, _links(body, division, space, x, facets, tags))
-            _everywhere(body.comm, lambda: self._project(model, links, moved))
+            _on_each_rank(body.comm, lambda: self._project(model, links, moved))
         _from_owners(space, moved)
         stay = _restore_folded(body, division, space, x, moved)
-        note = f"{stay} nodes stay off the surfaces of {body.source}, lest cells fold"
+        note = f"{stay} nodes are not on the surfaces of {body.source}: cells would fold"
         return moved, (note,) if stay else ()
 
     def _classify(self, model: _Model, body: Body, facets: IndexArray, near: float) -> IntArray:
@@ -124,11 +124,11 @@ class CadSurfaces:
             tags[candidates[closer]], best[candidates[closer]] = tag, away[closer]
         return tags
 
-    def _project(self, model: _Model, links: _Links, moved: FloatArray) -> None:
-        """Changes places of nodes to the nearest ones of their surfaces or curves. Local."""
+    def _project(self, model: _Model, links: _NodeSurfaces, moved: FloatArray) -> None:
+        """Moves nodes to the nearest points of their surfaces or curves. Local."""
         groups = dict[tuple[int, ...], list[int]]()
-        for node, touching in links.items():
-            groups.setdefault(tuple(sorted({t.surface for t in touching})), []).append(node)
+        for node, found in links.items():
+            groups.setdefault(tuple(sorted({t.surface for t in found})), []).append(node)
         for surfaces, nodes in groups.items():
             old = _padded(moved[nodes] / self._source.scale)
             new = model.closest(surfaces, old)
@@ -189,8 +189,8 @@ class _Model:
         return np.asarray(np.array(found)[np.argmin(away, axis=0), np.arange(len(places))])
 
 
-def _everywhere(comm: MPI.Comm, action: Callable[[], T]) -> T:
-    """What each rank finds by itself; the error of one is raised on all. Collective."""
+def _on_each_rank(comm: MPI.Comm, action: Callable[[], T]) -> T:
+    """Runs a local action on each rank; an error of one rank is raised on all. Collective."""
     found: T | None = None
     error: MeshError | None = None
     try:
@@ -213,7 +213,7 @@ def _links(
     x: FloatArray,
     facets: IndexArray,
     tags: IntArray,
-) -> _Links:
+) -> _NodeSurfaces:
     """Surfaces of the nodes on this rank's boundary facets of the finer mesh."""
     d = body.dim
     of_cells = np.zeros((len(body.mesh.geometry.dofmap), d + 1), dtype=np.int64)
@@ -221,7 +221,7 @@ def _links(
     finer = boundary_facets(division.mesh)
     cells, local = cells_beside_facets(division.mesh, finer)
     closure = lagrange(d, int(body.mesh.geometry.cmap.degree)).entity_closure_dofs[d - 1]
-    links: _Links = {}
+    links: _NodeSurfaces = {}
     for i in range(d + 1):
         mine = cells[local == i]
         corners = np.delete(division.corners[mine], i, axis=1)
@@ -232,12 +232,12 @@ def _links(
         size = longest_edges(x[nodes[:, :d]])
         for row, tag, edge in zip(nodes, surface, size, strict=True):
             for node in row if tag else ():
-                links.setdefault(int(node), []).append(_Touching(int(tag), float(edge)))
+                links.setdefault(int(node), []).append(_NodeSurface(int(tag), float(edge)))
     return links
 
 
-def _shared(space: fem.FunctionSpace, links: _Links) -> _Links:
-    """The same with the surfaces that other ranks know of nodes that both have. Collective."""
+def _shared(space: fem.FunctionSpace, links: _NodeSurfaces) -> _NodeSurfaces:
+    """Adds the surfaces that other ranks have found for shared nodes. Collective."""
     index = space.dofmap.index_map
     marks = la.vector(index, 1)
     marks.array[index.size_local :] = 1.0
@@ -252,11 +252,13 @@ def _shared(space: fem.FunctionSpace, links: _Links) -> _Links:
     return links
 
 
-def _merge(index: IndexMap, links: _Links, received: Mapping[int, list[_Touching]]) -> None:
+def _merge(
+    index: IndexMap, links: _NodeSurfaces, received: Mapping[int, list[_NodeSurface]]
+) -> None:
     nodes = index.global_to_local(np.array([*received], dtype=np.int64))
-    for node, touching in zip(nodes, received.values(), strict=True):
+    for node, found in zip(nodes, received.values(), strict=True):
         if node >= 0:
-            links.setdefault(int(node), []).extend(touching)
+            links.setdefault(int(node), []).extend(found)
 
 
 def _from_owners(space: fem.FunctionSpace, x: FloatArray) -> None:

@@ -98,7 +98,7 @@ def divide(mesh: Mesh, cells: IndexArray) -> Division:
         option=RefinementOption.parent_cell,
     )
     count = finer.topology.index_map(d).size_local
-    # DOLFINx gives parents in the order before it has renumbered the cells.
+    # DOLFINx returns the parents in the order of the cells before it renumbers them.
     first = mesh.comm.exscan(count) or 0
     parents = np.asarray(given)[np.asarray(finer.topology.original_cell_index) - first]
     coarse, fine = cell_corners(skeleton, parents), cell_corners(finer)
@@ -111,9 +111,9 @@ def divide(mesh: Mesh, cells: IndexArray) -> Division:
 def _skeleton(mesh: Mesh) -> Mesh:
     """The mesh with straight edges between its corners, stretched a little.
 
-    Barycentric coordinates do not see the stretch, but DOLFINx, which halves the longest edge of a
-    cell first, finds none alike: of such it would take one by numbers that change with the ranks.
-    The topology is the same object.
+    DOLFINx bisects the longest edge of a cell first, and chooses among equally long ones by numbers
+    that depend on the ranks; after the stretch no two are equally long.  Barycentric coordinates do
+    not change with it.  The topology is the same object.
     """
     d = mesh.topology.dim
     mesh.topology.create_connectivity(d, 0)
@@ -141,7 +141,7 @@ def interpolated(dim: int, degree: int, places: FloatArray, values: AnyArray) ->
         Shape (cells, k, columns).
     """
     points = np.ascontiguousarray(places[..., 1:]).reshape(-1, dim)
-    # Cells of one mesh lie in their parents in a few ways only.
+    # Finer cells have only a few positions in their parents: each is tabulated once.
     unique, inverse = np.unique(points, axis=0, return_inverse=True)
     table = lagrange(dim, degree).tabulate(0, unique)[0, :, :, 0]
     shapes = table[inverse.reshape(-1)].reshape(*places.shape[:2], table.shape[1])

@@ -1,4 +1,4 @@
-"""`CellLinks`: rows of data follow cells that have gone to other ranks."""
+"""`CellLinks`: data of cells are sent to the ranks that the cells have moved to."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dolfin_elastic.core.types import AnyArray, IntArray
 
 
 class CellLinks:
-    """From cells where they were to the same cells where they are now.  Collective to make.
+    """Sends data of cells to the ranks that they have moved to.  Collective to make.
 
     Only rows that a rank needs are sent to it.
 

@@ -9,8 +9,9 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 
 _HALVINGS = 60
 _EQUAL = 1e-6
-"""Cells whose indicators differ by this share are taken together: images of each other in a body
-with symmetry would else part by round-off, differently on other numbers of ranks."""
+"""Relative difference of indicators below which cells are refined together.  Otherwise round-off,
+which depends on the number of ranks, would separate cells that are mirror images in a symmetric
+body."""
 
 
 def bulk(comm: MPI.Comm, indicators: FloatArray, share: float) -> IndexArray:

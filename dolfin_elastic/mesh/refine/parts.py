@@ -1,8 +1,8 @@
-"""Names of parts go from the cells, facets, edges and nodes of a mesh to those they are divided in.
+"""Named parts of a refined mesh: the cells, facets, edges and nodes in those of the coarse mesh.
 
-Each is found from barycentric coordinates in the parent cell: a finer facet lies in facet j of the
-parent where coordinate j is zero at all its corners.  Cells carry the names of everything on them,
-so that parts which ranks share are the same on both.
+They are found by barycentric coordinates in the parent cell: a finer facet lies in facet j of the
+parent where coordinate j is zero at all its corners.  Names are sent with the cells, so that ranks
+which share a part agree on it.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def carry_parts(
         of_parents: Rows of coarse cells to rows of the parents of finer cells.
     """
     coarse = body.mesh
-    regions = of_parents(_of_cells(coarse, body.regions))
-    found = {"regions": _cells(body.regions, regions)}
+    regions = of_parents(_marks(body.regions, len(coarse.geometry.dofmap)))
+    found = {"regions": _named(body.regions, regions, np.arange(len(regions)))}
     d = coarse.topology.dim
     found["surfaces"] = _entities(body.surfaces, coarse, mesh, d - 1, corners, of_parents)
     found["edges"] = _entities(body.edges, coarse, mesh, 1, corners, of_parents)
@@ -43,17 +43,26 @@ def carry_parts(
     return found
 
 
-def _of_cells(mesh: Mesh, parts: Parts) -> AnyArray:
-    """Whether each local cell belongs to each part, shape (cells, parts)."""
-    marks = np.zeros((len(mesh.geometry.dofmap), len(parts)), dtype=np.uint8)
-    for column, cells in enumerate(parts.values()):
-        marks[cells, column] = 1
+def _marks(parts: Parts, count: int) -> AnyArray:
+    """Which of `count` cells, facets, edges or nodes belong to each part, shape (count, parts)."""
+    marks = np.zeros((count, len(parts)), dtype=np.uint8)
+    for column, members in enumerate(parts.values()):
+        marks[members, column] = 1
     return marks
 
 
-def _cells(parts: Parts, marks: AnyArray) -> dict[str, IndexArray]:
+def _named(parts: Parts, marks: AnyArray, members: AnyArray) -> dict[str, IndexArray]:
+    """Name to its members.
+
+    Args:
+        parts: The names.
+        marks: Whether a cell, or one of its facets, edges or nodes, has each name, shape
+            (..., parts).
+        members: Local numbers of these, shape (...).
+    """
     return {
-        name: np.flatnonzero(marks[:, column]).astype(np.int32) for column, name in enumerate(parts)
+        name: np.unique(members[marks[..., column] > 0]).astype(np.int32)
+        for column, name in enumerate(parts)
     }
 
 
@@ -82,17 +91,11 @@ def _entities(
     d = coarse.topology.dim
     members = _around(coarse, dim)
     index = coarse.topology.index_map(dim)
-    marks = np.zeros((index.size_local + index.num_ghosts, len(parts)), dtype=np.uint8)
-    for column, entities in enumerate(parts.values()):
-        marks[entities, column] = 1
-    named = of_parents(marks[members])  # (finer cells, entities of a cell, parts)
+    marks = _marks(parts, index.size_local + index.num_ghosts)
+    of_parent = of_parents(marks[members])  # (finer cells, entities of a cell, parts)
     within = _entities_within(d, dim, corners)  # (finer cells, own entity, parent's entity)
-    carried = np.einsum("cij,cjp->cip", within.astype(np.uint8), named) > 0
-    around = _around(mesh, dim)
-    return {
-        name: np.unique(around[carried[:, :, column]]).astype(np.int32)
-        for column, name in enumerate(parts)
-    }
+    own = np.einsum("cij,cjp->cip", within.astype(np.uint8), of_parent)
+    return _named(parts, own, _around(mesh, dim))
 
 
 def _entities_within(d: int, dim: int, corners: FloatArray) -> AnyArray:
@@ -126,17 +129,11 @@ def _points(
     """Nodes of the finer mesh that are where named nodes of the coarse mesh are. Collective."""
     if not parts:
         return {}
-    marks = np.zeros((len(coarse.geometry.x), len(parts)), dtype=np.uint8)
-    for column, nodes in enumerate(parts.values()):
-        marks[nodes, column] = 1
-    named = of_parents(marks[coarse.geometry.dofmap])  # (finer cells, parent's node, parts)
+    marks = _marks(parts, len(coarse.geometry.x))
+    of_parent = of_parents(marks[coarse.geometry.dofmap])  # (finer cells, parent's node, parts)
     reference = barycentric(lagrange(coarse.topology.dim, int(coarse.geometry.cmap.degree)).points)
     places = np.einsum("kv,cvj->ckj", reference, corners)
     # Coordinates are multiples of 1/4.
     same = (np.abs(places[:, :, None] - reference) < 0.1).all(axis=3)
-    carried = np.einsum("ckn,cnp->ckp", same.astype(np.uint8), named) > 0
-    nodes = mesh.geometry.dofmap
-    return {
-        name: np.unique(nodes[carried[:, :, column]]).astype(np.int32)
-        for column, name in enumerate(parts)
-    }
+    own = np.einsum("ckn,cnp->ckp", same.astype(np.uint8), of_parent)
+    return _named(parts, own, mesh.geometry.dofmap)

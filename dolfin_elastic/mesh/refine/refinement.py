@@ -65,9 +65,9 @@ def refine_body(body: Body, cells: IndexArray) -> Refinement:
     """Divides cells, and as many of their neighbours as it takes to leave no node hanging.
 
     Collective.  All edges of the cells are halved.  Cells, surfaces, edges and points keep their
-    names, fields of the mesh are interpolated, and curved cells remain the same shapes: a part of a
-    quadratic cell is a quadratic cell.  Where the mesh was made of a CAD file its boundary goes to
-    the surfaces of that.
+    names, fields of the mesh are interpolated, and the shape of curved cells is exact: a part of a
+    quadratic cell is a quadratic cell.  If the mesh was made from a CAD file, new nodes of the
+    boundary are moved to the surfaces of that file.
 
     Args:
         body: The body.

@@ -1,11 +1,11 @@
 """Superconvergent patch recovery: polynomials fitted to values at points inside the cells.
 
-The patch of a vertex are the cells of one region that share it.  On it a polynomial of the degree
-of the displacement is fitted by least squares to the values at the sampling points, where the
-stress is most accurate: the barycentre of linear elements, and the points of the quadrature rule of
-degree 2 of quadratic ones.  Points have the weight exp(-(r/h)^2), r the distance from the vertex
-and h its root mean square over the patch: beside a surface, where patches lie on one side, the
-polynomial follows a steep stress further than without.  The value at the vertex is that of its
+The patch of a vertex consists of the cells of one region that share it.  On it a polynomial of the
+degree of the displacement is fitted by least squares to the values at the sampling points, where
+the stress is most accurate: the barycentre of linear elements, and the points of the quadrature
+rule of degree 2 of quadratic ones.  Points have the weight exp(-(r/h)^2), r the distance from the
+vertex and h its root mean square over the patch: beside a surface, where patches lie on one side,
+the polynomial follows a steep stress further than without.  The value at the vertex is that of its
 polynomial, the one at the middle of an edge the mean of those of both ends.
 
 A patch at a corner may have too few points for a polynomial, or so few, or so placed, that its

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 _EQUAL = 1e-9
 """Relative difference of stresses below which none is the larger one."""
 _LOWER = 0.5
-"""Share of the largest stress away from singular places that a peak must have to be told."""
+"""Least ratio of a local maximum that is reported to the largest stress two cells away from all
+singular places."""
 
 
 @dataclass(frozen=True)
@@ -89,12 +90,12 @@ def percent(share: float) -> str:
 
 
 def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:
-    """The largest von Mises stress, and where that is singular the largest elsewhere. Collective.
+    """The largest von Mises stress, and where it is singular the largest regular one. Collective.
 
-    Elsewhere is where no cell touches a singular place.  Beside these cells the stress still rises
-    towards it, so a node counts if no other one in its cells has more.  Where what is left is less
-    than half of the stress two cells away, as in a beam that is bent most where it is held, the
-    largest stress two cells away counts.
+    The largest regular stress is sought among local maxima at nodes of cells that have no singular
+    node: in the next cells the stress still rises towards the singular place, but has no maximum.
+    If the largest of them is less than half of the largest stress at least two cells away, as in a
+    beam whose bending moment is largest at its clamped end, the latter is taken.
 
     Args:
         problem: The problem that is solved, in the state of the estimate.
@@ -105,9 +106,9 @@ def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:
     if not first.singular:
         return Peaks(first)
     chosen = _local_maxima(problem.V, von_mises(estimate.stress.stress))
-    summit = largest(problem, estimate, ~places.anywhere & chosen)
-    slope = largest(problem, estimate, ~places.widened(problem.V))
-    other = slope if summit.value < _LOWER * slope.value else summit
+    maximum = largest(problem, estimate, ~places.anywhere & chosen)
+    beyond = largest(problem, estimate, ~places.widened(problem.V))
+    other = beyond if maximum.value < _LOWER * beyond.value else maximum
     return Peaks(first, other if other.place else None)
 
 

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 _RINGS = 4
-"""Rings of cells round a point's cell: its nodes' patches, and those from which one of too few
-cells is filled in."""
+"""Layers of cells around the cell of a point: those of the patches of its nodes, and those of the
+patches from which a patch with too few sampling points takes its polynomial."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class StressAtPoints:
 
 
 def _around(problem: Problem, region: MaterialRegion, cells: list[int]) -> IndexArray:
-    """Owned cells of a region in some rings round cells of all ranks, sorted. Collective."""
+    """Owned cells of a region in `_RINGS` layers around cells of all ranks, sorted. Collective."""
     dofmap = fem.functionspace(problem.body.mesh, ("Lagrange", 1)).dofmap
     chosen = np.asarray(sorted(cells), dtype=np.int32)
     for _ in range(_RINGS):

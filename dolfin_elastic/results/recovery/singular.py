@@ -2,8 +2,8 @@
 
 At a re-entrant edge, where a held part of the boundary ends, and under a force at a point or along
 a line the stress of linear elasticity grows without bound: r^(lambda - 1) at an edge, lambda < 1.
-Found are, by the interior angle beta between the two facets at an edge of the boundary (at a vertex
-in the plane):
+Such edges are found by the interior angle beta between the two boundary facets at an edge (in the
+plane at a vertex):
 
     both free or both held alike     beta > 180 degrees
     held in all directions and free  sin(beta)^2 > 1 - nu, or beta > 90 degrees

@@ -1,14 +1,14 @@
 """The recovered stress of a state: the Cauchy stress, fitted on patches of each material.
 
-Recovered is the Cauchy stress as a function of the place in the reference configuration.  It is the
-stress that an engineer compares with a strength: the von Mises stress, the pressure and the safety
-factor are those of the recovered tensor, not means of their own, so that they belong together.
-It is symmetric, so six components suffice, and it is a smooth function of the reference place
-wherever the deformation is; patches of the reference mesh serve all states.  The von Mises stress
-itself would be a bad quantity to fit, for it has a kink where it vanishes.
+The Cauchy stress is recovered as a function of the reference coordinates.  It is the stress that an
+engineer compares with a strength: the von Mises stress, the pressure and the safety factor are
+evaluated from the recovered tensor and not fitted themselves, so that they are consistent.  The
+tensor is symmetric, so six components suffice, and it is as smooth as the deformation gradient, so
+that patches of the reference mesh serve all states.  The von Mises stress is not fitted, because it
+has a kink where it vanishes.
 
-Materials have stresses of their own, which jump at interfaces: each is recovered from its own cells
-alone.
+The stress jumps at interfaces of materials: it is recovered in each material region from the cells
+of that region alone.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class NodalStress:
             table = np.concatenate([values[..., :6], allowable, ones], axis=2)
             rows = means_at_nodes(V, part.cells, table)
             here, value = ~np.isnan(rows[:, 7]), von_mises(rows[:, :6])
-            # Written so that a stress that is no number counts as the largest.
+            # A comparison with NaN is false: so NaN counts as the largest stress.
             more = here & ~(value <= highest)
             stress[more], region[more], highest[more] = rows[more, :6], number, value[more]
             factor = safety_factor(rows[:, 6], value)

@@ -230,7 +230,7 @@ def _numbers(state: State) -> dict[str, object]:
 
 
 def _error(problem: Problem, estimate: ErrorEstimate) -> dict[str, object]:
-    """The estimated error and the largest stresses; tells them in the log, too. Collective."""
+    """The estimated error and the largest stresses, which it also logs. Collective."""
     peaks = find_peaks(problem, estimate)
     if peaks.largest.value > 0:
         norm = percent(estimate.relative)

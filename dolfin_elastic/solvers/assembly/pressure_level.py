@@ -1,16 +1,15 @@
 """The pressure of an incompressible body that is held all around: known up to a constant.
 
-Where nothing lets the surface of a body move along its normal, a uniform pressure does no work:
-the tangent has the null space of the constant pressure, and the equations of the pressures add up
-to one that has no unknown, that the supports leave the body its volume.  Three things follow.
+If the normal displacement of the whole surface is prescribed, a uniform pressure does no work: the
+constant pressure is a null space of the tangent, and the sum of the pressure equations contains no
+unknown; it is the condition that the supports do not change the volume.  Three things follow.
 
-- One pressure of such a body is fixed in the tangent, with a pivot of the sign that pressures have:
-  all solvers, and all counts of eigenvalues, see a regular matrix.
-- Of the equations the mean is taken out, weighted as the volume: J - 1 is the same constant
-  everywhere, that of the volume which the supports prescribe, up to the error of their
-  displacements between nodes.  Where that is no small part of what they sweep, nothing fits.
-- Of the pressures that solve the equations the one without a mean is taken.  It is the limit of
-  those of materials that can be compressed a little.
+- One pressure of such a body is fixed in the tangent, with a pivot of the sign of the pressure
+  block: all solvers, and all counts of eigenvalues, work with a regular matrix.
+- The volume-weighted mean of the pressure equations is removed: J - 1 is the same constant
+  everywhere, that of the volume which the supports prescribe, up to the interpolation error of
+  their displacements.  If it is no small part of the volume that they sweep, there is no solution.
+- The pressure with zero mean is chosen.  It is the limit for slightly compressible materials.
 
 Source: M. Benzi, G. Golub & J. Liesen, Acta Numerica 14 (2005), section 2.3 and 5.7; P. Bochev &
 R. Lehoucq, SIAM Review 47 (2005) 50 (one pressure fixed, or none: the same solution).
@@ -44,15 +43,16 @@ from dolfin_elastic.problem.problem import Problem
 log = logging.getLogger("dolfin_elastic")
 
 FREE = 1e-9
-"""Volume that free displacements change, over that of all of a surface, that is round-off."""
+"""Derivative of the volume by a free displacement, over the largest one of a facet, that is
+round-off."""
 
 NEARLY = 0.4985
-"""Poisson's ratio from which K times an error of J is seen: K/mu = 300."""
+"""Poisson's ratio from which K times the error of J is visible in the pressure: K/mu = 300."""
 
 ROUND_OFF = 1e-10
 """Change of volume, over the volume, that is round-off."""
 
-SAID, IMPOSSIBLE = 1e-6, 0.05
+REPORTED, IMPOSSIBLE = 1e-6, 0.05
 """Change of volume that supports prescribe, over what they sweep: reported from the first on,
 refused from the second on; between them it is the error of smooth displacements between nodes."""
 
@@ -104,7 +104,7 @@ class PressureLevel:
         self.bodies: list[EnclosedBody] = []
         self.pinned: IndexArray = np.empty(0, dtype=np.int32)
         self.pivots: FloatArray = np.empty(0)
-        self._said = False
+        self._reported = False
         self.nearly: list[str] = []
         if not problem.mixed or problem.unknowns.has("stretch"):
             return
@@ -259,7 +259,7 @@ class PressureLevel:
         return bool(free)
 
     def report(self) -> None:
-        """Says in the log which pressures are known up to a constant."""
+        """Logs which pressures are known up to a constant."""
         for note in self.notes():
             log.log(logging.WARNING if "error of the mesh" in note else logging.INFO, "%s", note)
 
@@ -304,8 +304,8 @@ class PressureLevel:
                     where="support",
                     expected="a surface that is free to move along its normal, or nu below 0.5",
                 )
-            if abs(change) > max(SAID * swept, ROUND_OFF * body.volume) and not self._said:
-                self._said = True
+            if abs(change) > max(REPORTED * swept, ROUND_OFF * body.volume) and not self._reported:
+                self._reported = True
                 log.info(
                     "%s is held all around by displacements that change its volume by %.2g of what "
                     "they sweep: it is spread evenly over the body",

@@ -10,23 +10,23 @@ from typing import Any
 from dolfin_elastic.problem.state import Audit, Verdict
 
 FAILING_GAIN = 0.2
-"""Gain of energy over the largest energy of a motion above which nothing of it is to be relied on:
-amplitudes are off by more than a tenth."""
+"""Spurious gain of energy, over the largest energy of the motion, above which its results are
+unreliable: amplitudes are wrong by more than a tenth."""
 
 _SAME = 1e-3
-"""Relative difference of sizes that is no news."""
+"""Relative difference of sizes that count as equal."""
 
 log = logging.getLogger("dolfin_elastic")
 
 
 @dataclass(frozen=True)
 class Offence:
-    """What one check holds against one state.
+    """A violation of one check of the audit by one state.
 
     Attributes:
         text: In words.
         size: How bad it is, to be compared with others of the same check.
-        fails: Nothing of the run is to be relied on.
+        fails: The results of the run are unreliable.
         when: Time or load factor, in words.
         since: The same of the first offence of this check.
     """
@@ -38,9 +38,9 @@ class Offence:
     since: str = ""
 
     def worse_than(self, other: Offence) -> bool:
-        """Whether it is worse than another one of its check, by more than nobody means.
+        """Whether it is worse than another offence of the same check.
 
-        What fails is worse than any that does not.
+        One that fails is worse than one that does not; else the size decides, up to `_SAME`.
         """
         if self.fails != other.fails:
             return self.fails
@@ -68,7 +68,7 @@ def add_worse(found: Found, others: Mapping[str, Offence]) -> None:
 
 
 def verdict(offences: Iterable[Offence]) -> Verdict:
-    """What some offences amount to."""
+    """The verdict on a state with some offences."""
     fails = [offence.fails for offence in offences]
     return "fail" if any(fails) else "warn" if fails else "pass"
 
@@ -84,7 +84,7 @@ class WorstOffences:
     worst: Found = field(default_factory=dict)
 
     def add(self, found: Mapping[str, Offence], when: str) -> None:
-        """Takes in the offences of one state, and warns of each check's first, and of a failure.
+        """Adds the offences of one state; warns of the first one of each check, and of a failure.
 
         Args:
             found: By the name of the check.
@@ -112,7 +112,7 @@ class WorstOffences:
 
         Args:
             audit: What was measured of a state.
-            found: Offences of that state, taken in already.
+            found: Offences of that state, which have been added.
         """
         return replace(
             audit,

@@ -110,7 +110,8 @@ class Options:
     def report_unused(self) -> None:
         """Warns once of options of the user that nothing asked for: mistyped ones.
 
-        To be called within `in_force`; in a nested use nothing is said, for the outer one may ask.
+        To be called within `in_force`; in a nested use nothing is reported, because the outer
+        solver may still read them.
         """
         if self._reported or len(self._uses) > 1:
             return

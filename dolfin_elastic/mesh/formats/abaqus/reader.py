@@ -23,13 +23,13 @@ from dolfin_elastic.mesh.formats.raw import Block, MeshFile
 
 _NO_NODES = np.empty((0, 0), dtype=np.int64)
 _ASSEMBLY = 1 << 40
-"""What is added to the numbers of an assembly's own nodes, such as reference points: they begin
-at 1 again beside those of the part."""
+"""Offset of the numbers of nodes that belong to an assembly itself, such as reference points: they
+begin at 1, as those of the part do."""
 _OF_A_CASE = (
     *("MATERIAL", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE", "CONTACT PAIR"),
     *("TIE", "EQUATION", "MPC", "COUPLING", "RIGID BODY", "SPRING", "DASHPOT", "MASS"),
 )
-"""Keywords of what is no mesh, which somebody might expect to be read."""
+"""Keywords of the model, which are not read, and reported so that nobody relies on them."""
 _UNREAD = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "NMAP", "SYSTEM")
 
 
@@ -45,11 +45,11 @@ class _Deck:
         elsets: Elements of each *ELSET.
         surfaces: Each *SURFACE.
         names: The spelling that a name had first.
-        lost: Name to the reason why it cannot be represented.
+        lost: Name of an incomplete set to the reason.
         parts: Number of *PART keywords.
         scope: ASSEMBLY in an assembly outside of its instances; else empty.
         references: Numbers of nodes of the assembly itself, beside those of its part.
-        others: Keywords that are not read, because a case says such things.
+        others: Keywords that are not read, because the case file takes their place.
         types: Type to number of elements.
     """
 
@@ -68,12 +68,23 @@ class _Deck:
     types: Counter[str] = field(default_factory=Counter)
 
     def add(self, sets: dict[str, list[IntArray]], name: str, numbers: IntArray) -> None:
-        """Adds members to a set."""
+        """Adds members to a set.
+
+        Args:
+            sets: Of nodes or of elements.
+            name: Of the set, as written.
+            numbers: Of its new members.
+        """
         self.names.setdefault(name.upper(), name)
         sets.setdefault(name.upper(), []).append(numbers)
 
-    def miss(self, key: str, reason: str) -> None:
-        """Takes down why a set is not whole, if there is a reason."""
+    def mark_incomplete(self, key: str, reason: str) -> None:
+        """Records why a set is incomplete.
+
+        Args:
+            key: Its name in capitals.
+            reason: Why; empty where it is complete.
+        """
         if reason:
             self.lost[key] = reason
 
@@ -101,19 +112,21 @@ def read_abaqus(path: Path) -> MeshFile:
         for key, rows in deck.nsets.items()
     }
     lost = {deck.names[key]: reason for key, reason in deck.lost.items()}
-    told = _information(deck)
-    return MeshFile(points, blocks, information=told, point_sets=sets, incomplete=lost)
+    information = _information(deck)
+    return MeshFile(points, blocks, information=information, point_sets=sets, incomplete=lost)
 
 
 def _information(deck: _Deck) -> list[str]:
-    """What of the deck is not read."""
+    """Elements without stiffness, and keywords that are not read."""
     dims = {
         name: Block(kind[0], _NO_NODES).dim for name in deck.types if (kind := element_kind(name))
     }
     low = [f"{deck.types[name]} {name}" for name in dims if dims[name] < max(dims.values())]
-    told = [f"elements that name parts only and have no stiffness: {', '.join(low)}"] if low else []
+    found = (
+        [f"elements that name parts only and have no stiffness: {', '.join(low)}"] if low else []
+    )
     others = ", ".join(dict.fromkeys(deck.others))
-    return [*told, f"not read, since a case says it: {others}"] if others else told
+    return [*found, f"not read, because the case file states it: {others}"] if others else found
 
 
 # --- keywords ---
@@ -283,8 +296,8 @@ def _points(deck: _Deck, path: Path) -> tuple[IntArray, FloatArray]:
 def _node_rows(deck: _Deck, key: str, numbers: IntArray, wanted: IntArray) -> IntArray:
     wanted = np.unique(wanted)
     rows = find(numbers, wanted)
-    deck.miss(key, "" if len(wanted) else "it has no nodes")
-    deck.miss(key, missing(wanted[rows < 0], len(wanted), "nodes"))
+    deck.mark_incomplete(key, "" if len(wanted) else "it has no nodes")
+    deck.mark_incomplete(key, missing(wanted[rows < 0], len(wanted), "nodes"))
     return rows[rows >= 0]
 
 
@@ -295,9 +308,11 @@ def _blocks(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
     for key, members in sets.items():
         twice = np.count_nonzero(np.isin(members, every[times > 1]))
         if twice:
-            deck.miss(key, f"{twice} of its {len(members)} elements stand twice in the file")
-        deck.miss(key, "" if len(members) else "it has no elements")
-        deck.miss(key, missing(np.setdiff1d(members, every), len(members), "elements"))
+            deck.mark_incomplete(
+                key, f"{twice} of its {len(members)} elements stand twice in the file"
+            )
+        deck.mark_incomplete(key, "" if len(members) else "it has no elements")
+        deck.mark_incomplete(key, missing(np.setdiff1d(members, every), len(members), "elements"))
     for elements in deck.elements:
         parts = {
             deck.names[key]: np.flatnonzero(np.isin(elements.labels, members))

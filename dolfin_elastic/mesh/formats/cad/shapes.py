@@ -36,7 +36,7 @@ _NAMELESS = ("Open CASCADE STEP translator", "COMPOUND", "SOLID", "SHELL")
 
 @dataclass(frozen=True)
 class Lengths:
-    """How lengths of Gmsh's model are told to the user.
+    """Lengths of Gmsh's model in messages: in the unit that the user knows.
 
     Attributes:
         name: The user's unit.
