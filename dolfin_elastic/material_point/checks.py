@@ -151,6 +151,10 @@ def finite(tested: LawUnderTest) -> Iterator[Finding]:
     yield _found("finite values", True, "energy, stress and stiffness near the rest")
 
 
+_HINT_VOLUME = "add a term that grows with |J - 1|, or volumetric and K beside the energy"
+_HINT_SHAPE = "has a term or a parameter the wrong sign?"
+
+
 def stable(tested: LawUnderTest) -> Iterator[Finding]:
     """The stiffness at rest is positive."""
     stiffness = voigt(tested.rest)
@@ -163,6 +167,8 @@ def stable(tested: LawUnderTest) -> Iterator[Finding]:
         volume = np.abs(mode[3:]).max() < 1e-3 and np.ptp(mode[:3]) < 1e-3
         what = "a change of volume" if volume else "a small strain"
         text += f"; {what} is not resisted"
+        if isinstance(tested.given, UserEnergy):
+            text += f": {_HINT_VOLUME if volume else _HINT_SHAPE}"
     yield _found("stable at rest", good, text, ratio=ratio)
 
 
@@ -339,7 +345,7 @@ def checks(tested: LawUnderTest) -> list[Finding]:
     return found + list(small_strain(tested))
 
 
-_SHORT = (finite, rest_energy, rest_stress, objectivity, symmetric_tangent)
+_SHORT = (finite, rest_energy, rest_stress, objectivity, symmetric_tangent, stable)
 
 
 def check_energy(law: Law) -> None:
@@ -355,11 +361,12 @@ def check_energy(law: Law) -> None:
     tested = LawUnderTest(law)
     try:
         with np.errstate(all="ignore"):
-            found = [f for c in _SHORT for f in c(tested) if f.verdict == "fail"]
+            failed = (f for check in _SHORT for f in check(tested) if f.verdict == "fail")
+            found = next(failed, None)  # the later ones want finite values
     except FormulaError as error:
         raise within("energy", error) from None
-    if found:
-        raise InputError(f"{found[0].check}: {found[0].text}", where="energy")
+    if found is not None:
+        raise InputError(f"{found.check}: {found.text}", where="energy")
     law.mark_checked()
 
 

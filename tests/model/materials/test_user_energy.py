@@ -277,6 +277,8 @@ def test_refused_with_the_place(change, message):
         ("mu*(F11 - 1)^2 + k*ln(J)^2", "frame indifference: largest difference"),
         ("mu*sqrt(I1 - 3) + k*ln(J)^2", "finite values: the energy is not finite at strains"),
         ("mu*ln(2 - I1) + k*ln(J)^2", "finite values: the energy is not finite at rest"),
+        ("mu/2*(I1bar - 3) + 0*k*J", "a change of volume is not resisted: add a term that grows"),
+        ("-mu/2*(I1bar - 3) + k*ln(J)^2", "a small strain is not resisted: has a term or a para"),
         ("mu*(J - 1)^2 + k*J/(1 - 1)", "a part of 'mu*(J - 1)^2 + k*J/(1 - 1)' is not finite"),
     ],
 )
