@@ -46,6 +46,13 @@ def ball(path: Path) -> None:
         gmsh.write(str(path.with_suffix(".inp")))
 
 
+def soft_and_hard(body: Body, at: float) -> Body:
+    """The same body with the regions "soft" and "hard": cells left and right of x = at."""
+    middle = body.mesh.geometry.x[body.mesh.geometry.dofmap].mean(axis=1)[:, 0]
+    sides = {"soft": middle < at, "hard": middle > at}
+    return body.named(regions={n: np.flatnonzero(m).astype(np.int32) for n, m in sides.items()})
+
+
 def turned(body: Any, axis: Any, angle: float) -> np.ndarray:
     """Turns a body's mesh about the origin; returns the rotation."""
     n = np.asarray(axis, dtype=float) / np.linalg.norm(axis)

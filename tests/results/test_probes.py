@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.bodies import soft_and_hard
 
 from dolfin_elastic import (
     Case,
@@ -95,14 +96,7 @@ def test_stress_at_the_clamped_end_of_a_bar(degree):
 
 def test_each_material_has_its_own_stress():
     """Two materials side by side under one strain: no mean over the joint."""
-    body = box_body(size=(2.0, 1.0, 1.0), cells=(4, 2, 2))
-    middle = body.mesh.geometry.x[body.mesh.geometry.dofmap].mean(axis=1)[:, 0]
-    body = body.named(
-        regions={
-            "soft": np.flatnonzero(middle < 1).astype(np.int32),
-            "hard": np.flatnonzero(middle > 1).astype(np.int32),
-        }
-    )
+    body = soft_and_hard(box_body(size=(2.0, 1.0, 1.0), cells=(4, 2, 2)), at=1.0)
     problem = Problem(
         body,
         {
@@ -124,12 +118,10 @@ def test_each_material_has_its_own_stress():
 @pytest.mark.parametrize("order", [("soft", "hard"), ("hard", "soft")])
 def test_on_an_interface_the_first_material_counts(order):
     """However the cells are numbered and shared out."""
-    body = box_body(size=(2.0, 1.0, 1.0), cells=(4, 2, 2))
-    middle = body.mesh.geometry.x[body.mesh.geometry.dofmap].mean(axis=1)[:, 0]
-    halves = {"soft": middle < 1, "hard": middle > 1}
+    body = soft_and_hard(box_body(size=(2.0, 1.0, 1.0), cells=(4, 2, 2)), at=1.0)
     laws = {"soft": LinearElastic(E=1.0, nu=0.0), "hard": LinearElastic(E=5.0, nu=0.0)}
     problem = Problem(
-        body.named(regions={n: np.flatnonzero(m).astype(np.int32) for n, m in halves.items()}),
+        body,
         {name: laws[name] for name in order},
         supports=[Support(on=list(body.surfaces), displacement=[0, 0, "0.1*z"])],
         degree=1,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
+from helpers.bodies import soft_and_hard
 from helpers.manufactured import NU, E, exact, held_and_loaded
 from helpers.ranks import SIZES, on_ranks
 from mpi4py import MPI
@@ -131,14 +132,7 @@ def test_recovered_stress_is_one_order_better_inside(dim: int, degree: int, cell
 
 def loaded(comm: MPI.Comm) -> tuple[Problem, State]:
     """A short cantilever of two materials, finite strains, one cell thin in places."""
-    body = box_body(comm=comm, size=(2.0, 0.5, 0.5), cells=(5, 2, 1))
-    middle = body.mesh.geometry.x[body.mesh.geometry.dofmap].mean(axis=1)[:, 0]
-    body = body.named(
-        regions={
-            "soft": np.flatnonzero(middle < 0.8).astype(np.int32),
-            "hard": np.flatnonzero(middle > 0.8).astype(np.int32),
-        }
-    )
+    body = soft_and_hard(box_body(comm=comm, size=(2.0, 0.5, 0.5), cells=(5, 2, 1)), at=0.8)
     problem = Problem(
         body,
         {"soft": NeoHookean(E=1e6, nu=0.3), "hard": LinearElastic(E=3e6, nu=0.2, allowable=1e6)},
