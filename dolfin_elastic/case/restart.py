@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
@@ -31,6 +32,7 @@ from dolfin_elastic.results.checkpoint.checkpoints import (
     read_case_text,
 )
 from dolfin_elastic.results.checkpoint.lock import check_free
+from dolfin_elastic.results.files import replace_text
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -131,8 +133,8 @@ def unfinished(
         raise RestartError(
             "all its checkpoints are damaged", where=str(path), expected="compute the case anew"
         )
-    text = on_root(comm, lambda: read_case_text(path))
     copy = path / FOLDER / CASE
+    text = on_root(comm, lambda: _case_text(path, found.content))
     if digest(text) != found.content["case"]:
         raise RestartError(
             "this is not the case of the checkpoint any more",
@@ -157,6 +159,32 @@ def unfinished(
     known = case or written
     assert known is not None
     return Unfinished(known, path, found, latest)
+
+
+def _case_text(folder: Path, content: Mapping[str, Any]) -> str:
+    """Text of the case of a run; that in the checkpoint, where the file is damaged. On rank 0.
+
+    A file that can be read and is another case is the user's, and refused elsewhere.
+
+    Args:
+        folder: Of the results.
+        content: Of the checkpoint.
+    """
+    known = content.get("case_text")
+    try:
+        text = read_case_text(folder)
+        tomllib.loads(text)
+        fault = "is cut" if known and text != known and known.startswith(text) else ""
+    except (RestartError, tomllib.TOMLDecodeError) as error:
+        if known is None:  # of an older version
+            raise
+        fault = str(error)
+    if not fault:
+        return text
+    copy = folder / FOLDER / CASE
+    log.warning("%s is damaged: its copy in the checkpoint takes its place", copy)
+    replace_text(copy, str(known))
+    return str(known)
 
 
 def _check_folder(folder: Path) -> None:

@@ -22,13 +22,14 @@ from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.mesh_quality import bending_notes, shape_notes
 from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished
 from dolfin_elastic.core import timing
-from dolfin_elastic.core.errors import ElasticError, OutputError, SolveError
+from dolfin_elastic.core.errors import ElasticError, OutputError, SolveError, StoppedError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
-from dolfin_elastic.core.signals import remove_stop_file
+from dolfin_elastic.core.signals import remove_stop_file, watched
+from dolfin_elastic.core.together import end_all_if_alone, go_on_together, leave_together
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.state import Mode, RestartableSolver, State
+from dolfin_elastic.problem.state import Mode, RestartableSolver, RestartState, State, StateCopy
 from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
 from dolfin_elastic.results.checkpoint.checksums import fingerprint
 from dolfin_elastic.results.checkpoint.lock import FolderLock
@@ -167,15 +168,23 @@ class _Run:
         checkpoints.remove_foreign(new=before is None)
         saved = None if before is None else before.found.content["outputs"]
         with open_outputs(self.case.files(), problem, self.folder, saved) as writers:
-            for result in chain(first, probed):
-                for writer in writers:
-                    _write(writer, result)
-                checkpoints.save_if_due(result, writers)
-                try:
-                    yield result
-                except GeneratorExit:
-                    checkpoints.save_at_stop(result, writers)
-                    raise
+            try:
+                for result in chain(first, probed):
+                    checkpoints.forget()  # the files are about to be ahead of it
+                    for writer in writers:
+                        _write(writer, result)
+                    checkpoints.save_if_due(result, writers)
+                    try:
+                        yield result
+                    except GeneratorExit:
+                        leave_together(self.comm)
+                        checkpoints.save_at_stop(result, writers)
+                        raise
+                    go_on_together(self.comm)
+                    checkpoints.remember(result)
+            except StoppedError:
+                checkpoints.save_remembered(writers)
+                raise
 
 
 def _steps(solver: Solver, problem: Problem, before: Unfinished | None) -> States:
@@ -207,6 +216,7 @@ class _RunCheckpoints:
     ) -> None:
         self._checkpoints, self._asked = checkpoints, asked
         self._solver = solver if isinstance(solver, RestartableSolver) else None
+        self._remembered: tuple[State, RestartState, StateCopy] | None = None
 
     def remove_foreign(self, *, new: bool) -> None:
         """Removes the checkpoints of other runs in the folder.
@@ -245,6 +255,39 @@ class _RunCheckpoints:
             return
         try:
             self._save(self._solver, state, writers)
+        except OutputError as error:
+            log.warning("%s", error)
+
+    def remember(self, state: State | Mode) -> None:
+        """Copies a state, for a stop amid the step after it; only where signals can stop the run.
+
+        Args:
+            state: The last one yielded by the solver; all outputs have written it.
+        """
+        if self._solver is None or isinstance(state, Mode) or not watched():
+            return
+        if self._checkpoints.off or state.done >= 1.0:
+            return
+        restart = self._solver.restart_state()
+        self._remembered = state, restart, StateCopy(restart)
+
+    def forget(self) -> None:
+        """Forgets the state that was remembered."""
+        self._remembered = None
+
+    def save_remembered(self, writers: Sequence[Writer]) -> None:
+        """Writes a checkpoint of the last complete step, where the one after it was interrupted.
+
+        Args:
+            writers: The open outputs, which have written it.
+        """
+        if self._remembered is None:
+            return
+        state, restart, copy = self._remembered
+        copy.fill(restart.fields)
+        try:
+            outputs = [writer.restart_state() for writer in writers]
+            self._checkpoints.save(state, RestartState(restart.fields, copy.numbers), outputs)
         except OutputError as error:
             log.warning("%s", error)
 
@@ -310,6 +353,9 @@ def open_outputs(
             writers.append(file.open(problem, folder, None if saved is None else saved[index]))
         on_root(problem.body.comm, lambda: _remove_others(folder, files))
         yield writers
+    except StoppedError:
+        ending = ("stopped", "on request")
+        raise
     except ElasticError as error:
         ending = ("failed", error)
         if isinstance(error, SolveError) and isinstance(error.state, State):
@@ -324,6 +370,7 @@ def open_outputs(
         raise
     except BaseException:
         writers.clear()  # perhaps on this rank alone: closing is collective and would deadlock
+        end_all_if_alone(problem.body.comm)
         raise
     finally:
         _close(writers, ending)

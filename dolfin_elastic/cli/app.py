@@ -232,27 +232,17 @@ def _show_error(error: ElasticError) -> int:
         from dolfin_elastic.cli.console import error_text
 
         print(error_text(error), file=sys.stderr, flush=True)
-    if comm and comm.size > 1 and not _all_ranks_arrive(comm):
+    if comm and comm.size > 1 and not _all_arrive(comm):
         if comm.rank:
             print(f"error (rank {comm.rank} alone): {error}", file=sys.stderr, flush=True)
         comm.Abort(error.exit_code)
     return error.exit_code
 
 
-def _all_ranks_arrive(comm: MPI.Comm, patience: float = 10.0) -> bool:
-    """Whether all ranks arrive here in time. Collective, if they do.
+def _all_arrive(comm: MPI.Comm) -> bool:
+    from dolfin_elastic.core.together import all_ranks_arrive
 
-    Args:
-        comm: All ranks.
-        patience: How long to wait [s].
-    """
-    request = comm.Ibarrier()
-    until = time.monotonic() + patience
-    while time.monotonic() < until:
-        if request.Test():
-            return True
-        time.sleep(0.01)
-    return False
+    return all_ranks_arrive(comm)
 
 
 def _abort_all_ranks() -> None:

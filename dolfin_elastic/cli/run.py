@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from click.exceptions import Exit
 
-from dolfin_elastic.core.errors import SolveError
+from dolfin_elastic.core.errors import SolveError, StoppedError
 from dolfin_elastic.core.petsc_options import parse_arguments, start_petsc
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
 
@@ -56,7 +56,7 @@ def run(
 
     Results go to CASE_results (fields for ParaView, history.csv, summary.json) unless the case or
     --output says otherwise.  Ctrl-C, SIGTERM, SIGUSR2, or a file called `stop` in that folder stop
-    it after the current step, with a checkpoint from which `restart` goes on; SIGUSR1 makes a
+    it with a checkpoint of the last complete step, from which `restart` goes on; SIGUSR1 makes a
     checkpoint and no stop.
     What follows two dashes are PETSc options; they win over the case's own.
 
@@ -73,12 +73,13 @@ def run(
     start_petsc(at_start)
     from dolfin_elastic.case.case import read_case
     from dolfin_elastic.case.run import run as run_case
+    from dolfin_elastic.results.writers.summary import mark_stopped
 
     comm = begin(quiet)
     read = read_case(case, comm=comm, trust=trust)
     folder = output if output is not None else read.results_folder()
 
-    stop = Stop(folder)
+    stop = Stop(folder, lambda: mark_stopped(folder))
     states = run_case(read, output=folder, petsc=options, asked=stop.wants_checkpoint)
     _compute(_DisplayedRun(read, folder, states, stop, quiet=quiet, profile=profile), comm)
 
@@ -112,12 +113,13 @@ def restart(
     start_petsc(at_start)
     from dolfin_elastic.case.restart import unfinished
     from dolfin_elastic.case.run import restart as restart_case
+    from dolfin_elastic.results.writers.summary import mark_stopped
 
     comm = begin(quiet)
     found = unfinished(folder, comm=comm, trust=trust)
     logging.getLogger("dolfin_elastic").info("%s", found.message())
 
-    stop = Stop(folder)
+    stop = Stop(folder, lambda: mark_stopped(folder))
     states = restart_case(found, petsc=options, asked=stop.wants_checkpoint)
     displayed = _DisplayedRun(
         found.case, folder, states, stop, quiet=quiet, profile=profile, since=found.step
@@ -165,7 +167,8 @@ def _compute(displayed: _DisplayedRun, comm: MPI.Comm) -> None:
     if visible:
         from dolfin_elastic.cli.console import show_files, show_restart
 
-        show_files(displayed.folder, displayed.case.listing(displayed.folder))
+        if code != INTERRUPTED or displayed.folder.is_dir():
+            show_files(displayed.folder, displayed.case.listing(displayed.folder))
         if code == INTERRUPTED:
             show_restart(displayed.folder)
     if code:
@@ -195,6 +198,8 @@ def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
                     progress.show(state)
                 if result.done < 1.0 and displayed.stop.agreed(comm):
                     return INTERRUPTED
+    except StoppedError:
+        return INTERRUPTED
     except SolveError as error:
         error.add_note(f"results so far are in {displayed.folder}")
         raise

@@ -9,7 +9,12 @@ from typing import TypeVar, cast
 
 from mpi4py import MPI
 
+from dolfin_elastic.core.together import end_all_at_exceptions
+
 T = TypeVar("T")
+
+if MPI.COMM_WORLD.size > 1:
+    end_all_at_exceptions()
 
 # Every rank logs the same messages: only those of rank 0 are shown, and those of one rank alone.
 logging.getLogger("dolfin_elastic").addFilter(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -37,12 +37,14 @@ class Stop:
 
     Args:
         folder: Folder of the results, where a file called "stop" may appear.
+        last_words: Called before the process ends at once.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, last_words: Callable[[], object] = lambda: None) -> None:
         self.asked, self._checkpoint, self._file = False, False, folder / STOP_FILE
         self._since, self._signals, self._looked = 0.0, 0, 0.0
-        self._interruptible = False
+        self._interruptible = self._agreed = False
+        self._last_words = last_words
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2):
             signal.signal(number, self._request_stop)
         signal.signal(signal.SIGUSR1, self._request_checkpoint)
@@ -54,6 +56,8 @@ class Stop:
             return
         self.asked, self._since, self._signals = True, now, self._signals + 1
         if self._signals >= LAST:
+            with suppress(Exception):
+                self._last_words()
             os._exit(INTERRUPTED)
         if launched_rank() == 0:
             _tell(
@@ -86,11 +90,14 @@ class Stop:
         """Whether any rank got a signal to stop, or the file exists; same on all. Collective."""
         from dolfin_elastic.core.parallel import largest
 
+        if self._agreed:
+            return True
         if comm.rank == 0 and self._file.exists():
             self.asked = True
             _tell(f"stopping: there was a file {self._file}")
             remove_stop_file(self._file.parent)  # or the next run would stop at once
-        return largest(comm, float(self.asked)) > 0
+        self._agreed = largest(comm, float(self.asked)) > 0
+        return self._agreed
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
@@ -139,6 +146,16 @@ def raise_if_asked() -> None:
         raise StoppedError(_WORDS)
 
 
+def watched() -> bool:
+    """Whether anything can ask for the end of the run."""
+    return bool(_current)
+
+
+def stop_agreed(comm: MPI.Comm) -> bool:
+    """Whether the run shall stop, the same on all ranks; once true, it stays so. Collective."""
+    return bool(_current) and _current[-1].agreed(comm)
+
+
 def raise_if_agreed(comm: MPI.Comm) -> None:
     """Ends what all ranks do, where the run shall stop. Collective.
 
@@ -148,7 +165,7 @@ def raise_if_agreed(comm: MPI.Comm) -> None:
     Raises:
         StoppedError: Any rank got a signal, or the file "stop" exists; on all ranks.
     """
-    if _current and _current[-1].agreed(comm):
+    if stop_agreed(comm):
         raise StoppedError(_WORDS)
 
 

@@ -488,6 +488,32 @@ def test_a_changed_case_is_refused(folder: Path) -> None:
     refused(folder / "a", r"case.toml: this is not the case of the checkpoint any more")
 
 
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("damage", ["cut", "gone", "noise", "empty"])
+def test_a_damaged_copy_of_the_case(
+    damage: str, folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It gives way to the copy in the checkpoint; with one that is another case this is refused."""
+    begun(case(), folder / "a", 2)
+    copy = folder / "a" / FOLDER / "case.toml"
+
+    def spoil() -> bytes:
+        whole = copy.read_bytes()
+        lines = whole.splitlines(keepends=True)
+        kept = {"cut": b"".join(lines[:-2]), "noise": b"\xff\x00[", "empty": b""}
+        copy.unlink()
+        if damage in kept:
+            copy.write_bytes(kept[damage])
+        return whole
+
+    whole = on_root(WORLD, spoil)
+    assert finished(folder / "a")[0] == 3
+    if WORLD.rank == 0:
+        assert "case.toml is damaged: its copy in the checkpoint takes its place" in caplog.text
+    assert summary(folder / "a")["status"] == "completed"
+    assert whole
+
+
 @PAIR
 def test_a_changed_case_file_is_told_of_each_time(
     folder: Path, caplog: pytest.LogCaptureFixture

@@ -7,6 +7,7 @@ import random
 import re
 import signal
 import socket
+import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -18,9 +19,10 @@ from helpers.processes import PROGRAM, cli, ranks_of, started
 from helpers.runs import begun, case, check_same, check_same_frames, history, summary
 from mpi4py import MPI
 
-from dolfin_elastic import read_case, run
+from dolfin_elastic import Case, read_case, run
 from dolfin_elastic.results.checkpoint.checkpoints import FOLDER, last_step
 from dolfin_elastic.results.checkpoint.lock import LOCK, FolderLock
+from dolfin_elastic.results.writers.history import HistoryWriter
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
@@ -83,6 +85,98 @@ def test_stopped_then_restarted(tmp_path: Path, ranks: int) -> None:
         code, out, err = cli("restart", "case_results", folder=tmp_path)
         expected = "error: case_results: this run is complete; nothing is left to compute\n"
         assert (code, out, err) == (2, "", expected)
+
+
+SLOW = """\
+import sys, time
+from dolfin_elastic.cli.app import main
+from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
+from dolfin_elastic.solvers.nonlinear.convergence import ConvergenceTest
+def slow(kind, name, seconds):
+    method = getattr(kind, name)
+    def call(*given):
+        time.sleep(seconds)
+        return method(*given)
+    setattr(kind, name, call)
+slow(ConvergenceTest, "__call__", 0.4)
+slow(Explicit, "step", 0.02)
+sys.argv = ["dolfin-elastic", "run", "case.toml"]
+main()
+"""
+MOTION = {"end": "20 ms", "dt": "4 ms"}
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("signals", [1, 2])
+@pytest.mark.parametrize(
+    "analysis",
+    [
+        {"statics": {"steps": 4}},
+        {"statics": {"method": "arc-length", "first_step": 0.1}},
+        {"dynamics": MOTION},
+        {"dynamics": {**MOTION, "scheme": "alpha2"}},
+        {"dynamics": {"end": "3 s", "scheme": "central-differences", "every": 150}},
+    ],
+)
+def test_stopped_amid_a_step(analysis: dict[str, Any], signals: int, tmp_path: Path) -> None:
+    """At the next Newton iteration, with a checkpoint of the last complete step, and restarted.
+
+    Each iteration takes 0.4 s here and a step several; 20 explicit steps take as long.  The second
+    signal changes nothing: what comes out is what comes out of a run that was never stopped.
+    """
+    tables: dict[str, Any] = case(
+        mesh={"rectangle": {"size": [1, 0.2], "cells": [2, 1]}, "degree": 1},
+        output={"checkpoint": {"time": "1 h"}},
+    ).to_dict()
+    del tables["statics"]
+    tables["materials"]["rubber"]["density"] = 1000.0
+    whole = Case.from_dict({**tables, **analysis})
+    (tmp_path / "case.toml").write_text(whole.to_toml())
+    folder = tmp_path / "case_results"
+    with started([sys.executable, "-c", SLOW], tmp_path, 1) as process:
+        until(lambda: rows_written(tmp_path) > 2, process)
+        for _ in range(signals):
+            time.sleep(0.6)
+            process.send_signal(signal.SIGTERM)
+        begin = time.monotonic()
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert time.monotonic() - begin < 6.0, "TS tries eight times what was interrupted"
+    assert summary(folder)["status"] == "stopped"
+    last = last_step(folder)
+    assert last == int(history(folder)[-1]["step"]) > 0
+    assert f"to go on after step {last}: dolfin-elastic restart case_results" in out
+    code, out, err = cli("restart", "case_results", folder=tmp_path)
+    assert code == 0, err
+    for _ in run(whole, output=tmp_path / "whole"):
+        pass
+    found, known = history(folder), history(tmp_path / "whole")
+    if "alpha2" in str(analysis):  # its steps differ a little after a restart, see the README
+        assert len(found) == len(known)
+        assert found[-1]["max_displacement"] == pytest.approx(
+            known[-1]["max_displacement"], rel=0.02
+        )
+    else:
+        check_same(found, known, near=1e-7)
+
+
+def test_the_third_signal_ends_at_once(tmp_path: Path) -> None:
+    """Wherever the program is, here asleep; the summary says that it was stopped."""
+    write_case(tmp_path, 3000)
+    module = HistoryWriter.__module__
+    asleep = SLOW.replace("time.sleep(seconds)", "[time.sleep(1) for _ in range(100)]")
+    asleep = asleep.replace('ConvergenceTest, "__call__"', 'HistoryWriter, "write"')
+    asleep = f"from {module} import HistoryWriter\n{asleep}"
+    with started([sys.executable, "-c", asleep], tmp_path, 1) as process:
+        file = tmp_path / "case_results/summary.json"
+        until(file.exists, process)
+        for _ in range(3):
+            time.sleep(0.7)
+            process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=10)
+    assert process.returncode == 130, err
+    assert err.count("stopping") == 2
+    assert summary(tmp_path / "case_results")["status"] == "stopped"
 
 
 def test_sigusr1_makes_a_checkpoint(tmp_path: Path) -> None:

@@ -56,6 +56,15 @@ FOLDER, CASE = "checkpoints", "case.toml"
 FORMAT = 4
 """Raised where content, fields or defaults of cases change: such a run is not gone on with."""
 _NAME = re.compile(r"step_(\d{6,})\.json")
+FIRST = 10.0
+"""Seconds to the first checkpoint, where the user has not chosen."""
+
+SHORTEST = 30.0
+"""Seconds from one to the next, at least."""
+
+COST = 0.05
+"""Share of the time that checkpoints may cost."""
+
 _UNREADABLE = (OSError, KeyError, RuntimeError, TypeError, ValueError)
 
 
@@ -63,13 +72,14 @@ class CheckpointSettings(Record):
     """When checkpoints are written.  A case file may give false or a text with the time instead.
 
     Attributes:
-        time: Wall time from one checkpoint to the next [s].
+        time: Wall time from one checkpoint to the next [s]; None: as short as costs at most 5 % of
+            the time, with the first one after ten seconds.
         every: If given, there is also one of the first state at or after each n-th step.
         keep: Number of checkpoints that are kept, the newest.
         off: No checkpoints are written.
     """
 
-    time: Time = Field(default=900.0, gt=0)
+    time: Time | None = Field(default=None, gt=0)
     every: Steps | None = None
     keep: int = Field(default=2, ge=1)
     off: bool = False
@@ -153,6 +163,7 @@ class Checkpoints:
         self._comm, self._folder, self._settings, self._run = comm, folder, settings, run
         self._path = folder / FOLDER
         self._orderings, self._written = DofOrderings(), time.monotonic()
+        self._interval = settings.time or FIRST
         self._every = StepInterval(settings.every or 1)
         self._every.takes(step)
         self.saved, self.off = step, settings.off
@@ -168,7 +179,7 @@ class Checkpoints:
             return False
         by_step = self._every.takes(state.step) and self._settings.every is not None
         # Clocks differ between ranks: the first one decides for all.
-        late = time.monotonic() - self._written >= self._settings.time and self._comm.rank == 0
+        late = time.monotonic() - self._written >= self._interval and self._comm.rank == 0
         wanted = largest(self._comm, float(asked or late or by_step)) > 0
         return wanted and state.done < 1.0
 
@@ -187,6 +198,7 @@ class Checkpoints:
         """
         if state.step == self.saved:
             return
+        begin = time.monotonic()
         with stage("output"):
             on_root(self._comm, self._begin)
             orders = {
@@ -208,6 +220,7 @@ class Checkpoints:
                 "version": __version__,
                 "mesh": self._run.mesh,
                 "case": digest(self._run.case),
+                "case_text": self._run.case,
                 "file": self._run.file,
                 "petsc": self._run.petsc,
                 "arrays": arrays,
@@ -216,6 +229,8 @@ class Checkpoints:
             }
             on_root(self._comm, lambda: self._commit(state.step, draft, content))
             self.saved, self._written = state.step, time.monotonic()
+        if self._settings.time is None:
+            self._interval = max(SHORTEST, (self._written - begin) / COST)
         log.debug("checkpoint of step %d in %s", state.step, self._path)
 
     def _begin(self) -> None:

@@ -243,6 +243,21 @@ def _error(problem: Problem, estimate: ErrorEstimate) -> dict[str, object]:
     }
 
 
+def mark_stopped(folder: Path) -> None:
+    """Changes "running" to "stopped" in the summary of a run that is about to end at once.
+
+    Not collective: called on any ranks, of which the first to come changes it.
+
+    Args:
+        folder: Of the results.
+    """
+    path = folder / "summary.json"
+    text = json.loads(path.read_text(encoding="utf-8"))
+    if text["status"] == "running":
+        text |= {"status": "stopped", "reason": "on request, at once"}
+        replace_text(path, json.dumps(text, indent=2, ensure_ascii=False) + "\n")
+
+
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 

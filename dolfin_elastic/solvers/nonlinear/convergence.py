@@ -13,6 +13,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.signals import stop_agreed
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -222,6 +223,7 @@ class ConvergenceTest:
         self._span = span(assembler.problem.body)
         self.round_off = RoundOff(assembler, inertia)
         self.residuals: list[float] = []
+        self.interrupted = False
         self.predicted = self._applied = self._first = self._norm = 0.0
         self._max_iterations, self._backtracks, self._patient = (
             tolerance.max_iterations,
@@ -311,7 +313,8 @@ class ConvergenceTest:
         prescribed = a.residual.gap <= PRESCRIBED_TOLERANCE * self._span
         if prescribed and self._balanced() and self._scalars_hold():
             return int(reason.CONVERGED_FNORM_RELATIVE)
-        if self._shortened_too_often():
+        self.interrupted = stop_agreed(a.comm)
+        if self.interrupted or self._shortened_too_often():
             return int(reason.DIVERGED_FUNCTION_DOMAIN)
         if self._stalled():
             return int(reason.DIVERGED_LINE_SEARCH)

@@ -13,6 +13,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
+from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
@@ -165,6 +166,7 @@ class Newton:
             max_iterations: In place of the tolerance's.
 
         Raises:
+            StoppedError: A signal has asked for the end of the run.
             InputError: A load has no finite value now, or PETSc cannot do what the user's options
                 ask for: preconditioners of levels, blocks and factors are made only here.
         """
@@ -186,6 +188,8 @@ class Newton:
                 self.guard.begin()
             self._source.get(self._x)
             self.snes.solve(None, self._x)
+            if self.test.interrupted:
+                raise_if_agreed(self.assembler.comm)
             self.finish()
             self._source.put(self._x)
             at_rest = self._inertia is None  # in motion the stage does so: it has rows of its own

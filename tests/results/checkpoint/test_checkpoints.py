@@ -32,6 +32,7 @@ from dolfin_elastic.core.errors import OutputError, RestartError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.problem.state import RestartState, State
+from dolfin_elastic.results.checkpoint import checkpoints
 from dolfin_elastic.results.checkpoint.checkpoints import (
     FOLDER,
     Checkpoints,
@@ -253,6 +254,34 @@ def test_the_newest_one_remains(folder: Path) -> None:
     _, u = several(folder, 1, 2, keep=1)
     assert names(folder) == ["case.toml", "step_000002.h5", "step_000002.json"]
     assert step_found(folder, u) == 2
+
+
+def test_checkpoints_cost_a_twentieth_at_most(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first after 10 s, then each 30 s; one that takes 4 s each 80 s, whatever the date."""
+    clock = [1000.0]
+    monkeypatch.setattr(checkpoints.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(checkpoints.time, "time", lambda: -1e9)  # set back
+    monkeypatch.setattr(checkpoints, "sync", lambda path: clock.__setitem__(0, clock[0] + cost))
+    cost, to, u = 0.0, *several(folder)
+    times: list[float] = []
+    for step in range(1, 60):
+        clock[0] += 5.0
+        cost = 4.0 if step > 20 else 0.0
+        if to.due(State(step, step / 100, u, done=step / 100)):
+            times.append(clock[0] - 1000.0)
+            to.save(State(step, 0.0, u), RestartState({"u": u}, {}), [])
+    gaps = np.diff([0.0, *times])
+    assert gaps[0] == 10.0
+    assert set(gaps[1:4]) == {30.0}
+    paid = WORLD.bcast(gaps[-1])
+    assert paid >= 80.0
+    fixed, u = several(folder / "fixed", time=900.0)
+    clock[0] += 890.0
+    assert not fixed.due(State(1, 0.0, u))
+    clock[0] += 20.0
+    assert fixed.due(State(2, 0.0, u))
 
 
 def flip(file: Path) -> None:

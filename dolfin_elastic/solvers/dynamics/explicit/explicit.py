@@ -10,6 +10,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import StabilityError
+from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State, StateCopy
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -20,6 +21,9 @@ from dolfin_elastic.solvers.dynamics.explicit.scheme import END, ExplicitScheme
 from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
 from dolfin_elastic.solvers.dynamics.work import EnergyBook, ExternalWork, Measures
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
+
+STEPS_A_LOOK = 20
+"""Steps after which ranks agree on whether they shall stop: rarely enough to cost nothing."""
 
 STATES = 200
 """About as many states are yielded if no other number is asked for."""
@@ -111,6 +115,8 @@ class Explicit:
         while not self._ended:
             try:
                 self.step()
+                if self.scheme.steps % STEPS_A_LOOK == 0:
+                    raise_if_agreed(self.assembler.comm)
             except StabilityError as error:  # raised on all ranks
                 raise Replay(self, self._monitor, self._last).unstable_step(error) from None
             if self.scheme.steps % self.every == 0 or self._ended:

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
+from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
@@ -284,12 +285,14 @@ class Implicit:
         newton, krylov = self.scheme.counts()
         with stage("solve"), self.options.in_force(), self.options.input_errors():
             ts.solve()
-            while ts.getConvergedReason() < 0 and self.scheme.fall_back():
+            while self._failed() and self.scheme.fall_back():
                 ts.setConvergedReason(PETSc.TS.ConvergedReason.CONVERGED_ITERATING)
                 ts.solve()
             self.options.report_unused()
         if self.scheme.error is not None:
             raise self.scheme.error
+        if self.newton.test.interrupted:
+            raise_if_agreed(self.assembler.comm)
         now = self.scheme.counts()
         newton, krylov = now[0] - newton, 0 if self.newton.linear.direct else now[1] - krylov
         self._newton += newton
@@ -297,6 +300,9 @@ class Implicit:
         if ts.getConvergedReason() < 0:
             raise self._failure()
         self._refresh_multigrid(krylov / max(newton, 1))
+
+    def _failed(self) -> bool:
+        return self.ts.getConvergedReason() < 0 and not self.newton.test.interrupted
 
     def _refresh_multigrid(self, each: float) -> None:
         """Rebuilds multigrid when iterations grow, with the rigid-body modes of the present places.

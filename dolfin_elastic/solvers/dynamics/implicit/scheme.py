@@ -13,7 +13,7 @@ from typing import ClassVar
 from dolfinx import fem
 from petsc4py import PETSc
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, StoppedError
 from dolfin_elastic.core.petsc_options import PetscValue
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
@@ -80,7 +80,8 @@ class ImplicitScheme(ABC):
         not_restartable: Why a restarted motion differs from one never stopped; empty if it does
             not.
         acceleration: At the end of the last step [m/s^2].
-        error: A fault of the input that a step has met: PETSc would lose a Python exception.
+        error: A fault of the input that a step has met, or a request to stop: PETSc would lose a
+            Python exception.
     """
 
     not_adaptive: ClassVar[str] = ""
@@ -91,7 +92,7 @@ class ImplicitScheme(ABC):
         self.problem, self.assembler = self.moving.problem, self.moving.assembler
         self.newton, self.v = context.newton, context.v
         self.acceleration = fem.Function(self.problem.V, name="acceleration")
-        self.error: InputError | None = None
+        self.error: InputError | StoppedError | None = None
 
     @classmethod  # noqa: B027  a hook, as are the others below
     def check(cls, problem: Problem, name: str) -> None:

@@ -12,7 +12,7 @@ import logging
 import numpy as np
 from petsc4py import PETSc
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, StoppedError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.mass import free
 from dolfin_elastic.solvers.dynamics.implicit.impact_error import ImpactError
@@ -116,7 +116,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         """Takes one step, smaller where it must be."""
         try:
             found = self._take_step(ts)
-        except InputError as error:  # the same on all ranks
+        except (InputError, StoppedError) as error:  # the same on all ranks
             self.error, found = error, False
         if not found:
             ts.setConvergedReason(PETSc.TS.ConvergedReason.DIVERGED_NONLINEAR_SOLVE)

@@ -1,0 +1,156 @@
+"""Ranks that a user's Python drives: an exception on one of them ends all, with its traceback.
+
+The others would wait for it for ever, in the next collective call of a run, and a run that is
+closed on one rank alone would wait for them.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+import sys
+import time
+import traceback
+from types import FrameType, TracebackType
+
+import numpy as np
+from mpi4py import MPI
+
+PATIENCE = 4.0
+"""Seconds for all ranks to arrive with an exception that all of them have."""
+
+_GOES_ON, _LEAVES, _FAILS = 0, 1, 2
+
+
+def go_on_together(comm: MPI.Comm) -> None:
+    """Lets a loop over states go on, if all ranks do. Collective, with `leave_together`.
+
+    Args:
+        comm: The ranks of the run.
+
+    Raises:
+        RuntimeError: A rank has left the loop.
+    """
+    if comm.size > 1:
+        _raise_if_different(_ask(comm, _GOES_ON), _GOES_ON)
+
+
+def leave_together(comm: MPI.Comm) -> None:
+    """Lets all ranks leave a loop over states. Called where its generator is closed.
+
+    Collective, with `go_on_together`.  It waits for ranks that are late, but not where this one
+    leaves the loop by an exception and the others do not: then it ends all of them, before any of
+    the solver's objects is freed, for which the others would be waited for.
+
+    Args:
+        comm: The ranks of the run.
+
+    Raises:
+        RuntimeError: Another rank has not left it.
+    """
+    if comm.size == 1:
+        return
+    fault = _leaving_by()
+    if fault is None:
+        _raise_if_different(_ask(comm, _LEAVES), _LEAVES)
+    elif _ask(comm, _FAILS, PATIENCE) != (_FAILS, _FAILS):
+        traceback.print_exception(fault)
+        sys.stderr.flush()
+        MPI.COMM_WORLD.Abort(1)
+
+
+def _ask(comm: MPI.Comm, mine: int, patience: float = math.inf) -> tuple[int, int] | None:
+    """Least and largest answer of all ranks; None if they do not all answer in time [s]."""
+    sent, got = np.array([mine, -mine]), np.zeros(2, dtype=int)
+    request = comm.Iallreduce(sent, got, op=MPI.MAX)
+    if not _ends(request, patience):
+        return None
+    return -int(got[1]), int(got[0])
+
+
+def _ends(request: MPI.Request, patience: float) -> bool:
+    if patience == math.inf:
+        request.Wait()
+        return True
+    until = time.monotonic() + patience
+    while time.monotonic() < until:
+        if request.Test():
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def _raise_if_different(answers: tuple[int, int] | None, mine: int) -> None:
+    if answers != (mine, mine):
+        raise RuntimeError(
+            "another rank has left the loop over the states: all ranks must leave it together"
+        )
+
+
+def _leaving_by() -> BaseException | None:
+    """The exception because of which the generator is dropped that is being closed; or None.
+
+    `close` in a with or finally block has it as the context of its GeneratorExit.  A generator
+    that only a loop refers to is closed as the loop is unwound, where Python hides the exception:
+    then there is one whose traceback has the loop's frame, at its present instruction.
+    """
+    closing = sys.exception()
+    if closing is not None and closing.__context__ is not None:
+        return closing.__context__
+    frame: FrameType | None = sys._getframe()
+    places = set()
+    while frame is not None:
+        places.add((id(frame), frame.f_lasti))
+        frame = frame.f_back
+    for one in gc.get_objects():
+        if isinstance(one, BaseException) and one is not closing:
+            trace = one.__traceback__
+            while trace is not None:
+                if (id(trace.tb_frame), trace.tb_lasti) in places:
+                    return one
+                trace = trace.tb_next
+    return None
+
+
+def all_ranks_arrive(comm: MPI.Comm, patience: float = PATIENCE) -> bool:
+    """Whether all ranks arrive here in time. Collective, if they do.
+
+    Args:
+        comm: All ranks.
+        patience: How long to wait [s].
+    """
+    return _ends(comm.Ibarrier(), patience)
+
+
+def end_all_if_alone(comm: MPI.Comm) -> None:
+    """Prints the exception being handled and ends all ranks, unless all have one.
+
+    Args:
+        comm: The ranks that may have it.
+    """
+    if comm.size > 1 and not all_ranks_arrive(comm):
+        traceback.print_exc()
+        sys.stderr.flush()
+        MPI.COMM_WORLD.Abort(1)
+
+
+class _Hook:
+    """Shows an exception that nobody has caught, and ends all ranks unless all have one."""
+
+    def __init__(self) -> None:
+        self._shown_before = sys.excepthook
+
+    def __call__(
+        self, kind: type[BaseException], error: BaseException, trace: TracebackType | None
+    ) -> None:
+        """See `sys.excepthook`."""
+        self._shown_before(kind, error, trace)
+        sys.stderr.flush()
+        if not MPI.Is_finalized() and not all_ranks_arrive(MPI.COMM_WORLD):
+            MPI.COMM_WORLD.Abort(1)
+
+
+def end_all_at_exceptions() -> None:
+    """Makes an exception that nobody catches on one rank end all of them."""
+    if not isinstance(sys.excepthook, _Hook):
+        sys.excepthook = _Hook()

@@ -1,0 +1,115 @@
+"""An exception on one rank of a user's Python ends all ranks, within ten seconds, with his text."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from helpers.processes import started
+from helpers.runs import case
+from mpi4py import MPI
+
+from dolfin_elastic.results.checkpoint.checkpoints import last_step
+
+pytestmark = pytest.mark.skipif(
+    MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
+)
+HEAD = """\
+from mpi4py import MPI
+from dolfin_elastic import read_case, run
+comm = MPI.COMM_WORLD
+def fail():
+    raise KeyError("a fault of the user")
+case = read_case("case.toml")
+"""
+LOOP = """
+for state in run(case):
+    if state.step == 2 and comm.rank == 1:
+        fail()
+"""
+OTHERS_WAIT = """
+for state in run(case):
+    if state.step == 2 and comm.rank == 1:
+        fail()
+    comm.barrier()
+"""
+CLOSING = """
+from contextlib import closing
+with closing(run(case)) as states:
+    for state in states:
+        if state.step == 2 and comm.rank == 1:
+            fail()
+"""
+CAUGHT = """
+try:
+    for state in run(case):
+        if state.step == 2 and comm.rank == 1:
+            fail()
+except KeyError:
+    pass
+comm.barrier()
+"""
+OUTPUT = """
+import dolfin_elastic.results.writers.history as history
+class Own(history.HistoryWriter):
+    def write(self, state):
+        if state.step == 2 and comm.rank == 1:
+            fail()
+        super().write(state)
+import dolfin_elastic.results.outputs as outputs
+outputs.HistoryWriter = history.HistoryWriter = Own
+for state in run(case):
+    pass
+"""
+ENERGY = """
+from dolfin_elastic import Problem, Statics, Support, box_body
+from dolfin_elastic.model.materials.registry import NeoHookean
+class Own(NeoHookean):
+    def energy(self, F):
+        if comm.rank == 1:
+            fail()
+        return super().energy(F)
+body = box_body(size=(1, 1, 1), cells=(2, 2, 2))
+problem = Problem(body, Own(E=1e6, nu=0.3), supports=[Support(on="left")])
+for state in Statics(problem, steps=1).steps():
+    pass
+"""
+
+
+def small(folder: Path) -> None:
+    made = case(mesh={"rectangle": {"size": [1, 0.2], "cells": [2, 1]}}, statics={"steps": 40})
+    (folder / "case.toml").write_text(made.to_toml())
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("body", [LOOP, OTHERS_WAIT, CLOSING, CAUGHT, OUTPUT, ENERGY])
+def test_all_ranks_end(body: str, tmp_path: Path) -> None:
+    """Also where the others wait for it in a call of the user's own."""
+    small(tmp_path)
+    (tmp_path / "script.py").write_text(HEAD + body)
+    with started([sys.executable, "script.py"], tmp_path, 2) as process:
+        begin = time.monotonic()
+        _, err = process.communicate(timeout=60)
+    assert process.returncode != 0
+    assert "KeyError: 'a fault of the user'" in err
+    assert "in fail" in err
+    assert time.monotonic() - begin < 10.0 + 5.0, "the start of python counts, too"
+
+
+def test_a_loop_that_all_leave(tmp_path: Path) -> None:
+    """A `break` is no fault: a checkpoint is left, however late one rank is; exit code 0."""
+    small(tmp_path)
+    late = """
+import time
+for state in run(case):
+    if state.step == 3:
+        time.sleep(6.0 * comm.rank)
+        break
+"""
+    (tmp_path / "script.py").write_text(HEAD + late)
+    with started([sys.executable, "script.py"], tmp_path, 2) as process:
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    assert last_step(tmp_path / "case_results") == 3
