@@ -17,6 +17,8 @@ IndexArray: TypeAlias = npt.NDArray[np.int32]
 """Local indices of DOLFINx: cells, facets, nodes, dofs."""
 IntArray: TypeAlias = npt.NDArray[np.int64]
 """Global indices, numbers of nodes in files, marks of regions."""
+ComplexArray: TypeAlias = npt.NDArray[np.complex128]
+"""Exponents and amplitudes of complex solutions."""
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 """Masks."""
 Scalar: TypeAlias = float | FloatArray | Expr

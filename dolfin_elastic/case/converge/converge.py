@@ -227,7 +227,7 @@ class _Convergence:
                 peak = None
                 if self.goal.quantity.is_stress and measured.place:
                     places = singular_places(problem)
-                    peak = largest(problem, estimate, measurement.chosen(), places=places)
+                    peak = largest(problem, estimate, measurement.chosen(), places)
         return _Solved(body, problem, state, saved, measured, estimate, peak, newton)
 
     # --- what is known ---

@@ -1,8 +1,8 @@
-"""The largest von Mises stress, its estimated error, and whether it grows with every refinement."""
+"""The largest von Mises stress, the smallest safety factor, and whether these have a limit."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +10,7 @@ from dolfinx import fem, la
 from mpi4py import MPI
 
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import BoolArray, FloatArray
+from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.results.recovery.error import ErrorEstimate
 from dolfin_elastic.results.recovery.singular import SingularPlaces, singular_places
@@ -28,10 +28,10 @@ singular places."""
 
 @dataclass(frozen=True)
 class Peak:
-    """A largest von Mises stress.
+    """A largest von Mises stress, or a smallest safety factor.
 
     Attributes:
-        value: Recovered stress [Pa].
+        value: Of the recovered stress [Pa, 1].
         place: Node [m], reference configuration.
         part: Name of its material region.
         error: Estimated error, relative to the value.
@@ -49,23 +49,31 @@ class Peak:
     def text(self) -> str:
         """Value and place for people, such as "184 MPa at (0.016, 0, 0.01) m on 'fillet'"."""
         factor, unit = stress_unit(self.value)
+        return f"{self.value / factor:.3g} {unit} {self.where()}"
+
+    def where(self) -> str:
+        """The place for people, such as "at (0.016, 0, 0.01) m on 'fillet'"."""
         place = ", ".join(f"{0.0 if abs(x) < 1e-12 else x:.4g}" for x in self.place)
         on = f" on '{self.surface}'" if self.surface else ""
-        return f"{self.value / factor:.3g} {unit} at ({place}) m{on}"
+        return f"at ({place}) m{on}"
 
 
 @dataclass(frozen=True)
 class Peaks:
-    """The largest von Mises stress of a state.
+    """The largest von Mises stress and the smallest safety factor of a state.
 
     Attributes:
         largest: Of all nodes.
         elsewhere: Where the largest one is singular, the largest one away from singular places, see
             `find_peaks`; None where cells are so large that there is no such place.
+        safety: Smallest safety factor; None without an allowable stress.
+        safety_elsewhere: As `elsewhere`, where the smallest factor is singular.
     """
 
     largest: Peak
     elsewhere: Peak | None = None
+    safety: Peak | None = None
+    safety_elsewhere: Peak | None = None
 
     @property
     def regular(self) -> Peak | None:
@@ -74,14 +82,27 @@ class Peaks:
 
     def text(self) -> str:
         """All of it as a sentence."""
-        start = f"largest von Mises stress {self.largest.text()}"
+        found = f"largest von Mises stress {self.largest.text()}"
         if not self.largest.singular:
-            return f"{start}, estimated error {percent(self.largest.error)}"
-        found = f"{start}, at {self.largest.singular}: it grows with every refinement"
-        if self.elsewhere is None:
-            return found
-        other = f"{self.elsewhere.text()}, estimated error {percent(self.elsewhere.error)}"
-        return f"{found}; the largest elsewhere {other}"
+            found += f", estimated error {percent(self.largest.error)}"
+        else:
+            found += f", at {self.largest.singular}: it grows with every refinement"
+        if self.elsewhere is not None:
+            other = f"{self.elsewhere.text()}, estimated error {percent(self.elsewhere.error)}"
+            found += f"; the largest elsewhere {other}"
+        return found + self._safety_text()
+
+    def _safety_text(self) -> str:
+        """The rest of the sentence; empty without an allowable stress."""
+        if self.safety is None:
+            return ""
+        found = f"; smallest safety factor {self.safety.value:.3g} {self.safety.where()}"
+        if self.safety.singular:
+            found += f", at {self.safety.singular}: it falls with every refinement"
+        if self.safety_elsewhere is not None:
+            other = self.safety_elsewhere
+            found += f"; the smallest elsewhere {other.value:.3g} {other.where()}"
+        return found
 
 
 def percent(share: float) -> str:
@@ -102,36 +123,89 @@ def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:
         estimate: The estimated error of the state.
     """
     places = singular_places(problem)
-    first = largest(problem, estimate, places=places)
-    if not first.singular:
-        return Peaks(first)
-    chosen = _local_maxima(problem.V, von_mises(estimate.stress.stress))
-    maximum = largest(problem, estimate, ~places.anywhere & chosen)
-    beyond = largest(problem, estimate, ~places.widened(problem.V))
-    other = beyond if maximum.value < _LOWER * beyond.value else maximum
-    return Peaks(first, other if other.place else None)
+    stress = estimate.stress
+    highest, elsewhere = _pair(problem, estimate, von_mises(stress.stress), stress.region, places)
+    if all(region.law.allowable is None for region in problem.regions):
+        return Peaks(highest, elsewhere)
+    # The share of the allowable stress is largest where the factor is smallest.
+    use = 1 / np.where(stress.safety > 0, stress.safety, np.nan)
+    factors = [
+        None if peak is None or peak.value <= 0 else replace(peak, value=1 / peak.value)
+        for peak in _pair(problem, estimate, use, stress.safety_region, places)
+    ]
+    return Peaks(highest, elsewhere, *factors)
 
 
-def largest(
+def _pair(
     problem: Problem,
     estimate: ErrorEstimate,
-    chosen: BoolArray | None = None,
-    *,
-    places: SingularPlaces | None = None,
-) -> Peak:
-    """The largest von Mises stress, on all nodes or on some. Collective.
+    values: FloatArray,
+    regions: IntArray,
+    places: SingularPlaces,
+) -> tuple[Peak, Peak | None]:
+    """The largest value, and where it is singular the largest elsewhere. Collective.
 
     Args:
         problem: The problem that is solved.
         estimate: The estimate for a state.
-        chosen: Which of the owned nodes count; by default all.
-        places: Where the stress is singular, if that is to be known.
+        values: In proportion to the von Mises stress, at the owned nodes.
+        regions: Number of the material region that each belongs to.
+        places: Where the stress is singular.
+    """
+    values = np.where(np.isfinite(values), values, -np.inf)
+    reasons = [places.reason(node) for node in _best(values)]
+    first = _at_largest(problem, estimate, values, regions, "".join(reasons))
+    if not first.singular:
+        return first, None
+    chosen = _local_maxima(problem.V, values)
+    others = (~places.anywhere & chosen, ~places.widened(problem.V))
+    maximum, beyond = (
+        _at_largest(problem, estimate, np.where(where, values, -np.inf), regions)
+        for where in others
+    )
+    other = beyond if maximum.value < _LOWER * beyond.value else maximum
+    return first, other if other.place else None
+
+
+def largest(
+    problem: Problem, estimate: ErrorEstimate, chosen: BoolArray, places: SingularPlaces
+) -> Peak:
+    """The largest von Mises stress on some nodes. Collective.
+
+    Args:
+        problem: The problem that is solved.
+        estimate: The estimate for a state.
+        chosen: Which of the owned nodes count.
+        places: Where the stress is singular.
     """
     values = von_mises(estimate.stress.stress)
-    values = np.where(np.isfinite(values), values, -np.inf)
-    if chosen is not None:
-        values = np.where(chosen, values, -np.inf)
-    comm, node = problem.body.comm, int(np.argmax(values)) if len(values) else -1
+    values = np.where(np.isfinite(values) & chosen, values, -np.inf)
+    reasons = [places.reason(node) for node in _best(values)]
+    return _at_largest(problem, estimate, values, estimate.stress.region, "".join(reasons))
+
+
+def _best(values: FloatArray) -> list[int]:
+    """This rank's node with the largest value, if it has nodes."""
+    return [int(np.argmax(values))] if len(values) else []
+
+
+def _at_largest(
+    problem: Problem,
+    estimate: ErrorEstimate,
+    values: FloatArray,
+    regions: IntArray,
+    singular: str = "",
+) -> Peak:
+    """The largest value. Collective.
+
+    Args:
+        problem: The problem that is solved.
+        estimate: The estimate for a state.
+        values: In proportion to the von Mises stress, at the owned nodes; -inf where none counts.
+        regions: Number of the material region that each belongs to.
+        singular: What is singular at this rank's largest value.
+    """
+    comm, node = problem.body.comm, next(iter(_best(values)), -1)
     mine = float(values[node]) if node >= 0 else -np.inf
     best, rank = max((value, -r) for r, value in enumerate(comm.allgather(mine)))
     if not np.isfinite(best):
@@ -140,13 +214,15 @@ def largest(
     around = _largest_around(problem, node if comm.rank == -rank else -1, estimate.difference)
     if comm.rank == -rank:
         x = problem.V.tabulate_dof_coordinates()[node, : problem.body.dim]
+        stress = float(von_mises(estimate.stress.stress[node]))
+        error = max(float(estimate.stress_error[node]), around)
         own = Peak(
             mine,
             tuple(float(a) for a in x),
-            problem.regions[int(estimate.stress.region[node])].name,
-            max(float(estimate.stress_error[node]), around) / mine if mine > 0 else 0.0,
+            problem.regions[int(regions[node])].name,
+            error / stress if stress > 0 else 0.0,
             surface,
-            places.reason(node) if places is not None else "",
+            singular,
         )
     found: Peak = comm.bcast(own, root=-rank)
     return found

@@ -1,14 +1,21 @@
 """Where the exact stress is unbounded, so that its largest value grows with every refinement.
 
-At a re-entrant edge, where a held part of the boundary ends, and under a force at a point or along
-a line the stress of linear elasticity grows without bound: r^(lambda - 1) at an edge, lambda < 1.
-Such edges are found by the interior angle beta between the two boundary facets at an edge (in the
-plane at a vertex):
+At a re-entrant edge, where a held part of the boundary ends, where materials meet, and under a
+force at a point or along a line the stress of linear elasticity grows without bound: r^(lambda - 1)
+at an edge, lambda < 1.  Edges of the boundary are found by the interior angle beta between the two
+boundary facets there (in the plane at a vertex):
 
     both free or both held alike     beta > 180 degrees
     held in all directions and free  sin(beta)^2 > 1 - nu, or beta > 90 degrees
     held in some directions beside   2 beta > 180 degrees: the body and its mirror image, as at the
     free or held in all              end of a plane of symmetry
+
+Held are surfaces whose displacement is prescribed, those on springs that are stiffer than a layer
+of cells, which act as supports do on this mesh, and along the normal those that press an obstacle.
+The edge of a contact is not singular where the surface is smooth and might touch further on, as
+with Hertz: the pressure ends at zero.  Softer springs make a traction that jumps at their edge;
+that leaves the stress bounded, or lets it grow like a logarithm.  Materials: see
+`material_corners`.
 
 Angles that exceed the limit by less than a margin are not counted: facets of a round surface meet
 at angles, too, and the stress there hardly grows.
@@ -28,13 +35,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from dolfinx import fem, la
 
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import cell_size
-from dolfin_elastic.mesh.geometry.curved import cell_gradients
+from dolfin_elastic.mesh.geometry.curved import cell_gradients, facet_areas
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, cells_beside_facets
 from dolfin_elastic.model.supports.displacement import PrescribingSupport, Restraint
 from dolfin_elastic.model.supports.rigid_surface import Rigid
-from dolfin_elastic.problem.material_regions import poisson
+from dolfin_elastic.model.supports.springs import Spring
+from dolfin_elastic.problem.loads.contact import ContactPair
+from dolfin_elastic.problem.material_regions import poisson, young
+from dolfin_elastic.results.recovery.interfaces import material_corners
 from dolfin_elastic.results.recovery.patches import cell_edges
 
 if TYPE_CHECKING:
@@ -46,6 +57,7 @@ _MARGIN_HELD = np.deg2rad(5.0)
 """The same of the limit between clamped and free."""
 RE_ENTRANT = "a re-entrant edge"
 FORCE = "a force at a point or along a line"
+INTERFACE = "an edge where materials meet"
 _NORMAL_BIT = 8
 
 
@@ -80,12 +92,22 @@ class SingularPlaces:
 
 
 def singular_places(problem: Problem) -> SingularPlaces:
-    """Finds them by the mesh, the supports and the present point and line forces. Collective."""
-    held = [s for s in problem.supports if isinstance(s, PrescribingSupport | Rigid)]
+    """Finds them by the mesh, the supports, the present forces and contacts. Collective."""
+    held = [s for s in problem.supports if isinstance(s, PrescribingSupport | Rigid | Spring)]
     labels = list(dict.fromkeys(s.label for s in held))
-    reasons = [FORCE, RE_ENTRANT, *(f"the rim of the support '{label}'" for label in labels)]
+    pairs = problem.contact_pairs
+    reasons = [
+        FORCE,
+        INTERFACE,
+        RE_ENTRANT,
+        *(f"the rim of the support '{label}'" for label in labels),
+        *(f"the edge of the contact '{pair.label}'" for pair in pairs),
+    ]
     sums, ridge_dim = _sums_at_ridges(problem, held, labels)
-    singular = _classify(sums, problem, len(labels))
+    rims = _classify(sums, problem, (len(labels), len(pairs)))
+    (count, whole, some) = sums[:, 6:9].T
+    alike = np.column_stack([count - whole - some, whole, some])
+    singular = np.column_stack([material_corners(problem, count, alike), rims])
     V = problem.V
     marks = la.vector(V.dofmap.index_map, len(reasons))
     table = marks.array.reshape(-1, len(reasons))
@@ -95,7 +117,7 @@ def singular_places(problem: Problem) -> SingularPlaces:
         table[nodes, 1 + column] = 1.0
     for column, label in enumerate(labels):
         names = [n for s in held if s.label == label for n in s.surfaces]
-        table[_nodes_of_edges_and_points(problem, names), 2 + column] = 1.0
+        table[_nodes_of_edges_and_points(problem, names), 3 + column] = 1.0
     if problem.nodal_loads is not None:
         forces = problem.nodal_loads.nodal().reshape(len(table), -1)
         table[:, 0] = np.abs(forces).max(axis=1, initial=0.0) > 0
@@ -151,8 +173,9 @@ def _sums_at_ridges(
 
     Returns:
         Of each local edge the sums of outward normals (3), of directions into the facets (3), of 1,
-        of facets that are held in all and in some directions, of Poisson's ratio, and of facets of
-        each support; and the dimension of the edges.
+        of facets that are held in all and in some directions, of those of each support, those that
+        press each obstacle and those that might, and of Poisson's ratio; and the dimension of the
+        edges.
     """
     body, mesh = problem.body, problem.body.mesh
     dim = mesh.topology.dim
@@ -221,20 +244,22 @@ def _frames(
 def _held(
     problem: Problem, held: Sequence[Restraint], labels: Sequence[str], facets: IndexArray
 ) -> list[FloatArray]:
-    """For boundary facets: held in all directions, in some, and by each support; 0 or 1."""
+    """For boundary facets, 0 or 1: see `_sums_at_ridges`."""
     body, dim = problem.body, problem.body.dim
     bits = np.zeros(len(facets), dtype=np.int64)
     by = np.zeros((len(labels), len(facets)))
     for support in held:
-        which = range(dim)
-        if isinstance(support, PrescribingSupport):
-            which = support.prescribed_components(dim)  # type: ignore[assignment]
-        mask = sum(_NORMAL_BIT if i < 0 else 1 << i for i in set(which))
-        for name in support.surfaces:
+        mask = _directions(problem, support)
+        for name in support.surfaces if mask else ():
             if name in body.surfaces:
                 chosen = np.isin(facets, body.surfaces[name])
                 bits[chosen] |= mask
                 by[labels.index(support.label), chosen] = 1.0
+    pressing = np.zeros((2 * len(problem.contact_pairs), len(facets)))
+    for i, pair in enumerate(problem.contact_pairs):
+        touching, pressed = _pressed(problem, pair, facets)
+        bits[pressed] |= _NORMAL_BIT
+        pressing[2 * i, pressed], pressing[2 * i + 1, touching] = 1.0, 1.0
     if problem.geometry == "axisymmetric":
         mesh = body.mesh
         mesh.topology.create_connectivity(dim - 1, 0)
@@ -247,7 +272,54 @@ def _held(
         bits[(np.isin(nodes, on_axis) | opposite).all(axis=1)] |= 1
     every = (1 << dim) - 1
     whole = (bits & every) == every
-    return [whole.astype(float), ((bits > 0) & ~whole).astype(float), *by]
+    return [whole.astype(float), ((bits > 0) & ~whole).astype(float), *by, *pressing]
+
+
+def _directions(problem: Problem, support: Restraint) -> int:
+    """Directions in which a support holds its surfaces, a bit each. Collective."""
+    dim = problem.body.dim
+    every = (1 << dim) - 1
+    if isinstance(support, Rigid):
+        return every
+    if isinstance(support, PrescribingSupport):
+        found = set(support.prescribed_components(dim))
+        return sum(_NORMAL_BIT if i < 0 else 1 << i for i in found)
+    assert isinstance(support, Spring)
+    surfaces = [name for name in support.surfaces if name in problem.body.surfaces]
+    if not surfaces:
+        return 0
+    body, area = problem.body, 1.0
+    if support.total:
+        own = np.unique(np.concatenate([body.owned_facets(name) for name in surfaces]))
+        area = total(body.comm, float(facet_areas(body.mesh, own).sum()))
+    layer = max(young(region.typical) for region in problem.regions) / cell_size(body)
+    stiff = [isinstance(c, float) and c > layer * area for c in support.coefficients]
+    if not support.by_normal:
+        return sum(1 << i for i, one in enumerate(stiff) if one)
+    return every if all(stiff) else _NORMAL_BIT if any(stiff) else 0
+
+
+def _pressed(
+    problem: Problem, pair: ContactPair, facets: IndexArray
+) -> tuple[BoolArray, BoolArray]:
+    """Which boundary facets may touch an obstacle, and which press it with all nodes. Collective.
+
+    Args:
+        problem: The problem that is solved.
+        pair: A contact.
+        facets: Local boundary facets.
+    """
+    body, V = problem.body, problem.V
+    named = np.unique(np.concatenate([body.surface(name) for name in pair.contact.surfaces]))
+    work = la.vector(V.dofmap.index_map, 1)
+    work.array[pair.nodes_of_displacement[pair.pressing]] = 1.0
+    work.scatter_forward()
+    cells, local = cells_beside_facets(body.mesh, facets)
+    layout, d = V.dofmap.dof_layout, body.dim
+    closure = np.array([layout.entity_closure_dofs(d - 1, i) for i in range(d + 1)], dtype=np.int32)
+    nodes = V.dofmap.list[cells[:, None], closure[local]]
+    touching = np.isin(facets, named)
+    return touching, touching & (work.array[nodes] > 0).all(axis=1)
 
 
 def _nu(problem: Problem, cells: IndexArray) -> FloatArray:
@@ -259,19 +331,21 @@ def _nu(problem: Problem, cells: IndexArray) -> FloatArray:
     return np.asarray(found[np.minimum(cells, len(found) - 1)]) if len(found) else np.zeros(0)
 
 
-def _classify(sums: FloatArray, problem: Problem, labels: int) -> BoolArray:
-    """Which edges are re-entrant, and which are the rim of each support; see the module.
+def _classify(sums: FloatArray, problem: Problem, sources: tuple[int, int]) -> BoolArray:
+    """Which edges are re-entrant, and which are the rim of what holds the body; see the module.
 
     Args:
         sums: See `_sums_at_ridges`.
         problem: The problem that is solved.
-        labels: Number of supports.
+        sources: Number of supports, and of contacts.
 
     Returns:
-        Shape (edges, 1 + supports).
+        Shape (edges, 1 + supports + contacts).
     """
     normal, inward, (count, whole, some) = sums[:, :3], sums[:, 3:6], sums[:, 6:9].T
-    by, nu = sums[:, 9 : 9 + labels], sums[:, -1] / 2
+    supports, contacts = sources
+    by, nu = sums[:, 9 : 9 + supports], sums[:, -1] / 2
+    pressing, touching = np.split(sums[:, 9 + supports : -1].reshape(len(sums), contacts, 2), 2, 2)
     edge = np.abs(count - 2) < 0.5
     # Of unit vectors a, b: |a + b|^2 = 2 + 2 a.b; seen from outside, a re-entrant edge is a valley.
     cosine = np.clip(np.sum(inward**2, axis=1) / 2 - 1, -1.0, 1.0)
@@ -287,4 +361,6 @@ def _classify(sums: FloatArray, problem: Problem, labels: int) -> BoolArray:
     rim = edge & np.where(
         clamped, angle > limit + _MARGIN_HELD, ~alike & (angle > np.pi / 2 + _MARGIN)
     )
-    return np.column_stack([corner, *(rim & (by[:, i] > 0.5) for i in range(labels))])
+    smooth = np.abs(angle - np.pi) < _MARGIN
+    ends = (pressing[..., 0] > 0.5) & ~(smooth[:, None] & (touching[..., 0] > 1.5))
+    return np.column_stack([corner, rim[:, None] & (by > 0.5), rim[:, None] & ends])

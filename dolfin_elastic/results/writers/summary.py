@@ -235,12 +235,17 @@ def _error(problem: Problem, estimate: ErrorEstimate) -> dict[str, object]:
     if peaks.largest.value > 0:
         norm = percent(estimate.relative)
         log.info("%s; of the whole stress field %s (energy norm)", peaks.text(), norm)
-    return {
+    found = {
         "energy_norm": estimate.relative,
         "energy": estimate.energy,
         "von_mises": asdict(peaks.largest),
         "elsewhere": asdict(peaks.elsewhere) if peaks.elsewhere else None,
     }
+    if peaks.safety is not None:
+        other = peaks.safety_elsewhere
+        found["safety_factor"] = asdict(peaks.safety)
+        found["safety_factor_elsewhere"] = asdict(other) if other else None
+    return found
 
 
 def mark_stopped(folder: Path) -> None:

@@ -1,0 +1,206 @@
+"""Singular places: exponents of wedges, and which edges of bodies have them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.ranks import SIZES, on_ranks
+from mpi4py import MPI
+from scipy.optimize import brentq
+
+from dolfin_elastic import (
+    Contact,
+    LinearElastic,
+    Problem,
+    Selector,
+    Spring,
+    Statics,
+    Support,
+    Traction,
+    name_parts,
+    rectangle_body,
+)
+from dolfin_elastic.mesh.selectors import PointSelector
+from dolfin_elastic.results.recovery.error import ErrorEstimator
+from dolfin_elastic.results.recovery.peaks import Peaks, find_peaks
+from dolfin_elastic.results.recovery.singular import singular_places
+from dolfin_elastic.results.recovery.wedge import Wedge, stress_exponent
+
+FREE = "free"
+RIGHT_ANGLE = np.pi / 2
+
+
+def wedge(degrees: float, mu: float = 1.0, nu: float = 0.3) -> Wedge:
+    """In plane strain."""
+    return Wedge(np.deg2rad(degrees), mu, 3 - 4 * nu)
+
+
+@pytest.mark.parametrize(
+    ("opening", "face", "exact"),
+    [
+        (360, "free", 0.5),
+        (270, "free", 0.544484),
+        (225, "free", 0.673583),
+        (360, "held", 0.5),
+        (180, "free", 1.0),
+        (90, "free", 1.0),
+        (180, "roller", 1.0),
+        (270, "roller", 1 / 3),
+    ],
+)
+def test_one_material(opening: float, face: Any, exact: float) -> None:
+    """sin(lambda beta) = -lambda sin(beta) of a free notch: Williams (1952), table 1; held along
+    its normal beyond half a plane, lambda = 1 - pi/beta, that of its mirror image."""
+    half = wedge(opening / 2)
+    assert stress_exponent(half, half, face) == pytest.approx(exact, abs=2e-3)
+
+
+def bogy(ratio: float, nu: tuple[float, float]) -> float:
+    """The exponent of two quarter planes: D. B. Bogy, J. Appl. Mech. 35 (1968) 460, (31)."""
+    k1, k2 = (3 - 4 * n for n in nu)
+    sums = (k2 + 1) * ratio + (k1 + 1)
+    a = ((k2 + 1) * ratio - (k1 + 1)) / sums
+    b = ((k2 - 1) * ratio - (k1 - 1)) / sums
+
+    def condition(power: float) -> float:
+        c = np.sin(np.pi * power / 2) ** 2 - power**2
+        whole = c**2 * b**2 + 2 * power**2 * c * a * b + power**2 * (power**2 - 1) * a**2
+        return float(whole + np.sin(np.pi * power) ** 2 / 4)
+
+    return brentq(condition, 0.3, 0.999) if a * (a - 2 * b) > 0 else 1.0
+
+
+@pytest.mark.parametrize(
+    ("ratio", "nu"), [(10, (0.3, 0.3)), (3, (0.3, 0.33)), (100, (0.3, 0.45)), (1.2, (0.2, 0.45))]
+)
+def test_two_quarter_planes(ratio: float, nu: tuple[float, float]) -> None:
+    """Singular where alpha (alpha - 2 beta) > 0, of Dundurs' constants; not in the last case."""
+    exact = bogy(ratio, nu)
+    found = stress_exponent(wedge(90, ratio, nu[0]), wedge(90, 1.0, nu[1]))
+    assert found == pytest.approx(exact, abs=2e-3)
+
+
+def test_inside_the_body() -> None:
+    """A flat interface has no singularity, the corner of an inclusion has one."""
+    assert stress_exponent(wedge(180, 5.0), wedge(180), None) == 1.0
+    assert 0.7 < stress_exponent(wedge(90), wedge(270, 5.0), None) < 0.8
+    assert 0.8 < stress_exponent(wedge(90, 5.0), wedge(270), None) < 0.9
+    assert stress_exponent(wedge(90), wedge(270), None) == 1.0
+
+
+# --- bodies ---
+
+
+def peaks_of(problem: Problem) -> Peaks:
+    *_, state = Statics(problem).steps()
+    return find_peaks(problem, ErrorEstimator(problem)(state))
+
+
+def bar(moduli: tuple[float, float], comm: MPI.Comm = MPI.COMM_WORLD, **more: Any) -> Problem:
+    """Pulled across the interface of two materials; both ends may become thinner."""
+    body = rectangle_body(comm=comm, size=(4.0, 1.0), cells=(16, 4))
+    halves = {"soft": Selector(box=[[0, 0], [2, 1]]), "hard": Selector(box=[[2, 0], [4, 1]])}
+    laws = {
+        name: LinearElastic(E=E, nu=0.3, allowable=limit)
+        for name, E, limit in zip(halves, moduli, (1.0, 5.0), strict=True)
+    }
+    return Problem(
+        name_parts(body, regions=halves),
+        laws,
+        degree=2,
+        supports=[
+            Support(on="left", displacement=[0, FREE]),
+            Support(on="bottom", displacement=[FREE, 0]),
+        ],
+        loads=[Traction(on="right", value=[1.0, 0.0])],
+        **more,
+    )
+
+
+def test_an_interface_that_ends_at_a_free_surface() -> None:
+    """And the safety factor there is told with the smallest elsewhere, which is the bar's own.
+
+    In plane strain the bar's von Mises stress is sqrt(1 - nu + nu^2) times the traction.
+    """
+    peaks = peaks_of(bar((1e3, 1e4)))
+    assert peaks.largest.singular == "an edge where materials meet"
+    assert peaks.largest.place == pytest.approx((2, 1))
+    assert peaks.safety is not None
+    assert peaks.safety.singular == "an edge where materials meet"
+    assert peaks.safety.part == "soft"
+    assert peaks.safety_elsewhere is not None
+    assert peaks.safety.value < peaks.safety_elsewhere.value
+    assert peaks.safety_elsewhere.value == pytest.approx(1 / np.sqrt(0.79), rel=0.06)
+    assert "falls with every refinement; the smallest elsewhere 1." in peaks.text()
+
+
+def test_one_material_under_two_names() -> None:
+    peaks = peaks_of(bar((1e3, 1e3)))
+    assert peaks.largest.singular == ""
+    assert peaks.safety is not None
+    assert (peaks.safety.singular, peaks.safety_elsewhere) == ("", None)
+
+
+def interface_on(comm: MPI.Comm) -> Any:
+    problem = bar((1e3, 1e4), comm)
+    places = singular_places(problem)
+    x = problem.V.tabulate_dof_coordinates()[: len(places.near), :2]
+    near = x[places.near[:, places.reasons.index("an edge where materials meet")]]
+    found = np.concatenate(comm.allgather(near))
+    return [len(found), *found.min(axis=0), *found.max(axis=0)]
+
+
+def test_the_same_on_any_ranks() -> None:
+    found = [on_ranks(count, interface_on) for count in SIZES]
+    assert found[0] == pytest.approx([found[0][0], 1.75, 0.75, 2.25, 1.0])
+    for other in found[1:]:
+        assert other == pytest.approx(found[0])
+
+
+def block(**more: Any) -> Problem:
+    """A square, the left half of its top named."""
+    body = name_parts(
+        rectangle_body(size=(1.0, 1.0), cells=(8, 8)),
+        surfaces={"half": Selector(plane="y", at="max", box=((0, 0), (0.5, 1)))},
+        points={"corner": PointSelector(nearest=(0, 0))},
+    )
+    law = LinearElastic(E=1e3, nu=0.0)
+    return Problem(body, law, degree=2, **more)
+
+
+ROLLERS = [
+    Support(on="left", displacement=[0, FREE]),
+    Support(on="bottom", displacement=[FREE, 0]),
+]
+
+
+@pytest.mark.parametrize(("stiffness", "singular"), [(1e6, True), (1.0, False)])
+def test_the_end_of_a_bed_of_springs(stiffness: float, singular: bool) -> None:
+    """As stiff as a support on this mesh, or a bed that gives way with a traction that jumps."""
+    bed = Spring(on="half", normal=stiffness, tangential=stiffness)
+    places = singular_places(block(supports=[bed]))
+    near = places.near[:, places.reasons.index("the rim of the support 'half'")]
+    assert bool(MPI.COMM_WORLD.allreduce(int(near.sum()))) is singular
+
+
+def test_springs_of_a_whole_surface_and_at_a_point() -> None:
+    """Their total over the area; and a spring at a point is a force at a point."""
+    bed = Spring(on="half", normal=1e6, tangential=1e6, total=True)
+    pin = Spring(on="corner", stiffness=[1.0, 1.0])
+    places = singular_places(block(supports=[bed, pin]))
+    rims = [places.reasons.index(f"the rim of the support '{name}'") for name in ("half", "corner")]
+    found = MPI.COMM_WORLD.allreduce(places.near[:, rims].sum(axis=0))
+    assert found.min() > 0
+
+
+@pytest.mark.parametrize(("on", "reason"), [("half", "the edge of the contact"), ("top", "")])
+def test_the_edge_of_a_punch(on: str, reason: str) -> None:
+    """A plane that presses a part of a flat face ends like a punch: r^(-1/2).  One that presses the
+    whole face ends at its right angles, where the stress is bounded."""
+    punch = Contact(on=on, plane={"axis": "-y", "at": 1.0}, motion=[0, -0.01])
+    problem = block(supports=ROLLERS, contacts=[punch])
+    singular = peaks_of(problem).largest.singular
+    assert singular.startswith(reason)
+    assert bool(singular) is bool(reason)
