@@ -103,6 +103,10 @@ class LastState:
             },
         )
 
+    def forget(self) -> None:
+        """Goes back to no state. Not collective."""
+        self.state = None
+
     def _copy(self, name: str, function: fem.Function) -> fem.Function:
         if name not in self._copies:
             self._copies[name] = fem.Function(function.function_space)

@@ -178,7 +178,7 @@ class PictureWriter:
             if self._every is None or not self._every.takes(state.step):
                 self._last_state.copy(state)
             else:
-                self._last_state.state = None
+                self._last_state.forget()
                 self._paint(state)
 
     def _paint(self, state: State) -> None:

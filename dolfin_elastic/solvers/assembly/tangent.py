@@ -8,14 +8,13 @@ a PETSc AIJ matrix of the same pattern.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from dolfinx import fem, la
 from petsc4py import PETSc
 
 from dolfin_elastic.core.timing import stage
-from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.assembly.skew_rows import SkewProjection
 from dolfin_elastic.solvers.petsc.c_api import overwrite_aij
@@ -70,15 +69,13 @@ class Tangent:
                 return
             if unit is None and self._dofs.skew is not None:
                 unit = self.scale()
-            self._assembled.unit = unit or 0.0
-            self._assembled.assemble(self._dofs.bcs)
+            self._assembled.assemble(self._dofs.bcs, unit=unit or 0.0)
             self._shift = shift
 
     def scale(self) -> float:
         """Mean size of the tangent's diagonal at the first call, a power of two [N/m]."""
         if self._scale == 0.0:
-            self._assembled.unit = 0.0
-            self._assembled.assemble(self._dofs.bcs)
+            self._assembled.assemble(self._dofs.bcs, unit=0.0)
             self.invalidate()
             diagonal = self.matrix.getDiagonal()
             mean = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
@@ -110,15 +107,12 @@ class TangentMatrix:
 
     Args:
         form: Compiled bilinear form; its sparsity is fixed here. Collective.
-        places: Owned rows of skew nodes, of shape (nodes, dim);
-            None if no rank has any.
-        P: Projections on these directions, of shape (nodes, dim, dim).
-
+        places: Owned rows of skew nodes, shape (nodes, dim); None if no rank has any.
+        P: Projections on these directions, shape (nodes, dim, dim).
         fixed: Owned rows of fixed unknowns, and their diagonal in place of ones.
 
     Attributes:
         petsc: The PETSc matrix, owned here.
-        unit: Factor of P, in place of the ones at prescribed dofs [N/m].
     """
 
     def __init__(
@@ -135,7 +129,6 @@ class TangentMatrix:
         self._diagonal, self._others = self._value_order()
         if PETSc.ScalarType != np.float64 or self._entries() != self._native.indptr[self._rows()]:
             raise RuntimeError("PETSc's matrix has not the entries of DOLFINx's")
-        self.unit = 1.0
         self._fixed = None if fixed is None else (self._entry_on_diagonal(fixed[0]), fixed[1])
         self._projection: SkewProjection | None = None
         if places is not None and P is not None:
@@ -181,7 +174,7 @@ class TangentMatrix:
         ]
         return np.array(found, dtype=np.int64)
 
-    def _value_order(self) -> tuple[Any, Any]:
+    def _value_order(self) -> tuple[slice | BoolArray, IntArray]:
         """Which native values go, in which order, to PETSc's own-column and other-column parts.
 
         PETSc sorts the own columns by number, as DOLFINx does, and the others by global number,
@@ -198,13 +191,18 @@ class TangentMatrix:
         order = np.lexsort((self._global_columns()[:count][others], row[others]))
         return mine, others[order]
 
-    def assemble(self, bcs: Sequence[fem.DirichletBC]) -> None:
-        """Assembles the form, with ones on the diagonal of constrained rows. Collective."""
+    def assemble(self, bcs: Sequence[fem.DirichletBC], *, unit: float = 1.0) -> None:
+        """Assembles the form, with ones on the diagonal of constrained rows. Collective.
+
+        Args:
+            bcs: Dirichlet conditions, whose rows and columns are zeroed.
+            unit: Factor of P at skew nodes, in place of the ones [N/m].
+        """
         self._native.data[:] = 0.0
         fem.assemble_matrix(self._native, self._form, list(bcs))
         self._native.scatter_reverse()
         if self._projection is not None:
-            self._projection.apply(self._native.data, self.unit)
+            self._projection.apply(self._native.data, unit)
         if self._fixed is not None:
             self._native.data[self._fixed[0]] = self._fixed[1]
         count = int(self._native.indptr[self._rows()])

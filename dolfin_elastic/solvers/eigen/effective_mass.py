@@ -51,8 +51,7 @@ class Mass:
             self._filled.destroy()
             P = skew.P[: skew.count]
             self._filled = TangentMatrix(self._form, assembler.skew_dofs, P)
-            self._filled.unit = 0.0
-            self._filled.assemble([])
+            self._filled.assemble([], unit=0.0)
             self.matrix = self._filled.petsc
         start = self.matrix.getOwnershipRange()[0]
         rows = (assembler.prescribed_dofs + start).astype(PETSc.IntType)

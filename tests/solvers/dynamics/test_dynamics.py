@@ -424,7 +424,9 @@ def test_a_linear_body_is_assembled_once(monkeypatch):
     calls = []
     assemble = TangentMatrix.assemble
     monkeypatch.setattr(
-        TangentMatrix, "assemble", lambda self, bcs: (calls.append(1), assemble(self, bcs))
+        TangentMatrix,
+        "assemble",
+        lambda self, bcs, **unit: (calls.append(1), assemble(self, bcs, **unit)),
     )
     moved = ["1e-3*x", 0]
     _ = [*Dynamics(oscillator(), end=0.1, dt=0.01, initial_displacement=moved).steps()]

@@ -171,7 +171,8 @@ class StabilityMonitor:
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """See `Restartable`. Not collective."""
-        self._small.note, self.inverted = saved["far"], saved["inside_out"]
+        self._small.restore(saved["far"])
+        self.inverted = saved["inside_out"]
         self.place = tuple(saved["place"])
         self._warned, self._largest_energy = saved["told"], saved["most"]
         self._states = int(saved["states"])

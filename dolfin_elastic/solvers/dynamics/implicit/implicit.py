@@ -398,7 +398,8 @@ class Implicit:
         self.ts.setTime(numbers["t"])
         self.ts.setStepNumber(numbers["step"])
         self.ts.setTimeStep(numbers["dt"])
-        self.control.scale, self._first_krylov = numbers["scale"], numbers["usual"]
+        self.control.restore(numbers["scale"])
+        self._first_krylov = numbers["usual"]
         self.problem.set_time(numbers["t"])
         self.balance.restore(numbers["ledger"])
         self.auditor.restore(numbers["audit"])

@@ -199,7 +199,7 @@ class StageSolver:
         self._moving.velocity_shift.value, self._moving.acceleration_shift.value = p.shifts(h)
         stage = self._stage = self._prescribe(start, h)
         if self._volumes is not None:
-            self._volumes.end = start.t + h
+            self._volumes.end_at(start.t + h)
         origin = self._assembler.origin
         origin[:] = start.w
         origin[self._moving.displacement_dofs] += (1 - p.alpha_f) * stage.predictor

@@ -92,6 +92,10 @@ class StepControl:
                 self.nominal,
             )
 
+    def restore(self, scale: float) -> None:
+        """Goes on with the scale of a run that was stopped [m]. Not collective."""
+        self.scale = scale
+
     @property
     def options(self) -> dict[str, PetscValue]:
         """PETSc options of TSAdapt."""

@@ -43,9 +43,6 @@ class VolumeConstraint:
     Args:
         assembler: Its residual is completed.
         alpha_f: Share of the old displacement in the stage's.
-
-    Attributes:
-        end: Time at which the step ends [s]: growth and temperatures are taken then, too.
     """
 
     def __init__(self, assembler: Assembler, alpha_f: float) -> None:
@@ -62,7 +59,7 @@ class VolumeConstraint:
         self._scalars = entries
         self._old: FloatArray = np.empty(0)
         self._compressible_part: FloatArray = np.zeros(assembler.size)
-        self.end = 0.0
+        self._end = 0.0
 
     @staticmethod
     def needed(problem: Problem, alpha_f: float) -> bool:
@@ -86,13 +83,21 @@ class VolumeConstraint:
         self._old = self._problem.w.x.array.copy()
         self._compressible_part = self._share * self._rows(self._compressible, self._old)
 
+    def end_at(self, t: float) -> None:
+        """Sets the end of the step that is tried. Not collective.
+
+        Args:
+            t: Its time [s], of which growth and temperatures are taken, too.
+        """
+        self._end = t
+
     def complete(self) -> None:
         """Adds the difference of the constraints at step and stage to the residual. Collective."""
         here, s = self._problem.w.x.array.copy(), self._share
         end = self._old + (here - self._old) / (1 - s)
         more = self._compressible_part - self._rows(self._with_pressure, here)
         now = float(self._problem.t.value)
-        self._problem.set_time(self.end)
+        self._problem.set_time(self._end)
         more += (1 - s) * self._rows(self._with_pressure, end)
         self._problem.set_time(now)
         self._problem.w.x.array[:] = here
