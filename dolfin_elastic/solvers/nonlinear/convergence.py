@@ -188,7 +188,7 @@ class RoundOff:
     def beyond(self) -> float:
         """Norm of what the free rows of the last residual have beyond it [N]. Collective."""
         a = self._assembler
-        out = a.residual.owned
+        out = a.balanced(a.residual.owned)
         rows = np.maximum(np.abs(out - a.constrained_part(out)) - self._rows, 0.0)
         return float(np.sqrt(total(a.comm, float(np.sum(rows**2)))))
 

@@ -141,9 +141,11 @@ def test_supports_that_change_the_volume_are_refused(height):
         [*_] = Statics(problem).steps()
 
 
-def test_growth_that_has_no_room_is_refused():
-    problem = block([Support(on=[*SIDES, "top"])], loads=[Growth(value=[1.1, 1, 1])])
-    with pytest.raises(InputError, match="or growth, change its volume by"):
+@pytest.mark.parametrize("stretches", [[1.1, 1, 1], [1.01, 1.01, 1.01]])
+def test_growth_that_has_no_room_is_refused(stretches):
+    """The second is as heat: nothing but the uniform pressure is out of balance from the start."""
+    problem = block([Support(on=[*SIDES, "top"])], loads=[Growth(value=stretches)])
+    with pytest.raises(InputError, match="or heat or growth, change its volume by"):
         [*_] = Statics(problem).steps()
 
 
