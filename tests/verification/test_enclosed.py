@@ -104,6 +104,20 @@ def test_azimuthal_shear_of_an_annulus(folder, law):
             assert state.numbers[f"{name}_pressure"] == pytest.approx(-mean, abs=0.02 * mu)
 
 
+def test_a_turn_needs_no_small_steps(folder):
+    """The chord of the turn changes the area, to first order: that is spread, too.
+
+    The row of the fixed pressure took it all, and 40 degrees needed 21 steps; at nu = 0.4999 three.
+    """
+    case = annulus(folder, 0.4, {"law": "neo-hookean", "mu": 1e6, "nu": 0.5})
+    turn = {"kind": "rotation", "on": "outer", "point": [0, 0], "angle": "40 deg"}
+    state = solved(case | {"support": [{"on": "inner"}, turn]}, folder)
+    assert state.step <= 3
+    assert state.newton <= 5
+    moment = 4 * np.pi * 1e6 * np.radians(40) / (1 - 1 / 4)
+    assert state.numbers["torque_outer"] == pytest.approx(moment, rel=1e-2)
+
+
 def held_block(law: Any, cells: int, **more: Any) -> Any:
     """A square in plane strain, held on three sides, its top sheared by a wave."""
     problem = Problem(

@@ -188,7 +188,9 @@ class Residual:
             self._measure(out, *differences)
             if self.gap > 0.0 and np.isfinite(self.free_norm):
                 dofs.lift(self._tangent.form, differences, self._lift)
-                out = out + self._lift.array[: dofs.size]
+                # A support that turns keeps the volume, but its chord does not: the rest of a fixed
+                # pressure's row would change the volume of the cells around that one.
+                out = out + dofs.balanced(self._lift.array[: dofs.size])
             f.array_w[:] = out
             f.array_w[dofs.prescribed_dofs] = differences[0]
             f.array_w[dofs.fixed_pressures] = 0.0  # the sum of the other rows, which are zero
