@@ -162,3 +162,16 @@ def test_check_notes_a_body_without_a_free_surface(folder):
     assert "its pressure is known up to a constant" in note
     open_case = case | {"support": [{"on": "inner"}]}
     assert not [n for n in report(Case.from_dict(open_case)).notes if "free surface" in n]
+
+
+def test_rollers_on_curved_surfaces_are_doubted(folder):
+    """Nodes that slide along tangents change the volume; flat rollers and held sides do not."""
+    from dolfin_elastic.case.check.report import report
+
+    kinds = {"normal": True, "displacement": False}
+    for kind, said in kinds.items():
+        supports = [{"on": "inner"}, {"on": "outer", "kind": kind}]
+        case = annulus(folder, 0.5, RUBBER) | {"support": supports}
+        notes = [n for n in report(Case.from_dict(case)).notes if "slide along" in n]
+        assert bool(notes) is said
+        assert all("('outer')" in note for note in notes)

@@ -34,8 +34,10 @@ from dolfin_elastic.mesh.geometry.curved import (
 from dolfin_elastic.mesh.geometry.simplices import (
     boundary_facets,
     cells_beside_facets,
+    outward_normals,
     prepare_facets,
 )
+from dolfin_elastic.model.supports.displacement import Normal
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.material_regions import MaterialRegion, poisson
 from dolfin_elastic.problem.problem import Problem
@@ -48,6 +50,9 @@ round-off."""
 
 NEARLY = 0.4985
 """Poisson's ratio from which K times the error of J is visible in the pressure: K/mu = 300."""
+
+BENT = 1e-3
+"""Range of a component of the normals of a surface from which on it is not flat."""
 
 ROUND_OFF = 1e-10
 """Change of volume, over the volume, that is round-off."""
@@ -261,7 +266,8 @@ class PressureLevel:
     def report(self) -> None:
         """Logs which pressures are known up to a constant."""
         for note in self.notes():
-            log.log(logging.WARNING if "error of the mesh" in note else logging.INFO, "%s", note)
+            doubtful = "error of the mesh" in note or "slide along" in note
+            log.log(logging.WARNING if doubtful else logging.INFO, "%s", note)
 
     def _errors(self) -> list[str]:
         return [
@@ -272,13 +278,22 @@ class PressureLevel:
         ]
 
     def notes(self) -> list[str]:
-        """What a user should know of the enclosed bodies."""
-        return self._errors() + [
+        """What a user should know of the enclosed bodies. Collective."""
+        found = self._errors() + [
             f"{body.label} is incompressible and has no free surface: its pressure is known up to "
             "a constant, and the one whose mean is zero is taken"
             for body in self.bodies
             if not body.coupled
         ]
+        if self.bodies and (names := _curved_rollers(self._problem)):
+            found.append(
+                f"rollers on curved surfaces ({', '.join(names)}) let nodes slide along straight "
+                "tangents, which changes the volume by half the square of the sliding times the "
+                "curvature; the body is incompressible and held all around, so that it slides by "
+                "small steps only and needs many of them; a contact with a sphere or cylinder "
+                "keeps to the surface"
+            )
+        return found
 
     def check_volumes(self, rows: FloatArray) -> None:
         """Compares what supports leave the bodies with their volumes. Collective.
@@ -316,6 +331,26 @@ class PressureLevel:
 
 def _label(name: str) -> str:
     return f"the body '{name}'" if name else "the body"
+
+
+def _curved_rollers(problem: Problem) -> list[str]:
+    """Surfaces that are not flat and held along their normals alone. Collective.
+
+    In the linearised problem nothing distinguishes them from flat ones.  At a finite displacement
+    the volume depends on the tangential displacements, to their second order: the mean of the
+    pressure equations, which is removed, has a derivative that is in no column of the tangent.
+    """
+    body, found = problem.body, []
+    prepare_facets(body.mesh)
+    for support in problem.supports:
+        for name in support.surfaces if isinstance(support, Normal) else ():
+            normals = outward_normals(body.mesh, body.owned_facets(name))
+            most = np.full((2, body.dim), -np.inf)
+            if len(normals):
+                most = np.stack([normals.max(axis=0), -normals.min(axis=0)])
+            if np.max(np.max(body.comm.allgather(most), axis=0).sum(axis=0)) > BENT:
+                found.append(f"'{name}'")
+    return found
 
 
 def _errs(part: MaterialRegion) -> bool:
