@@ -72,6 +72,8 @@ class WeakForm:
         if self._quadrature_degree is not None:
             return max(self._quadrature_degree, least)
         degree = max(region.law.quadrature_degree(self._context.order), least)
+        if self._context.axisymmetric:
+            degree += 1  # the radius is a factor of the integrand
         if region.compliance is not None or self._context.axisymmetric:
             return max(degree, 2)  # the pressure and the radius vary inside a linear element, too
         return degree

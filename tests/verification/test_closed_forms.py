@@ -1,4 +1,4 @@
-"""Over a hundred cases with closed forms, as a user types them, see `helpers.closed_forms`.
+"""Over two hundred cases with closed forms, as a user types them, see `helpers.closed_forms`.
 
 Each ends right within the error that its mesh or time step leaves, with an audit that passes, or
 says what is wrong; none ends wrong with `pass`.
@@ -11,20 +11,23 @@ from pathlib import Path
 
 import pytest
 from helpers.closed_forms import ROWS, Answers, Row
+from helpers.further_closed_forms import FURTHER
 from mpi4py import MPI
 
 from dolfin_elastic import Case, run
 from dolfin_elastic.core.parallel import on_root
 
+EVERY = [*ROWS, *FURTHER]
+
 
 def test_the_table() -> None:
-    """At least a hundred rows, each with a name of its own."""
-    assert len(ROWS) >= 100
-    assert len({row.name for row in ROWS}) == len(ROWS)
+    """At least two hundred rows, each with a name of its own."""
+    assert len(EVERY) >= 200
+    assert len({row.name for row in EVERY}) == len(EVERY)
 
 
 @pytest.mark.sample(3)
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+@pytest.mark.parametrize("row", EVERY, ids=lambda row: row.name)
 def test_closed_form(row: Row, folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     """The known numbers, or a word."""
     if row.geo:

@@ -19,6 +19,7 @@ from dolfin_elastic.material_point.checks import check_user_energies
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import SplitLaw
+from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.problem.material_regions import volume_modulus
 from dolfin_elastic.results.fields import FIELDS
@@ -91,6 +92,8 @@ def _check_names(case: Case, body: Body) -> None:
             kind = "support" if support.kind == "displacement" else support.kind
             rule = f"{_a(kind)} holds {_listed(support.part_kinds)}"
             _check_name(where, name, support.part_kinds, rule, body)
+            if isinstance(support, ResistingSupport) and "surface" in body.kinds(name):
+                _check_area(where, name, body)
     for i, contact in enumerate(case.contact):
         for where, name in _names(f"contact[{i}].on", contact.on):
             _check_name(where, name, ("surface",), "a contact holds surfaces", body)
@@ -168,10 +171,25 @@ def _check_name(where: str, name: str, kinds: Sequence[str], rule: str, body: Bo
     if not sum(_count(body, kind, name) for kind in here):
         raise MeshError(f"the {here[0]} '{name}' is empty", where=where)
     if len(kinds) == 1:
-        try:
-            body.part(here[0], name)
-        except MeshError as error:  # a set of nodes that is no surface
-            raise error.at(where) from None
+        _check_area(where, name, body, here[0])
+
+
+def _check_area(where: str, name: str, body: Body, kind: str = "surface") -> None:
+    """A part is more than a set of nodes.
+
+    Args:
+        where: Key that names it.
+        name: Of the part.
+        body: The mesh and its names.
+        kind: Of the part.
+
+    Raises:
+        MeshError: It is a set of nodes that is no surface.
+    """
+    try:
+        body.part(kind, name)
+    except MeshError as error:
+        raise error.at(where) from None
 
 
 def _count(body: Body, kind: str, name: str) -> int:

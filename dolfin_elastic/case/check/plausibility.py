@@ -268,8 +268,9 @@ def _singular_supports(case: Case, body: Body) -> Iterator[str]:
             found.setdefault(name, f"the {what} '{name}' (support[{i}])")
     if found:
         several = len(found) > 1
+        are = "are" if several or next(iter(found.values())).startswith("the nodes") else "is"
         yield (
-            f"{', '.join(found.values())} {'are' if several else 'is'} held: the "
+            f"{', '.join(found.values())} {are} held: the "
             f"reaction{'s are' if several else ' is'} exact, but the stress beside is singular, "
             f"growing with every refinement, where {'they are' if several else 'it is'} not zero"
         )

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import io
 from contextlib import redirect_stdout
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.decks import box, inp_text, made, numbers
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check import report
@@ -66,6 +68,25 @@ def test_supports_on_edges_and_points_are_singular_and_said_to_be() -> None:
     assert any(note.startswith(said) for note in notes)
     spring = [{"on": "bottom"}, {"on": "tip", "kind": "spring", "stiffness": [1, 1, 1]}]
     assert not any("singular" in note for note in report(case(support=spring)).notes)
+
+
+def test_a_set_of_nodes_that_is_no_surface(folder: Path) -> None:
+    """It can be held, and that is said; springs and tractions on it are refused with the key."""
+    points, cells = box((4, 1, 1), (2, 1, 1))
+    rows = np.flatnonzero((points[:, 0] == 0) | (points == [4, 0, 0]).all(axis=1))
+    deck = inp_text(points, cells, f"*NSET, NSET=foot\n{numbers(rows)}\n")
+    made(lambda: (folder / "part.inp").write_text(deck))
+
+    def held(**keys: Any) -> Case:
+        material = {"m": {"law": "linear-elastic", "E": 1e9, "nu": 0.3, "density": 1e3}}
+        tables = {"mesh": {"file": "part.inp"}, "materials": material}
+        support = {"support": [{"on": "Foot", **keys}], "load": [{"kind": "gravity"}]}
+        return Case.from_dict({**tables, **support}, folder)
+
+    notes = report(held()).notes
+    assert any(note.startswith("the nodes 'Foot' (support[0]) are held: the") for note in notes)
+    with pytest.raises(InputError, match=r"support\[0\]\.on: the set of nodes 'Foot' is no surf"):
+        report(held(kind="spring", normal=1e9))
 
 
 @pytest.mark.parametrize(
