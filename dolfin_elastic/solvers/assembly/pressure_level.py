@@ -314,8 +314,8 @@ class PressureLevel:
             change = total(self._comm, float(rows[body.dofs].sum())) / scale
             if abs(change) > max(IMPOSSIBLE * swept, ROUND_OFF * body.volume):
                 raise InputError(
-                    f"{body.label} is incompressible and held all around, and its supports, or heat "
-                    f"or growth, change its volume by {abs(change) / body.volume:.3g} of it",
+                    f"{body.label} is incompressible and held all around, and its supports, or "
+                    f"heat or growth, change its volume by {abs(change) / body.volume:.3g} of it",
                     where="support",
                     expected="a surface that is free to move along its normal, or nu below 0.5",
                 )
