@@ -19,7 +19,7 @@ from click.exceptions import ClickException
 
 from dolfin_elastic.cli.converge import converge
 from dolfin_elastic.cli.materials import material, materials
-from dolfin_elastic.cli.pipes import survive_closed_pipes
+from dolfin_elastic.cli.pipes import guard_output
 from dolfin_elastic.cli.run import Trust, log_to_screen, restart, run
 from dolfin_elastic.core import __version__
 from dolfin_elastic.core.errors import CaseError, ElasticError
@@ -184,7 +184,7 @@ def info() -> None:
 
 def main() -> None:
     """The console script."""
-    survive_closed_pipes()
+    guard_output()
     if launched_rank():
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.exit(guarded())

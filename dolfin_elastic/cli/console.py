@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
+from dolfin_elastic.cli.terminal import Screen
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, SolveError
 
@@ -36,14 +37,7 @@ def console(*, stderr: bool = False) -> Console:
     launched = "OMPI_COMM_WORLD_RANK" in os.environ or "PMI_RANK" in os.environ
     plain = launched or not stream.isatty()
     width, terminal = (WIDTH, False) if plain else (None, None)
-    return Console(
-        stderr=stderr,
-        width=width,
-        force_terminal=terminal,
-        highlight=False,
-        markup=False,
-        emoji=False,
-    )
+    return Screen(stream, width, terminal)
 
 
 # --- progress ---

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 def show_check(report: Report) -> None:
     """Prints the report of a check."""
     screen = console()
-    screen.print(f"{report.case}: {report.title}" if report.title else report.case, style="bold")
+    title = " ".join(report.title.split())  # one line, whatever it holds
+    screen.print(f"{report.case}: {title}" if title else report.case, style="bold")
     for name, text in _head(report):
         screen.print(f"  {name:<10} {text}", soft_wrap=True)
     span = max(report.extent)

@@ -6,6 +6,7 @@ before any module that imports petsc4py.
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable, Mapping
 from typing import TypeAlias
@@ -77,6 +78,79 @@ def refuse_case_keys(names: Iterable[str], where: str) -> None:
                 where=where,
                 expected=f"leave it out; {CASE_KEYS[bare]} says it",
             )
+
+
+_OF_SOLVERS = re.compile(
+    r"""(?:
+    # what stands in front of the options of solvers inside solvers
+    (?:mg_(?:levels|coarse|fine)(?:_\d+)?|fieldsplit_[a-z0-9]+|sub|esteig|redundant|telescope|st)_
+    )*(?:
+    ksp_(?:type|rtol|atol|divtol|max_it|min_it|norm_type|pc_side|error_if_not_converged
+      |initial_guess_nonzero|diagonal_scale(?:_fix)?|lag_norm|check_norm_iteration
+      |reuse_preconditioner|converged_\w+|richardson_\w+|chebyshev_\w+|f?gmres_\w+|lgmres_\w+
+      |dgmres_\w+|pgmres_\w+|bcgsl_\w+|gcr_\w+|fcg_\w+|cg_\w+|pipefcg_\w+|minres_\w+)
+    |pc_(?:type|use_amat|side
+      |(?:factor|gamg|mg|hypre|ml|fieldsplit|asm|gasm|bjacobi|pbjacobi|vpbjacobi|sor|jacobi|redundant
+      |telescope|cholesky|ilu|lu|kaczmarz|svd|spai|eisenstat)_\w+)
+    |mat_mumps_(?:cntl_\d+|icntl_(?:[4-9]|1\d|2[013-9]|[3-5]\d))
+    |mat_superlu_dist_\w+
+    |snes_(?:type|linesearch_\w+|lag_\w+|ksp_ew\w*|force_iteration|max_fail|max_linear_solve_fail
+      |check_jacobian_domain_error|trtol|tr_\w+|qn_\w+|ngmres_\w+|anderson_\w+|converged_reason
+      |test_jacobian)
+    |npc_(?:snes|ksp|pc)_(?:type|rtol|max_it)
+    |ts_(?:adapt_\w+|alpha_\w+|theta_\w+|rtol|atol|exact_final_time|max_snes_failures|max_reject
+      |converged_reason)
+    |eps_(?:type|tol|max_it|ncv|nev|mpd|conv_\w+|harmonic|true_residual|two_sided|krylovschur_\w+
+      |jd_\w+|gd_\w+|lobpcg_\w+|ciss_\w+|arnoldi_\w+|lanczos_\w+|power_\w+|blopex_\w+
+      |purify|error_\w+|converged_reason)
+    |bv_(?:type|orthog_\w+) | ds_(?:method|parallel) | st_(?:type|shift|matmode|transform)
+    |(?:ksp|snes|ts|eps)_(?:monitor(?:_true_residual|_singular_value|_short|_range|_cancel|_all|_conv)?
+      |view)
+    )""",
+    re.VERBOSE,
+)
+"""Options of solvers, preconditioners and tolerances, and monitors: what case files may give.
+
+Not among them is what loads code (`pc_python_type`) or writes files: viewers of matrices and
+solutions, MUMPS's units of output (icntl_1 to 3) and its factors on the disk (icntl_22).
+"""
+_NO_OPTIONS = re.compile(r"\w*(?:python|shell|dump|filename|print_to|tmpdir|library)\w*")
+_SCREEN = re.compile(r"(?:\w*_)?(?:monitor\w*|view\w*|converged_reason|error_\w+|log|statistics)")
+"""Options whose value is a viewer: the screen, or a file."""
+_VIEWER = re.compile(r"(?:ascii)?(?:::ascii_\w+)?")
+"""Viewers of the screen."""
+_VALUE = re.compile(r"[\w.+,-]*")
+_FOREIGN_CODE = ("python", "shell")
+"""Types that are somebody's code."""
+
+
+def refuse_beyond_solvers(options: PetscOptions, where: str) -> None:
+    """Refuses options that do more than choose solvers: a case file may come from anybody.
+
+    Args:
+        options: Of a case.
+        where: The key that holds them.
+
+    Raises:
+        CaseError: An option is not among those that case files may give, or its value names a file
+            or code.
+    """
+    for name, value in options.items():
+        bare = name.lstrip("-").removeprefix(PREFIX)
+        if bare in CASE_KEYS:
+            continue  # the key that says it is told where the options are used
+        text = "" if isinstance(value, bool) or value is None else str(value)
+        known = _OF_SOLVERS.fullmatch(bare) and not _NO_OPTIONS.fullmatch(bare)
+        fitting = (_VIEWER if _SCREEN.fullmatch(bare) else _VALUE).fullmatch(text)
+        if known and fitting and text not in _FOREIGN_CODE:
+            continue
+        what = f"-{bare}" if not known else f"-{bare} {text}"
+        raise CaseError(
+            f"a case file may not give the PETSc option {what}: it may choose solvers, "
+            "preconditioners, tolerances and monitors on the screen, and write no file",
+            where=where,
+            expected="check its name, or give it on the command line, after two dashes",
+        )
 
 
 def parse_arguments(arguments: list[str]) -> tuple[dict[str, PetscValue], list[str]]:

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
-from dolfin_elastic.core.petsc_options import PetscValue
+from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue, refuse_beyond_solvers
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.problem.problem import Problem
 
@@ -78,6 +78,12 @@ class LinearSettings(Record):
 
     method: Literal["auto", "direct", "iterative"] = "auto"
     petsc: dict[str, bool | int | float | str] = Field(default_factory=dict)
+
+    @field_validator("petsc")
+    @classmethod
+    def _choose_solvers(cls, options: PetscOptions) -> PetscOptions:
+        refuse_beyond_solvers(options, "")
+        return options
 
 
 @dataclass(frozen=True)

@@ -71,6 +71,11 @@ class GmshProcess:
         self._seconds, self._memory = seconds, memory
         self._read = b""
 
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
     def ask(self, task: str, **arguments: Any) -> Any:
         """Lets Gmsh do something.
 

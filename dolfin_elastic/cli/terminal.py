@@ -1,0 +1,36 @@
+"""The console of rich, for texts of case and mesh files."""
+
+from __future__ import annotations
+
+from typing import Any, TextIO
+
+from rich.console import Console
+from rich.text import Text
+
+from dolfin_elastic.cli.pipes import printable
+
+
+class Screen(Console):
+    """A console that shows texts as they are: no markup, no control characters.
+
+    It writes the colours and movements of its own past the filter of the stream.
+
+    Args:
+        stream: Standard output or error.
+        width: Columns; None: those of the terminal.
+        terminal: Whether it is a terminal; None: as the stream says.
+    """
+
+    def __init__(self, stream: TextIO, width: int | None, terminal: bool | None) -> None:
+        super().__init__(
+            file=getattr(stream, "unfiltered", stream),
+            width=width,
+            force_terminal=terminal,
+            highlight=False,
+            markup=False,
+            emoji=False,
+        )
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """See `Console.render_str`."""
+        return super().render_str(printable(text), **options)
