@@ -70,6 +70,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.supports.rigid_surface import Rigid as Rigid
     from dolfin_elastic.model.supports.springs import Dashpot as Dashpot
     from dolfin_elastic.model.supports.springs import Spring as Spring
+    from dolfin_elastic.model.tie import Tie as Tie
     from dolfin_elastic.problem.problem import Problem as Problem
     from dolfin_elastic.results.outputs import History as History
     from dolfin_elastic.results.outputs import Modes as Modes
@@ -116,6 +117,7 @@ _PLACES = {
     ),
     "model.materials.user": ("Energy", "SplitEnergy"),
     "model.periodic": ("Periodic",),
+    "model.tie": ("Tie",),
     "model.contact": ("Contact",),
     "model.supports.displacement": ("Normal", "Rotation", "Support", "Symmetry"),
     "model.supports.rigid_surface": ("Rigid",),

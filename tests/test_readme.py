@@ -38,6 +38,7 @@ from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Support
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.supports.springs import SUPPORTS
+from dolfin_elastic.model.tie import Tie
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, Picture
 from dolfin_elastic.solvers.dynamics.schemes import SCHEMES
@@ -125,6 +126,13 @@ def test_periodic_cell() -> None:
     """And that of a cell."""
     (text,) = blocks("toml-periodic")
     assert Periodic(**tomllib.loads(text)["periodic"]).free == ((1, 1), (2, 2))
+
+
+def test_tie() -> None:
+    """And that of a tie."""
+    (text,) = blocks("toml-tie")
+    (row,) = tomllib.loads(text)["tie"]
+    assert Tie(**row).label == "tie_foot"
 
 
 @pytest.mark.usefixtures("serial_only")

@@ -31,6 +31,7 @@ from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import SUPPORTS
+from dolfin_elastic.model.tie import Tie
 from dolfin_elastic.problem.problem import Problem
 
 
@@ -48,6 +49,7 @@ class ModelTables(Record):
         support: What holds surfaces; where displacements are prescribed twice the later one holds.
         load: External forces.
         contact: Rigid obstacles that surfaces may touch.
+        tie: Surfaces with different meshes that move together.
         periodic: Opposite faces that are one, and the macroscopic deformation of the cell.
     """
 
@@ -61,6 +63,7 @@ class ModelTables(Record):
     support: list[Restraint] = Field(default=[])
     load: list[Load] = Field(default=[])
     contact: list[Contact] = Field(default=[])
+    tie: list[Tie] = Field(default=[])
     periodic: Periodic | None = None
 
     @field_validator("surfaces", "regions", mode="before")
@@ -83,7 +86,7 @@ class ModelTables(Record):
     def _materials(cls, tables: object) -> dict[str, Material]:
         return read_material_tables(tables)
 
-    @field_validator("support", "load", "contact", mode="before")
+    @field_validator("support", "load", "contact", "tie", mode="before")
     @classmethod
     def _rows(cls, rows: object, info: ValidationInfo) -> list[Record]:
         key = str(info.field_name)
@@ -105,6 +108,7 @@ class ModelTables(Record):
         tables["support"] = [_support_table(item) for item in self.support]
         tables["load"] = [{"kind": item.kind, **table_of(item)} for item in self.load]
         tables["contact"] = [table_of(item) for item in self.contact]
+        tables["tie"] = [table_of(item) for item in self.tie]
         return tables
 
     def problem_on(self, body: Body, degree: int) -> Problem:
@@ -124,6 +128,7 @@ class ModelTables(Record):
             supports=self.support,
             loads=self.load,
             contacts=self.contact,
+            ties=self.tie,
             degree=degree,
             quadrature_degree=self.mesh.quadrature_degree,
             formulation=self.mesh.formulation,
@@ -176,10 +181,15 @@ def _contact(row: object) -> Contact:
         return Contact(**as_table(row))
 
 
+def _tie(row: object) -> Tie:
+    return row if isinstance(row, Tie) else Tie(**as_table(row))
+
+
 _ROWS: Mapping[str, Callable[[object], Record]] = {
     "support": _support,
     "load": _load,
     "contact": _contact,
+    "tie": _tie,
 }
 
 

@@ -17,7 +17,7 @@ from dolfin_elastic.case.analysis import Solver
 from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.check import check
 from dolfin_elastic.case.check.formulas import check_poles
-from dolfin_elastic.case.check.initial_state import contact_notes
+from dolfin_elastic.case.check.initial_state import contact_notes, tie_notes
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.mesh_quality import bending_notes, shape_notes
 from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished
@@ -326,7 +326,7 @@ def check_problem(case: Case, problem: Problem) -> None:
     """
     with locate_errors(case.file):
         check_poles(case, Integrals(problem))
-    for find in (contact_notes, bending_notes, shape_notes):
+    for find in (tie_notes, contact_notes, bending_notes, shape_notes):
         for note in find(case, problem):
             log.warning("%s", note)
 

@@ -25,6 +25,7 @@ from dolfin_elastic.mesh.edge_selection import pick_edges
 from dolfin_elastic.mesh.geometry.simplices import (
     boundary_facets,
     cell_corners,
+    cells_beside_facets,
     facet_corners,
     outward_normals,
     prepare_facets,
@@ -118,7 +119,7 @@ def _pick(body: Body, space: BoundingBox, kind: str, selector: Selector) -> Inde
     mesh = body.mesh
     if kind == "surface":
         prepare_facets(mesh)
-        parts = body.surface(selector.of) if selector.of else boundary_facets(mesh)
+        parts = _searched_facets(body, selector.of) if selector.of else boundary_facets(mesh)
         tests = _surface_criteria(mesh, parts, selector, space)
         size = mesh.topology.index_map(mesh.topology.dim - 1).size_local
     else:
@@ -132,6 +133,15 @@ def _pick(body: Body, space: BoundingBox, kind: str, selector: Selector) -> Inde
             things = f"{things.split(maxsplit=1)[0]} of '{selector.of}'"
         raise not_found(body.comm, space, tests, parts < size, things)
     return np.asarray(parts[inside])
+
+
+def _searched_facets(body: Body, name: str) -> IndexArray:
+    """Facets of a surface, or of the boundary of a region where no surface has that name."""
+    if name in body.surfaces or name not in body.regions:
+        return body.surface(name)
+    facets = boundary_facets(body.mesh)
+    cells, _ = cells_beside_facets(body.mesh, facets)
+    return np.asarray(facets[np.isin(cells, body.region(name))])
 
 
 def _surface_criteria(

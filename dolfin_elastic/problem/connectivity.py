@@ -1,4 +1,4 @@
-"""Connected bodies: sets of cells that are connected by shared nodes, over all ranks."""
+"""Connected bodies: sets of cells connected by shared nodes or ties, over all ranks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ class ConnectedBodies:
     exchange one pair of numbers for two such components, however many nodes they share.
 
     Args:
-        problem: Whose unknown nodes connect the cells: those on periodic faces are one.
+        problem: Whose unknown nodes connect the cells: those on periodic faces are one, and tied
+            ones belong to what they follow.
 
     Attributes:
         comm: The ranks.
@@ -33,6 +34,7 @@ class ConnectedBodies:
 
     def __init__(self, problem: Problem) -> None:
         self._body, self.comm = problem.body, problem.body.comm
+        self._ties = problem.ties
         dofmap = problem.unknowns.U.dofmap
         self._plain = np.asarray(problem.V.dofmap.list)
         self._dofs, self._map = np.asarray(dofmap.list), dofmap.index_map
@@ -60,7 +62,11 @@ class ConnectedBodies:
         vector.scatter_forward()
         ghosts = slice(self._map.size_local, None)
         here, there = start + own[ghosts], vector.array[ghosts].astype(np.int64)
-        pairs = np.unique(np.stack([here, there], axis=1), axis=0)
+        pairs = np.stack([here, there], axis=1)
+        if self._ties is not None:
+            nodes = start + own[: self._map.size_local]
+            pairs = np.concatenate([pairs, self._ties.links(nodes)])
+        pairs = np.unique(pairs, axis=0)
         links = np.concatenate(self.comm.allgather(pairs))
         size = sum(counts)
         graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(size, size))

@@ -10,6 +10,7 @@ from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core import jit
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.contact import Contact
@@ -19,6 +20,7 @@ from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
+from dolfin_elastic.model.tie import Tie
 from dolfin_elastic.model.values import depends_on_time
 from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
 from dolfin_elastic.problem.constraints.normals import (
@@ -42,6 +44,7 @@ from dolfin_elastic.problem.material_regions import (
 from dolfin_elastic.problem.periodic.fluctuation import Fluctuation
 from dolfin_elastic.problem.periodic.unit_cell import Cell, make_cell
 from dolfin_elastic.problem.spaces import Unknowns
+from dolfin_elastic.problem.ties.ties import Ties
 from dolfin_elastic.problem.weak_form import WeakForm
 
 
@@ -58,6 +61,7 @@ class Problem:
             prescribed twice, the later one counts.
         loads: External forces.
         contacts: Contact of surfaces with rigid obstacles.
+        ties: Surfaces with different meshes that move together.
         degree: Degree of the displacement on tetrahedra or triangles, 1 or 2; explicit schemes
             need 1.
         quadrature_degree: Overrides the law's own choice for the internal forces.
@@ -78,6 +82,7 @@ class Problem:
         regions: The materials, each on its cells.
         dirichlet: Prescribed displacements.
         contact_pairs: The contacts on this body.
+        ties: Which displacements follow others; None without ties.
         cell: The macroscopic deformation of a periodic cell, or None.
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
         nodal_loads: Forces at points and along lines, which are in no form; None without any.
@@ -99,6 +104,7 @@ class Problem:
         supports: Sequence[Restraint] = (),
         loads: Sequence[Load] = (),
         contacts: Sequence[Contact] = (),
+        ties: Sequence[Tie] = (),
         degree: int = 2,
         quadrature_degree: int | None = None,
         formulation: Formulation = "auto",
@@ -119,7 +125,7 @@ class Problem:
                     check_outside(body, name, where)
         self.cell: Cell | None = None
         if periodic is not None:
-            others = {"support": supports, "load": loads, "contact": contacts}
+            others = {"support": supports, "load": loads, "contact": contacts, "tie": ties}
             self.cell = make_cell(body, periodic, others, geometry=self.geometry, depth=thickness)
         laws = materials if isinstance(materials, Mapping) else {WHOLE: materials}
         self.regions, fields = make_material_regions(
@@ -150,6 +156,9 @@ class Problem:
         self.dirichlet = DirichletConditions(
             body, self.V, self.supports, axis=axisymmetric, pinned=pinned
         )
+        self.ties: Ties | None = None
+        if ties:
+            self.ties = Ties(body, self.V, ties, self.dirichlet, axisymmetric=axisymmetric)
         # Terms that few problems have are only made on demand, to keep the usual path short.
         kinds = {type(load) for load in self.loads}
         self.cavities: list[BodyCavity] = []
@@ -280,6 +289,19 @@ class Problem:
             pair.set_time(t, default)
         for cavity in self.cavities:
             cavity.set_time(t, default)
+
+    def impose(self, array: FloatArray, values: FloatArray) -> None:
+        """Puts prescribed values into a local vector of the displacement's space. Collective.
+
+        Tied entries follow them.
+
+        Args:
+            array: Displacement, velocity or acceleration, whose owned entries are changed.
+            values: See `DirichletConditions.impose`.
+        """
+        self.dirichlet.impose(array, values)
+        if self.ties is not None:
+            self.ties.extend(array)
 
     @cached_property
     def stiffness(self) -> float:

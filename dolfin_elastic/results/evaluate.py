@@ -171,6 +171,10 @@ class StateSource:
             )
         force = fem.assemble_vector(self.evaluator.residual)
         force.scatter_reverse(la.InsertMode.add)
+        problem = self.evaluator.problem
+        if problem.ties is not None:
+            moves = problem.unknowns.displacement_dofs
+            force.array[moves] = problem.ties.collect(force.array[moves])
         force.scatter_forward()  # nodes of periodic faces may be unknowns of another rank
         places = self.evaluator.problem.unknowns.mixed_dofs
         return np.asarray(force.array[places(np.arange(self._own(), dtype=np.int32))])

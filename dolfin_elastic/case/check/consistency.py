@@ -22,6 +22,7 @@ from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.problem.material_regions import volume_modulus
+from dolfin_elastic.problem.ties.ties import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.results.fields import FIELDS
 
 
@@ -74,6 +75,8 @@ def _check_explicit(case: Case) -> None:
                 expected='a nu below 0.5, such as 0.49, or dynamics.scheme = "generalized-alpha" '
                 'with mesh.formulation = "mixed"',
             )
+    if case.tie:
+        raise CaseError(EXPLICIT_TIES, where="tie[0]", expected=IMPLICIT)
     if case.degree > 1:
         raise CaseError(
             f"{scheme} has a lumped mass, for linear elements only",
@@ -97,6 +100,8 @@ def _check_names(case: Case, body: Body) -> None:
     for i, contact in enumerate(case.contact):
         for where, name in _names(f"contact[{i}].on", contact.on):
             _check_name(where, name, ("surface",), "a contact holds surfaces", body)
+    for where, name in _tied_names(case):
+        _check_name(where, name, ("surface",), "a tie joins surfaces", body)
     for i, load in enumerate(case.load):
         kinds = load_kinds(load)
         for where, name in _names(f"load[{i}].on", getattr(load, "on", None)):
@@ -108,6 +113,13 @@ def _check_names(case: Case, body: Body) -> None:
     for name, material in case.materials.items():
         for where, region in _names(f"materials.{key_text(name)}.on", material.on):
             _check_name(where, region, ("region",), "a material fills regions", body)
+
+
+def _tied_names(case: Case) -> Iterator[tuple[str, str]]:
+    """The names of both sides of all ties, each after its key."""
+    for i, tie in enumerate(case.tie):
+        yield from _names(f"tie[{i}].on", tie.on)
+        yield from _names(f"tie[{i}].to", tie.to)
 
 
 def load_kinds(load: Load) -> tuple[str, ...]:

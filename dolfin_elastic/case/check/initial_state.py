@@ -35,6 +35,10 @@ _ROUND_OFF = 1e-9
 """Gap over the size of a cell that counts as none."""
 
 
+_UNTIED = 2e-3
+"""Part of a tied surface that may lie opposite nothing without a note: that of curved facets."""
+
+
 @dataclass(frozen=True)
 class ContactGap:
     """The initial gap of a contact.
@@ -72,6 +76,37 @@ def contact_gaps(case: Case, problem: Problem) -> tuple[ContactGap, ...]:
         )
         for i, (pair, (gap, place)) in enumerate(zip(problem.contact_pairs, gaps, strict=True))
     )
+
+
+def tie_information(problem: Problem) -> tuple[str, ...]:
+    """How much of which surfaces is tied, and over which gap. Local.
+
+    Args:
+        problem: Its ties.
+    """
+    power = "m^2" if problem.body.dim == 3 else "m"
+    return tuple(
+        f"tie '{tied.label}': {tied.covered:.4g} {power}, gap at most "
+        f"{tied.gap if tied.gap > _ROUND_OFF * tied.size else 0.0:.3g} m, which is kept"
+        for tied in ([] if problem.ties is None else problem.ties.surfaces)
+    )
+
+
+def tie_notes(case: Case, problem: Problem) -> Iterator[str]:
+    """Ties of which a part lies opposite nothing. Local.
+
+    Args:
+        case: The case.
+        problem: Made of it.
+    """
+    for i, tied in enumerate([] if problem.ties is None else problem.ties.surfaces):
+        tie, free = case.tie[i], 1 - tied.covered / tied.area
+        if free > _UNTIED:
+            yield (
+                f"tie[{i}]: {100 * free:.3g} % of '{'+'.join(tie.surfaces)}' are not tied: nothing "
+                f"of '{'+'.join(tie.others)}' lies opposite within the tolerance; if they should "
+                "be, give a larger `tolerance`, and name the smaller surface as `on`"
+            )
 
 
 def contact_notes(case: Case, problem: Problem) -> Iterator[str]:

@@ -17,6 +17,8 @@ from dolfin_elastic.case.check.initial_state import (
     contact_gaps,
     contact_notes,
     start_notes,
+    tie_information,
+    tie_notes,
 )
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.loads import LoadSum, load_sums, stress_notes
@@ -137,7 +139,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         with locate_errors(case.file):
             check_curves(case, body.dim)
         problem = case.make_problem(body)
-        notes = (*notes, *contact_notes(case, problem))
+        notes = (*notes, *contact_notes(case, problem), *tie_notes(case, problem))
         with locate_errors(case.file):
             notes = (*notes, *_solver_notes(case, problem), *cavity_notes(case, problem))
             return _make_report(case, body, problem, notes)
@@ -228,7 +230,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         case=case.file,
         title=case.title,
         mesh=body.source,
-        information=body.information,
+        information=(*body.information, *tie_information(problem)),
         unit=body.unit.name,
         dim=body.dim,
         geometry=case.mesh.geometry if body.dim == 2 else "solid",

@@ -27,8 +27,8 @@ class PartSize:
         count: Cells, facets, mesh edges or nodes on all ranks.
         measure: Area or volume [m^2, m^3], of curved cells too; length or area of a plane body
             [m, m^2]; length of an edge [m]; of points their number.
-        use: What refers to it: "support", "contact", "periodic", names of loads and materials;
-            empty if nothing does.
+        use: What refers to it: "support", "contact", "tie", "periodic", names of loads and
+            materials; empty if nothing does.
         centroid: Centroid in the undeformed body [m]; empty if the part is empty.
         mass: Mass [kg] of the whole thickness or circumference; None of a surface, and where a
             density is missing.
@@ -130,6 +130,7 @@ def references(case: Case, body: Body, name: str, kind: str) -> str:
     if kind != "surface":
         return ", ".join(supports + loads)
     contacts = ["contact" for c in case.contact if among(c.surfaces)]
+    contacts += ["tie" for tie in case.tie if among((*tie.surfaces, *tie.others))]
     pairs = case.periodic.pairs if case.periodic else ()
     periodic = ["periodic"] if any(map(among, pairs)) else []
     return ", ".join(supports + contacts + loads + periodic)

@@ -139,6 +139,8 @@ class Residual:
         free_norm: Norm of the free entries of the last residual [N].
         reaction_norm: Norm of its prescribed entries [N].
         restraint_norm: Norm of the forces of springs and contact at the last residual [N].
+        tie_forces: Label of each tie to the force on its tied side by the other, at the last
+            assembly [N].
         gap: Largest |x - g| over prescribed dofs at the last residual [m].
     """
 
@@ -147,6 +149,10 @@ class Residual:
     ) -> None:
         self._dofs, self.form, self._tangent, self._reactions = dofs, form, tangent, reactions
         self.vector, self._lift = dofs.ghosted_vector(), dofs.ghosted_vector()
+        self.tie_forces: dict[str, FloatArray] = {}
+        if dofs.ties is not None:
+            zero = np.zeros(len(dofs.displacement_dofs))
+            self.tie_forces = dofs.ties.resultants(zero)
         self.free_norm = self.reaction_norm = self.restraint_norm = self.gap = 0.0
 
     @property
@@ -160,6 +166,9 @@ class Residual:
         fem.assemble_vector(self.vector.array, self.form)
         self._reactions.add_point_loads(self.vector.array, -1.0)
         self.vector.scatter_reverse(la.InsertMode.add)
+        if self._dofs.ties is not None:
+            self.tie_forces = self._dofs.ties.resultants(self.owned[self._dofs.displacement_dofs])
+            self.owned[:] = self._dofs.collect(self.owned)
 
     def evaluate(self, x: PETSc.Vec, f: PETSc.Vec, *, target: FloatArray | None = None) -> None:
         """Evaluates the residual with its Dirichlet conditions.
@@ -190,7 +199,7 @@ class Residual:
                 dofs.lift(self._tangent.form, differences, self._lift)
                 # A support that turns keeps the volume, but its chord does not: the rest of a fixed
                 # pressure's row would change the volume of the cells around that one.
-                out = out + dofs.balanced(self._lift.array[: dofs.size])
+                out = out + dofs.balanced(dofs.collect(self._lift.array[: dofs.size]))
             f.array_w[:] = out
             f.array_w[dofs.prescribed_dofs] = differences[0]
             f.array_w[dofs.fixed_pressures] = 0.0  # the sum of the other rows, which are zero

@@ -26,6 +26,7 @@ class ConstrainedDofs:
         displacement_dofs: Those that belong to the displacement, in the displacement's order.
         prescribed_dofs: Those that are prescribed.
         skew: Nodes whose prescribed directions are not along the axes; None if no rank has any.
+        ties: Which displacements follow others; None without ties.
         skew_dofs: All components at the owned ones of these nodes, of shape (nodes, dim).
         level: The bodies whose pressure is known up to a constant; None without any.
         fixed_pressures: Those that `level` fixes.
@@ -47,23 +48,30 @@ class ConstrainedDofs:
         self.prescribed_dofs = unknowns.mixed_dofs(dirichlet.owned)
         self.skew = None if displacement_fixed else dirichlet.skew
         nodes = np.empty(0, np.int32) if self.skew is None else self.skew.nodes
+        self.ties = None if displacement_fixed else problem.ties
         entries = (nodes[:, None] * self._dim + np.arange(self._dim)).astype(np.int32)
         self._skew_nodes = nodes[: 0 if self.skew is None else self.skew.count]
         self.skew_dofs = unknowns.mixed_dofs(entries[: len(self._skew_nodes)])
         if problem.w is problem.u:
             self._values, self.bcs = dirichlet.values, dirichlet.bcs
             lifted: list[fem.DirichletBC] = [fem.dirichletbc(self._values, nodes)]
+            if self.ties is not None:
+                lifted.append(fem.dirichletbc(self._values, self.ties.nodes))
         else:
             self._values = fem.Function(problem.W)
             every = np.arange(len(problem.u.x.array), dtype=np.int32)
             self.bcs = [self._condition(every if displacement_fixed else dirichlet.dofs)]
             lifted = [self._condition(entries.reshape(-1))]
+            if self.ties is not None:
+                tied = self.ties.nodes[:, None] * self._dim + np.arange(self._dim)
+                lifted.append(self._condition(tied.reshape(-1).astype(np.int32)))
         self.level = self._find_level()
         self.fixed_pressures: IndexArray = np.empty(0, dtype=np.int32)
         if self.level is not None:
             self.fixed_pressures = self.level.pinned_owned
             self.bcs = [*self.bcs, fem.dirichletbc(self._values, self.level.pinned)]
-        self._lifted_bcs = self.bcs if self.skew is None else self.bcs + lifted
+        plain = self.skew is None and self.ties is None
+        self._lifted_bcs = self.bcs if plain else self.bcs + lifted
         if displacement_fixed:
             self.prescribed_dofs = self.displacement_dofs
             self._prescribed = np.arange(len(self.displacement_dofs), dtype=np.int32)
@@ -107,6 +115,7 @@ class ConstrainedDofs:
     def put(self, x: PETSc.Vec) -> None:
         """Copies a vector into the problem's unknowns, ghosts included. Collective."""
         self.problem.w.x.array[: self.size] = self.origin + x.array_r
+        self.extend(self.problem.w.x.array)
         self.problem.w.x.scatter_forward()
         self.problem.unknowns.w_to_u()
 
@@ -121,6 +130,31 @@ class ConstrainedDofs:
         """Largest entry of all unknowns, from `origin` [m]. Collective."""
         own = self.problem.w.x.array[: self.size] - self.origin
         return float(self.comm.allreduce(float(np.max(np.abs(own), initial=0.0)), op=MPI.MAX))
+
+    # --- ties ---
+
+    def extend(self, unknowns: FloatArray) -> None:
+        """Makes tied displacements follow the others. Collective.
+
+        Args:
+            unknowns: Owned entries of all unknowns, of their rates or of a step, or more behind.
+        """
+        if self.ties is not None:
+            u = unknowns[self.displacement_dofs]
+            self.ties.extend(u)
+            unknowns[self.displacement_dofs] = u
+
+    def collect(self, forces: FloatArray) -> FloatArray:
+        """Nodal forces with those on tied nodes moved to what these follow. Collective.
+
+        Args:
+            forces: Owned entries of all unknowns [N].
+        """
+        if self.ties is None:
+            return forces
+        found = forces.copy()
+        found[self.displacement_dofs] = self.ties.collect(forces[self.displacement_dofs])
+        return found
 
     # --- what is prescribed ---
 
@@ -156,8 +190,11 @@ class ConstrainedDofs:
         saved = values.x.array.copy()
         try:
             values.x.array[:] = w
-            values.x.array[self.prescribed_dofs] -= differences[0]
-            values.x.array[self.skew_dofs] -= differences[1]
+            moved = np.zeros(self.size)
+            moved[self.prescribed_dofs] = differences[0]
+            moved[self.skew_dofs] = differences[1]
+            self.extend(moved)
+            values.x.array[: self.size] -= moved
             values.x.scatter_forward()
             out.array[:] = 0.0
             fem.apply_lifting(out.array, [form], [self._lifted_bcs], [w], -1.0)

@@ -12,6 +12,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.assembly.tangent import TangentMatrix
+from dolfin_elastic.solvers.assembly.tied import TiedMatrix
 from dolfin_elastic.solvers.messages import linear
 from dolfin_elastic.solvers.petsc.options import ksp_reason
 
@@ -37,22 +38,29 @@ def initial_acceleration(assembler: Assembler, prescribed: FloatArray, a: fem.Fu
     """
     problem, size = assembler.problem, len(assembler.displacement_dofs)
     a.x.array[:] = 0.0
-    problem.dirichlet.impose(a.x.array, prescribed)
+    problem.impose(a.x.array, prescribed)
     a.x.scatter_forward()
     rows = (
         assembler.residual.vector.array[assembler.displacement_dofs] + _inertia(problem, a)[:size]
     )
-    matrix = _matrix(problem)
-    x, b = matrix.petsc.createVecs()
+    if problem.ties is not None:
+        rows = problem.ties.collect(rows)
+    plain = _matrix(problem)
+    tied = None if problem.ties is None else TiedMatrix(problem, plain.petsc, np.arange(size))
+    matrix = plain.petsc
+    if tied is not None:
+        tied.renew()
+        matrix = tied.matrix
+    x, b = matrix.createVecs()
     b.array_w[:] = -free(problem, rows)
     ksp = PETSc.KSP().create(problem.body.comm)
     ksp.setType("cg")
     ksp.getPC().setType("jacobi")
-    ksp.setOperators(matrix.petsc)
+    ksp.setOperators(matrix)
     ksp.setTolerances(rtol=TOLERANCE, atol=1e-300, max_it=5000)
     ksp.solve(b, x)
     reason, found = ksp.getConvergedReason(), free(problem, x.array_r)
-    for thing in (ksp, x, b, matrix):
+    for thing in (ksp, x, b, plain, *([] if tied is None else [tied])):
         thing.destroy()
     # Round-off may keep it just above the tolerance: only a breakdown is a fault.
     if reason < 0 and reason != PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
@@ -60,6 +68,8 @@ def initial_acceleration(assembler: Assembler, prescribed: FloatArray, a: fem.Fu
             f"the initial acceleration cannot be found: {linear(ksp_reason(reason))[0]}",
             advice="is every density positive, and are all initial values finite?",
         )
+    if problem.ties is not None:
+        problem.ties.extend(found)
     a.x.array[:size] += found
     a.x.scatter_forward()
 

@@ -17,6 +17,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.assembly.skew_rows import SkewProjection
+from dolfin_elastic.solvers.assembly.tied import TiedMatrix
 from dolfin_elastic.solvers.petsc.c_api import overwrite_aij
 
 
@@ -46,7 +47,11 @@ class Tangent:
                 if skew is None
                 else TangentMatrix(form, dofs.skew_dofs, skew.P[: skew.count], fixed=fixed)
             )
+        self._tied: TiedMatrix | None = None
         self.matrix = self._assembled.petsc
+        if dofs.ties is not None:
+            self._tied = TiedMatrix(dofs.problem, self.matrix, dofs.displacement_dofs)
+            self.matrix = self._tied.matrix
         self._shift: float | None = None
         self._scale = 0.0
         if dofs.problem.symmetric:
@@ -69,13 +74,18 @@ class Tangent:
                 return
             if unit is None and self._dofs.skew is not None:
                 unit = self.scale()
-            self._assembled.assemble(self._dofs.bcs, unit=unit or 0.0)
+            self._renew(unit or 0.0)
             self._shift = shift
+
+    def _renew(self, unit: float) -> None:
+        self._assembled.assemble(self._dofs.bcs, unit=unit)
+        if self._tied is not None:
+            self._tied.renew()
 
     def scale(self) -> float:
         """Mean size of the tangent's diagonal at the first call, a power of two [N/m]."""
         if self._scale == 0.0:
-            self._assembled.assemble(self._dofs.bcs, unit=0.0)
+            self._renew(0.0)
             self.invalidate()
             diagonal = self.matrix.getDiagonal()
             mean = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
@@ -99,6 +109,8 @@ class Tangent:
 
     def destroy(self) -> None:
         """Frees the matrix."""
+        if self._tied is not None:
+            self._tied.destroy()
         self._assembled.destroy()
 
 

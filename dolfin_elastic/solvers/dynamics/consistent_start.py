@@ -101,7 +101,7 @@ def find_initial_acceleration(
         initial_acceleration(moving.assembler, prescribed, a)
         return
     a.x.array[:] = 0.0
-    problem.dirichlet.impose(a.x.array, prescribed)
+    problem.impose(a.x.array, prescribed)
     a.x.scatter_forward()
     if moving.assembler.max_displacement() > 0.0:
         place = _IncompressibleStart(moving, v, h)

@@ -14,6 +14,7 @@ from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys, settings_from
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
+from dolfin_elastic.problem.ties.ties import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
 from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit
 from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
@@ -73,6 +74,8 @@ class Dynamics:
                 expected="leave it out, or use [statics]",
             )
         s = self.settings
+        if self.problem.ties is not None and not s.implicit:
+            raise InputError(EXPLICIT_TIES, where="tie[0]", expected=IMPLICIT)
         shocks = set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
         notes = [s.stability_limit] if s.stability_limit else []
         for note in [*notes, *shocks] if saved is None else ():

@@ -144,7 +144,7 @@ def _imposed(
     """
     size = problem.V.dofmap.index_map.size_local * problem.V.dofmap.index_map_bs
     before = field.x.array[:size].copy()
-    problem.dirichlet.impose(field.x.array, values)
+    problem.impose(field.x.array, values)
     scale = largest(problem.body.comm, float(np.max(np.abs(before), initial=0.0)))
     yield from support_jumps(problem, what, field.x.array[:size] - before, least + SMALL * scale)
 

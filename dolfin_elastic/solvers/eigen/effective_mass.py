@@ -14,6 +14,7 @@ from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.assembly.tangent import TangentMatrix
+from dolfin_elastic.solvers.assembly.tied import TiedMatrix
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 from dolfin_elastic.solvers.linear.nullspace import null_combinations, times
@@ -33,7 +34,7 @@ class Mass:
 
     Attributes:
         matrix: The PETSc matrix: at first of the whole body, after `constrain` with zero rows and
-            columns where displacements are prescribed.
+            columns where displacements are prescribed or tied.
     """
 
     def __init__(self, assembler: Assembler) -> None:
@@ -43,6 +44,7 @@ class Mass:
         self._filled = TangentMatrix(self._form)
         self._filled.assemble([])
         self.matrix: PETSc.Mat = self._filled.petsc
+        self._tied: TiedMatrix | None = None
 
     def constrain(self) -> None:
         """Leaves the inertia of what is free to move only. Collective."""
@@ -53,6 +55,11 @@ class Mass:
             self._filled = TangentMatrix(self._form, assembler.skew_dofs, P)
             self._filled.assemble([], unit=0.0)
             self.matrix = self._filled.petsc
+        if assembler.ties is not None:
+            moves = assembler.displacement_dofs
+            self._tied = TiedMatrix(assembler.problem, self.matrix, moves, soft=0.0)
+            self._tied.renew()
+            self.matrix = self._tied.matrix
         start = self.matrix.getOwnershipRange()[0]
         rows = (assembler.prescribed_dofs + start).astype(PETSc.IntType)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
@@ -65,6 +72,8 @@ class Mass:
 
     def destroy(self) -> None:
         """Frees the matrix. Collective."""
+        if self._tied is not None:
+            self._tied.destroy()
         self._filled.destroy()
 
 

@@ -215,6 +215,7 @@ class Vibration:
         """How many modes there are: displacements that nothing prescribes."""
         assembler, skew = self.assembler, self.problem.dirichlet.skew
         free = len(assembler.displacement_dofs) - len(assembler.prescribed_dofs)
+        free -= 0 if assembler.ties is None else len(assembler.ties.tied)
         if skew is not None:
             traces = np.trace(skew.P[: skew.count], axis1=1, axis2=2)
             free -= int(np.rint(traces.sum()))
@@ -277,6 +278,7 @@ class Vibration:
         motion = uneven(self.problem, 0)
         motion[self.assembler.prescribed_dofs] = 0.0
         motion[self.assembler.skew_dofs] = 0.0
+        self.assembler.extend(motion)
         image = self.mass.times(motion[:, None])[:, 0]
         for mode in self.rigid:
             motion = motion - self._product(mode.vector, image) * mode.vector
@@ -306,7 +308,8 @@ class Vibration:
         return pairs[:count]
 
     def _mode(self, number: int, found: Pair | RigidMode, base: fem.Function, done: float) -> Mode:
-        vector = found.vector
+        vector = found.vector.copy()
+        self.assembler.extend(vector)
         images = self.mass.times(vector[:, None])[:, 0]
         mass = self._product(vector, images)
         shared: FloatArray = total(self._comm, self.whole.images.T @ vector)

@@ -39,6 +39,8 @@ class LinearSolver:
     def set_up(self) -> None:
         """Reads the options in force and attaches multigrid and near null space. Collective."""
         self.ksp.setFromOptions()
+        if self._assembler.ties is not None:
+            self.ksp.setPostSolve(self._extend)
         self.direct = self.ksp.getType() == "preonly"  # the user may have chosen otherwise
         self._free_parts()
         problem, pc = self._assembler.problem, self.ksp.getPC()
@@ -48,6 +50,16 @@ class LinearSolver:
             self._parts = PMultigrid(problem, pc)
         elif not self.direct:
             self._set_modes()
+
+    def _extend(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Makes tied unknowns of a solution follow the others. Collective.
+
+        Args:
+            ksp: The solver.
+            b: Right-hand side.
+            x: The solution.
+        """
+        self._assembler.extend(x.array_w)
 
     def factorise_each_tangent(self) -> None:
         """Makes a direct solver factorise each tangent, for quadratic convergence."""

@@ -17,6 +17,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.constraints.skew import SkewConstraints
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.tied import transformation
 
 VERTEX = 0.9
 """Weight above which a row of the interpolation belongs to a vertex: there it is 1, and 1/2 at
@@ -39,6 +40,8 @@ class PMultigrid:
 
         P = (1 - D) I (1 - C) + D V
 
+    (with ties D and C hold the tied components, too, and I T stands for I, T their elimination at
+    the vertices)
     where I interpolates and V copies vertices.  So a coarse free direction moves no prescribed
     one, and along the prescribed directions of vertices the coarse tangent has what K has there:
     ones, or the stiffness that stands for skew supports (times `SOFT` twice).
@@ -135,6 +138,12 @@ def constrained_interpolation(
     vertices.diagonalScale(softened)
     prescribed = D.matMult(P)
     _add(P, -1.0, prescribed)
+    if problem.ties is not None:
+        followed = _vertices_follow(problem, plain)
+        masters = P.matMult(followed)
+        P.destroy()
+        followed.destroy()
+        P = masters
     columns = P.matMult(C)
     _add(P, -1.0, columns)
     _add(P, 1.0, vertices)
@@ -142,6 +151,24 @@ def constrained_interpolation(
     for thing in (plain, P, V, D, vertices, C, prescribed, columns, softened):
         thing.destroy()
     return result
+
+
+def _vertices_follow(problem: Problem, plain: PETSc.Mat) -> PETSc.Mat:
+    """What tied vertices follow, on the coarse level: V^T T I. Collective.
+
+    Args:
+        problem: With ties.
+        plain: The interpolation I from linear to quadratic elements.
+    """
+    P, V = _rows(plain, ZERO), _rows(plain, VERTEX)
+    nothing = np.empty(0, dtype=np.int32)
+    square = _from_entries(P, nothing, nothing, np.empty(0), square=True)
+    T = transformation(problem, square, np.arange(P.getLocalSize()[0]))
+    interpolated = T.matMult(P)
+    found = V.transposeMatMult(interpolated)
+    for thing in (P, V, square, T, interpolated):
+        thing.destroy()
+    return found
 
 
 def _add(matrix: PETSc.Mat, factor: float, other: PETSc.Mat) -> None:
@@ -162,7 +189,10 @@ def _prescribed(problem: Problem, like: PETSc.Mat, order: IndexArray | None) -> 
     """The projection D on prescribed directions, square, with the rows of a matrix. Collective."""
     size, first = like.getLocalSize()[0], like.getOwnershipRange()[0]
     row = np.arange(size) if order is None else np.argsort(order)
-    entries = row[problem.unknowns.merged_dofs(problem.dirichlet.owned)]
+    eliminated = problem.dirichlet.owned
+    if problem.ties is not None:
+        eliminated = np.concatenate([eliminated, problem.ties.tied])
+    entries = row[problem.unknowns.merged_dofs(eliminated)]
     rows, columns, values = [entries], [entries], [np.ones(len(entries))]
     skew = problem.dirichlet.skew
     if skew is not None:

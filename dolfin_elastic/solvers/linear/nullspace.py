@@ -33,6 +33,8 @@ def null_combinations(assembler: Assembler, columns: FloatArray, small: float) -
     images = times(matrix, columns) / scale
     fixed = assembler.prescribed_dofs  # whose rows of K are the identity's
     images[fixed] = columns[fixed]
+    if assembler.ties is not None:  # whose rows only keep the matrix regular
+        images[assembler.displacement_dofs[assembler.ties.tied]] = 0.0
     rows = np.vstack([images, np.zeros((images.shape[1],) * 2)])
     triangles = np.vstack(comm.allgather(np.linalg.qr(rows, mode="r")))
     _, sizes, mixes = np.linalg.svd(triangles, full_matrices=False)

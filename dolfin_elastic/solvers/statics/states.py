@@ -89,7 +89,10 @@ class StaticStates:
             reason=result.reason,
             residuals=result.residuals,
             energies=energies,
-            reactions=assembler.reactions.by_support(assembler.residual.owned),
+            reactions={
+                **assembler.reactions.by_support(assembler.residual.owned),
+                **assembler.residual.tie_forces,
+            },
             max_displacement=assembler.max_displacement(),
             negative=negative,
             limit_points=limits,

@@ -340,6 +340,7 @@ class Implicit:
             self.scheme.balance_at_end(t)
             self.assembler.check_volumes()
         reactions = self.assembler.reactions.by_support(self.assembler.residual.owned)
+        reactions |= self.assembler.residual.tie_forces
         energies, momenta = self._energies.measure()
         audit = None if failed else self.auditor.judge(t, self.balance, energies)
         return State(

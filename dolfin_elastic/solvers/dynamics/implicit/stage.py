@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.timing import stage as timed
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
+from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.mass import prescribed_rates
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.implicit.scheme import SchemeContext
@@ -50,7 +50,7 @@ class Stage:
 
     Attributes:
         parameters: Coefficients of the scheme.
-        prescribed: Puts prescribed values into vectors.
+        prescribed: Puts prescribed values into vectors, which tied nodes follow.
         start: The state that the step begins with.
         h: Length of the step [s].
         predictor: u1 - u0 if the acceleration did not change, owned entries [m].
@@ -62,7 +62,7 @@ class Stage:
     """
 
     parameters: GeneralizedAlphaParameters
-    prescribed: DirichletConditions
+    prescribed: Problem
     start: StepStart
     h: float
     predictor: FloatArray
@@ -231,7 +231,7 @@ class StageSolver:
         problem.set_time(start.t + (1 - p.alpha_f) * h)
         return Stage(
             parameters=p,
-            prescribed=problem.dirichlet,
+            prescribed=problem,
             start=start,
             h=h,
             predictor=p.predicted(start.v, start.a, h),

@@ -242,7 +242,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         at_end = p.at_end(old.a, a)
         if self._stages.keeps_volumes and p.midpoint:
             a, at_end = _of_the_middle(stage, a)
-        self.problem.dirichlet.impose(at_end, stage.a_end)
+        self.problem.impose(at_end, stage.a_end)
         for field, values in ((self.v, v), (self._a, a), (self.acceleration, at_end)):
             field.x.array[:size] = values
             field.x.scatter_forward()

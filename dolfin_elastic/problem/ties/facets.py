@@ -1,0 +1,106 @@
+"""The facets of both sides of a tie, brought to the ranks that integrate over them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, prepare_facets
+
+
+@dataclass(frozen=True)
+class Facets:
+    """Facets of a surface.
+
+    Attributes:
+        x: Places of their geometry nodes [m], shape (facets, nodes, dim): vertices, then midside
+            nodes of curved ones.
+        nodes: Global nodes of the displacement's space, shape (facets, nodes).
+    """
+
+    x: FloatArray
+    nodes: IntArray
+
+    def __getitem__(self, which: BoolArray | IntArray) -> Facets:
+        return Facets(self.x[which], self.nodes[which])
+
+
+def owned(body: Body, V: fem.FunctionSpace, names: Iterable[str]) -> Facets:
+    """The facets of surfaces that this rank owns. Collective.
+
+    Args:
+        body: The mesh and its names.
+        V: Space of the displacement.
+        names: Of the surfaces.
+
+    Raises:
+        MeshError: There is no such surface.
+    """
+    mesh, d = body.mesh, body.dim
+    prepare_facets(mesh)
+    facets = np.unique(np.concatenate([body.owned_facets(name) for name in names]))
+    cells, local = cells_beside_facets(mesh, facets.astype(np.int32))
+    layouts = mesh.geometry.cmap.create_dof_layout(), V.dofmap.dof_layout
+    geometry, space = (
+        np.array([layout.entity_closure_dofs(d - 1, i) for i in range(d + 1)], dtype=np.int64)
+        for layout in layouts
+    )
+    places = mesh.geometry.dofmap[cells[:, None], geometry[local]]
+    nodes = V.dofmap.list[cells[:, None], space[local]]
+    numbers = V.dofmap.index_map.local_to_global(nodes.astype(np.int32).ravel())
+    return Facets(mesh.geometry.x[places][:, :, :d], np.asarray(numbers).reshape(nodes.shape))
+
+
+def opposite(comm: MPI.Comm, near: Facets, far: Facets, margin: float) -> Facets:
+    """The facets of all ranks that may lie opposite this rank's. Collective.
+
+    Each rank sends what lies in the bounding box of another's; nothing is gathered.
+
+    Args:
+        comm: The ranks.
+        near: This rank's facets of one surface.
+        far: Its facets of the other.
+        margin: By which the boxes are widened [m].
+    """
+    d = near.x.shape[2]
+    low = near.x.min(axis=(0, 1), initial=np.inf) - margin
+    high = near.x.max(axis=(0, 1), initial=-np.inf) + margin
+    if not len(near.x):
+        low, high = np.full(d, np.inf), np.full(d, -np.inf)
+    boxes = comm.allgather((low, high))
+    parts = []
+    for lowest, highest in boxes:
+        inside = np.all((far.x.max(axis=1) >= lowest) & (far.x.min(axis=1) <= highest), axis=1)
+        parts.append((far.x[inside], far.nodes[inside]))
+    found = comm.alltoall(parts)
+    return Facets(np.concatenate([x for x, _ in found]), np.concatenate([n for _, n in found]))
+
+
+def areas(facets: Facets) -> FloatArray:
+    """Areas of facets, of curved ones those between their vertices [m^(d-1)]."""
+    d = facets.x.shape[2]
+    sides = facets.x[:, 1:d] - facets.x[:, :1]
+    squares = np.linalg.det(np.einsum("nic,njc->nij", sides, sides))
+    return np.asarray(np.sqrt(np.abs(squares)) / (d - 1))
+
+
+def longest_edge(comm: MPI.Comm, *surfaces: Facets) -> float:
+    """Longest edge of all facets of all ranks [m]. Collective.
+
+    Args:
+        comm: The ranks.
+        surfaces: Their facets.
+    """
+    longest = 0.0
+    for facets in surfaces:
+        corners = facets.x[:, : facets.x.shape[2]]
+        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+        longest = max(longest, float(sides.max(initial=0.0)))
+    return largest(comm, longest)

@@ -1,0 +1,86 @@
+"""Two boxes, one on the other, that share no node where they touch."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+from mpi4py import MPI
+
+from dolfin_elastic.mesh import Body, Selector, name_parts
+from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.mesh.geometry.simplices import boundary_facets, cells_beside_facets, facet_nodes
+
+
+def _grid(size: tuple[float, ...], cells: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Points and simplices of a box with a corner at the origin (Kuhn's partition)."""
+    dim = len(size)
+    counts = np.array(cells) + 1
+    order = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), -1).reshape(-1, dim)
+    steps = np.append(np.cumprod(counts[:0:-1])[::-1], 1)
+    corner = order[(order < np.array(cells)).all(axis=1)] @ steps
+    paths = [np.cumsum([0, *steps[list(p)]]) for p in permutations(range(dim))]
+    return order * (np.array(size) / cells), np.concatenate([corner[:, None] + p for p in paths])
+
+
+def stacked(
+    size: tuple[float, ...],
+    lower: tuple[int, ...],
+    upper: tuple[int, ...],
+    *,
+    gap: float = 0.0,
+    shift: float = 0.0,
+    width: float | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> Body:
+    """Two boxes of equal height, of which together `size` is the outline, with meshes of their own.
+
+    Args:
+        size: Of both together, the last along the direction of the stack.
+        lower: Cells of the lower one.
+        upper: Cells of the upper one.
+        gap: Between the two.
+        shift: Of the upper one along x.
+        width: Of the upper one along x; by default that of the lower one.
+        comm: The ranks.
+
+    Returns:
+        With regions "lower" and "upper", the surfaces "below" and "above" where they touch (upper
+        face of the lower box, lower face of the upper one), and "bottom", "top", "left", "right"
+        (x), in 3D "front" and "back" (y) of both.
+    """
+    dim, half = len(size), size[-1] / 2
+    a, b = (_grid((*size[:-1], half), cells) for cells in (lower, upper))
+    over = b[0] * np.array([(width or size[0]) / size[0], *[1.0] * (dim - 1)])
+    over[:, 0] += shift
+    over[:, -1] += half + gap
+    points = np.concatenate([a[0], over])
+    cells = np.concatenate([a[1], len(a[0]) + b[1]]).astype(np.int64)
+    if comm.rank:
+        cells, points = cells[:0], points[:0]
+    body = Body(make_mesh(comm, cells, points, 1))
+    mesh, z = body.mesh, dim - 1
+    middle = mesh.geometry.x[mesh.geometry.dofmap][:, :, z].mean(axis=1)
+    facets = boundary_facets(mesh)
+    flat = np.ptp(mesh.geometry.x[facet_nodes(mesh, facets)][:, :, z], axis=1) < 1e-9
+    beside, _ = cells_beside_facets(mesh, facets)
+    at = mesh.geometry.x[facet_nodes(mesh, facets)][:, :, z].mean(axis=1)
+    inside = flat & (at > half / 2) & (at < half * 1.5 + gap)
+    named = body.named(
+        regions={
+            "lower": np.flatnonzero(middle < half).astype(np.int32),
+            "upper": np.flatnonzero(middle > half).astype(np.int32),
+        },
+        surfaces={
+            "below": facets[inside & (middle[beside] < half)],
+            "above": facets[inside & (middle[beside] > half)],
+        },
+    )
+    axes = {"left": ("x", "min"), "right": ("x", "max")}
+    if dim == 3:
+        axes |= {"front": ("y", "min"), "back": ("y", "max")}
+    ends = "xyz"[z]
+    axes |= {"bottom": (ends, "min"), "top": (ends, "max")}
+    return name_parts(
+        named, surfaces={n: Selector(plane=axis, at=at) for n, (axis, at) in axes.items()}
+    )

@@ -1,0 +1,216 @@
+"""Ties: surfaces with different meshes move together.
+
+Patch test: a state of constant stress passes a flat interface exactly, whatever the two meshes are,
+because the same quadrature points of the common pieces serve both sides.  Source: M. A. Puso, Int.
+J. Numer. Meth. Engng 59 (2004) 315, section 5.1.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.stacked import stacked
+from mpi4py import MPI
+
+from dolfin_elastic import (
+    Buckling,
+    Dynamics,
+    LinearElastic,
+    Modal,
+    NeoHookean,
+    Problem,
+    Statics,
+    StVenantKirchhoff,
+    Support,
+    Tie,
+    Traction,
+    box_body,
+)
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.solvers.linear.choice import LinearSettings
+
+COMM = MPI.COMM_WORLD
+E, NU = 1e6, 0.3
+STEEL = LinearElastic(E=E, nu=NU, density=1000.0)
+MESHES: dict[int, dict[str, Any]] = {
+    2: {"size": (1.0, 0.6), "lower": (3, 2), "upper": (5, 2)},
+    3: {"size": (1.0, 0.8, 0.6), "lower": (3, 2, 2), "upper": (4, 3, 2)},
+}
+
+
+def pulled(dim: int, degree: int, tie: Tie, **solver: Any) -> tuple[Problem, Any]:
+    """Two boxes on planes of symmetry, pulled at the top."""
+    size = [*["free"] * (dim - 1)]
+    supports = [
+        Support(on="bottom", displacement=[*size, 0]),
+        Support(on="left", displacement=[0, *size]),
+    ]
+    if dim == 3:
+        supports.append(Support(on="front", displacement=["free", 0, "free"]))
+    problem = Problem(
+        stacked(**MESHES[dim]),
+        STEEL,
+        supports=supports,
+        loads=[Traction(on="top", value=[0.0] * (dim - 1) + [1e4])],
+        ties=[tie],
+        degree=degree,
+    )
+    return problem, list(Statics(problem, steps=1, **solver).steps())[-1]
+
+
+@pytest.mark.parametrize("on", ["above", "below"])
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_patch_test(dim: int, degree: int, on: str) -> None:
+    """Round-off of displacements of 1e-2 is the only error; supports cross the interface."""
+    problem, state = pulled(dim, degree, Tie(on=on, to={"above": "below", "below": "above"}[on]))
+    across = -NU / E if dim == 3 else -NU * (1 + NU) / E  # plane strain
+    along = 1 / E if dim == 3 else (1 - NU**2) / E
+    x = problem.V.tabulate_dof_coordinates()[:, :dim]
+    exact = 1e4 * x * np.array([across] * (dim - 1) + [along])
+    u = problem.u.x.array.reshape(-1, dim)
+    assert np.abs(u - exact).max(initial=0.0) < 1e-11 * 1e-2
+    area = np.prod(MESHES[dim]["size"][:-1])
+    assert state.reactions["bottom"][-1] == pytest.approx(-1e4 * area, rel=1e-10)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_patch_test_by_multigrid(degree: int) -> None:
+    """The same with conjugate gradients, whose tolerance is the error; they take few iterations."""
+    problem, state = pulled(
+        3, degree, Tie(on="above", to="below"), linear=LinearSettings(method="iterative")
+    )
+    x = problem.V.tabulate_dof_coordinates()
+    exact = 1e4 / E * x * np.array([-NU, -NU, 1.0])
+    assert np.abs(problem.u.x.array.reshape(-1, 3) - exact).max(initial=0.0) < 1e-8 * 1e-2
+    assert state.krylov < 40
+
+
+def sheared(law: Any, H: np.ndarray) -> Problem:
+    """All of the outer boundary follows u = H X; the interface inside is tied."""
+    rows = [" + ".join(f"({float(h)!r})*{c}" for h, c in zip(r, "xyz", strict=True)) for r in H]
+    outside = ["bottom", "top", "left", "right", "front", "back"]
+    return Problem(
+        stacked((1.0, 0.8, 0.6), (3, 2, 2), (2, 3, 2)),
+        law,
+        supports=[Support(on=outside, displacement=rows)],
+        ties=[Tie(on="below", to="above")],
+        degree=2,
+    )
+
+
+def test_patch_test_of_large_strains() -> None:
+    """An affine motion with 30 % strain and shear, prescribed outside, goes on through the tie."""
+    H = np.array([[0.2, 0.3, -0.1], [0.1, -0.1, 0.2], [-0.2, 0.1, 0.1]])
+    problem = sheared(NeoHookean(E=E, nu=NU), H)
+    list(Statics(problem, steps=1).steps())
+    x = problem.V.tabulate_dof_coordinates()
+    assert np.abs(problem.u.x.array.reshape(-1, 3) - x @ H.T).max(initial=0.0) < 1e-9
+
+
+def cantilever(tied: bool, degree: int = 2, **keys: Any) -> Problem:
+    """A beam of 4 x 0.5 x 0.5, one mesh or two halves that are tied along its middle plane."""
+    if tied:
+        body = stacked((4.0, 0.5, 0.5), (16, 2, 1), (11, 3, 1))
+        ties = [Tie(on="above", to="below")]
+    else:
+        body, ties = box_body(size=(4.0, 0.5, 0.5), cells=(16, 3, 2)), []
+    return Problem(
+        body,
+        keys.pop("law", STEEL),
+        supports=[Support(on="left", displacement=[0, 0, 0])],
+        ties=ties,
+        degree=degree,
+        **keys,
+    )
+
+
+def test_bending_of_a_beam_in_two_halves() -> None:
+    """The work of the load is that of the joined beam within what the coarser mesh makes (1 %)."""
+    found = []
+    for tied in (False, True):
+        problem = cantilever(tied, loads=[Traction(on="right", value=[0.0, 0.0, 10.0])])
+        state = list(Statics(problem, steps=1).steps())[-1]
+        assert state.reactions["left"][2] == pytest.approx(-10.0 * 0.25, rel=1e-8)
+        found.append(state.energies["strain"])
+    assert found[1] == pytest.approx(found[0], rel=0.01)
+
+
+def test_natural_frequencies_of_a_beam_in_two_halves() -> None:
+    """Those of the joined beam within 1 %; modes carry the mass of the whole body."""
+    both = [list(Modal(cantilever(tied), count=4).steps()) for tied in (False, True)]
+    joined, tied = ([mode.frequency for mode in modes] for modes in both)
+    np.testing.assert_allclose(tied, joined, rtol=0.01)
+    whole = [sum(mode.effective["z"] for mode in modes) for modes in both]
+    assert whole[1] == pytest.approx(whole[0], rel=0.02)
+
+
+def test_buckling_of_a_column_in_two_halves() -> None:
+    """The critical load of the joined column within 1 %."""
+    factors = []
+    for tied in (False, True):
+        loads = [Traction(on="right", value=[-100.0, 0.0, 0.0])]
+        problem = cantilever(tied, loads=loads, law=StVenantKirchhoff(E=E, nu=NU))
+        (mode,) = (m for m in Buckling(problem, count=1).steps() if hasattr(m, "eigenvalue"))
+        factors.append(mode.eigenvalue)
+    assert factors[1] == pytest.approx(factors[0], rel=0.01)
+
+
+def test_motion_conserves_energy_and_momentum() -> None:
+    """A block in two halves is thrown and swings freely: Newmark's method keeps its energy."""
+    problem = Problem(
+        stacked((1.0, 0.8, 0.6), (2, 2, 1), (3, 2, 1)),
+        STEEL,
+        ties=[Tie(on="above", to="below")],
+        degree=1,
+    )
+    motion = Dynamics(
+        problem,
+        scheme="newmark",
+        dt=2e-3,
+        end=0.04,
+        initial_velocity=["1 + 0.5*z*x", "0.3*z", "-0.2*x"],
+    )
+    states = list(motion.steps())
+    energies = [sum(state.energies[k] for k in ("strain", "kinetic")) for state in states]
+    assert max(state.energies["strain"] for state in states) > 1e-3 * energies[0]
+    np.testing.assert_allclose(energies, energies[0], rtol=1e-8)
+
+
+def test_surfaces_too_far_apart_are_refused() -> None:
+    """With the distance, the place and the tolerance that would do."""
+    body = stacked((1.0, 0.6), (3, 2), (5, 2), gap=0.1)
+    hold = [Support(on="bottom", displacement=[0, 0])]
+    with pytest.raises(InputError, match=r"are 0\.1 m apart.*tolerance = 0\.12 m or more"):
+        Problem(body, STEEL, supports=hold, ties=[Tie(on="above", to="below")])
+    problem = Problem(
+        body, STEEL, supports=hold, ties=[Tie(on="above", to="below", tolerance=0.12)]
+    )
+    assert problem.ties is not None
+    assert problem.ties.surfaces[0].gap == pytest.approx(0.1)
+
+
+def test_surfaces_that_are_not_opposite_are_refused() -> None:
+    """Side by side, or at right angles."""
+    body = stacked((1.0, 0.6), (3, 2), (5, 2))
+    with pytest.raises(InputError, match="lie nowhere opposite each other"):
+        Problem(body, STEEL, ties=[Tie(on="above", to="left")])
+
+
+def test_ties_in_a_circle_are_refused() -> None:
+    """Each side would follow the other."""
+    body = stacked((1.0, 0.6), (3, 2), (5, 2))
+    ties = [Tie(on="above", to="below"), Tie(on="below", to="above")]
+    with pytest.raises(InputError, match="in a circle"):
+        Problem(body, STEEL, ties=ties)
+
+
+def test_explicit_schemes_are_refused() -> None:
+    """Their mass is lumped at nodes, of which tied ones have none."""
+    problem = Problem(
+        stacked((1.0, 0.6), (3, 2), (5, 2)), STEEL, ties=[Tie(on="above", to="below")], degree=1
+    )
+    with pytest.raises(InputError, match="explicit schemes have a mass at each node"):
+        list(Dynamics(problem, scheme="central-differences", end=1e-3).steps())
