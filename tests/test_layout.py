@@ -5,7 +5,8 @@ from __future__ import annotations
 import ast
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -14,7 +15,7 @@ import pytest
 from conftest import ROOT
 
 import dolfin_elastic
-from dolfin_elastic import NeoHookean, Problem, Statics, Support, Traction, box_body
+from dolfin_elastic import Case, NeoHookean, Problem, Statics, Support, Traction, box_body
 
 PACKAGE = ROOT / "dolfin_elastic"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -117,38 +118,72 @@ def test_arguments_are_documented():
     assert not missing
 
 
-def test_a_plain_problem_visits_few_modules():
-    """A block held on one side and pulled on the other, from its problem to the first load step.
+def visited(compute: Callable[[], Sequence[int]]) -> list[str]:
+    """Modules of which a computation executes a function, but for those of `core` and `model`.
 
-    Counted are modules of which a function is executed, but for those of `core` and `model`, which
-    have no control over anything: what somebody reads who follows a computation in a debugger.
-    Before this was counted it was 44, among them contact, cavities and periodic cells, which the
-    block has not.
+    These have no control over anything: counted is what somebody reads who follows a computation in
+    a debugger.  The computation returns the numbers of its states, which must be 0, 1, ...
     """
     package = str(Path(dolfin_elastic.__file__).parent)
-    body = box_body(size=(2, 1, 1), cells=(4, 2, 2))
-    law = NeoHookean(E=1e6, nu=0.3)
-    support, load = Support(on="left"), Traction(on="right", value=[0, 0, -13e3])
-    _ = Problem, Statics  # imported when they are asked for
-    visited: set[str] = set()
+    found: set[str] = set()
 
     def look(frame: FrameType, event: str, argument: Any) -> None:
         path = Path(frame.f_code.co_filename)
         if event == "call" and path.is_relative_to(package) and frame.f_code.co_name != "<module>":
-            visited.add(path.relative_to(package).as_posix())
+            found.add(path.relative_to(package).as_posix())
 
     before = sys.getprofile()
     sys.setprofile(look)
     try:
-        states = Statics(
-            Problem(body, law, supports=[support], loads=[load], degree=1), steps=2
-        ).steps()
-        assert [next(states).step for _ in range(2)] == [0, 1]
+        steps = compute()
     finally:
         sys.setprofile(before)
-    states.close()
-    counted = sorted(path for path in visited if not path.startswith(("core/", "model/")))
-    assert len(counted) <= MODULES_VISITED, counted
+    assert [*steps] == [*range(len(steps))]
+    return sorted(path for path in found if not path.startswith(("core/", "model/")))
+
+
+def test_a_plain_problem_visits_few_modules():
+    """A block held on one side and pulled on the other, from its problem to the first load step.
+
+    Before this was counted it was 44, among them contact, cavities and periodic cells, which the
+    block has not.
+    """
+    body = box_body(size=(2, 1, 1), cells=(4, 2, 2))
+    law = NeoHookean(E=1e6, nu=0.3)
+    support, load = Support(on="left"), Traction(on="right", value=[0, 0, -13e3])
+    _ = Problem, Statics  # imported when they are asked for
+    with ExitStack() as opened:
+
+        def compute() -> list[int]:
+            problem = Problem(body, law, supports=[support], loads=[load], degree=1)
+            states = opened.enter_context(closing(Statics(problem, steps=2).steps()))
+            return [next(states).step for _ in range(2)]
+
+        counted = visited(compute)
+    assert len(counted) <= MODULES_VISITED, ", ".join(counted)
+
+
+def test_a_plain_case_visits_few_modules():
+    """The same of a case: `make_problem`, the solver and the first state."""
+    case = Case.from_dict(
+        {
+            "mesh": {"box": {"size": [2, 1, 1], "cells": [4, 2, 2]}, "degree": 1},
+            "materials": {"rubber": {"law": "neo-hookean", "E": 1e6, "nu": 0.3}},
+            "support": [{"on": "left"}],
+            "load": [{"kind": "traction", "on": "right", "value": [0, 0, -13e3]}],
+            "statics": {"steps": 2},
+        }
+    )
+    body = case.read_body()
+    _ = Problem, Statics
+    with ExitStack() as opened:
+
+        def compute() -> list[int]:
+            solver = case.make_solver(case.make_problem(body))
+            return [next(opened.enter_context(closing(solver.steps()))).step]
+
+        counted = visited(compute)
+    assert len(counted) <= MODULES_VISITED, ", ".join(counted)
 
 
 @pytest.mark.parametrize("folder", ["core", "mesh", "model", "problem", "solvers", "results"])

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -26,21 +26,20 @@ from dolfin_elastic.solvers.nonlinear.newton import Newton
 log = logging.getLogger("dolfin_elastic")
 
 
+@dataclass
 class RetryStrategy:
     """Tries line searches, linear solvers and starting points until one finds equilibrium.
 
-    Args:
+    Attributes:
         newton: The solver; its problem is at the load that is wanted.
         augmentation: Of its contacts; None without any.
-
-    Attributes:
         failed: The last iterate of the last failure, as `Newton.unknowns`.
     """
 
-    def __init__(self, newton: Newton, augmentation: ContactAugmentation | None) -> None:
-        self.newton, self._augmentation = newton, augmentation
-        self.failed: FloatArray | None = None
-        self._first = True
+    newton: Newton
+    augmentation: ContactAugmentation | None
+    failed: FloatArray | None = field(default=None, init=False)
+    _first: bool = field(default=True, init=False)
 
     def restarted(self) -> None:
         """Makes the first solve refresh the linear solver, which was set up at another state."""
@@ -78,8 +77,8 @@ class RetryStrategy:
     def undo(self, start: FloatArray) -> None:
         """Goes back to where the last solve began, its contacts too. Not collective."""
         self.newton.put_back(start)
-        if self._augmentation is not None:
-            self._augmentation.restore()
+        if self.augmentation is not None:
+            self.augmentation.restore()
 
     def _attempts(
         self, starts: Sequence[tuple[str, FloatArray]]
@@ -102,8 +101,8 @@ class RetryStrategy:
 
     def _attempt(self, start: FloatArray, line_search: str) -> NewtonResult:
         self.newton.put_back(start)
-        if self._augmentation is not None:
-            self._augmentation.restore()
+        if self.augmentation is not None:
+            self.augmentation.restore()
         result = self.newton.solve(line_search)
         while "LINEAR_SOLVE" in result.reason and self.newton.fall_back():
             self.newton.put_back(start)
@@ -126,15 +125,15 @@ class RetryStrategy:
         Returns:
             How the last solve ended, with the iterations of all.
         """
-        if self._augmentation is not None:
+        if self.augmentation is not None:
             again = partial(solve or self.newton.solve, line_search)
-            result = self._augmentation.solve(result, again)
+            result = self.augmentation.solve(result, again)
         return self._refuse_inverted(result)
 
     def begin(self) -> None:
         """Saves the multipliers of contacts, for `undo`. Not collective."""
-        if self._augmentation is not None:
-            self._augmentation.save()
+        if self.augmentation is not None:
+            self.augmentation.save()
 
     def _refuse_inverted(self, result: NewtonResult) -> NewtonResult:
         """No accepted state has an inverted cell, even if no trial state on the way had one."""
