@@ -284,6 +284,16 @@ class Output(Record):
     frames: Count = 20
     amplitude: Annotated[float, Field(gt=0)] = 0.1
 
+    @field_validator("folder")
+    @classmethod
+    def _is_folder(cls, folder: str | None) -> str | None:
+        if folder is not None and not folder.strip():
+            raise InputError(
+                f"{quoted(folder)} is no name of a folder",
+                expected='for example "results", or "." for that of the case file',
+            )
+        return folder
+
     @field_validator("fields")
     @classmethod
     def _known_fields(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:

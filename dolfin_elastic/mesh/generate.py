@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,12 @@ from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import before_partitioning
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, facet_corners
+
+_MOST_CELLS = 2**31 - 1
+_SHORTEST = 1e-14
+"""Length of an edge [m]: DOLFINx takes twice the round-off of 1 for zero."""
+_THINNEST = 1e-7
+"""Shortest edge over the longest; `_sides` tells nodes apart that are 1e-9 of it away."""
 
 _SIDES = {
     2: ("left", "right", "bottom", "top"),
@@ -45,6 +52,7 @@ def box_body(
         MeshError: The numbers make no box.
     """
     dim = _check(size, cells, origin)
+    _check_extremes(size, cells, scale)
     low = np.array([*origin, 0.0][:dim], dtype=float) * scale
     high = low + np.asarray(size, dtype=float) * scale
     count = [int(n) for n in cells]
@@ -110,6 +118,32 @@ def _check(size: Sequence[float], cells: Sequence[int], origin: Sequence[float])
     if len(origin) not in (2, 3) or not np.isfinite(origin).all():
         raise MeshError(f"the origin needs {dim} coordinates, not {list(origin)}", where="origin")
     return dim
+
+
+def _check_extremes(size: Sequence[float], cells: Sequence[int], scale: float) -> None:
+    """Refuses boxes at which DOLFINx fails, or whose sides cannot be told apart.
+
+    Args:
+        size: Lengths of the edges, in units of `scale` metres.
+        cells: Number of little cubes or squares along each edge.
+        scale: Metres per unit of length.
+
+    Raises:
+        MeshError: More cells than 32-bit numbers count, or an edge much shorter than others.
+    """
+    number = math.prod(int(n) for n in cells) * math.factorial(len(size))
+    if number > _MOST_CELLS:
+        raise MeshError(
+            f"{number:.3g} cells are too many",
+            where="cells",
+            expected=f"at most {_MOST_CELLS:.3g}: PETSc's numbers have 32 bits",
+        )
+    if min(size) * scale < _SHORTEST or min(size) < _THINNEST * max(size):
+        raise MeshError(
+            f"an edge of {min(size) * scale:.3g} m is too short",
+            where="size",
+            expected=f"at least {_SHORTEST:g} m, and {_THINNEST:g} of the longest edge",
+        )
 
 
 def _sides(

@@ -366,7 +366,7 @@ def _grown(size: Callable[[FloatArray], FloatArray], roots: FloatArray, growth: 
     """
 
     def around(distance: float) -> FloatArray:
-        sides = [size(np.clip(roots + side * distance, 0.0, 1.0)) for side in (-1, 1)]
+        sides = [size(roots + side * distance) for side in (-1, 1)]
         return np.nanmax([*sides, np.zeros(len(roots))], axis=0)
 
     if not len(roots):

@@ -186,7 +186,7 @@ def check_folder(case: Case, comm: MPI.Comm) -> None:
         raise CaseError(
             f"the folder of the results, {str(folder)!r}, cannot be made: {reason}",
             where="output.folder",
-            expected="a folder that you may write to",
+            expected="" if "choose" in reason else "choose a folder you may write to",
         )
 
 

@@ -179,6 +179,8 @@ BETWEEN: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "time": (load(value=["1/(t - 0.503)", 0, 0]), r"load\[0\]\.value: .* near t = 0\.503"),
     "curve": (load(curve="1/(t - 0.503)"), r"load\[0\]\.curve: .* near t = 0\.503"),
+    "curve with poles": (load(curve="tan(pi*t)"), r"load\[0\]\.curve: .* near t = 0\.5"),
+    "at the end of a step": (load(curve="tan(pi*t/0.95)"), r"load\[0\]\.curve: .* near t = 0\.475"),
     "angle": (
         held(kind="rotation", point=[0, 0, 0], axis="x", angle="1e-3/(t - 0.503)"),
         r"support\[1\]: .* near t = 0\.503",
@@ -277,6 +279,7 @@ NUMBERS: dict[str, tuple[dict[str, Any], str]] = {
         {"mesh": {"box": {"size": [2, 1, 1], "cells": [2, 1, 1]}, "unit": ""}},
         r"mesh\.unit: '' is no unit of length",
     ),
+    "no folder": ({"output": {"folder": " "}}, r'output\.folder: " " is no name of a folder'),
     "picture above": (
         {"output": {"pictures": [{"file": "../a.png"}]}},
         r"output\.pictures\[0\]\.file: '\.\./a\.png' lies outside the folder of the results",
@@ -294,6 +297,20 @@ def test_what_nobody_means(name: str) -> None:
     tables, text = NUMBERS[name]
     with pytest.raises(InputError, match=text):
         case(**tables)
+
+
+@pytest.mark.parametrize(
+    ("box", "text"),
+    [
+        ({"size": [1, 1, 1], "cells": [10**9] * 3}, r"cells: 6e\+27 cells are too many; at most"),
+        ({"size": [1e-300, 1, 1], "cells": [1, 1, 1]}, r"size: an edge of 1e-300 m is too short"),
+        ({"size": [1, 1, 1e-8], "cells": [1, 1, 1]}, r"size: an edge of 1e-08 m is too short"),
+    ],
+)
+def test_boxes_that_cannot_be_made(box: dict[str, Any], text: str) -> None:
+    """DOLFINx ended them with errors of its own, as "vector::reserve"."""
+    with pytest.raises(InputError, match=r"mesh\.box\." + text):
+        report(case(mesh={"box": box}))
 
 
 def test_pictures_in_folders_of_their_own() -> None:
