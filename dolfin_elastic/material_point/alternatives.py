@@ -1,4 +1,4 @@
-"""Where a law gives way, and which laws of the same constants go on."""
+"""Loss of ellipticity of a law, and laws of the same constants that remain elliptic."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LARGE_STRAINS: tuple[type[Isotropic], ...] = (
     BlatzKo,
     Corotated,
 )
-"""Laws of two constants for large strains, those first that go farthest."""
+"""Laws of two constants for large strains, in the order of the strains up to which they serve."""
 
 SMALLEST = 0.05
 """Stretch down to which compression is looked at."""
@@ -73,7 +73,7 @@ def limit_in_compression(law: Law) -> float | None:
     return float(stretches[falling[0]]) if len(falling) else None
 
 
-def that_go_on(law: Law, F: AnyArray, *, flat: bool = False) -> tuple[str, ...]:
+def elliptic_laws(law: Law, F: AnyArray, *, flat: bool = False) -> tuple[str, ...]:
     """Laws of the same two constants that are strongly elliptic there and further on.
 
     Args:

@@ -103,11 +103,11 @@ class Body:
             edges of a plane body are its surfaces.
         points: Name to the local nodes of the mesh's geometry (rows of `mesh.geometry.x`), owned
             and ghost, sorted: vertices, and midside nodes of quadratic cells.
-        uncovered: Name of a set of nodes that is a surface too, to how many of its nodes no facet
-            of the surface holds: whatever needs its area is refused.
-        incomplete: Name of a part of which the file has members that the mesh has not, to the
-            reason with their number; it is no part of the body, and whatever refers to it is
-            refused with that reason.
+        uncovered: Name of a set of nodes that is a surface too, to the number of its nodes that
+            lie on no facet of that surface: loads and supports that need its area are refused.
+        incomplete: Name of a part some of whose members in the file are missing in the mesh, to
+            the reason with their number; it is no part of the body, and a case that refers to it
+            is refused with that reason.
         unit: Unit of length of the file, in which messages give places.
         information: How the mesh was made, and corrections without effect.
 

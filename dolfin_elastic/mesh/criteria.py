@@ -16,7 +16,7 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.selectors import Cylinder, MeshLength, Place, metres
 
 TOLERANCE = 1e-6
-"""Of the body's diagonal, by which a corner may lie off."""
+"""Share of the body's diagonal by which a corner may be off."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def _rounded_up(value: float) -> float:
 
 
 def allowed_distance(selector: Place, space: BoundingBox) -> float:
-    """How far off a corner may lie [m].
+    """Tolerance for the distance of a corner from the selected place [m].
 
     Args:
         selector: Its tolerance.

@@ -94,7 +94,7 @@ class Cylinder(Record):
 
 
 class Place(Record):
-    """What all selectors have in common; all keys given must hold.
+    """Keys that all selectors share; all keys that are given must hold.
 
     Attributes:
         plane: On the plane x, y or z = `at`.

@@ -205,7 +205,7 @@ class _Convergence:
         refinement: Refinement | None,
         before: _Solved | None,
     ) -> _Solved:
-        """The equilibrium at the end of the load, and what is wanted of it. Collective."""
+        """The equilibrium at the end of the load, and the quantity there. Collective."""
         solver = self.case.make_solver(problem, petsc=self.petsc)
         assert isinstance(solver, Statics)  # see `_check_kind`
         near = None
@@ -233,7 +233,7 @@ class _Convergence:
     # --- what is known ---
 
     def _judged(self, progress: Progress, solved: _Solved) -> Progress:
-        """What is known with one more mesh. Collective."""
+        """Progress with one more mesh: its value, error and verdict. Collective."""
         levels, measured, problem = progress.levels, solved.measured, solved.problem
         d = problem.body.dim
         unknowns = [*(float(level.unknowns) for level in levels), float(problem.num_dofs)]

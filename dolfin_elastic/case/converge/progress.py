@@ -1,4 +1,4 @@
-"""`Level` and `Progress`: what is known after each mesh."""
+"""`Level` and `Progress`: the results of each mesh, and the verdict."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Progress:
 
     @property
     def last(self) -> Level:
-        """Of the finest mesh."""
+        """The results of the finest mesh."""
         return self.levels[-1]
 
     @property

@@ -24,7 +24,7 @@ _STEPS = 40
 
 @dataclass(frozen=True)
 class Thickness:
-    """Of the body around its owned cells; arrays of shape (n,).
+    """Thickness of the body at its owned cells, and extents of these cells; arrays of shape (n,).
 
     Attributes:
         volumes: Of the cells [m^3] ([m^2] in a plane).

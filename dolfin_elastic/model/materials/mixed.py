@@ -35,7 +35,7 @@ class Mixed(ModifiedLaw):
     incompressible: bool = False
 
     def _strain(self, F: Expr) -> Expr:
-        """What p works on: the law's volume strain, or the constraint of an incompressible law."""
+        """Conjugate of p: the law's volume strain, or its incompressibility constraint."""
         return self.law.incompressibility(F) if self.incompressible else self.law.volume_strain(F)
 
     def gap(self, F: Expr) -> Expr:

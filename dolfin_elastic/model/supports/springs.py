@@ -36,7 +36,7 @@ class FormConstant(Protocol):
 
 
 class HeldPart(Protocol):
-    """Surfaces, edges or points that a spring or dashpot holds."""
+    """Surfaces, edges or points that a spring or dashpot acts on."""
 
     @property
     def kind(self) -> str:
@@ -64,7 +64,7 @@ class SupportContext(Protocol):
     """Outward unit normal of the reference surface."""
 
     def held(self, names: Sequence[str]) -> HeldPart:
-        """What the names of a support stand for."""
+        """The surfaces, edges or points that the names of a support refer to."""
 
     def constant(self, value: float | Sequence[float]) -> Expr:
         """A number or vector whose value can change without a form being compiled again."""

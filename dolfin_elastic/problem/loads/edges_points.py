@@ -49,7 +49,7 @@ class SummedMeasure:
 
 @dataclass(frozen=True)
 class HeldPart:
-    """What a spring or dashpot holds.
+    """The surfaces, edges or points that a spring or dashpot acts on.
 
     Attributes:
         kind: "surface", "edge" or "point".

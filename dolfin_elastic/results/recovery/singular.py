@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 _MARGIN = np.deg2rad(30.0)
 """Angle above 180 degrees, or 90 with a mirror image, up to which an edge counts as smooth."""
 _MARGIN_HELD = np.deg2rad(5.0)
-"""The same of the limit between clamped and free."""
+"""The same margin for an edge between a clamped and a free facet."""
 RE_ENTRANT = "a re-entrant edge"
 FORCE = "a force at a point or along a line"
 INTERFACE = "an edge where materials meet"
@@ -66,7 +66,7 @@ class SingularPlaces:
     """Owned nodes at singular places, and in the cells that touch them.
 
     Attributes:
-        reasons: What is singular.
+        reasons: Causes of a singular stress.
         near: Whether a node is in a cell that touches such a place, shape (nodes, reasons).
     """
 
@@ -86,7 +86,7 @@ class SingularPlaces:
         return np.asarray(_with_neighbours(V, work.array[:, None])[:, 0])
 
     def reason(self, node: int) -> str:
-        """What is singular near an owned node; empty if nothing is."""
+        """Why the stress is singular near an owned node; empty if it is not."""
         found = np.flatnonzero(self.near[node])
         return self.reasons[found[0]] if len(found) else ""
 

@@ -229,7 +229,7 @@ class PressureLevel:
 
     @property
     def pinned_owned(self) -> IndexArray:
-        """Those fixed pressures that this rank owns."""
+        """Local entries of the fixed pressures that this rank owns."""
         dofmap = self._problem.W.dofmap
         return self.pinned[self.pinned < dofmap.index_map.size_local * dofmap.index_map_bs]
 

@@ -104,7 +104,7 @@ class WorstOffences:
         return tuple(map(str, ordered))
 
     def verdict(self) -> Verdict:
-        """Of the whole run so far."""
+        """The verdict on the run so far."""
         return verdict(self.worst.values())
 
     def judged(self, audit: Audit, found: Mapping[str, Offence]) -> Audit:

@@ -1,4 +1,4 @@
-"""Evidence that a material gives way: its law is not strongly elliptic any more in some cell."""
+"""Evidence of a material instability: a law has lost strong ellipticity in some cell."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.material_point.alternatives import (
+    elliptic_laws,
     law_in_words,
     least_eigenvalues,
     limit_in_compression,
-    that_go_on,
 )
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
@@ -29,7 +29,7 @@ stability, or a later iterate's ellipticity, is lost."""
 
 @dataclass(frozen=True)
 class SoftSpot:
-    """Where a material is nearest to losing ellipticity, the same on every rank.
+    """The place where a material is nearest to losing ellipticity, the same on every rank.
 
     Attributes:
         share: Smallest eigenvalue of the acoustic tensor there over that at rest.
@@ -66,12 +66,12 @@ class SoftSpot:
         limit = limit_in_compression(part.typical) if stretch < 1.0 else None
         if limit is not None:
             text += f"; squeezed one way, its stress falls again below a stretch of {limit:.3g}"
-        others = that_go_on(part.typical, self.F, flat=problem.body.dim == 2)
+        others = elliptic_laws(part.typical, self.F, flat=problem.body.dim == 2)
         return text, messages.another_law(others)
 
 
 def softest_spot(cells: Cells) -> SoftSpot | None:
-    """Where the problem's present state is nearest to losing ellipticity. Collective.
+    """The place where the present state is nearest to losing ellipticity. Collective.
 
     Cells are looked at with the mean of what varies in space; of plane and axisymmetric bodies only
     motions in their plane count.  Where a pressure carries the volumetric part, nothing is known.

@@ -1,8 +1,8 @@
-"""The uniform pressure of an incompressible body that only scalar unknowns let change its volume.
+"""The uniform pressure of an incompressible body whose volume only scalar unknowns can change.
 
-A rigid surface that moves, or a macroscopic strain, does work with it where the nodes that are free
-do not.  So it is a scalar unknown as they are, with the volume of the body as its equation; the
-pressures in the fields are those beyond it, one of them fixed (`assembly.pressure_level`).
+The motion of a rigid surface, or a macroscopic strain, does work against this pressure; free nodes
+do not.  So it is one more scalar unknown, whose equation is the volume of the body.  The pressure
+field is the deviation from it, with one entry fixed (`assembly.pressure_level`).
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class UniformPressure:
         self._assembler.origin[self._body.dofs] = self._value
 
     def residual(self) -> FloatArray:
-        """Loss of volume, scaled [N]: less what the pressure is multiplied by. Collective."""
+        """Minus the change of volume, which the pressure multiplies, scaled [N]. Collective."""
         rows = self._assembler.residual.owned[self._body.dofs]
         return np.array([-total(self._assembler.comm, float(rows.sum()))])
 

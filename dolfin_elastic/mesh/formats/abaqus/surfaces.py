@@ -32,7 +32,7 @@ class Elements:
 
 @dataclass(frozen=True)
 class Picked:
-    """What one line of a *SURFACE means.
+    """The facets that one line of a *SURFACE names.
 
     Attributes:
         found: Kind and nodes of facets, shape (n, vertices) each.
