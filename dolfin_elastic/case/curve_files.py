@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 from typing import Any, TypeVar
 
-from dolfin_elastic.core.errors import CaseError, InputError, nearest, not_shown
+from dolfin_elastic.core.errors import CaseError, InputError, nearest, not_shown, why_no_file
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.units import is_quantity
 from dolfin_elastic.model.amplitude import Amplitude, CurveFile
@@ -52,12 +52,18 @@ def _with_curve(row: R, where: str, folder: Path) -> R:
     return row.model_copy(update={"curve": read})
 
 
+_MOST_BYTES = 1 << 26
+"""Size of a file of a curve."""
+
+
 def _columns(source: CurveFile, path: Path) -> list[list[str]]:
     """Rows of time and value as texts, which may have units.
 
     The separator is the first of ; tab and comma in the first line; a first line that does not
     begin with a number holds headings.
     """
+    if fault := why_no_file(path, _MOST_BYTES):
+        raise InputError(fault)
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError:

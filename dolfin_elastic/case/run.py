@@ -25,7 +25,7 @@ from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, OutputError, SolveError, StoppedError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
-from dolfin_elastic.core.signals import remove_stop_file, watched
+from dolfin_elastic.core.signals import acknowledge, remove_stop_file, watched
 from dolfin_elastic.core.together import end_all_if_alone, go_on_together, leave_together
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
@@ -183,6 +183,7 @@ class _Run:
                     go_on_together(self.comm)
                     checkpoints.remember(result)
             except StoppedError:
+                acknowledge()
                 checkpoints.save_remembered(writers)
                 raise
 

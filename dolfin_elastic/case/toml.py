@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dolfin_elastic.core.errors import CaseError, nearest, not_shown
+from dolfin_elastic.core.errors import CaseError, nearest, not_shown, why_no_file
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -80,9 +80,13 @@ def read_toml(file: str) -> dict[str, Any]:
         CaseError: It cannot be read, or is no TOML: with the line and a caret.
     """
     text = ""
+    if fault := why_no_file(file, MOST_BYTES):
+        raise CaseError(fault, where=file)
     try:
         text = Path(file).read_text(encoding="utf-8-sig")
-        return tomllib.loads(text)
+        tables = tomllib.loads(text)
+    except RecursionError:
+        raise CaseError(_TOO_DEEP, where=file) from None
     except tomllib.TOMLDecodeError as error:
         raise CaseError(_syntax(str(error), text), where=file) from None
     except UnicodeDecodeError:
@@ -94,6 +98,59 @@ def read_toml(file: str) -> dict[str, Any]:
         raise CaseError("there is no such case file", where=file, expected=hint) from None
     except OSError as error:
         raise CaseError(f"cannot be read: {error.strerror}", where=file) from None
+    _check_limits(tables, file)
+    return tables
+
+
+MOST_BYTES = 1 << 24
+"""Size of a case file, in which curves of many rows are files of their own."""
+
+MOST_ROWS = 500
+"""Tables [[support]], [[load]] and the like: each may be a form of its own, and compilers take a
+time that grows with the square of their number."""
+
+LONGEST_NAME = 200
+DEEPEST = 20
+_TOO_DEEP = f"tables or lists are nested more than {DEEPEST} deep"
+
+
+def _check_limits(tables: Mapping[str, Any], file: str) -> None:
+    """Refuses what no case needs, and what would cost more than the memory or patience there is.
+
+    Raises:
+        CaseError: With the key.
+    """
+    left: list[tuple[str, Any, int]] = [("", tables, 0)]
+    while left:
+        where, value, depth = left.pop()
+        place = f"{file}: {shortened(where)}" if where else file
+        if depth > DEEPEST:
+            raise CaseError(_TOO_DEEP, where=place)
+        if isinstance(value, dict):
+            for key in value:
+                if len(key) > LONGEST_NAME:
+                    raise CaseError(
+                        f"a name of {len(key)} characters, {shortened(key)}",
+                        where=place,
+                        expected=f"at most {LONGEST_NAME} characters",
+                    )
+            left += [(f"{where}.{k}".lstrip("."), v, depth + 1) for k, v in value.items()]
+        elif isinstance(value, list):
+            if len(value) > MOST_ROWS and isinstance(value[0], dict):
+                raise CaseError(
+                    f"{len(value)} tables",
+                    where=place,
+                    expected=f"at most {MOST_ROWS}; one table can have several surfaces in `on`",
+                )
+            if any(isinstance(one, dict | list) for one in value):
+                left += [(f"{where}[{i}]", v, depth + 1) for i, v in enumerate(value)]
+        elif isinstance(value, str) and "\0" in value:
+            raise CaseError("a text with the character NUL", where=place)
+
+
+def shortened(text: str) -> str:
+    """The beginning of a text that is too long for a message."""
+    return text if len(text) <= LONGEST_NAME else f"{text[:40]}..."
 
 
 _PLAINER = {

@@ -22,7 +22,7 @@ from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import guard_output
 from dolfin_elastic.cli.run import Trust, log_to_screen, restart, run
 from dolfin_elastic.core import __version__
-from dolfin_elastic.core.errors import CaseError, ElasticError
+from dolfin_elastic.core.errors import CaseError, ElasticError, check_kept
 from dolfin_elastic.core.signals import INTERRUPTED, launched_rank
 
 if TYPE_CHECKING:
@@ -154,6 +154,7 @@ def new(
     from dolfin_elastic.cli.template import case_template
 
     if launched_rank() == 0:
+        check_kept(file.parent, str(file))
         if file.exists() and not force:
             raise CaseError(
                 "this file exists already",

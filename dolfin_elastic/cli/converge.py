@@ -11,6 +11,7 @@ import typer
 from click.exceptions import Exit
 
 from dolfin_elastic.cli.run import AUDIT_FAILED, Petsc, Quiet, Trust, begin
+from dolfin_elastic.core.errors import check_kept
 from dolfin_elastic.core.petsc_options import parse_arguments, start_petsc
 
 if TYPE_CHECKING:
@@ -77,6 +78,7 @@ def converge(
     comm = begin(quiet)
     read = read_case(case, comm=comm, trust=trust)
     folder = output if output is not None else default_folder(read)
+    check_kept(folder, "--output" if output is not None else "output.folder")
     visible = comm.rank == 0 and not quiet
     shown, progress = 0, None
     with closing(converge_case(read, goal, output=folder, petsc=options, comm=comm)) as levels:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from click.exceptions import Exit
 
-from dolfin_elastic.core.errors import SolveError, StoppedError
+from dolfin_elastic.core.errors import SolveError, StoppedError, check_kept
 from dolfin_elastic.core.petsc_options import parse_arguments, start_petsc
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
 
@@ -78,6 +78,8 @@ def run(
     comm = begin(quiet)
     read = read_case(case, comm=comm, trust=trust)
     folder = output if output is not None else read.results_folder()
+
+    check_kept(folder, "--output" if output is not None else "output.folder")
 
     stop = Stop(folder, lambda: mark_stopped(folder))
     states = run_case(read, output=folder, petsc=options, asked=stop.wants_checkpoint)

@@ -17,6 +17,7 @@ ElasticError                      base: `except ElasticError` catches all of the
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -180,6 +181,29 @@ class StoppedError(ElasticError):
     exit_code = 130
 
 
+def why_no_file(path: str | Path, most: int) -> str:
+    """Why something cannot be read as a file, before it is opened; empty where it can, or is none.
+
+    A pipe would be waited for without an end, and a device has no end.
+
+    Args:
+        path: The file.
+        most: Bytes that it may have.
+    """
+    try:
+        found = os.stat(path)
+    except FileNotFoundError:
+        return ""
+    except ValueError:
+        return "a name cannot contain the character NUL"
+    except OSError as error:
+        return f"it cannot be read: {os.strerror(error.errno or 0).lower()}"
+    if stat.S_ISREG(found.st_mode):
+        return f"it has {found.st_size} bytes, more than {most}" if found.st_size > most else ""
+    kinds = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFDIR: "a folder"}
+    return f"this is {kinds.get(stat.S_IFMT(found.st_mode), 'a device')}, not a file"
+
+
 SHOWN = "DOLFIN_ELASTIC_SHOWN"
 """Variable in which docker/run says which folders of the machine a command sees, between colons."""
 
@@ -201,12 +225,41 @@ def not_shown(path: str | Path) -> str:
     whole = Path(os.path.realpath(path))
     if not shown or any(whole.is_relative_to(folder) for folder in shown):
         return ""
-    if whole.parent.is_dir() and str(whole.parent) not in _OF_ITS_OWN:
-        return ""  # made inside
+    made_inside = whole.parent.is_dir() and os.access(whole.parent, os.W_OK)
+    if made_inside and str(whole.parent) not in _OF_ITS_OWN:
+        return ""
     return (
-        f"docker/run does not show this folder; write DOLFIN_ELASTIC_BIND={whole.parent} in front "
-        "of the command"
+        f"docker/run does not show this folder, only {', '.join(map(str, shown))}; write "
+        f"DOLFIN_ELASTIC_BIND={whole.parent} in front of the command"
     )
+
+
+def check_kept(folder: Path, where: str) -> None:
+    """Refuses a folder of results that docker/run would throw away at the end of the command.
+
+    Whoever works in a folder that docker/run does not show, such as /tmp, keeps nothing anyway.
+
+    Args:
+        folder: Of the results, which need not exist.
+        where: What names it, for the message.
+
+    Raises:
+        CaseError: It is a folder inside, and the current folder is one of the machine.
+    """
+    shown = [Path(one) for one in os.environ.get(SHOWN, "").split(":") if one]
+
+    def seen(path: str | Path) -> bool:
+        whole = Path(os.path.realpath(path))
+        return any(whole.is_relative_to(one) for one in shown)
+
+    if shown and not seen(folder) and seen(os.curdir):
+        there = Path(os.path.realpath(folder))
+        raise CaseError(
+            f"docker/run would not keep {there}: nothing of it is on the machine",
+            where=where,
+            expected=f"a folder in {os.path.realpath(os.curdir)}, or make {there} and write "
+            f"DOLFIN_ELASTIC_BIND={there} in front of the command",
+        )
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -84,7 +84,7 @@ class Stop:
         if not self.asked and now - self._looked > 1.0:
             self._looked = now
             self.asked = self._file.exists()
-        return self.asked
+        return self.asked and not self._agreed
 
     def agreed(self, comm: MPI.Comm) -> bool:
         """Whether any rank got a signal to stop, or the file exists; same on all. Collective."""
@@ -99,12 +99,16 @@ class Stop:
         self._agreed = largest(comm, float(self.asked)) > 0
         return self._agreed
 
+    def acknowledge(self) -> None:
+        """From now on the run ends in order, and nothing interrupts that."""
+        self.asked = self._agreed = True
+
     @contextmanager
     def interruptible(self) -> Iterator[None]:
         """See the function."""
-        if self.asked:
+        if self.asked and not self._agreed:
             raise StoppedError(_WORDS)
-        self._interruptible = True
+        self._interruptible = not self._agreed
         try:
             yield
         finally:
@@ -144,6 +148,12 @@ def raise_if_asked() -> None:
     """
     if _current and _current[-1].asked_here():
         raise StoppedError(_WORDS)
+
+
+def acknowledge() -> None:
+    """Lets a run that is being stopped end in order: it may compile what closes its files."""
+    if _current:
+        _current[-1].acknowledge()
 
 
 def watched() -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 from dolfinx import cpp
 from mpi4py import MPI
 
-from dolfin_elastic.core.errors import MeshError, nearest, not_shown
+from dolfin_elastic.core.errors import MeshError, nearest, not_shown, why_no_file
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.units import METRE, LengthUnit, to_si
 from dolfin_elastic.mesh.body import Body, CadSource
@@ -169,6 +170,8 @@ def _check_file(
         )
     if path.is_dir():
         raise MeshError(f"'{path}' is a folder, not a mesh file")
+    if fault := why_no_file(path, sys.maxsize):
+        raise MeshError(fault, where=path.name)
     if path.stat().st_size == 0:
         raise MeshError("the file is empty", where=path.name)
     is_cad = path.suffix.lower() in CAD

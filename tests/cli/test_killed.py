@@ -112,7 +112,7 @@ MOTION = {"end": "20 ms", "dt": "4 ms"}
     "analysis",
     [
         {"statics": {"steps": 4}},
-        {"statics": {"method": "arc-length", "first_step": 0.1}},
+        {"statics": {"method": "arc-length", "first_step": 0.02}},
         {"dynamics": MOTION},
         {"dynamics": {**MOTION, "scheme": "alpha2"}},
         {"dynamics": {"end": "3 s", "scheme": "central-differences", "every": 150}},

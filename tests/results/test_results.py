@@ -488,6 +488,30 @@ def test_pictures_during_a_run(folder: Path) -> None:
     assert on_root(COMM, lambda: last.listing(folder)) == ["last.png"]
 
 
+def test_a_picture_that_cannot_be_drawn(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One warning, also in a series; the run goes on, and draws those that can be drawn."""
+    problem, draw = make_problem(2), renderer.RENDERER.draw
+
+    def fails(user: object, data: Path, drawn: Path) -> None:
+        if len(told) < 2:
+            told.append(drawn)
+            raise OutputError("cannot draw a picture: no display")
+        draw(user, data, drawn)
+
+    told: list[Path] = []
+    monkeypatch.setattr(renderer.RENDERER, "draw", fails)
+    writer = Picture(every=1).open(problem, folder)
+    for step in range(3):
+        writer.write(make_state(problem, step, step / 2))
+    writer.close()
+    assert names(folder) == ["picture_0002.png"]
+    warnings = [r.message for r in caplog.records if r.levelname == "WARNING"]
+    shown = ["cannot draw a picture: no display; the run goes on"] if COMM.rank == 0 else []
+    assert warnings == shown or COMM.rank
+
+
 def test_a_new_run_removes_old_pictures(folder: Path) -> None:
     """Those with its own names, and no others."""
     old = ["picture.png", "picture_0000.png", "picture_12345.png"]

@@ -1,11 +1,12 @@
 """Pictures of the deformed body and of modes, without a display.
 
 The surface is gathered on rank 0 and drawn by another process (`renderer.py`): a fault of VTK,
-even a crash, becomes an `OutputError` and does not end the run.
+even a crash, becomes an `OutputError`, of which a run warns.
 """
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 import tempfile
@@ -20,7 +21,7 @@ from dolfinx import fem, la
 from dolfinx.common import IndexMap
 from mpi4py import MPI
 
-from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.errors import InputError, OutputError, nearest
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import AnyArray
@@ -37,6 +38,8 @@ from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
+
+log = logging.getLogger("dolfin_elastic")
 
 View = Literal["isometric", "x", "y", "z", "-x", "-y", "-z"]
 
@@ -184,7 +187,7 @@ class PictureWriter:
     def _paint(self, state: State) -> None:
         name = f"{self.path.stem}_{state.step:04d}{self.path.suffix}"
         file = self.path if self._every is None else self.path.with_name(name)
-        self._painter.paint(state, file, self._appearance)
+        self._painter.paint_or_warn(state, file, self._appearance)
         self._last_drawn = state.step
 
     def close(self, status: str = "completed", error: object = None) -> None:
@@ -238,7 +241,7 @@ class ModePictureWriter:
             state = State(mode.number, 0.0, self._u, w=self._w, load_factor=float("nan"))
             file = self.path.with_name(f"{self.path.stem}_{mode.number:04d}{self.path.suffix}")
             title = "   |   ".join(filter(None, (self._appearance.title, _mode_title(mode))))
-            self._painter.paint(state, file, replace(self._appearance, title=title))
+            self._painter.paint_or_warn(state, file, replace(self._appearance, title=title))
 
     def restart_state(self) -> Numbers:
         """See `Writer`; runs of modes have no checkpoints."""
@@ -287,12 +290,31 @@ class Painter:
     def __init__(self, problem: Problem, field: str) -> None:
         self.problem, self.comm, self.field = problem, problem.body.comm, check_drawable(field)
         self.dim = problem.body.dim
+        self._failed = False
         self._noise = _round_off(problem, FIELDS[field].unit)
         self._evaluate = Evaluator(problem, [field])
 
     def close(self) -> None:
         """Ends the drawing: the renderer stops when nobody else needs it. Not collective."""
         RENDERER.release(self)
+
+    def paint_or_warn(self, state: State, file: Path, appearance: Appearance) -> None:
+        """Draws a state, or warns once if that cannot be done: results do not depend on pictures.
+
+        Collective.
+
+        Args:
+            state: See `paint`.
+            file: The same.
+            appearance: The same.
+        """
+        try:
+            self.paint(state, file, appearance)
+        except OutputError as error:
+            log.log(
+                logging.DEBUG if self._failed else logging.WARNING, "%s; the run goes on", error
+            )
+            self._failed = True
 
     def paint(self, state: State, file: Path, appearance: Appearance) -> None:
         """Draws a state. Collective.

@@ -67,6 +67,10 @@ SHORTEST = 1e-12
 """First step of an adaptive motion over its end: below, the time hardly changes in it."""
 
 
+LONGEST = 1e10
+"""Longest motion [s]: three centuries."""
+
+
 class DynamicsSettings(Record):
     """How a motion is integrated in time.
 
@@ -100,7 +104,7 @@ class DynamicsSettings(Record):
     """
 
     scheme: SchemeName = DEFAULT
-    end: Time = Field(gt=0)
+    end: Time = Field(gt=0, le=LONGEST)
     dt: Time | None = Field(default=None, gt=0)
     adaptive: bool = False
     tolerance: float = Field(default=1e-3, gt=0, lt=1)

@@ -28,6 +28,7 @@ from dolfin_elastic.solvers.nonlinear.convergence import (
     Tolerance,
 )
 from dolfin_elastic.solvers.nonlinear.jacobian import InversionGuard, JacobianWatch
+from dolfin_elastic.solvers.petsc.monitors import FileMonitors
 from dolfin_elastic.solvers.petsc.options import Options, ksp_reason, snes_reason
 
 log = logging.getLogger("dolfin_elastic")
@@ -94,6 +95,7 @@ class Newton:
         self.test = ConvergenceTest(
             assembler, tolerance, inertia=inertia, bordered=self.bordered, guard=self.guard
         )
+        self._monitors = FileMonitors(self.snes, self.ksp, self.options)
         self.linear = LinearSolver(assembler, self.options, self.ksp, self.snes)
         self._source: Assembler | Bordered = self.bordered or assembler
         matrix = assembler.tangent.matrix if self.bordered is None else self.bordered.matrix
@@ -337,6 +339,7 @@ class Newton:
     def destroy(self) -> None:
         """Frees what it owns. Collective."""
         self.linear.destroy()
+        self._monitors.close()
         if self._owns:
             self.snes.destroy()
         if self.bordered is not None:

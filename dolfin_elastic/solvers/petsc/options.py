@@ -99,10 +99,12 @@ class Options:
         except PETSc.Error as error:
             if not self.users or error.ierr in _NO_OPTION:
                 raise
-            given = ", ".join(f"-{name} {value}" for name, value in self.users.items())
             cause = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
+            blamed = [name for name, value in self.users.items() if f" {value} " in cause]
+            names = blamed or list(self.users)
+            given = ", ".join(f"-{name} {self.users[name]}" for name in names)
             raise InputError(
-                f"PETSc refuses the options {given}: {cause}",
+                f"PETSc refuses the option{'s' * (len(names) > 1)} {given}: {cause}",
                 where="solver.petsc",
                 expected="see the manual pages of PETSc",
             ) from None

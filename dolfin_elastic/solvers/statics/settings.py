@@ -20,6 +20,10 @@ MOST_STEPS = 1_000_000
 """Load steps that anybody means; a smaller step is one in which nothing changes."""
 
 
+LARGEST = 1e9
+"""Largest load factor: beyond it no step from 0 could be taken."""
+
+
 class StaticsSettings(Record):
     """How a static solution is found.
 
@@ -47,7 +51,7 @@ class StaticsSettings(Record):
     first_step: float | None = Field(default=None, ge=1 / MOST_STEPS, le=1)
     max_step: float = Field(default=1.0, ge=1 / MOST_STEPS)
     min_step: float = Field(default=1e-3, gt=0, le=1)
-    end: float = Field(default=1.0, gt=0)
+    end: float = Field(default=1.0, gt=0, le=LARGEST)
     times: list[Annotated[float, Field(gt=0)]] = Field(default=[])
     rtol: float = Field(default=1e-8, gt=0, lt=1)
     atol: Force = Field(default=0.0, ge=0)

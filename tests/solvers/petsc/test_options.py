@@ -70,7 +70,7 @@ def test_a_refusal_is_one_message() -> None:
     with pytest.raises(InputError) as caught, options.in_force(), options.input_errors():
         ksp.setFromOptions()
     ksp.destroy()
-    assert "PETSc refuses the options -ksp_type conjugate" in str(caught.value)
+    assert "PETSc refuses the option -ksp_type conjugate" in str(caught.value)
     assert not in_database()
 
 

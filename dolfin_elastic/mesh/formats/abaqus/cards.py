@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -11,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from dolfin_elastic.core.errors import MeshError, not_shown
+from dolfin_elastic.core.errors import MeshError, not_shown, why_no_file
 from dolfin_elastic.core.types import FloatArray, IntArray
 
 Number = TypeVar("Number", np.int64, np.float64)
@@ -143,6 +144,8 @@ def read_cards(path: Path, depth: int = 0) -> Iterator[Card]:
         raise MeshError("*INCLUDE goes round in a circle", where=path.name)
     card = Card("", {}, path.name, 1)
     continued = ""
+    if fault := why_no_file(path, sys.maxsize):
+        raise MeshError(fault, where=path.name)
     for number, line in enumerate(path.read_text("latin-1").splitlines(), start=1):
         if line.startswith("**") or not line.strip():
             continue
