@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import chain, islice
 from os import PathLike
@@ -19,10 +19,17 @@ from dolfin_elastic.case.check import check
 from dolfin_elastic.case.check.formulas import check_poles
 from dolfin_elastic.case.check.initial_state import contact_notes, tie_notes
 from dolfin_elastic.case.check.integrals import Integrals
+from dolfin_elastic.case.check.loads import load_sums, stress_notes
 from dolfin_elastic.case.check.mesh_quality import bending_notes, shape_notes
 from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished
 from dolfin_elastic.core import timing
-from dolfin_elastic.core.errors import ElasticError, OutputError, SolveError, StoppedError
+from dolfin_elastic.core.errors import (
+    CaseError,
+    ElasticError,
+    OutputError,
+    SolveError,
+    StoppedError,
+)
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
 from dolfin_elastic.core.signals import acknowledge, remove_stop_file, watched
@@ -316,7 +323,7 @@ def log_notes(case: Case, body: Body) -> None:
 
 
 def check_problem(case: Case, problem: Problem) -> None:
-    """Warns of obstacles out of reach, and of elements that do not fit the body. Collective.
+    """Warns of what needs the problem: loads beyond the material, obstacles, elements. Collective.
 
     Args:
         case: The case.
@@ -325,11 +332,15 @@ def check_problem(case: Case, problem: Problem) -> None:
     Raises:
         CaseError: A formula has a pole in the body, see `check_poles`.
     """
+    integrals = Integrals(problem)
     with locate_errors(case.file):
-        check_poles(case, Integrals(problem))
-    for find in (tie_notes, contact_notes, bending_notes, shape_notes):
-        for note in find(case, problem):
-            log.warning("%s", note)
+        check_poles(case, integrals)
+    finders = tie_notes, contact_notes, bending_notes, shape_notes
+    notes = [note for find in finders for note in find(case, problem)]
+    with suppress(CaseError):  # of a load without a value at some time: the run finds it, or not
+        notes += stress_notes(case, integrals, load_sums(case, integrals))
+    for note in notes:
+        log.warning("%s", note)
 
 
 @contextmanager

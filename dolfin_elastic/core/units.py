@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 _NUMBER = re.compile(
     r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
-    r"(?:\s*((?:[^\W\d_]|[%°]).*?)|\s+(1\s*/.*?))?\s*",  # a unit begins with a letter, or with 1/
+    # A unit begins with a letter, or with 1/; "/K" alone divides by no name of a formula.
+    r"(?:\s*((?:[^\W\d_]|[%°]).*?)|\s+(1\s*/.*?)|\s*(/\s*(?:K|degC|°C)))?\s*",
     re.DOTALL,
 )
 _UNIT = re.compile(
@@ -121,7 +122,9 @@ def is_quantity(text: str) -> bool:
 def _split(text: str) -> tuple[float, str] | None:
     """Number and unit of a text; None if it is not of this form."""
     match = _NUMBER.fullmatch(text)
-    return (float(match[1]), match[2] or match[3] or "") if match else None
+    if match is None:
+        return None
+    return float(match[1]), match[2] or match[3] or (f"1{match[4]}" if match[4] else "")
 
 
 def _known(unit: str) -> bool:
@@ -169,13 +172,25 @@ def _from_text(text: str, unit: str) -> float:
         if name in table.get(unit, ()):
             return number * table[unit][name]
     if not _known(name):
-        raise UnitError(f"unknown unit '{name}' in '{text}'", expected=_expected(unit))
+        meant = _meant(name, unit)
+        raise UnitError(f"unknown unit '{name}' in '{text}'{meant}", expected=_expected(unit))
     if not _registry().Quantity(1.0, name).is_compatible_with(unit or "dimensionless"):
         raise UnitError(f"'{text}' has the wrong unit", expected=_expected(unit))
     zero, size = _scale(text, name, unit)
     if zero != 0.0 and unit != "K":  # a number in kelvin is a change of temperature throughout
         raise UnitError(f"'{text}' counts from a zero of its own", expected=_expected(unit))
     return number * size * _frequency_factor(name, unit)
+
+
+def _meant(name: str, unit: str) -> str:
+    """Question after a unit that differs in case, or by a missing ^, from a usual one."""
+    same = (known for known in COMMON_UNITS.get(unit, ()) if _plain(known) == _plain(name))
+    known = next(same, "")
+    return f" (did you mean '{known}'?)" if known else ""
+
+
+def _plain(unit: str) -> str:
+    return unit.casefold().replace("**", "").replace("^", "").replace(" ", "")
 
 
 def _frequency_factor(name: str, unit: str) -> float:

@@ -41,6 +41,8 @@ from dolfin_elastic.core.units import (
         ("5 %", "", 0.05),
         ("12e-6 1/K", "1/K", 12e-6),
         ("12e-6 1/degC", "1/K", 12e-6),
+        ("12e-6/K", "1/K", 12e-6),
+        ("1e-3 / °C", "1/K", 1e-3),
         ("3 1/s", "1/s", 3.0),
         ("18 1 / degF", "1/K", 32.4),
         ("80 celsius", "K", 80.0),
@@ -61,6 +63,18 @@ def test_to_si(written: float | str, unit: str, value: float) -> None:
             "10 MPaa",
             "Pa",
             "unknown unit 'MPaa' in '10 MPaa'; expected a number in Pa, for example \"210 GPa\"",
+        ),
+        (
+            "1 Mpa",
+            "Pa",
+            "unknown unit 'Mpa' in '1 Mpa' (did you mean 'MPa'?); expected a number in Pa, "
+            'for example "210 GPa"',
+        ),
+        (
+            "1.1 g/cm3",
+            "kg/m^3",
+            "unknown unit 'g/cm3' in '1.1 g/cm3' (did you mean 'g/cm^3'?); expected a number in "
+            'kg/m^3, for example "1100 kg/m^3"',
         ),
         (
             "10 mm",

@@ -19,6 +19,7 @@ from dolfin_elastic.case.check import PartSize, check, report
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.memory import per_unknown
 from dolfin_elastic.case.check.mesh_quality import cell_notes, part_notes
+from dolfin_elastic.case.run import check_problem
 from dolfin_elastic.cli.console_check import show_check
 from dolfin_elastic.core import jit
 from dolfin_elastic.core.errors import InputError
@@ -488,6 +489,14 @@ def test_axes_that_are_skew():
 
 
 # --- notes on meshes and on values that are unlikely ---
+
+
+def test_a_run_says_that_a_load_is_beyond_its_material(caplog):
+    """It ended with advice for a buckling body, or with small steps."""
+    load = [{"kind": "traction", "on": "top", "value": [0, 0, "1 MPa"]}]
+    found = case(load=load)
+    check_problem(found, found.make_problem(found.read_body()))
+    assert "the loads on the area of the supports are 1e+06 Pa in the mean" in caplog.text
 
 
 def test_forgotten_units():
