@@ -23,6 +23,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, StrainEnergy, compiled, integral
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, LumpedMass
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces
+from dolfin_elastic.solvers.dynamics.pressure_energy import PressureEnergy
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.nonlinear.contact import ContactResults
 
@@ -56,10 +57,18 @@ class EnergyBook:
         problem: What moves.
         inertia: Kinetic energy and momenta of its velocity, with the mass of the scheme.
         work: Done on the body so far.
+        pressure: Where the pressure is not that of the states.
     """
 
-    def __init__(self, problem: Problem, inertia: ConsistentMass | LumpedMass, work: Work) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        inertia: ConsistentMass | LumpedMass,
+        work: Work,
+        pressure: PressureEnergy | None = None,
+    ) -> None:
         self._comm, self._inertia, self._work = problem.body.comm, inertia, work
+        self._pressure = pressure
         self._strain, self._contacts = StrainEnergy(problem), ContactResults(problem, moving=True)
 
     @np.errstate(all="ignore")  # whether the values are finite is asked by `finite`
@@ -67,6 +76,8 @@ class EnergyBook:
         """Energies and momenta of the present displacement and velocity. Collective."""
         kinetic, linear, angular = self._inertia.measure()
         strain, contact = self._strain.energy(), self._contacts.energies()
+        if self._pressure is not None:
+            strain += self._pressure.energy()
         penalties = sum(contact.values())
         energies = {
             "strain": strain,

@@ -34,7 +34,9 @@ from dolfin_elastic.solvers.dynamics.implicit.step_control import (
     warn_of_inexact_restart,
 )
 from dolfin_elastic.solvers.dynamics.implicit.ts_output import TSOutput
+from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import VolumeConstraint
 from dolfin_elastic.solvers.dynamics.initial_conditions import support_jump
+from dolfin_elastic.solvers.dynamics.pressure_energy import PressureEnergy
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 from dolfin_elastic.solvers.dynamics.schemes import ImplicitRow
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
@@ -153,7 +155,13 @@ class Implicit:
             self._owned.callback(vector.destroy)
         self._configure()
         self.balance = EnergyBalance(self.moving, self.v)
-        self._energies = EnergyBook(problem, ConsistentMass(problem, self.v), self.balance)
+        lag = None
+        if VolumeConstraint.needed(problem, parameters.alpha_f) and PressureEnergy.compressible(
+            problem
+        ):
+            lag = PressureEnergy(problem)
+            self._owned.callback(lag.destroy)
+        self._energies = EnergyBook(problem, ConsistentMass(problem, self.v), self.balance, lag)
         self._scalars = Scalars(self.assembler)
         self.auditor = MotionAuditor(problem, self.moving, watch, parameters, end=settings.end)
         self.auxiliary = AuxiliaryFields(problem)

@@ -248,18 +248,47 @@ def test_a_ring_that_breathes(folder, scheme):
     assert np.abs(a[2:] - 2 * a[1:-1] + a[:-2]).max() < 0.5
 
 
+@pytest.mark.sample(1)
+@pytest.mark.parametrize(
+    ("nu", "scheme"),
+    [
+        (0.4999, {"scheme": "newmark"}),
+        (0.4999, {"spectral_radius": 1.0}),
+        (0.499, {"scheme": "newmark"}),
+        (0.499, {"spectral_radius": 0.8}),
+    ],
+)
+def test_energy_of_a_nearly_incompressible_ring(folder, nu, scheme):
+    """The energy of volume strains is that of the state, not of the pressure within the step.
+
+    The initial displacement, not quite isochoric between nodes, excites waves of pressure that the
+    steps do not resolve: at nu = 0.4999 they have 0.0198 of 0.0638 J.  With the stage's pressure it
+    was missing, and the audit warned of 29 % damped away in the first step.  Without damping the
+    energy is kept; with a radius of 0.8, whose stage is between the middle and the end, it falls.
+    """
+    problem = ring_of(folder, nu)
+    motion = Dynamics(problem, end=2.0, dt=0.05, initial_displacement=START, **scheme)
+    states = [(state.energies["total"], state.audit) for state in motion.steps()]
+    total = np.array([energy for energy, _ in states])
+    assert total[0] == pytest.approx({0.4999: 0.06385, 0.499: 0.04688}[nu], rel=1e-3)
+    assert total.max() < 1.001 * total[0]
+    if scheme.get("spectral_radius", 1.0) == 1.0:
+        assert total.min() > 0.999 * total[0]
+        assert all(audit is None or audit.verdict_so_far == "pass" for _, audit in states)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("nu", [0.5, 0.4999])
 def test_fifty_periods(folder, nu):
     """The first and the last five periods are the same to 1e-4, their mean is exact to 1e-3.
 
     At nu = 0.4999 the initial displacement, not quite isochoric between nodes, excites waves of
-    pressure that the steps do not resolve and nothing damps; with the pressure of the middle of a
-    step their energy comes and goes between 0.045 and 0.064 J, what the start has, and no more.
+    pressure that the steps do not resolve and nothing damps: they keep their energy.
     """
     exact, _, energy = breathing()
     t, radius, total, _ = breathe(ring_of(folder, nu), 50.3 * exact, scheme="newmark")
     assert total.max() < 1.001 * total[0]
+    assert np.ptp(total) < 3e-3 * total[0]
     if nu == 0.5:
         assert np.ptp(total) < 1e-3 * energy / 4
         assert period(t, radius) == pytest.approx(exact, rel=1e-3)
