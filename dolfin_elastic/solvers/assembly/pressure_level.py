@@ -345,7 +345,7 @@ def _curved_rollers(problem: Problem) -> list[str]:
     for support in problem.supports:
         for name in support.surfaces if isinstance(support, Normal) else ():
             normals = outward_normals(body.mesh, body.owned_facets(name))
-            most = np.full((2, body.dim), -np.inf)
+            most: FloatArray = np.full((2, body.dim), -np.inf)
             if len(normals):
                 most = np.stack([normals.max(axis=0), -normals.min(axis=0)])
             if np.max(np.max(body.comm.allgather(most), axis=0).sum(axis=0)) > BENT:
