@@ -299,13 +299,12 @@ class _CauseSearch:
     def _material_gives_way(self) -> Diagnosis | None:
         """The last equilibrium has lost ellipticity, or nearly, and a later iterate has.
 
-        The body need not be unstable yet: a strip of cells may keep it, however fine the mesh.
+        The body need not be unstable yet: a strip of cells may keep it, however fine the mesh.  In
+        motion inertia carries it on for a while, so that only what has been lost counts.
         """
-        if self._moving:
-            return None
         self.states.put(self.good)
         spot = softest_spot(self.cells)
-        if spot is None or spot.share >= NEARLY:
+        if spot is None or spot.share >= (0.0 if self._moving else NEARLY):
             return None
         if not spot.lost:
             self.states.put(self.failed)

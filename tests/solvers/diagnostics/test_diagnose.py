@@ -623,6 +623,25 @@ def test_motion():
     assert "a smaller dt" in found.advice
 
 
+def test_a_law_that_gives_way_in_motion():
+    """Crushed beyond the limit of its law: no step, however small; a smaller dt was advised."""
+    problem = Problem(
+        rectangle_body(size=(1.0, 1.0), cells=(2, 2)),
+        StVenantKirchhoff(E=E, nu=NU, density=1e3),
+        supports=[Support(on="left")],
+        loads=[Traction(on="right", value=[-E, 0])],
+        degree=1,
+    )
+    with pytest.raises(ConvergenceError) as caught:
+        _ = [*Dynamics(problem, end=0.1, dt=1e-3).steps()]
+    found = caught.value.diagnosis
+    assert found is not None
+    same_everywhere(found)
+    assert found.text.startswith("material instability: near ")
+    assert "'st-venant-kirchhoff' is not elliptic any more" in found.text
+    assert "law = 'neo-hookean'" in found.advice
+
+
 # --- what becomes of it ---
 
 CASE = """
