@@ -84,3 +84,64 @@ def stacked(
     return name_parts(
         named, surfaces={n: Selector(plane=axis, at=at) for n, (axis, at) in axes.items()}
     )
+
+
+def quarter_rings(
+    radii: tuple[float, float, float],
+    inner: tuple[int, int],
+    outer: tuple[int, int],
+    order: int,
+    *,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> Body:
+    """A quarter of two rings, one around the other, that share no node where they touch.
+
+    Args:
+        radii: Inside, where they touch, outside.
+        inner: Cells of the inner one along the circle, and across.
+        outer: Cells of the outer one.
+        order: Of the geometry: straight or quadratic cells.
+        comm: The ranks.
+
+    Returns:
+        With the surfaces "bore", "outside" (of the inner ring), "inside" (of the outer ring), and
+        "bottom" (y = 0) and "left" (x = 0) of both.
+    """
+    points, cells, first = [], [], 0
+    for (low, high), counts in zip((radii[:2], radii[1:]), (inner, outer), strict=True):
+        polar, rows = _grid((np.pi / 2, high - low), counts)
+        rows = rows[:, [0, 1, 2]]
+        if order == 2:
+            edges = np.concatenate([rows[:, [1, 2]], rows[:, [0, 2]], rows[:, [0, 1]]])
+            unique, number = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+            middle = len(polar) + number.reshape(3, -1).T
+            polar = np.concatenate([polar, polar[unique].mean(axis=1)])
+            rows = np.concatenate([rows, middle], axis=1)
+        r, angle = low + polar[:, 1], polar[:, 0]
+        points.append(np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1))
+        cells.append(first + rows)
+        first += len(polar)
+    x, rows = np.concatenate(points), np.concatenate(cells).astype(np.int64)
+    if comm.rank:
+        x, rows = x[:0], rows[:0]
+    body = Body(make_mesh(comm, rows, x, order))
+    mesh = body.mesh
+    corners = mesh.geometry.x[mesh.geometry.dofmap[:, :3]]
+    inside = np.linalg.norm(corners.mean(axis=1), axis=1) < radii[1] * np.cos(np.pi / 4 / inner[0])
+    facets = boundary_facets(mesh)
+    beside, _ = cells_beside_facets(mesh, facets)
+    ends = mesh.geometry.x[facet_nodes(mesh, facets)]
+    r = np.linalg.norm(ends, axis=2)
+    on = {
+        name: np.all(np.abs(r - radius) < 1e-9, axis=1)
+        for name, radius in zip(("bore", "middle"), radii[:2], strict=True)
+    }
+    return body.named(
+        surfaces={
+            "bore": facets[on["bore"]],
+            "outside": facets[on["middle"] & inside[beside]],
+            "inside": facets[on["middle"] & ~inside[beside]],
+            "bottom": facets[np.all(np.abs(ends[:, :, 1]) < 1e-9, axis=1)],
+            "left": facets[np.all(np.abs(ends[:, :, 0]) < 1e-9, axis=1)],
+        }
+    )

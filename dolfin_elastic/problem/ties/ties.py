@@ -71,6 +71,8 @@ class Ties:
         dofs: Owners of the entries of the displacement.
         tied: Owned entries of the displacement that follow others, sorted.
         nodes: Local nodes, owned and ghost, with tied components, sorted.
+        levers: From what tied entries follow to where they are [m], shape (tied, dim): with a gap
+            between the surfaces the forces of a tie have a couple.
         surfaces: What each tie holds together.
         rows: Their rows of T, columns global, shape (tied, all entries); in no column is a tied
             entry.
@@ -111,6 +113,12 @@ class Ties:
         self._links = self._rows_of_ties()
         self.rows = self._resolved()
         self._product = Product(self.dofs, self.rows)
+        x = V.tabulate_dof_coordinates()[: imap.size_local, :dim]
+        self.levers: FloatArray = np.empty((len(self.tied), dim))
+        for a in range(dim):
+            self.levers[:, a] = x[self.tied // dim, a] - self._product.times(
+                np.repeat(x[:, a], dim)
+            )
         marks = la.vector(imap, 1)
         marks.array[np.unique(self.tied // dim)] = 1.0
         marks.scatter_forward()

@@ -139,6 +139,7 @@ class Residual:
         free_norm: Norm of the free entries of the last residual [N].
         reaction_norm: Norm of its prescribed entries [N].
         restraint_norm: Norm of the forces of springs and contact at the last residual [N].
+        tied_nodal: Forces of ties on the entries that they tie, at the last assembly [N].
         tie_forces: Label of each tie to the force on its tied side by the other, at the last
             assembly [N].
         gap: Largest |x - g| over prescribed dofs at the last residual [m].
@@ -150,6 +151,7 @@ class Residual:
         self._dofs, self.form, self._tangent, self._reactions = dofs, form, tangent, reactions
         self.vector, self._lift = dofs.ghosted_vector(), dofs.ghosted_vector()
         self.tie_forces: dict[str, FloatArray] = {}
+        self.tied_nodal: FloatArray = np.zeros(0 if dofs.ties is None else len(dofs.ties.tied))
         if dofs.ties is not None:
             zero = np.zeros(len(dofs.displacement_dofs))
             self.tie_forces = dofs.ties.resultants(zero)
@@ -167,7 +169,9 @@ class Residual:
         self._reactions.add_point_loads(self.vector.array, -1.0)
         self.vector.scatter_reverse(la.InsertMode.add)
         if self._dofs.ties is not None:
-            self.tie_forces = self._dofs.ties.resultants(self.owned[self._dofs.displacement_dofs])
+            forces = self.owned[self._dofs.displacement_dofs]
+            self.tie_forces = self._dofs.ties.resultants(forces)
+            self.tied_nodal = forces[self._dofs.ties.tied]
             self.owned[:] = self._dofs.collect(self.owned)
 
     def evaluate(self, x: PETSc.Vec, f: PETSc.Vec, *, target: FloatArray | None = None) -> None:

@@ -270,6 +270,9 @@ class EquilibriumAuditor:
         if self._moment_frame == "current":
             x = x + self._displacement().reshape(x.shape)
         rows = [_cross(x, force) for force in external]
+        if (ties := self._problem.ties) is not None:  # couples of gaps that they bridge
+            along = np.eye(self._dim)[ties.tied % self._dim] * self._tied_forces()[:, None]
+            rows.append(_cross(ties.levers, along))
         arm = float(self._comm.allreduce(float(np.max(np.abs(x), initial=0.0)), op=MPI.MAX))
         share, size, allowed = self._imbalance(rows, noise * arm)
         if share > allowed:
@@ -279,6 +282,10 @@ class EquilibriumAuditor:
             )
             add_worse(reasons, {"moment": Offence(what, share)})
         return share
+
+    def _tied_forces(self) -> FloatArray:
+        """Forces of ties on the entries that they tie [N]."""
+        return self._assembler.residual.tied_nodal
 
     def _displacement(self) -> FloatArray:
         """Displacement of the owned nodes in the configuration in which moments balance [m]."""

@@ -87,6 +87,10 @@ class MotionAuditor(EquilibriumAuditor):
         rows = [f.loads, f.reactions, f.restraints, -f.inertia, -f.drag]
         return [row[moves].reshape(-1, self._dim) for row in rows]
 
+    def _tied_forces(self) -> FloatArray:
+        assert self._forces is not None
+        return self._forces.ties
+
     def _displacement(self) -> FloatArray:
         assert self._forces is not None
         return self._forces.u

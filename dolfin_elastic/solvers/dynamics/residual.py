@@ -33,6 +33,7 @@ class Forces:
         contact_resultants: Of each contact pair on the body, this rank's share, shape (pairs, dim).
         inertia: M a.
         damping: Of the material's viscosity and Rayleigh damping.
+        ties: Of ties, on the entries that they tie.
         drag: The mass-proportional part of them, which resists rigid motions, too.
     """
 
@@ -46,6 +47,7 @@ class Forces:
     inertia: FloatArray
     damping: FloatArray
     drag: FloatArray
+    ties: FloatArray
 
     def mean(self, other: Forces) -> Forces:
         """Mean of two sets of forces, such as those at both ends of a step.
@@ -239,6 +241,7 @@ class DynamicResidual:
             inertia=found["inertia"],
             damping=found.get("damping", nothing),
             drag=found.get("drag", nothing),
+            ties=a.residual.tied_nodal,
         )
 
     def destroy(self) -> None:
