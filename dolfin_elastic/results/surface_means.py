@@ -59,6 +59,9 @@ class SurfaceMean:
     displacement gradient of the adjacent cell; in an axisymmetric body over the surface of
     revolution.
 
+    The stress is that of the cells: its integrals are closer to equilibrium than those of the
+    recovered stress, which is fitted to it point by point.
+
     Args:
         problem: The problem that is solved.
         surface: Name of the surface.

@@ -36,6 +36,7 @@ from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import Peaks, find_peaks
+from dolfin_elastic.results.surface_means import SurfaceMean
 from dolfin_elastic.solvers.assembly.assembler import integral
 
 FREE = "free"
@@ -272,6 +273,20 @@ def test_effectivity_in_space(folder: Path, name: str, size: float, degree: int)
     assert off < (0.45 if degree == 1 else 0.25)
     assert peak.error > 0.8 * off
     assert peak.error < 0.3 or degree == 1
+
+
+@pytest.mark.parametrize(("size", "most"), [(0.8, 0.01), (0.4, 2e-3)])
+def test_the_mean_over_a_surface_is_that_of_the_cells(
+    folder: Path, size: float, most: float
+) -> None:
+    """The force through the narrow section is that of the load, 4 over 3 m.
+
+    Of quadratic elements the stress of the cells has it to 0.8 and 0.06 %, the recovered one, which
+    is more accurate at each point, to 4.3 and 0.9 %: recovery does not keep equilibrium.
+    """
+    problem, state = drawn(folder, HOLE, size, 2)
+    found = SurfaceMean(problem, "side", ["cauchy_stress"])(state)["cauchy_stress"][0]
+    assert found == pytest.approx(4 / 3, rel=most)
 
 
 def test_nothing_to_estimate() -> None:
