@@ -13,8 +13,8 @@ from mpi4py import MPI
 
 ROOT = Path(__file__).parents[1]
 
-SYSTEM = {"dolfinx", "petsc4py", "slepc4py", "mpi4py", "gmsh", "basix", "ufl"}
-"""Modules whose packages on PyPI do not fit together with MPI; basix and ufl are DOLFINx's."""
+SYSTEM = {"dolfinx", "petsc4py", "slepc4py", "mpi4py", "gmsh", "basix", "ffcx", "ufl"}
+"""Modules whose packages on PyPI do not fit together with MPI; basix, ffcx and ufl are DOLFINx's."""
 
 BROUGHT = {
     "annotated_types": "pydantic",
@@ -24,7 +24,7 @@ BROUGHT = {
 }
 """Modules that come with another package and are of its version."""
 
-UNDER_OTHER_NAMES = {"python3-cffi", "python3-dev", "python3-h5py-mpi"}
+UNDER_OTHER_NAMES = {"python3-dev", "python3-h5py-mpi"}
 """Packages of the environment that no module imports by name: compiled forms and h5py need them."""
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="reads files only")

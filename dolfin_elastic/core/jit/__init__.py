@@ -1,5 +1,6 @@
 """Compiling forms: flags, all ranks at work, a cache that many runs share and that mends itself."""
 
+from dolfin_elastic.core.jit.c_code import CFunctions, compile_c
 from dolfin_elastic.core.jit.cache import cache_folder
 from dolfin_elastic.core.jit.compile import (
     FLAGS,
@@ -9,4 +10,13 @@ from dolfin_elastic.core.jit.compile import (
     options,
 )
 
-__all__ = ["FLAGS", "JitOptions", "cache_folder", "compile_expression", "compile_forms", "options"]
+__all__ = [
+    "FLAGS",
+    "CFunctions",
+    "JitOptions",
+    "cache_folder",
+    "compile_c",
+    "compile_expression",
+    "compile_forms",
+    "options",
+]

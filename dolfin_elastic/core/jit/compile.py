@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sysconfig
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeAlias, TypedDict, TypeVar, cast
@@ -24,7 +24,12 @@ from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 from ufl.corealg.traversal import traverse_unique_terminals
 
-from dolfin_elastic.core.jit.cache import cache_folder, find_or_compile, private_folders
+from dolfin_elastic.core.jit.cache import (
+    Compile,
+    cache_folder,
+    find_or_compile,
+    private_folders,
+)
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.signals import interruptible
 from dolfin_elastic.core.timing import stage
@@ -167,29 +172,49 @@ def _with_numbered_labels(expression: Expr) -> Expr:
 def _compiled(
     comm: MPI.Comm, objects: Sequence[Compilable], jit_options: JitOptions
 ) -> list[JitOptions]:
-    """The options by which DOLFINx finds each of several forms compiled. Collective.
+    """The options by which DOLFINx finds each of several forms compiled. Collective."""
+    named = [_named(one, jit_options) for one in objects]
+    wanted = dict(named)  # equal forms once
+    folders = dict(zip(wanted, find_on_all_ranks(comm, roots(jit_options), wanted), strict=True))
+    return [{**jit_options, "cache_dir": folders[key]} for key, _ in named]
+
+
+def roots(jit_options: JitOptions) -> list[Path]:
+    """The cache, and folders in its place where it cannot be written."""
+    root = jit_options["cache_dir"]
+    return [root, *private_folders(_private_names[root])]
+
+
+def find_on_all_ranks(
+    comm: MPI.Comm, folders: Sequence[Path], wanted: Mapping[str, Compile]
+) -> list[Path]:
+    """Folder of each of several compiled forms, see `find_or_compile`. Collective.
 
     Each rank compiles its share; DOLFINx would compile all on rank 0.  Then each looks for itself:
     ranks on other machines may have folders of their own.
+
+    Args:
+        comm: The ranks.
+        folders: From `roots`.
+        wanted: Name of each form, by all that its code depends on, to what compiles it.
     """
-    mine = list(objects[comm.rank :: comm.size])
-    for share in [mine, objects] if comm.size > 1 else [objects]:
-        folders: list[Path] = []
+    every = list(wanted.items())
+    mine = every[comm.rank :: comm.size]
+    for share in [mine, every] if comm.size > 1 else [every]:
+        found: list[Path] = []
         error: Exception | None = None
         try:
             with interruptible():
-                folders = [_find_or_compile(one, jit_options) for one in share]
+                found = [find_or_compile(folders, key, compile_) for key, compile_ in share]
         except Exception as caught:  # raised on all ranks just below
             error = caught
         agree(comm, error)
-    return [{**jit_options, "cache_dir": folder} for folder in folders]
+    return found
 
 
-def _find_or_compile(form: Compilable, jit_options: JitOptions) -> Path:
-    """Folder of a compiled form or expression with its points. Not collective."""
+def _named(form: Compilable, jit_options: JitOptions) -> tuple[str, Compile]:
+    """Name of a form, or of an expression with its points, and what compiles it."""
     scalar = {"scalar_type": dolfinx.default_scalar_type}
-    root = jit_options["cache_dir"]
-    roots = [root, *private_folders(_private_names[root])]
     # All that FFCx makes the name of a module from: its options, the flags, Python and the C
     # compiler's own settings.
     flags = [jit_options["cffi_extra_compile_args"], jit_options["cffi_debug"]]
@@ -205,7 +230,7 @@ def _find_or_compile(form: Compilable, jit_options: JitOptions) -> Path:
                 form_compiler_options=scalar,
             )
 
-    return find_or_compile(roots, compute_signature([form], tag), compile_into)
+    return compute_signature([form], tag), compile_into
 
 
 @contextmanager

@@ -17,7 +17,14 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
-from dolfin_elastic.solvers.assembly.tangent import Tangent
+from dolfin_elastic.solvers.assembly.matrix import (
+    BilinearForm,
+    SplitForm,
+    TangentMatrix,
+    in_two_stages,
+    tangent_of_surroundings,
+)
+from dolfin_elastic.solvers.assembly.tied import TiedMatrix
 
 
 class Reactions:
@@ -115,6 +122,99 @@ class Reactions:
         dim = self._dofs.problem.body.dim
         nodal = self.nodal(form)[self._dofs.displacement_dofs].reshape(-1, dim)
         return np.asarray(self._dofs.comm.allreduce(nodal.sum(axis=0), op=MPI.SUM))
+
+
+class Tangent:
+    """The tangent of a problem, with ones on the diagonal of prescribed dofs. Collective.
+
+    Fixed pressures have the pivots of `ConstrainedDofs.level` there, of their own sign.  At skew
+    nodes it is Q K Q + s P, see `SkewProjection`, where s is of the size of K: round-off
+    of K would drown P otherwise.
+
+    Args:
+        dofs: The unknowns and what is prescribed of them.
+        form: The compiled bilinear form.
+
+    Attributes:
+        form: The compiled bilinear form.
+        matrix: The tangent; owned here.
+    """
+
+    def __init__(self, dofs: ConstrainedDofs, form: BilinearForm) -> None:
+        self._dofs, self.form = dofs, form
+        skew = dofs.skew
+        with stage("assemble"):
+            fixed = None if dofs.level is None else (dofs.fixed_pressures, dofs.level.pivots)
+            self._assembled = (
+                TangentMatrix(form, fixed=fixed)
+                if skew is None
+                else TangentMatrix(form, dofs.skew_dofs, skew.P[: skew.count], fixed=fixed)
+            )
+        self._tied: TiedMatrix | None = None
+        self.matrix = self._assembled.petsc
+        if dofs.ties is not None:
+            self._tied = TiedMatrix(dofs.problem, self.matrix, dofs.displacement_dofs)
+            self.matrix = self._tied.matrix
+        self._shift: float | None = None
+        self._scale = 0.0
+        if dofs.problem.symmetric:
+            self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            self.matrix.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+
+    def assemble(self, x: PETSc.Vec, shift: float = 0.0, *, unit: float | None = None) -> None:
+        """Assembles the tangent into `matrix`, unless neither it nor the shift can have changed.
+
+        A matrix that is left alone keeps its factorisation.
+
+        Args:
+            x: The unknowns, from `ConstrainedDofs.origin`.
+            shift: Factor of the inertia in the form, by which linear tangents differ.
+            unit: The factor s of P at skew nodes; by default of the size of the tangent [N/m].
+        """
+        with stage("assemble"):
+            self._dofs.put(x)
+            if self._dofs.problem.linear and shift == self._shift:
+                return
+            if unit is None and self._dofs.skew is not None:
+                unit = self.scale()
+            self._renew(unit or 0.0)
+            self._shift = shift
+
+    def _renew(self, unit: float) -> None:
+        self._assembled.assemble(self._dofs.bcs, unit=unit)
+        if self._tied is not None:
+            self._tied.renew()
+
+    def scale(self) -> float:
+        """Mean size of the tangent's diagonal at the first call, a power of two [N/m]."""
+        if self._scale == 0.0:
+            self._renew(0.0)
+            self.invalidate()
+            diagonal = self.matrix.getDiagonal()
+            mean = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
+            diagonal.destroy()
+            self._scale = 2.0 ** np.round(np.log2(mean)) if 0.0 < mean < np.inf else 1.0
+        return self._scale
+
+    def shift_diagonal(self, share: float) -> None:
+        """Adds a share of its size to the diagonal of free dofs."""
+        diagonal = self.matrix.getDiagonal()
+        added = share * np.abs(diagonal.array_r)
+        added[self._dofs.prescribed_dofs] = 0.0
+        diagonal.array_w[:] += added
+        self.matrix.setDiagonal(diagonal)
+        diagonal.destroy()
+        self.invalidate()
+
+    def invalidate(self) -> None:
+        """`matrix` was changed: `assemble` assembles it, also in a linear problem. Local."""
+        self._shift = None
+
+    def destroy(self) -> None:
+        """Frees the matrix."""
+        if self._tied is not None:
+            self._tied.destroy()
+        self._assembled.destroy()
 
 
 class Residual:
@@ -275,15 +375,14 @@ class Assembler(ConstrainedDofs):
         super().__init__(problem, displacement_fixed=displacement_fixed)
         weak_form = problem.weak_form
         residual = weak_form.residual if extra is None else weak_form.residual + extra
-        tangent = weak_form.tangent if extra_tangent is None else weak_form.tangent + extra_tangent
         loads = [] if weak_form.external is None else [weak_form.external]
         restraints = weak_form.restraint_works
-        found = compiled(problem, [residual, tangent, *loads, *restraints.values()])
-        by_label = dict(zip(restraints, found[2 + len(loads) :], strict=True))
+        found = compiled(problem, [residual, *loads, *restraints.values()])
+        by_label = dict(zip(restraints, found[1 + len(loads) :], strict=True))
         self.cell = None if problem.cell is None else CellStress(problem)
         self.pressures = problem.unknowns.count("pressure")
-        self.reactions = Reactions(self, found[2] if loads else None, by_label, self.cell)
-        self.tangent = Tangent(self, found[1])
+        self.reactions = Reactions(self, found[1] if loads else None, by_label, self.cell)
+        self.tangent = Tangent(self, _tangent(problem, extra_tangent))
         self.residual = Residual(self, found[0], self.tangent, self.reactions)
 
     def check_volumes(self) -> None:
@@ -298,6 +397,14 @@ class Assembler(ConstrainedDofs):
     def destroy(self) -> None:
         """Frees the tangent's matrix."""
         self.tangent.destroy()
+
+
+def _tangent(problem: Problem, extra: ufl.Form | None) -> BilinearForm:
+    """The compiled tangent of a problem and what is added to it. Collective."""
+    weak_form, more = problem.weak_form, ufl.Form([]) if extra is None else extra
+    if in_two_stages(problem):
+        return SplitForm(problem, tangent_of_surroundings(problem) + more)
+    return BilinearForm(compiled(problem, [weak_form.tangent + more])[0])
 
 
 def compiled(problem: Problem, forms: Sequence[ufl.Form]) -> list[fem.Form]:

@@ -9,6 +9,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.matrix import BilinearForm
 from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 
 
@@ -177,7 +178,7 @@ class ConstrainedDofs:
         return x[self.prescribed_dofs] - goal, rows - along.reshape(-1, self._dim)
 
     def lift(
-        self, form: fem.Form, differences: tuple[FloatArray, FloatArray], out: la.Vector
+        self, form: BilinearForm, differences: tuple[FloatArray, FloatArray], out: la.Vector
     ) -> None:
         """Product of the tangent's prescribed columns and g - x, for the free rows. Collective.
 
@@ -197,7 +198,7 @@ class ConstrainedDofs:
             values.x.array[: self.size] -= moved
             values.x.scatter_forward()
             out.array[:] = 0.0
-            fem.apply_lifting(out.array, [form], [self._lifted_bcs], [w], -1.0)
+            form.lift(out.array, self._lifted_bcs, values.x.array, w)
             out.scatter_reverse(la.InsertMode.add)
         finally:
             values.x.array[:] = saved

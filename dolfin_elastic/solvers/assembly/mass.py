@@ -11,7 +11,7 @@ from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-from dolfin_elastic.solvers.assembly.tangent import TangentMatrix
+from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
 from dolfin_elastic.solvers.assembly.tied import TiedMatrix
 from dolfin_elastic.solvers.messages import linear
 from dolfin_elastic.solvers.petsc.options import ksp_reason
@@ -154,10 +154,10 @@ def _matrix(problem: Problem) -> TangentMatrix:
     trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
     form = compiled(problem, [problem.weak_form.inertia(trial, test)])[0]
     if (skew := dirichlet.skew) is None:
-        matrix = TangentMatrix(form)
+        matrix = TangentMatrix(BilinearForm(form))
     else:
         nodes = skew.nodes[: skew.count]
         entries = (nodes[:, None] * dim + np.arange(dim)).astype(np.int32)
-        matrix = TangentMatrix(form, entries, skew.P[: skew.count])
+        matrix = TangentMatrix(BilinearForm(form), entries, skew.P[: skew.count])
     matrix.assemble(dirichlet.bcs)
     return matrix

@@ -13,7 +13,7 @@ from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-from dolfin_elastic.solvers.assembly.tangent import TangentMatrix
+from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
 from dolfin_elastic.solvers.assembly.tied import TiedMatrix
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
@@ -41,7 +41,7 @@ class Mass:
         self._assembler, problem = assembler, assembler.problem
         trial = problem.unknowns.displacement(ufl.TrialFunction(problem.W))
         self._form = compiled(problem, [problem.weak_form.inertia(trial, problem.v)])[0]
-        self._filled = TangentMatrix(self._form)
+        self._filled = TangentMatrix(BilinearForm(self._form))
         self._filled.assemble([])
         self.matrix: PETSc.Mat = self._filled.petsc
         self._tied: TiedMatrix | None = None
@@ -52,7 +52,7 @@ class Mass:
         if skew is not None:
             self._filled.destroy()
             P = skew.P[: skew.count]
-            self._filled = TangentMatrix(self._form, assembler.skew_dofs, P)
+            self._filled = TangentMatrix(BilinearForm(self._form), assembler.skew_dofs, P)
             self._filled.assemble([], unit=0.0)
             self.matrix = self._filled.petsc
         if assembler.ties is not None:

@@ -41,7 +41,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.model.amplitude import CONSTANT
-from dolfin_elastic.solvers.assembly.tangent import TangentMatrix
+from dolfin_elastic.solvers.assembly.matrix import TangentMatrix
 
 # --- the oscillator ---
 

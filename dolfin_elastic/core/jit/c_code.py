@@ -1,0 +1,109 @@
+"""Loops in C whose sizes the compiler knows, kept in the cache of compiled forms."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import sysconfig
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Protocol, TypeAlias, cast
+
+import cffi
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from dolfin_elastic.core.jit.compile import JitOptions, find_on_all_ranks, roots
+from dolfin_elastic.core.timing import stage
+
+Array: TypeAlias = NDArray[np.generic]
+
+NAME = "dolfin_elastic_loops"
+
+
+class _Library(Protocol):
+    """A module that cffi has compiled."""
+
+    lib: object
+    ffi: cffi.FFI
+
+
+class CFunctions:
+    """Compiled C functions, whose arguments are integers and contiguous numpy arrays.
+
+    Args:
+        library: As cffi compiled it.
+    """
+
+    def __init__(self, library: _Library) -> None:
+        self._lib, self._ffi = library.lib, library.ffi
+
+    def call(self, name: str, *arguments: int | Array) -> int:
+        """Calls a function; arrays are handed on as pointers. Not collective.
+
+        Args:
+            name: Of the function; it returns an integer.
+            arguments: Integers, and arrays of the types in its declaration.
+
+        Raises:
+            TypeError: An array has another type, or gaps.
+        """
+        function = getattr(self._lib, name)
+        types = self._ffi.typeof(function).args
+        pairs = zip(arguments, types, strict=True)
+        converted = [self._pointer(a, t) if isinstance(a, np.ndarray) else a for a, t in pairs]
+        return cast("int", function(*converted))
+
+    def _pointer(self, values: Array, kind: cffi.FFI.CType) -> cffi.FFI.CData:
+        wanted = kind.item.cname.removeprefix("const ").removesuffix("_t")
+        if values.dtype != np.dtype(wanted) or not values.flags.c_contiguous:
+            raise TypeError(f"an array of {values.dtype} for {kind.cname}, or one with gaps")
+        return self._ffi.cast(kind, self._ffi.from_buffer(values))
+
+
+def compile_c(
+    comm: MPI.Comm,
+    declarations: str,
+    source: str,
+    sizes: Mapping[str, int],
+    jit_options: JitOptions,
+) -> CFunctions:
+    """Compiles C functions, or takes them from the cache. Collective.
+
+    Args:
+        comm: The ranks.
+        declarations: Of the functions, for cffi.
+        source: In C.
+        sizes: Macros that the source uses, by name.
+        jit_options: From `options`.
+
+    Raises:
+        OutputError: There is no folder for compiled code.
+        StoppedError: A signal has asked for the end of the run meanwhile.
+    """
+    code = "".join(f"#define {name} {size}\n" for name, size in sizes.items()) + source
+    # Products and sums may be fused; in forms FFCx decides, and gcc fuses by default, too.
+    flags = [*jit_options["cffi_extra_compile_args"], "-ffp-contract=fast"]
+    soabi = str(sysconfig.get_config_var("SOABI"))
+    text = "\n".join([declarations, code, *flags, cffi.__version__, soabi])
+    key = "loops_" + hashlib.sha256(text.encode()).hexdigest()
+
+    def compile_into(folder: Path) -> None:
+        ffi = cffi.FFI()
+        ffi.cdef(declarations)
+        ffi.set_source(NAME, code, extra_compile_args=flags)
+        ffi.compile(tmpdir=str(folder))
+
+    with stage("compile"):
+        folder = find_on_all_ranks(comm, roots(jit_options), {key: compile_into})[0]
+        return CFunctions(_load(next(folder.glob("*.so"))))
+
+
+def _load(file: Path) -> _Library:
+    spec = importlib.util.spec_from_file_location(NAME, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return cast("_Library", module)
