@@ -332,7 +332,7 @@ def check_problem(case: Case, problem: Problem) -> None:
     Raises:
         CaseError: A formula has a pole in the body, see `check_poles`.
     """
-    integrals = Integrals(problem)
+    integrals = Integrals(problem, case.mesh.metres_thick(problem.body))
     with locate_errors(case.file):
         check_poles(case, integrals)
     finders = tie_notes, contact_notes, bending_notes, shape_notes

@@ -170,4 +170,6 @@ def _syntax(message: str, text: str) -> str:
         what = f"[{key}] stands here for the second time"
     what = _PLAINER.get(what, what[:1].lower() + what[1:])
     shown = text.splitlines()[line - 1].replace("\t", " ")
+    if re.search(r"\d$", shown[: column - 1]) and re.match(r",\d", shown[column - 1 :]):
+        what = "a decimal point is needed in place of the comma"
     return f"line {line}: {what}\n    {shown}\n    {' ' * (column - 1)}^"

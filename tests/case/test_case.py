@@ -451,6 +451,11 @@ MISTAKES = {
         "steps = 2\nsteps = 3",
         "line 23: this key stands here for the second time\n    steps = 3\n             ^",
     ),
+    "toml comma": (
+        "steps = 2",
+        "rtol = 0,1",
+        "line 22: a decimal point is needed in place of the comma\n    rtol = 0,1\n            ^",
+    ),
     "toml string": (
         'title = "Block"',
         'title = "Block',

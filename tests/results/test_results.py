@@ -642,14 +642,35 @@ def test_labels_of_colour_bars() -> None:
     problem = make_problem(2)
     labels = [
         pictures.Painter(problem, field)._colour_data(surface)["label"]
-        for field in ("cauchy_stress", "von_mises", "jacobian", "displacement")
+        for field in ("cauchy_stress", "von_mises", "jacobian", "displacement", "error")
     ]
     assert labels == [
         "Cauchy stress\nnorm of the tensor\n[kPa]",
         "von Mises stress\n[kPa]",
         "det F",
         "displacement\n[km]",
+        "estimated error of\nthe stress\n[kPa]",
     ]
+
+
+@pytest.mark.parametrize(
+    ("values", "ticks", "label"),
+    [
+        ([1.27, 3.0, 1000.0], (0, 2, 4, 6, 8), "safety factor\n8 and more alike"),
+        ([0.3, 1000.0], (0, 0.5, 1, 1.5, 2), "safety factor\n2 and more alike"),
+        ([1.2, 1.9], (1.2, 1.4, 1.6, 1.8, 2), "safety factor"),
+    ],
+)
+def test_small_safety_factors_are_seen(
+    values: list[float], ticks: tuple[float, ...], label: str
+) -> None:
+    """Up to 1000, the largest one, all that matters had one colour, and a dark one."""
+    surface = Surface(np.zeros((1, 3)), np.zeros((3, 3)), {"value": np.array(values)[:, None]})
+    law = NeoHookean(E=1e6, nu=0.3, allowable=1e5)
+    problem = Problem(make_problem(2).body, law, degree=1)
+    data = pictures.Painter(problem, "safety_factor")._colour_data(surface)
+    np.testing.assert_allclose(data["ticks"], ticks, rtol=1e-12)
+    assert data["label"] == label and data["reversed"]
 
 
 @pytest.mark.parametrize(

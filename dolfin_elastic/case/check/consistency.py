@@ -176,7 +176,7 @@ def _check_name(where: str, name: str, kinds: Sequence[str], rule: str, body: Bo
     if not here and (others := body.kinds(name)):
         raise MeshError(f"'{name}' is {_a(others[0])}", where=where, expected=rule)
     if not here:
-        every = {n: part for parts in body.parts.values() for n, part in parts.items()}
+        every = {n: part for kind in kinds for n, part in body.parts[kind].items()}
         raise MeshError(
             f"there is no {kinds[0]} '{name}'", where=where, expected=_suggestion(name, every)
         )

@@ -6,18 +6,19 @@ Nothing but the case and the mesh is needed, so a run warns of the same.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.toml import key_text
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import first_of, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
-from dolfin_elastic.mesh.body import Body, extent
-from dolfin_elastic.mesh.criteria import bounding_box
+from dolfin_elastic.mesh.body import Body, cell_size, extent
+from dolfin_elastic.mesh.criteria import BoundingBox, bounding_box
 from dolfin_elastic.mesh.point_selection import vertices_of
+from dolfin_elastic.mesh.selectors import MeshLength
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.loads import ConcentratedLoad, Load
 from dolfin_elastic.model.materials.law import Law
@@ -47,6 +48,10 @@ _GRAM_PER_CM3 = 1000.0
 """[kg/m^3]"""
 _NEAR = 0.01
 """Distance over the body's diagonal up to which a point counts as in the body."""
+_SMALL_UNIT = 0.1
+"""Longest unit of a mesh [m] for which a place may have been meant in metres."""
+_BESIDE = 0.1
+"""Distance over the size of the cells from which a point is not at its place."""
 _BARE_ANGLE = 1.0
 """Number without a unit [rad] from which it was probably meant in degrees."""
 _THERMAL_STRAIN = 1.0
@@ -62,6 +67,8 @@ def plausibility_notes(case: Case, body: Body) -> Iterator[str]:
     """
     yield from size_notes(case, body)
     yield from _point_notes(case, body)
+    yield from _mesh_place_notes(case, body)
+    yield from _distance_notes(case, body)
     yield from _angle_notes(case)
     yield from _material_notes(case, body)
     yield from _loads_on_supports(case, body)
@@ -137,6 +144,57 @@ def _points(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
     for i, support in enumerate(case.support):
         if isinstance(support, Rotation | Rigid):
             yield f"support[{i}].point", support.centre
+
+
+def _mesh_place_notes(case: Case, body: Body) -> Iterator[str]:
+    """Bare places beside the origin that would lie in the body if they were in metres. Collective.
+
+    A place in the mesh's unit is taken as it stands; one of numbers in metres is then so near the
+    origin that it is found in a body with a corner there, and says something else.
+    """
+    if body.unit.metres > _SMALL_UNIT:
+        return
+    low, high = bounding_box(body.mesh)
+    size = float(np.linalg.norm(high - low))
+    for key, place in _mesh_places(case):
+        if len(place) != body.dim or any(isinstance(x, str) for x in place):
+            continue
+        point = np.array([float(x) for x in place])
+        outside = np.maximum(np.maximum(low - point, point - high), 0.0)
+        if point.any() and np.linalg.norm(outside) <= _NEAR * size:
+            shown, unit = ", ".join(f"{x:.4g}" for x in point), body.unit.name
+            yield f"{key}: ({shown}) {unit} is beside the origin: is it in m? Numbers are in {unit}"
+
+
+def _mesh_places(case: Case) -> Iterator[tuple[str, Sequence[MeshLength]]]:
+    """Keys of places whose bare numbers are in the mesh's unit, and where nothing else is off."""
+    for name, choices in case.points.items():
+        for choice in choices:
+            if choice.nearest is not None:
+                yield f"points.{key_text(name)}.nearest", choice.nearest
+    for name, probe in case.output.probes.items():
+        if probe.at is not None:
+            yield f"output.probes.{key_text(name)}", probe.at
+
+
+def _distance_notes(case: Case, body: Body) -> Iterator[str]:
+    """Points that are nearest to a place, and yet some way from it. Collective."""
+    limit, unit = _BESIDE * cell_size(body), body.unit
+    for name, choices in case.points.items():
+        if len(choices) != 1 or choices[0].nearest is None or choices[0].tolerance is not None:
+            continue
+        place = BoundingBox.of(body, unit.metres).point(choices[0].nearest, "nearest")
+        x = body.mesh.geometry.x[body.owned_points(name), : body.dim]
+        found = first_of(body.comm, [tuple(map(float, row)) for row in x])
+        assert found is not None
+        distance = float(np.linalg.norm(np.array(found) - place))
+        if distance > limit:
+            shown = ", ".join(f"{x / unit.metres:.4g}" for x in found)
+            yield (
+                f"points.{key_text(name)}: the nearest vertex is ({shown}) {unit.name}, "
+                f"{distance / unit.metres:.3g} {unit.name} from the place: a finer mesh has a "
+                "nearer one"
+            )
 
 
 # --- angles ---

@@ -110,7 +110,8 @@ def _add_outline(plot: pv.Plotter, reference: pv.PolyData) -> None:
 
 def _by_value(data: Arrays) -> dict[str, object]:
     ticks = data["ticks"]
-    return {"scalars": "value", "cmap": "viridis", "clim": [ticks[0], ticks[-1]]}
+    colours = "viridis_r" if bool(data["reversed"]) else "viridis"
+    return {"scalars": "value", "cmap": colours, "clim": [ticks[0], ticks[-1]]}
 
 
 def _by_name(mesh: pv.PolyData, numbers: npt.NDArray[np.int64]) -> dict[str, object]:

@@ -51,6 +51,19 @@ def make_colour_bar(values: AnyArray, unit: str, noise: float = 0.0) -> ColourBa
     return ColourBar(ticks, factor, unit, _form(ticks))
 
 
+def upper_end(factors: AnyArray) -> float:
+    """Safety factor above which a picture shows all of them alike.
+
+    The colour of the smallest one, and of those twice as large, must be told apart: five times the
+    smallest, at least 2, lest the limit 1 be at an end of the bar.
+
+    Args:
+        factors: Positive; those that are not finite are left out.
+    """
+    found = factors[np.isfinite(factors)]
+    return max(2.0, 5.0 * float(found.min())) if len(found) else 2.0
+
+
 def _range(values: AnyArray, noise: float) -> tuple[float, float]:
     if not len(values):
         return 0.0, noise or 1.0

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -31,7 +32,7 @@ from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import make_folder, writing
 from dolfin_elastic.results.grid import to_nodes
-from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
+from dolfin_elastic.results.pictures.colour_bar import make_colour_bar, upper_end
 from dolfin_elastic.results.pictures.renderer import RENDERER
 from dolfin_elastic.results.pictures.surface import Surface, gather_surface
 from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
@@ -45,6 +46,10 @@ View = Literal["isometric", "x", "y", "z", "-x", "-y", "-z"]
 
 _SLEEP = 0.02
 """Seconds between two looks for the end of the drawing."""
+_LINE = 20
+"""Letters in a line above the colour bar; longer ones would not fit."""
+_SMALL_MATTER = ("safety_factor",)
+"""Fields whose small values matter: drawn in bright colours, large ones all alike."""
 _CATEGORIES = ("material", "region")
 """Fields of numbers that stand for names: drawn in distinct colours with a legend."""
 _LABELS = {
@@ -377,15 +382,20 @@ class Painter:
             first, names = self._names()
             return {"value": surface.of_cells - first, "names": names, "label": label}
         values = surface.values["value"][:, 0]
-        found = make_colour_bar(values, field.unit, self._noise)
+        small = self.field in _SMALL_MATTER
+        shown = np.minimum(values, upper_end(values)) if small else values
+        found = make_colour_bar(shown, field.unit, self._noise)
         unit = f"[{found.unit}]" if found.unit else ""
         if field.shape == "tensor":
             unit = f"norm of the tensor\n{unit}"
+        if small and values.max() > found.ticks[-1]:
+            unit = f"{found.ticks[-1]:g} and more alike"
         return {
             "value": values / found.factor,
             "ticks": found.ticks,
+            "reversed": small,
             "form": found.form,
-            "label": f"{label}\n{unit}".strip(),
+            "label": f"{fill(label, _LINE)}\n{unit}".strip(),
         }
 
     def _names(self) -> tuple[int, list[str]]:

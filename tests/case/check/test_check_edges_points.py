@@ -112,6 +112,10 @@ def test_a_set_of_nodes_that_is_no_surface(folder: Path) -> None:
             "support[0].on: 'ridge' is an edge; a symmetry holds surfaces",
         ),
         ({"support": [{"on": "rige"}]}, "support[0].on: there is no surface 'rige'; did you mean"),
+        (  # a surface, edge or point of nearly this name would not be filled either
+            {"materials": {"rubber": {"law": "linear-elastic", "E": 1, "nu": 0, "on": "ridges"}}},
+            "materials.rubber.on: there is no region 'ridges'; the mesh has none",
+        ),
         ({"edges": {"e": {"between": ["left", "tpo"]}}}, "edges.e: no surface 'tpo' in box"),
         ({"edges": {"e": {}}}, "edges.e: say where: between, line"),
         ({"points": {"e": {"at": 3}}}, "points.e: plane and at belong together"),
@@ -136,3 +140,38 @@ def test_the_tables_are_written_and_read_back() -> None:
     first = case()
     assert Case.from_dict(first.to_dict()) == first
     assert "[edges]" in first.to_toml()
+
+
+@pytest.mark.parametrize(
+    ("tables", "says"),
+    [
+        ({}, ()),
+        (
+            {"points": {"tip": {"nearest": [0.002, 0.001, 0.003]}}},
+            ("points.tip.nearest: (0.002, 0.001, 0.003) mm is beside the origin: is it in m?",),
+        ),
+        (
+            {"output": {"probes": {"mid": [0.001, 0, 0.0015]}}},
+            ("output.probes.mid: (0.001, 0, 0.0015) mm is beside the origin: is it in m?",),
+        ),
+        (  # meant as they stand: with a unit, at a corner, or too far from it for metres
+            {
+                "points": {"a": {"nearest": ["0.002 mm", 0, 0]}, "b": {"nearest": [0, 0, 0]}},
+                "output": {"probes": {"mid": [0.1, 0, 0]}},
+            },
+            (),
+        ),
+        (
+            {"points": {"tip": {"nearest": [1, 0.4, 3]}}},
+            ("points.tip: the nearest vertex is (1, 0, 3) mm, 0.4 mm from the place",),
+        ),
+        ({"points": {"tip": {"nearest": [1, 0.4, 3], "tolerance": 0.5}}}, ()),
+    ],
+)
+def test_places_that_mean_something_else(tables: dict[str, Any], says: tuple[str, ...]) -> None:
+    """In metres they are read at the corner beside the origin, where the body is held."""
+    push = {"kind": "traction", "on": "top", "value": [0, 0, 1]}
+    notes = report(case(load=[push], **tables)).notes
+    assert len(notes) == len(says)
+    for note, start in zip(notes, says, strict=True):
+        assert note.startswith(start)
