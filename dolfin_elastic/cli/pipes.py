@@ -68,7 +68,7 @@ class _Printable(io.TextIOWrapper):
 
 
 class _Unfiltered:
-    """See `_Printable.unfiltered`; all but `write` is that of the stream."""
+    """See `_Printable.unfiltered`: what a console asks of a file."""
 
     def __init__(self, stream: _Printable) -> None:
         self._stream = stream
@@ -76,8 +76,18 @@ class _Unfiltered:
     def write(self, text: str, /) -> int:
         return io.TextIOWrapper.write(self._stream, text)
 
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._stream, name)
+    def flush(self) -> None:
+        self._stream.flush()
+
+    def fileno(self) -> int:
+        return self._stream.fileno()
+
+    def isatty(self) -> bool:
+        return self._stream.isatty()
+
+    @property
+    def encoding(self) -> str:
+        return self._stream.encoding
 
 
 class _PipeOrNull(io.FileIO):
