@@ -418,7 +418,7 @@ def graded() -> Iterator[Row]:
                 "output": {"probes": {"end": [1, 0.1]}},
             },
             {"number end_x": 1e6 * flexibility},
-            1e-4,
+            1e-5,
         )
     layers = {
         "regions": {"a": {"box": [[0, 0], [1, 0.25]]}},
@@ -508,7 +508,7 @@ def spinning() -> Iterator[Row]:
                 "output": {"probes": {"a": [a, 0]}},
             },
             {"number a_x": inner},
-            1e-3,
+            3e-4,
             geo=ring(a, b, (12, 16), 1.08),
         )
 
@@ -590,7 +590,7 @@ def rods() -> Iterator[Row]:
             },
             # The chord of the turned points is short by angle^2/6.
             {"energy strain": shear * polar * angle**2 / (2 * long * scale)},
-            2e-3,
+            2e-4,
             geo=ROD.format(long=long, radius=radius),
         )
 
@@ -650,7 +650,7 @@ def elastica() -> Iterator[Row]:
                 "output": {"probes": {"tip": [100, 0.5]}},
             },
             {"number tip_y": -100 * down, "number tip_x": -100 * short},
-            3e-3,
+            3e-4,
         )
 
 
@@ -773,7 +773,7 @@ def motion() -> Iterator[Row]:
                 "output": {"probes": {"end": [0.05, long]}},
             },
             {"number end_y": 1e-3 * np.cos(1.0)},
-            2e-3,
+            3e-4,
         )
 
 
@@ -891,7 +891,7 @@ def turned() -> Iterator[Row]:
                 "number right_uy": L * (1 - np.cos(angle)) / angle,
                 "number right_rz": angle,
             },
-            2e-3,
+            1e-3,
         )
 
 
@@ -929,7 +929,7 @@ def cavities() -> Iterator[Row]:
                 "output": {"probes": {"a": [1, 0]}},
             },
             {"number pressure_inside": pressure, "number a_x": s - 1},
-            2e-3,
+            6e-4,
             geo=ring(1, b, (12, 16), 1.08),
         )
 
@@ -1004,7 +1004,7 @@ def damped() -> Iterator[Row]:
                 "dynamics": {"scheme": scheme, "dt": 5e-4, "end": 0.1},
             },
             {"number foot_y": -g * tau * (0.1 - tau * (1 - np.exp(-0.1 / tau)))},
-            1e-3,
+            1e-4,
         )
     k, a, end = 1e6, 20.0, 0.1
     decay = a / 2

@@ -6,10 +6,12 @@ See `closed_forms`, whose rows these follow.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from itertools import product
 
 import numpy as np
 from helpers.closed_forms import (
+    FIBRES,
     FREE,
     Row,
     Tables,
@@ -18,6 +20,7 @@ from helpers.closed_forms import (
     cube,
     oedometric,
     rollers,
+    sheared_numbers,
     tube_radial,
 )
 
@@ -306,7 +309,7 @@ def waves() -> Iterator[Row]:
                 # Lumped masses at 3 x 3 nodes have 3/2 of the moment of inertia.
                 "energy kinetic": 1000 * spin**2 / 12 * (1.5 if "central" in scheme else 1),
             },
-            3e-3,  # the square stretches by rho w^2 L^2/E = 4e-4, and breathes
+            1e-3,  # the square stretches by rho w^2 L^2/E = 4e-4, and breathes
         )
 
 
@@ -373,8 +376,30 @@ def wood() -> Iterator[Row]:
         )
 
 
+def sheared_fibres() -> Iterator[Row]:
+    """Tissue that is sheared along and across its fibres."""
+    faces = ["left", "right", "bottom", "top", "front", "back"]
+    for (name, constants), (where, fibre) in product(
+        FIBRES.items(), (("along", [1, 0, 0]), ("across", [0, 1, 0]))
+    ):
+        typed = {**constants, "fibre": fibre}
+        yield Row(
+            f"{name} sheared {where} its fibres",
+            {
+                "mesh": cube(3, 1, 1, "m"),
+                "materials": {"m": {"law": name, **typed}},
+                "support": [{"on": face, "displacement": ["0.2*y*t", 0, 0]} for face in faces],
+                "output": {
+                    "probes": {"middle": {"at": [0.5, 0.5, 0.5], "fields": ["cauchy_stress"]}}
+                },
+            },
+            partial(sheared_numbers, name, typed, 0.2),
+            1e-6,
+        )
+
+
 FURTHER: list[Row] = [
     row
-    for family in (units, washers, isochoric_modes, unstretched, waves, wood)
+    for family in (units, washers, isochoric_modes, unstretched, waves, wood, sheared_fibres)
     for row in family()
 ]
