@@ -120,9 +120,17 @@ def eigenvalues(reason: str) -> str:
     return f"{_EPS.get(reason, 'it did not converge')} ({reason})"
 
 
+ROUND_OFF = 1e-12
+"""Share of the largest coordinate below which another one is zero."""
+NO_LENGTH = 1e-15
+"""Length [m] that no body resolves: an atom has 1e-10 m."""
+
+
 def coordinates(place: Iterable[float]) -> str:
-    """A place or a direction, with four digits; no zero has a sign."""
-    return "(" + ", ".join(f"{x + 0.0:.4g}" for x in place) + ")"
+    """A place or a direction, with four digits; no zero has a sign, nor round-off for digits."""
+    numbers = [float(x) for x in place]
+    least = max(ROUND_OFF * max(map(abs, numbers), default=0.0), NO_LENGTH)
+    return "(" + ", ".join(f"{x if abs(x) > least else 0.0:.4g}" for x in numbers) + ")"
 
 
 def ahead(fault: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from petsc4py import PETSc
 
-from dolfin_elastic.solvers.messages import eigenvalues, in_words
+from dolfin_elastic.solvers.messages import coordinates, eigenvalues, in_words
 from dolfin_elastic.solvers.nonlinear.convergence import ANOTHER
 from dolfin_elastic.solvers.petsc.options import ksp_reason, snes_reason, ts_reason
 
@@ -29,6 +29,18 @@ def test_names_stand_behind_words(reason: str) -> None:
     assert name == f"{reason})"
     assert "DIVERGED" not in words
     assert len(words.split()) > 4
+
+
+@pytest.mark.parametrize(
+    ("place", "text"),
+    [
+        ((5.53e-20, -5.53e-20, -1.92e-19), "(0, 0, 0)"),
+        ((5e-4, -1.077e-20), "(0.0005, 0)"),
+        ((1e-9, -2.5e-9, 0.0), "(1e-09, -2.5e-09, 0)"),
+    ],
+)
+def test_round_off_has_no_digits(place: tuple[float, ...], text: str) -> None:
+    assert coordinates(place) == text
 
 
 def test_the_linear_solver_is_named() -> None:

@@ -336,14 +336,15 @@ class Residual:
         return norm if np.isfinite(norm) else np.inf
 
     def largest(self) -> tuple[float, FloatArray]:
-        """Largest free nodal force of `vector` [N] and the node's reference place X [m]."""
+        """Largest free nodal force of `vector` [N] and the node's reference place X, (dim,) [m]."""
         dofs, problem = self._dofs, self._dofs.problem
         forces = (self.owned - dofs.constrained_part(self.owned))[dofs.displacement_dofs]
         norms = np.linalg.norm(forces.reshape(-1, problem.body.dim), axis=1)
         norms = np.where(np.isfinite(norms), norms, np.inf)
         node = int(np.argmax(norms)) if len(norms) else -1
         places = problem.unknowns.U.tabulate_dof_coordinates()
-        mine = (float(norms[node]), places[node]) if node >= 0 else (-1.0, np.zeros(3))
+        dim = problem.body.dim
+        mine = (float(norms[node]), places[node, :dim]) if node >= 0 else (-1.0, np.zeros(dim))
         return max(dofs.comm.allgather(mine), key=lambda pair: pair[0])
 
 

@@ -24,6 +24,7 @@ from dolfin_elastic.solvers.dynamics.explicit.frequency_bound import (
     extremes,
     rows_over_mass,
 )
+from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import in_full_contact
 
 log = logging.getLogger("dolfin_elastic")
@@ -209,8 +210,7 @@ class StepSize:
         contact = "; obstacles may be hit" if self._contact and self._safety == RESONANCE else ""
         if self.bound is None or not self._square:
             return contact
-        place = ", ".join(f"{x:.3g}" for x in self.location())
-        return f"{contact}; cells at ({place}) m ask for it"
+        return f"{contact}; cells at {coordinates(self.location())} m ask for it"
 
     def location(self) -> tuple[float, ...]:
         """Where the bound by cells is largest, undeformed [m]; empty without one. Collective."""
