@@ -269,7 +269,7 @@ def test_fault_of_the_program(folder: Path, ranks: int, broken: int) -> None:
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_interrupted(folder: Path, ranks: int) -> None:
-    """Ctrl-C ends the run after the current step; what is written can be read."""
+    """Ctrl-C ends the run with the last complete step; what is written can be read."""
     (folder / "case.toml").write_text(CASE.replace("steps = 2", "steps = 5000"))
     with started([*PROGRAM, "run", "case.toml"], folder, ranks) as process:
         history = folder / "case_results/history.csv"
@@ -282,7 +282,7 @@ def test_interrupted(folder: Path, ranks: int) -> None:
             os.kill(child, signal.SIGINT)
         out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
-    assert err.count("stopping after this step") == 1
+    assert err.count("stopping with a checkpoint of the last complete step") == 1
     rows = list(csv.DictReader(history.read_text().splitlines()))
     assert 0 < float(rows[-1]["load_factor"]) < 1
     assert json.loads((folder / "case_results/summary.json").read_text())["status"] == "stopped"

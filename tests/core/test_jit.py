@@ -205,6 +205,29 @@ def test_a_dead_holder_is_noticed(tmp_path: Path, monkeypatch):
 
 
 @serial
+def test_an_hour_asleep_is_no_hour_of_silence(tmp_path: Path, monkeypatch):
+    """A machine that was suspended between two looks, its waiting process and the holder with it.
+
+    The clock on the wall and the name of the host do not matter at all.
+    """
+    clock = [0.0]
+    monkeypatch.setattr(claim.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(claim.time, "time", lambda: -clock[0])
+    holder(tmp_path, "f", where="elsewhere")
+    watch = claim._Watch(tmp_path / ".f.claim")
+    assert not watch.holder_is_dead()
+    clock[0] += 3600.0
+    assert not watch.holder_is_dead()
+    for _ in range(int(claim.PATIENCE) + 1):
+        clock[0] += 1.0
+        dead = watch.holder_is_dead()
+    assert dead
+    holder(tmp_path, "g")
+    monkeypatch.setattr(claim.socket, "gethostname", lambda: "renamed")
+    assert not claim._Watch(tmp_path / ".g.claim").holder_is_dead()
+
+
+@serial
 def test_a_sleeper_that_was_taken_for_dead(tmp_path: Path):
     """It wakes when another process has compiled the form: nothing is lost, nobody fails."""
 

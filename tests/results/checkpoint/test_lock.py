@@ -72,6 +72,21 @@ def test_a_file_left_behind_locks_nothing(folder: Path) -> None:
     one.close()
 
 
+def test_another_date_and_another_name(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock set back and a host renamed change nothing: the lock is that of the file."""
+    one = FolderLock(WORLD, folder)
+    one.acquire()
+    monkeypatch.setattr(lock.time, "time", lambda: 0.0)
+    monkeypatch.setattr(lock.socket, "gethostname", lambda: "renamed")
+    with pytest.raises(RestartError, match=GOING):
+        on_root(WORLD, lambda: check_free(folder))
+    one.close()
+    on_root(WORLD, lambda: check_free(folder))
+    on_root(WORLD, lambda: (folder / LOCK).write_text('{"pid": 1, "host": "old", "since": "2099"}'))
+    one.acquire()
+    one.close()
+
+
 def test_a_file_that_was_removed_is_no_lock(folder: Path, monkeypatch: Any) -> None:
     """Between opening and locking the one before has ended: it is locked anew by its name."""
     original, calls = fcntl.flock, []
