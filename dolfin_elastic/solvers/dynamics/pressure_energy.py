@@ -19,7 +19,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import compiled
-from dolfin_elastic.solvers.assembly.tangent import TangentMatrix
+from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
 
 _TOLERANCE = 1e-8
 """Relative residual of p* - p: its energy has the square of it."""
@@ -40,7 +40,7 @@ class PressureEnergy:
         gap = sum(problem.weak_form.volume_gap(part, F, q) for part in parts)
         mass = sum(part.compliance * p * q * problem.weak_form.volume(part, 2) for part in parts)
         self._gap = compiled(problem, [gap])[0]
-        self._matrix = TangentMatrix(compiled(problem, [mass])[0])
+        self._matrix = TangentMatrix(BilinearForm(compiled(problem, [mass])[0]))
         self._matrix.assemble([])
         self._comm, self._map = problem.body.comm, space.dofmap.index_map
         self._x, self._b = self._matrix.petsc.createVecs()
