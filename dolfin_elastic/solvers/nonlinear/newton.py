@@ -95,7 +95,9 @@ class Newton:
         self.test = ConvergenceTest(
             assembler, tolerance, inertia=inertia, bordered=self.bordered, guard=self.guard
         )
-        self._monitors = FileMonitors(self.snes, self.ksp, self.options)
+        self._monitors: FileMonitors | None = None
+        if FileMonitors.NAMES & self.options.users.keys():
+            self._monitors = FileMonitors(self.snes, self.ksp, self.options)
         self.linear = LinearSolver(assembler, self.options, self.ksp, self.snes)
         self._source: Assembler | Bordered = self.bordered or assembler
         matrix = assembler.tangent.matrix if self.bordered is None else self.bordered.matrix
@@ -339,7 +341,8 @@ class Newton:
     def destroy(self) -> None:
         """Frees what it owns. Collective."""
         self.linear.destroy()
-        self._monitors.close()
+        if self._monitors is not None:
+            self._monitors.close()
         if self._owns:
             self.snes.destroy()
         if self.bordered is not None:

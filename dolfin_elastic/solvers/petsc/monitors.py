@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
+from typing import ClassVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -27,9 +28,14 @@ class FileMonitors:
         ksp: Its linear solver.
         options: From which the options of these monitors are taken.
 
+    Attributes:
+        NAMES: The options, without prefix.
+
     Raises:
         InputError: A file cannot be written.
     """
+
+    NAMES: ClassVar[frozenset[str]] = frozenset({"snes_monitor", "ksp_monitor"})
 
     def __init__(self, snes: PETSc.SNES, ksp: PETSc.KSP, options: Options) -> None:
         self._viewers: list[PETSc.Viewer] = []
