@@ -184,6 +184,13 @@ class StateSource:
         assert self.stress is not None
         return self.stress.rows(name)
 
+    def contact_pressure(self) -> AnyArray:
+        """See `FieldSource`; of the problem's present state, which is the one that is written."""
+        values = np.zeros((self.evaluator.grid.own_points, 1))
+        for pair in self.evaluator.problem.contact_pairs:
+            values[pair.nodes_of_displacement, 0] += pair.pressures()
+        return values
+
     def stress_error(self) -> AnyArray:
         """See `FieldSource`."""
         assert self.error is not None

@@ -44,6 +44,9 @@ class FieldSource(Protocol):
     def recovered(self, name: RecoveredField) -> AnyArray:
         """A field of the recovered stress at the points."""
 
+    def contact_pressure(self) -> AnyArray:
+        """Pressure of the obstacles on the body [Pa] at the points, shape (points, 1)."""
+
     def stress_error(self) -> AnyArray:
         """Estimated error of each cell's stress [Pa], shape (cells, 1)."""
 
@@ -248,6 +251,13 @@ FIELDS: dict[str, Field] = {
         "mass of the material per reference volume",
         lambda law, F: law.density,
         fixed=True,
+    ),
+    "contact_pressure": Field(
+        "scalar",
+        "node",
+        "Pa",
+        "pressure of obstacles on the body, per reference area; zero without contact",
+        values=lambda source: source.contact_pressure(),
     ),
     "region": Field(
         "scalar",

@@ -227,12 +227,15 @@ class ContactPair:
     @property
     def pressing(self) -> BoolArray:
         """Owned nodes of the surface at which there is pressure."""
-        return np.asarray(self.lam.x.array[self.nodes] - self._eps * self.gaps()[0] > 0.0)
+        return self.pressures() > 0.0
+
+    def pressures(self) -> FloatArray:
+        """Pressure per reference area at the owned nodes of the surface [Pa]. Not collective."""
+        return np.maximum(0.0, self.lam.x.array[self.nodes] - self._eps * self.gaps()[0])
 
     def augment(self) -> None:
         """Uzawa's update lam <- max(0, lam - eps g). Collective."""
-        lam = self.lam.x.array
-        lam[self.nodes] = np.maximum(0.0, lam[self.nodes] - self._eps * self.gaps()[0])
+        self.lam.x.array[self.nodes] = self.pressures()
         self.lam.x.scatter_forward()
 
     # --- time ---

@@ -28,6 +28,7 @@ from dolfin_elastic.case.check import report
 from dolfin_elastic.case.run import run
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.amplitude import RAMP
+from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
@@ -114,6 +115,12 @@ def test_a_block_between_plates(dim, degree):
     np.testing.assert_allclose(floor + plate, 0, atol=1e-7 * floor[-1])
     assert plate[-1] == pytest.approx(-force_of_plates(dim, 0.8 + 2 * deep), rel=1e-7)
     assert state.numbers["contact_area_floor"] == pytest.approx(1.0, rel=1e-12)
+    # As a field the pressure is the force over the area, which is 1, and nothing elsewhere.
+    pressed = Evaluator(problem, ["contact_pressure"])(state)["contact_pressure"][:, 0]
+    x = problem.V.tabulate_dof_coordinates()[: len(pressed), dim - 1]
+    ends = np.isclose(x, 0) | np.isclose(x, 1)
+    np.testing.assert_allclose(pressed[ends], floor[-1], rtol=1e-5)
+    assert not pressed[~ends].any()
 
 
 def test_tolerance_and_stiffness():
