@@ -162,6 +162,15 @@ def test_files_outside_of_the_folder(tmp_path: Path, how: str) -> None:
         read_body(folder / "a.geo")
 
 
+def test_texts_that_are_no_utf8(tmp_path: Path) -> None:
+    """In a comment they do no harm; the Python module of Gmsh cannot hand its message on."""
+    (tmp_path / "a.geo").write_bytes(b"// Gr\xf6\xdfe\n" + BOX.encode())
+    assert read_body(tmp_path / "a.geo").num_cells > 0
+    (tmp_path / "a.geo").write_bytes(BOX.encode().replace(b"CAS", b"C\xa4S"))
+    with pytest.raises(MeshError, match=r"a\.geo: Gmsh cannot read .* UTF-8"):
+        read_body(tmp_path / "a.geo")
+
+
 def test_scripts_in_folders_below(tmp_path: Path) -> None:
     """Names are relative to the script that holds them."""
     (tmp_path / "sub").mkdir()

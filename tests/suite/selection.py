@@ -26,6 +26,9 @@ TESTS = Path(__file__).resolve().parent.parent
 POINTS = {
     "core/test_formula.py",
     "core/test_units.py",
+    "hostile/test_gmsh.py",
+    "hostile/test_petsc_options.py",
+    "hostile/test_terminal.py",
     "material_point/test_material_point.py",
     "model/materials/test_moduli.py",
     "model/materials/test_reference_energies.py",
@@ -69,6 +72,7 @@ SHARED = {
     "case/converge/test_converge.py",
     "case/test_node_loads.py",
     "case/test_restart.py",
+    "hostile/test_generated.py",
     "mesh/test_edges_and_points.py",
     "mesh/test_read.py",
     "mesh/test_refine.py",

@@ -98,14 +98,23 @@ class _Worker:
         Raises:
             MeshError: Gmsh cannot do it.
         """
+        name = self._path.name
         try:
             return self._tasks[question["do"]](**question["with"])
+        except UnicodeDecodeError:
+            raise MeshError("Gmsh cannot read it: a text is not UTF-8", where=name) from None
         except Exception as error:
             if type(error) is not Exception:  # Gmsh raises this base class itself
                 raise
-            told = logged_errors(self._gmsh) or str(error)
-            told = told.replace(f"{self._path.parent}{os.sep}", "")
-            raise MeshError(f"Gmsh cannot read or mesh it: {told}", where=self._path.name) from None
+            told = self._errors() or str(error)
+        told = told.replace(f"{self._path.parent}{os.sep}", "")
+        raise MeshError(f"Gmsh cannot read or mesh it: {told}", where=name)
+
+    def _errors(self) -> str:
+        try:
+            return logged_errors(self._gmsh)
+        except UnicodeDecodeError:
+            return "an error at a text that is not UTF-8"
 
     def _mesh(
         self,

@@ -1,0 +1,108 @@
+"""Broken cases and hostile meshes in one process: codes 0, 2 or 3, never 1, never over 20 s."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from helpers.hostile import Hostile, broken_cases, good_ones, hostile_meshes
+from mpi4py import MPI
+
+from dolfin_elastic.cli.app import guarded
+from dolfin_elastic.core.parallel import on_root
+
+COMM = MPI.COMM_WORLD
+BLOCKS = 10
+LONGEST = 20.0
+"""Time that one of them may take [s]."""
+SHARED = 25
+"""How many of each several ranks read."""
+
+CASES, MESHES, GOOD = broken_cases(), hostile_meshes(), good_ones()
+
+
+def test_there_are_enough() -> None:
+    assert len(CASES) >= 500
+    assert len({case.text for case in CASES}) >= 480
+    assert len(MESHES) >= 120
+
+
+def code_of(words: list[str], monkeypatch: pytest.MonkeyPatch) -> tuple[int, str]:
+    """Exit code of a command line in this process, and what it has printed."""
+    out = io.StringIO()
+    monkeypatch.setattr(sys, "argv", ["dolfin-elastic", *words])
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+        code = guarded()
+    return code, out.getvalue()
+
+
+def read(found: Hostile, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """What is wrong with how it was read; nothing, if all is well.  Collective."""
+
+    def write() -> Path:
+        place = folder / f"{len(list(folder.iterdir()))}"
+        place.mkdir()
+        return found.write(place)
+
+    path = on_root(COMM, write)
+    monkeypatch.chdir(path.parent)
+    before = signal.getsignal(signal.SIGINT)
+    begin = time.monotonic()
+    try:
+        code, said = code_of(["check", "case.toml"], monkeypatch)
+    except BaseException as error:  # what is no refusal would have been code 1
+        return f"{type(error).__name__}: {error}"
+    finally:
+        signal.signal(signal.SIGINT, before)
+    seconds = time.monotonic() - begin
+    codes = COMM.allgather(code)
+    if set(codes) not in ({0}, {2}, {3}):
+        return f"codes {codes}: {said}"
+    if seconds > LONGEST:
+        return f"{seconds:.3g} s"
+    told = re.findall("^error: ", said, re.MULTILINE)
+    if COMM.rank == 0 and code and (len(told) != 1 or "Traceback" in said):
+        return f"not one message: {said}"
+    left = sorted(p.name for p in path.parent.iterdir() if p.name not in ("case.toml", found.file))
+    return f"left behind: {left}" if left else ""
+
+
+def failures(chosen: list[Hostile], folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Those that were not read as they should be, with the reason."""
+    told = [(found.name, read(found, folder, monkeypatch)) for found in chosen]
+    return [f"{name}: {text[:500]}" for name, text in told if text]
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("block", range(BLOCKS))
+def test_broken_cases(folder: Path, serial_only: None, monkeypatch, block: int) -> None:
+    assert failures(CASES[block::BLOCKS], folder, monkeypatch) == []
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("block", range(BLOCKS))
+def test_hostile_meshes(folder: Path, serial_only: None, monkeypatch, block: int) -> None:
+    assert failures(MESHES[block::BLOCKS], folder, monkeypatch) == []
+
+
+@pytest.mark.parametrize("found", [CASES, MESHES], ids=["cases", "meshes"])
+def test_on_several_ranks(folder: Path, monkeypatch, found: list[Hostile]) -> None:
+    """The same codes on all ranks, and none waits for another."""
+    if COMM.size == 1:
+        pytest.skip("one rank reads all of them")
+    chosen = found[:: len(found) // SHARED][:SHARED]
+    assert failures(chosen, folder, monkeypatch) == []
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_what_is_broken_was_good(folder: Path, monkeypatch, name: str) -> None:
+    """Else all of them would be refused for one and the same reason."""
+    path = on_root(COMM, lambda: GOOD[name].write(folder))
+    code, said = code_of(["check", str(path)], monkeypatch)
+    assert code == 0, said
