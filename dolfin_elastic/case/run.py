@@ -21,6 +21,7 @@ from dolfin_elastic.case.check.initial_state import contact_notes, tie_notes
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.loads import load_sums, stress_notes
 from dolfin_elastic.case.check.mesh_quality import bending_notes, shape_notes
+from dolfin_elastic.case.check.plausibility import unit_information
 from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import (
@@ -314,7 +315,7 @@ def log_notes(case: Case, body: Body) -> None:
         case: The case.
         body: Its body.
     """
-    for text in body.information:
+    for text in (*body.information, *unit_information(case, body)):
         log.info("mesh: %s", text)
     for note in body.notes:
         log.warning("mesh: %s", note)

@@ -268,9 +268,22 @@ def _end_rows(state: State, motion: bool) -> list[tuple[str, str]]:
         if known and (motion or name == "strain"):
             label = "work of loads and supports" if name == "external" else f"{name} energy"
             rows.append((label, f"{state.energies[name]:.5g} J"))
+    largest = _force_scale(state)
     for name, force in state.reactions.items():
-        rows.append((f"reaction of {name}", vector_text(force) + " N"))
+        rows.append((f"reaction of {name}", vector_text(force, largest) + " N"))
     return rows + audit_rows(state)
+
+
+def _force_scale(state: State) -> float:
+    """A force to which reactions are compared: the largest of them, or energy over displacement.
+
+    The latter is where loads balance each other and all reactions are round-off.
+    """
+    largest = max((abs(float(v)) for force in state.reactions.values() for v in force), default=0.0)
+    energy = state.energies.get("strain", math.nan)
+    if math.isfinite(energy) and state.max_displacement > 0:
+        largest = max(largest, energy / state.max_displacement)
+    return largest
 
 
 def audit_rows(state: State) -> list[tuple[str, str]]:
@@ -281,10 +294,15 @@ def audit_rows(state: State) -> list[tuple[str, str]]:
     return [("audit FAIL", state.failure), *(("audit", reason) for reason in found[1:])]
 
 
-def vector_text(vector: Iterable[float]) -> str:
-    """Components with five digits; round-off of the others is shown as 0."""
+def vector_text(vector: Iterable[float], largest: float = 0.0) -> str:
+    """Components with five digits; round-off of the others is shown as 0.
+
+    Args:
+        vector: The components.
+        largest: Of what they are compared to, beside the largest of them.
+    """
     parts = [float(v) for v in vector]
-    limit = 1e-9 * max(map(abs, parts), default=0.0)
+    limit = 1e-9 * max([largest, *map(abs, parts)])
     return "(" + ", ".join(f"{v:.5g}" if abs(v) > limit else "0" for v in parts) + ")"
 
 

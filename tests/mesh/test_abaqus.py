@@ -229,6 +229,15 @@ def largest(case: Case) -> float:
     return float(COMM.allreduce(np.abs(problem.u.x.array).max(initial=0), op=MPI.MAX))
 
 
+def test_a_mesh_without_a_unit_is_said_to_be_in_metres(folder: Path) -> None:
+    """A deck in mm is a part of 4 m, where nothing else looks wrong."""
+    made(lambda: (folder / "deck.inp").write_text(bar()))
+    said = "lengths in m: neither the file nor mesh.unit says what they are in"
+    assert said in report(case(folder)).information
+    mesh = {"file": "deck.inp", "degree": 1, "unit": "mm"}
+    assert said not in report(case(folder, mesh=mesh)).information
+
+
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_set_of_nodes_holds_its_single_nodes(folder: Path, order: int) -> None:
     """Eight facets and one node at the tip; without that node the tip moved 56 times as far."""

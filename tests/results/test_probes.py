@@ -200,7 +200,7 @@ def test_no_probes(folder):
     ("probes", "message"),
     [
         ({"tip": [20, 5]}, r"output.probes.tip: .*expected 3 numbers"),
-        ({"tip": [20, 5, 11]}, r"outside of the body: tip \(0.02, 0.005, 0.011\), 0.0051 m from"),
+        ({"tip": [20, 5, 11]}, r"outside of the body: tip \(20, 5, 11\) mm, 5.1 mm from"),
         ({"tip": {"at": [1, 1, 1], "fields": ["rank"]}}, "a probe cannot read 'rank'"),
         ({"tip": {"at": [1, 1, 1], "fields": ["von_mise"]}}, "von_mises"),
         ({"tip": {"at": [1, 1, 1], "fields": ["velocity"]}}, "no 'velocity' in statics"),

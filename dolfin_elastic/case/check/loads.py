@@ -24,6 +24,9 @@ from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
 from dolfin_elastic.problem.material_regions import young
 from dolfin_elastic.problem.problem import Problem
 
+_ROUND_OFF = 1e-12
+"""Sums of forces, over the sum of their lengths, below which they are round-off."""
+
 
 @dataclass(frozen=True)
 class LoadSum:
@@ -200,8 +203,12 @@ def _resultant(
     intensity = load.intensity(LoadPoints(points.X, t, points.N, density, size, axisymmetric))
     if intensity is None:
         return None
-    sums = _force_and_moment(points.X, weights[..., None] * intensity)
-    return np.asarray(total(integrals.body.comm, sums))
+    forces = weights[..., None] * intensity
+    sums = np.asarray(total(integrals.body.comm, _force_and_moment(points.X, forces)))
+    lengths, arms = np.linalg.norm(forces, axis=-1), np.linalg.norm(points.X, axis=-1)
+    scales = total(integrals.body.comm, np.array([lengths.sum(), (arms * lengths).sum()]))
+    limits = _ROUND_OFF * np.repeat(scales, [forces.shape[-1], len(sums) - forces.shape[-1]])
+    return np.where(np.abs(sums) < limits, 0.0, sums)
 
 
 def _force_and_moment(X: FloatArray, forces: FloatArray) -> FloatArray:

@@ -79,6 +79,18 @@ def plausibility_notes(case: Case, body: Body) -> Iterator[str]:
 # --- lengths ---
 
 
+def unit_information(case: Case, body: Body) -> tuple[str, ...]:
+    """What the lengths of a mesh file are taken in where nothing says it. Local.
+
+    Args:
+        case: Its unit of length.
+        body: Its mesh.
+    """
+    if case.mesh.file is None or case.mesh.unit is not None or body.unit.stated:
+        return ()
+    return (f"lengths in {body.unit.name}: neither the file nor mesh.unit says what they are in",)
+
+
 def size_notes(case: Case, body: Body) -> Iterator[str]:
     """Bodies that are very large or very small, or displaced by more than their size. Collective.
 

@@ -29,6 +29,7 @@ from dolfin_elastic.case.check.mesh_quality import (
     part_notes,
     shape_notes,
 )
+from dolfin_elastic.case.check.plausibility import unit_information
 from dolfin_elastic.case.check.sizes import (
     PartSize,
     lower_sizes,
@@ -230,7 +231,11 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         case=case.file,
         title=case.title,
         mesh=body.source,
-        information=(*body.information, *tie_information(problem)),
+        information=(
+            *body.information,
+            *unit_information(case, body),
+            *tie_information(problem),
+        ),
         unit=body.unit.name,
         dim=body.dim,
         geometry=case.mesh.geometry if body.dim == 2 else "solid",

@@ -148,7 +148,7 @@ def _reference_coordinates(mesh: Mesh, nodes: FloatArray, point: FloatArray) -> 
 def _refuse_outside(body: Body, points: Mapping[str, FloatArray], off: Sequence[float]) -> None:
     """Refuses points outside of the body, with the nearest node of each. Collective."""
     texts = [
-        f"{name} ({', '.join(f'{x:.6g}' for x in point)}), {_nearest(body, point)}"
+        f"{name} {_in_its_unit(body, point)}, {_nearest(body, point)}"
         for (name, point), far in zip(points.items(), off, strict=True)
         if far > OUTSIDE_TOLERANCE
     ]
@@ -166,4 +166,11 @@ def _nearest(body: Body, point: FloatArray) -> str:
     best = int(np.argmin(far)) if len(far) else -1
     own = (float(far[best]), *map(float, x[best])) if best >= 0 else (np.inf,)
     distance, *place = min(body.comm.allgather(own))
-    return f"{distance:.3g} m from the nearest node ({', '.join(f'{c:.6g}' for c in place)})"
+    far_off = f"{distance / body.unit.metres:.3g} {body.unit.name}"
+    return f"{far_off} from the nearest node {_in_its_unit(body, place)}"
+
+
+def _in_its_unit(body: Body, place: Sequence[float] | FloatArray) -> str:
+    """A place in the unit of the user's mesh."""
+    unit = body.unit
+    return f"({', '.join(f'{c / unit.metres:.6g}' for c in place)}) {unit.name}"

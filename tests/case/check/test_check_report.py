@@ -259,6 +259,17 @@ def test_same_as_the_forms(name, geometry):
     np.testing.assert_allclose(row.force, sums, rtol=EXACT, atol=EXACT)
 
 
+def test_forces_that_cancel_are_shown_as_zero():
+    """A pressure all round had a sum of 1e-12 N, over two lines; what does not cancel stays."""
+    mesh = {"box": {"size": [0.7, 0.3, 1.1], "cells": [3, 2, 4]}, "degree": 1}
+    skin = {"skin": {"all": True}}
+    load = {"kind": "pressure", "on": "skin", "value": 1e7 / 3}
+    (row,) = report(case(mesh=mesh, surfaces=skin, load=[load])).loads
+    assert row.force == row.moment == (0, 0, 0)
+    (row,) = report(case(mesh=mesh, surfaces=skin, load=[{**load, "value": "1 + 1e-9*x"}])).loads
+    np.testing.assert_allclose(row.force, [-0.7 * 0.3 * 1.1 * 1e-9, 0, 0], rtol=1e-6)
+
+
 def test_points_and_lines():
     """Force at a point; and along a line of 2 m, -x N/m down: integral of x and of x times x."""
     at = {"kind": "point-force", "at": [2, 1, 3], "value": [5, 0, 0]}

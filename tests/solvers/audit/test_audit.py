@@ -359,3 +359,11 @@ def test_screen():
     bad = Audit(0.1, 0.0, 0.0, 0.0, 1.0, 1.0, verdict="warn", reasons=("x",), so_far=("x", "y"))
     rows = _end_rows(State(0, 1.0, problem.u, audit=bad), motion=False)
     assert [value for name, value in rows if name == "audit"] == ["x", "y"]
+    forces = {"a": (5e4, 1e-6, 0.0), "b": (0.0, -1.7e-10, 2.6e-10)}  # b: round-off beside a
+    shown = dict(_end_rows(State(1, 1.0, problem.u, reactions=forces), motion=False))
+    assert shown["reaction of a"] == "(50000, 0, 0) N" and shown["reaction of b"] == "(0, 0, 0) N"
+    shown = dict(_end_rows(State(1, 1.0, problem.u, reactions={"b": forces["b"]}), motion=False))
+    assert shown["reaction of b"] == "(0, -1.7e-10, 2.6e-10) N"  # with nothing to compare it to
+    more = {"reactions": {"b": forces["b"]}, "energies": {"strain": 1.0}, "max_displacement": 1e-3}
+    balanced = State(1, 1.0, problem.u, **more)
+    assert dict(_end_rows(balanced, motion=False))["reaction of b"] == "(0, 0, 0) N"
