@@ -19,6 +19,7 @@ from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.ties.touching import touching_surfaces
 from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.nonlinear.contact import (
@@ -103,10 +104,25 @@ def tie_notes(case: Case, problem: Problem) -> Iterator[str]:
         tie, free = case.tie[i], 1 - tied.covered / tied.area
         if free > _UNTIED:
             yield (
-                f"tie[{i}]: {100 * free:.3g} % of '{'+'.join(tie.surfaces)}' are not tied: nothing "
+                f"tie[{i}]: {100 * free:.2g} % of '{'+'.join(tie.surfaces)}' are not tied: nothing "
                 f"of '{'+'.join(tie.others)}' lies opposite within the tolerance; if they should "
                 "be, give a larger `tolerance`, and name the smaller surface as `on`"
             )
+
+
+def touching_notes(problem: Problem) -> Iterator[str]:
+    """Named surfaces of bodies that touch there and move on their own. Collective.
+
+    Args:
+        problem: Made of the case.
+    """
+    power = "m^2" if problem.body.dim == 3 else "m"
+    remedy = "mesh.join = true joins the bodies, " if problem.body.cad is not None else ""
+    for a, b, area in touching_surfaces(problem):
+        yield (
+            f"the surfaces '{a}' and '{b}' of two bodies touch on {area:.4g} {power}, but each "
+            f'moves on its own: {remedy}[[tie]] with on = "{a}" and to = "{b}" ties them'
+        )
 
 
 def contact_notes(case: Case, problem: Problem) -> Iterator[str]:

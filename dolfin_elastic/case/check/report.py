@@ -19,6 +19,7 @@ from dolfin_elastic.case.check.initial_state import (
     start_notes,
     tie_information,
     tie_notes,
+    touching_notes,
 )
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.loads import LoadSum, load_sums, stress_notes
@@ -141,6 +142,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
             check_curves(case, body.dim)
         problem = case.make_problem(body)
         notes = (*notes, *contact_notes(case, problem), *tie_notes(case, problem))
+        notes = (*notes, *touching_notes(problem))
         with locate_errors(case.file):
             notes = (*notes, *_solver_notes(case, problem), *cavity_notes(case, problem))
             return _make_report(case, body, problem, notes)

@@ -222,7 +222,7 @@ def _pieces(raw: RawMesh) -> RawMesh:
     raw = _noted(
         raw,
         f"the mesh is in {len(sizes)} unconnected pieces of {text} cells: each "
-        "needs its own support",
+        "needs its own support, or a [[tie]]",
     )
     same = _same_places(raw, np.asarray(label))
     if not len(same):
@@ -231,7 +231,8 @@ def _pieces(raw: RawMesh) -> RawMesh:
         raw,
         f"{len(same)} nodes of different pieces are at the same places, "
         f"{format_points(raw.points[same], len(same), raw.unit)}: the pieces touch there and are "
-        "not joined; where they are to be, merge the nodes (in Gmsh: Coherence Mesh;)",
+        "not joined; where they are to be, merge the nodes (in Gmsh: Coherence Mesh;), or "
+        "[[tie]] their surfaces",
     )
 
 

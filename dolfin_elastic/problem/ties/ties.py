@@ -43,6 +43,7 @@ class TiedSurfaces:
     Attributes:
         label: Its name in results.
         dofs: Owned entries of the displacement that it ties.
+        side: Which owned nodes lie on the tied side.
         area: Area of the tied side [m^2, m in a plane].
         covered: Area of it that lies opposite the other side.
         gap: Largest distance between the two sides [m].
@@ -51,6 +52,7 @@ class TiedSurfaces:
 
     label: str
     dofs: IndexArray
+    side: BoolArray
     area: float
     covered: float
     gap: float
@@ -113,6 +115,7 @@ class Ties:
         self._links = self._rows_of_ties()
         self.rows = self._resolved()
         self._product = Product(self.dofs, self.rows)
+        self._passed = [self._passed_on(surface) for surface in surfaces]
         x = V.tabulate_dof_coordinates()[: imap.size_local, :dim]
         self.levers: FloatArray = np.empty((len(self.tied), dim))
         for a in range(dim):
@@ -140,10 +143,11 @@ class Ties:
             self._refuse(tie, near, opposite(self.comm, near, far, everywhere), where)
         mortar = integrate(self._nodes, near, there, pieces, axisymmetric=self._axisymmetric)
         dofs = self._eliminate(mortar, held)
+        side = np.diff(mortar.beside.indptr) > 0
         area = total(self.comm, float(areas(near).sum()))
         gap = largest(self.comm, float(pieces.gaps.max(initial=0.0)))
         size = longest_edge(self.comm, near, far)
-        return dofs, TiedSurfaces(tie.label, dofs, area, min(covered, area), gap, size)
+        return dofs, TiedSurfaces(tie.label, dofs, side, area, min(covered, area), gap, size)
 
     def _refuse(self, tie: Tie, near: Facets, far: Facets, where: str) -> None:
         """Says how far apart surfaces are that nothing ties. Collective.
@@ -241,13 +245,23 @@ class Ties:
             out_of_balance: Nodal forces out of balance of bodies that are not tied, owned entries.
         """
         found: dict[str, FloatArray] = {}
-        for surface in self.surfaces:
-            force = np.bincount(
-                surface.dofs % self._dim, out_of_balance[surface.dofs], minlength=self._dim
-            )
+        for surface, passed in zip(self.surfaces, self._passed, strict=True):
+            shares = passed * out_of_balance[surface.dofs]
+            force = np.bincount(surface.dofs % self._dim, shares, minlength=self._dim)
             whole: FloatArray = total(self.comm, np.asarray(force, dtype=np.float64))
             found[surface.label] = np.asarray(found.get(surface.label, 0.0) + whole)
         return found
+
+    def _passed_on(self, surface: TiedSurfaces) -> FloatArray:
+        """Share of the force on each entry of a tie that goes to the other side. Collective.
+
+        Where a midside node is tied and a vertex is not, the rest stays on the tied side.
+        """
+        rows = csr_array(self.rows[np.searchsorted(self.tied, surface.dofs)])
+        columns = rows.indices.astype(np.int64)
+        far = ~self._nodes.values_at(surface.side, columns // self._dim)
+        shares = csr_array((rows.data * far, rows.indices, rows.indptr), shape=rows.shape)
+        return np.asarray(shares.sum(axis=1))
 
     def links(self, numbers: IntArray) -> IntArray:
         """Numbers of tied nodes and of those that they follow, shape (n, 2). Collective.

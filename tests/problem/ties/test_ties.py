@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.bodies import turned
+from helpers.ranks import SIZES, on_ranks
 from helpers.stacked import quarter_rings, stacked
 from mpi4py import MPI
 
@@ -140,6 +141,25 @@ def test_bending_of_a_beam_in_two_halves() -> None:
         assert state.reactions["left"][2] == pytest.approx(-10.0 * 0.25, rel=1e-8)
         found.append(state.energies["strain"])
     assert found[1] == pytest.approx(found[0], rel=0.01)
+
+
+def strain_energy(comm: MPI.Comm) -> float:
+    """Of the two halves under shear at the end, on some ranks."""
+    problem = Problem(
+        stacked((2.0, 0.5, 0.5), (5, 2, 1), (4, 3, 1), comm=comm),
+        STEEL,
+        supports=[Support(on="left", displacement=[0, 0, 0])],
+        loads=[Traction(on="right", value=[0.0, 0.0, 10.0])],
+        ties=[Tie(on="above", to="below")],
+    )
+    return float(list(Statics(problem, steps=1).steps())[-1].energies["strain"])
+
+
+def test_the_same_on_any_number_of_ranks() -> None:
+    """Both sides of a tie may belong to any ranks: round-off of sums is the only difference."""
+    energies = [on_ranks(count, strain_energy) for count in SIZES]
+    assert energies[0] > 0.0
+    np.testing.assert_allclose(energies, energies[0], rtol=1e-10)
 
 
 def test_natural_frequencies_of_a_beam_in_two_halves() -> None:

@@ -361,7 +361,7 @@ def touching(gmsh: ModuleType, lengths: Lengths, advice: str) -> list[str]:
     return [
         f"{_listed(pair)} touch on {lengths.text(area - before.get(pair, 0.0), dim - 1)} "
         f"{lengths.near([place])}, but their meshes are not joined there, so that "
-        f"each moves on its own: {advice}"
+        f"each moves on its own: {advice}, [[tie]] ties their surfaces"
         for pair, area, place in found
         if area > (1 + _NEAR) * before.get(pair, 0.0)
     ]
