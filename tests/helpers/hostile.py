@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import tomllib
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -227,7 +228,7 @@ def changed(tables: dict[str, Any], place: tuple[Any, ...], odd: Any) -> dict[st
     if odd is None:
         del inner[place[-1]]
     else:
-        inner[place[-1]] = odd
+        inner[place[-1]] = deepcopy(odd)  # it may be changed in turn
     return tables
 
 

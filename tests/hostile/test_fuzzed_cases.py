@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import tomllib
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,7 @@ def cases(draw: st.DrawFn) -> bytes:
         table, key = draw(st.sampled_from(KEYS))
         inner = tables.setdefault(table, {}) if table else tables
         if isinstance(inner, dict):
-            inner[key] = draw(VALUES)
+            inner[key] = deepcopy(draw(VALUES))
     return Hostile.of_tables(tables)
 
 
