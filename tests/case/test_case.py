@@ -691,7 +691,7 @@ def test_missing_case_file(folder: Path) -> None:
     assert str(caught.value) == (
         f"{folder}/cas.toml: there is no such case file; did you mean '{folder}/case.toml'?"
     )
-    with pytest.raises(InputError, match="cannot be read: Is a directory"):
+    with pytest.raises(InputError, match="this is a folder, not a file"):
         read_case(folder)
 
 
