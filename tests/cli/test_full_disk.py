@@ -28,7 +28,7 @@ cp -r disk/out completed
 """
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("full", "room"), [("size=1200k", "size=99m"), ("size=99m,nr_inodes=14", "nr_inodes=9999")]
 )

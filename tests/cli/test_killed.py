@@ -106,8 +106,8 @@ main()
 MOTION = {"end": "20 ms", "dt": "4 ms"}
 
 
-@pytest.mark.sample(2)
-@pytest.mark.parametrize("signals", [1, 2])
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("signals", [2, 1])
 @pytest.mark.parametrize(
     "analysis",
     [
