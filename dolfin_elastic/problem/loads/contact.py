@@ -69,6 +69,7 @@ class ContactPair:
         size: Mean height of the cells over the surface [m].
         tolerance: Penetration that statics leaves [m].
         nodes: Owned nodes of the surface in the space of `lam`.
+        nodes_of_displacement: The same nodes in the displacement's space.
     """
 
     def __init__(self, contact: Contact, context: FormContext, measure: WeightedMeasure) -> None:
@@ -83,7 +84,7 @@ class ContactPair:
         self.comm, self._dim = body.comm, body.dim
         prepare_facets(body.mesh)
         facets = np.unique(np.concatenate([body.surface(name) for name in contact.surfaces]))
-        self.lam, self.nodes, self._in_V = _nodal(context, facets)
+        self.lam, self.nodes, self.nodes_of_displacement = _nodal(context, facets)
         self.penalty = fem.Function(fem.functionspace(body.mesh, ("DG", 0)))
         self._heights = _heights(body, facets)
         self.size = _mean(body, facets, self._heights)
@@ -136,7 +137,10 @@ class ContactPair:
         if self._context.order > 1:
             X = self.lam.function_space.tabulate_dof_coordinates()
             off = X[self.nodes, 0] > 1e-9 * self.size
-            self.nodes, self._in_V = self.nodes[off], self._in_V[off]
+            self.nodes, self.nodes_of_displacement = (
+                self.nodes[off],
+                self.nodes_of_displacement[off],
+            )
             return
         weight = 2 * ufl.pi * (self._context.X[0] + 2 * self._middle_radius(facets)) / 3
         self._measure = WeightedMeasure(weight, self._measure.measure)
@@ -210,15 +214,10 @@ class ContactPair:
         X = self.lam.function_space.tabulate_dof_coordinates()
         return np.asarray(X[self.nodes, : self._dim])
 
-    @property
-    def nodes_of_displacement(self) -> IndexArray:
-        """The nodes of the surface, by their numbers in the displacement's space."""
-        return np.asarray(self._in_V)
-
     def gaps(self) -> tuple[FloatArray, FloatArray]:
         """Gaps [m] and obstacle's normals at the owned nodes, (n,) and (n, dim). Not collective."""
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
-        x = self.places() + u[self._in_V] - self.shift.value
+        x = self.places() + u[self.nodes_of_displacement] - self.shift.value
         found, normal = self.contact.obstacle.gap(list(x.T), float, np.sqrt)
         gaps = np.asarray(found, dtype=np.float64)
         normals = [np.broadcast_to(item, gaps.shape) for item in normal]
