@@ -15,7 +15,8 @@ from helpers.decks import box, inp_text, numbers, quadratic
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.case.check import report
+from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh import (
@@ -715,3 +716,38 @@ def test_files_of_pieces_are_told_apart(folder: Path, suffix: str) -> None:
     made(lambda: (folder / f"body{suffix}").write_text("<VTKFile/>"))
     with pytest.raises(MeshError, match=r"only names the files of its pieces; .* one \.vtu file"):
         read_body(folder / f"body{suffix}")
+
+
+@pytest.mark.parametrize("shift", [(1, 1, 0), (1, 1, 1)])
+def test_pieces_that_share_an_edge_or_a_node_only(
+    folder: Path, shift: tuple[int, int, int]
+) -> None:
+    """A run ended without a word of the hinge; it counts as one body, for its nodes are shared."""
+    points, cells = box((1, 1, 1), (1, 1, 1))
+    both = np.concatenate([points, points + shift])
+    unique, rows = np.unique(both, axis=0, return_inverse=True)
+    every = np.concatenate([cells, cells + len(points)])
+    made(lambda: (folder / "two.inp").write_text(inp_text(unique, rows.ravel()[every])))
+    (note,) = read_body(folder / "two.inp").notes
+    count = 2 if shift[2] == 0 else 1
+    assert f"pieces of the mesh share {count} nodes but no facet, near (1, 1, 1) m" in note or (
+        f"share {count} nodes but no facet, near (1, 1, 0), (1, 1, 1) m" in note
+    )
+
+
+def test_errors_of_a_check_come_with_the_notes_of_the_mesh(folder: Path) -> None:
+    """That pieces touch and are not joined is why one of them is free."""
+    points, cells = box((1, 1, 1), (1, 1, 1))
+    both = np.concatenate([points, points + np.array([1, 0, 0])])
+    every = np.concatenate([cells, cells + len(points)])
+    made(lambda: (folder / "two.inp").write_text(inp_text(both, every)))
+    tables = {
+        "mesh": {"file": "two.inp"},
+        "materials": {"a": {"law": "linear-elastic", "E": 1e9, "nu": 0.3, "density": 1}},
+        "surfaces": {"wall": {"plane": "x", "at": "min"}},
+        "support": [{"on": "wall"}],
+        "load": [{"kind": "gravity"}],
+    }
+    with pytest.raises(InputError, match="bodies that share no nodes") as caught:
+        report(Case.from_dict(tables, folder))
+    assert any("the pieces touch there and are not joined" in n for n in caught.value.__notes__)

@@ -147,7 +147,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
             notes = (*notes, *_solver_notes(case, problem), *cavity_notes(case, problem))
             return _make_report(case, body, problem, notes)
     except InputError as error:
-        for note in notes:
+        for note in (*body.notes, *notes):
             error.add_note(f"note: {note}")
         raise
 

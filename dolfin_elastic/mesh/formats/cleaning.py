@@ -193,7 +193,8 @@ def _branching(raw: RawMesh) -> RawMesh:
     facets = np.sort(
         np.concatenate([np.delete(corners, i, axis=1) for i in range(raw.dim + 1)]), axis=1
     )
-    facets = facets[np.lexsort(facets.T)]
+    order = np.lexsort(facets.T)
+    facets = facets[order]
     third = (facets[2:] == facets[:-2]).all(axis=1)
     if third.any():
         where = raw.points[facets[2:][third][:5]].mean(axis=1)
@@ -203,7 +204,37 @@ def _branching(raw: RawMesh) -> RawMesh:
             f"itself, {format_points(where, count, raw.unit)}",
             expected="remesh there",
         )
-    return raw
+    second = np.flatnonzero((facets[1:] == facets[:-1]).all(axis=1))
+    return _hinged(raw, order[second] % len(corners), order[second + 1] % len(corners))
+
+
+def _hinged(raw: RawMesh, here: IntArray, there: IntArray) -> RawMesh:
+    """Notes pieces that share nodes and no facet.
+
+    Args:
+        raw: The mesh.
+        here: A cell beside each facet inside.
+        there: The cell on its other side.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    corners = _corners(raw)
+    links = coo_array((np.ones(len(here), dtype=bool), (here, there)), (len(corners),) * 2)
+    pieces, label = connected_components(links, directed=False)
+    if pieces == 1:
+        return raw
+    of_nodes = np.stack([corners.ravel(), np.repeat(label, raw.dim + 1)], axis=1)
+    nodes, count = np.unique(np.unique(of_nodes, axis=0)[:, 0], return_counts=True)
+    shared = nodes[count > 1]
+    if not len(shared):
+        return raw
+    return _noted(
+        raw,
+        f"pieces of the mesh share {len(shared)} nodes but no facet, "
+        f"{format_points(raw.points[shared], len(shared), raw.unit)}: they are hinged there, where "
+        "stress is singular, and may turn freely about them",
+    )
 
 
 def _pieces(raw: RawMesh) -> RawMesh:

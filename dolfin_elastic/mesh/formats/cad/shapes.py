@@ -274,7 +274,9 @@ def _join(
                 f"{_listed(owners)} overlap by {lengths.text(size, dim)}: that part belongs to both"
             )
     joined = [
-        f"{_listed(pair)} ({lengths.text(area, dim - 1)})" for pair, area, _ in _shared(gmsh, found)
+        f"{_listed(pair)} ({lengths.text(area, dim - 1)})"
+        for pair, area, _ in _shared(gmsh, found)
+        if pair[0] != pair[1]  # a body and its part that overlaps another one
     ]
     if joined:
         remarks.information.append(f"bodies that touch are joined: {', '.join(joined)}")
