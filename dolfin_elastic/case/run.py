@@ -32,7 +32,7 @@ from dolfin_elastic.core.errors import (
     StoppedError,
 )
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
+from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue, chooses_solvers
 from dolfin_elastic.core.signals import acknowledge, remove_stop_file, watched
 from dolfin_elastic.core.together import end_all_if_alone, go_on_together, leave_together
 from dolfin_elastic.mesh.body import Body
@@ -82,6 +82,20 @@ def run(
     yield from _Run(case, folder, dict(petsc or {}), comm, asked).states()
 
 
+def _options_before(folder: Unfinished) -> PetscOptions:
+    """PETSc options of the first run, but those that could write files or load code.
+
+    The folder may come from anybody: these are the user's to give again.
+    """
+    before: PetscOptions = folder.found.content["petsc"]
+    kept = {name: value for name, value in before.items() if chooses_solvers(name, value)}
+    if left := sorted(before.keys() - kept.keys()):
+        log.warning(
+            "PETSc options of the first run are left out, give them again: -%s", ", -".join(left)
+        )
+    return kept
+
+
 def restart(
     folder: str | PathLike[str] | Unfinished,
     *,
@@ -112,7 +126,7 @@ def restart(
     if not isinstance(folder, Unfinished):
         folder = unfinished(folder, case=case, comm=comm)
         log.info("%s", folder.message())
-    options = {**folder.found.content["petsc"], **(petsc or {})}
+    options = {**_options_before(folder), **(petsc or {})}
     yield from _Run(folder.case, folder.folder, options, comm, asked).states(folder)
 
 

@@ -124,11 +124,25 @@ _FOREIGN_CODE = ("python", "shell")
 """Types that are somebody's code."""
 
 
+def chooses_solvers(name: str, value: PetscValue) -> bool:
+    """Whether an option does no more than choose solvers, or has a key of its own.
+
+    Args:
+        name: With or without a leading dash and `PREFIX`.
+        value: Its value.
+    """
+    bare = name.lstrip("-").removeprefix(PREFIX)
+    text = "" if isinstance(value, bool) or value is None else str(value)
+    known = _OF_SOLVERS.fullmatch(bare) and not _NO_OPTIONS.fullmatch(bare)
+    fitting = (_VIEWER if _SCREEN.fullmatch(bare) else _VALUE).fullmatch(text)
+    return bare in CASE_KEYS or bool(known and fitting and text not in _FOREIGN_CODE)
+
+
 def refuse_beyond_solvers(options: PetscOptions, where: str) -> None:
     """Refuses options that do more than choose solvers: a case file may come from anybody.
 
     Args:
-        options: Of a case.
+        options: Of a case; of those in `CASE_KEYS` is told where the options are used.
         where: The key that holds them.
 
     Raises:
@@ -136,21 +150,14 @@ def refuse_beyond_solvers(options: PetscOptions, where: str) -> None:
             or code.
     """
     for name, value in options.items():
-        bare = name.lstrip("-").removeprefix(PREFIX)
-        if bare in CASE_KEYS:
-            continue  # the key that says it is told where the options are used
-        text = "" if isinstance(value, bool) or value is None else str(value)
-        known = _OF_SOLVERS.fullmatch(bare) and not _NO_OPTIONS.fullmatch(bare)
-        fitting = (_VIEWER if _SCREEN.fullmatch(bare) else _VALUE).fullmatch(text)
-        if known and fitting and text not in _FOREIGN_CODE:
-            continue
-        what = f"-{bare}" if not known else f"-{bare} {text}"
-        raise CaseError(
-            f"a case file may not give the PETSc option {what}: it may choose solvers, "
-            "preconditioners, tolerances and monitors on the screen, and write no file",
-            where=where,
-            expected="check its name, or give it on the command line, after two dashes",
-        )
+        if not chooses_solvers(name, value):
+            given = name.lstrip("-") if value in (None, True, "") else f"{name.lstrip('-')} {value}"
+            raise CaseError(
+                f"a case file may not give the PETSc option -{given}: it may choose solvers, "
+                "preconditioners, tolerances and monitors on the screen, and write no file",
+                where=where,
+                expected="check its name, or give it on the command line, after two dashes",
+            )
 
 
 def parse_arguments(arguments: list[str]) -> tuple[dict[str, PetscValue], list[str]]:

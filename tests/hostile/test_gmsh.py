@@ -296,6 +296,7 @@ def test_an_endless_loop_is_ended(tmp_path: Path) -> None:
         assert time.monotonic() - begin < 20
 
 
+@pytest.mark.long
 def test_cells_without_end(tmp_path: Path) -> None:
     """A thousand million cells: neither all memory nor all time."""
     (tmp_path / "a.geo").write_text(f"{BOX}Mesh.MeshSizeMax = 1e-3;\nMesh.MeshSizeMin = 1e-3;\n")
@@ -305,6 +306,7 @@ def test_cells_without_end(tmp_path: Path) -> None:
     assert "Gmsh was stopped after 4 s" in err
 
 
+@pytest.mark.long
 def test_memory_is_limited(tmp_path: Path, monkeypatch) -> None:
     """The process gets no more than what is free; a script of texts that double wants all of it."""
     monkeypatch.setattr(process, "_free_memory", lambda: 1e8)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from helpers.processes import cli
+from helpers.runs import begun, case, finished
 
 from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.petsc_options import PetscValue, refuse_beyond_solvers
@@ -111,3 +112,15 @@ def test_before_the_run(tmp_path: Path, serial_only: None, command: str, option:
     name = option.split(maxsplit=1)[0]
     assert f"case.toml: solver.petsc: a case file may not give the PETSc option -{name}" in err
     assert (tmp_path / "victim.txt").read_text() == "mine"
+
+
+def test_a_folder_of_results(tmp_path: Path, serial_only: None, caplog) -> None:
+    """The options of a run that is continued are data, too."""
+    victim = tmp_path / "victim.txt"
+    victim.write_text("mine")
+    given: dict[str, PetscValue] = {"ksp_view": f"ascii:{victim}", "ksp_rtol": 1e-9}
+    begun(case(), tmp_path / "results", 2, petsc=given)
+    victim.write_text("mine")
+    assert finished(tmp_path / "results")
+    assert victim.read_text() == "mine"
+    assert "left out, give them again: -ksp_view" in caplog.text
