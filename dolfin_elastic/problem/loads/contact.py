@@ -22,7 +22,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.mesh.geometry.simplices import (
     cell_corners,
@@ -222,11 +222,6 @@ class ContactPair:
         gaps = np.asarray(found, dtype=np.float64)
         normals = [np.broadcast_to(item, gaps.shape) for item in normal]
         return gaps, np.stack(normals, axis=1)
-
-    @property
-    def pressing(self) -> BoolArray:
-        """Owned nodes of the surface at which there is pressure."""
-        return self.pressures() > 0.0
 
     def pressures(self) -> FloatArray:
         """Pressure per reference area at the owned nodes of the surface [Pa]. Not collective."""

@@ -93,7 +93,9 @@ class ContactAugmentation:
 def contact_gap_error(pair: ContactPair) -> float:
     """Largest distance from the obstacle of nodes that press or penetrate [m]. Collective."""
     gaps, _ = pair.gaps()
-    return largest(pair.comm, float(np.max(np.abs(gaps[pair.pressing | (gaps < 0)]), initial=0)))
+    return largest(
+        pair.comm, float(np.max(np.abs(gaps[(pair.pressures() > 0) | (gaps < 0)]), initial=0))
+    )
 
 
 class ContactResults:
