@@ -36,6 +36,7 @@ from dolfin_elastic.results.checkpoint.lock import FolderLock
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import Peak, find_peaks, largest
 from dolfin_elastic.results.recovery.singular import singular_places
+from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.statics.load_stepping import NearEnd
 from dolfin_elastic.solvers.statics.statics import Statics
 
@@ -297,11 +298,10 @@ class _Convergence:
         exponent = grows(sizes, values, 2 if known else 3) if place else 0.0
         if not exponent:
             return ""
-        at = ", ".join(f"{x:.4g}" for x in place)
         by = f", at {known}," if known else ""
         text = (
-            f"{progress.quantity} has no limit: at ({at}) m{by} it grows with every refinement, "
-            f"like h^-{exponent:.2f}"
+            f"{progress.quantity} has no limit: at {coordinates(place)} m{by} it grows with every "
+            f"refinement, like h^-{exponent:.2f}"
         )
         regular = find_peaks(solved.problem, solved.estimate).regular if known else None
         if regular is not None:
