@@ -16,6 +16,7 @@ from dolfin_elastic.solvers.audit.offences import FAILING_GAIN, Found, Offence, 
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.dynamics.rotation_error import RotationError
+from dolfin_elastic.solvers.dynamics.time_resolution import TimeResolution
 from dolfin_elastic.solvers.dynamics.work import EnergyBalance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 
@@ -60,7 +61,9 @@ class MotionAuditor(EquilibriumAuditor):
         self._moving, self._parameters, self._end = moving, parameters, end
         self._forces: Forces | None = None
         self._rotation = RotationError(problem, parameters.alpha_f)
+        self._resolution = TimeResolution(problem, parameters.alpha_f)
         self._du: FloatArray = np.empty(0)
+        self._unbalanced = False
         self._worst = [0.0, 0.0]
         self._reasons: Found = {}
         self._last_imbalance = self._scale = 0.0
@@ -73,6 +76,7 @@ class MotionAuditor(EquilibriumAuditor):
             du: Change of the displacement, owned entries [m].
         """
         self._forces, self._du = forces, du
+        self._resolution.add_step(forces.u, du)
         noise, _ = round_off(self._assembler)
         external = self._external_forces()
         found = (
@@ -110,6 +114,10 @@ class MotionAuditor(EquilibriumAuditor):
             reasons.update(self._persistent(self._energy(off), off, balance.scale, t))
         if self._forces is not None and (rotated := self._rotation.offence(self._du)) is not None:
             reasons["chords"] = rotated
+        self._unbalanced = self._unbalanced or "energy" in reasons
+        turned = self._resolution.offence()
+        if turned is not None and self._is_last(t) and not self._unbalanced:
+            reasons["resolution"] = turned  # else the energy has told the same
         force, moment = self._worst
         if self._moment_frame == "none":  # not judged, as in statics
             moment = np.nan
@@ -133,7 +141,7 @@ class MotionAuditor(EquilibriumAuditor):
         """
         before, settled = self._last_imbalance, scale <= GROWTH * self._scale
         self._last_imbalance, self._scale = abs(off) if reasons else 0.0, scale
-        last = t >= self._end * (1 - 1e-9)
+        last = self._is_last(t)
         again = before > 0.0 and (settled or min(before, self._last_imbalance) > CERTAIN_SHARE)
         return reasons if last or again else {}
 
@@ -150,6 +158,9 @@ class MotionAuditor(EquilibriumAuditor):
             return {"energy": Offence(what, -off)}
         return {}
 
+    def _is_last(self, t: float) -> bool:
+        return t >= self._end * (1 - 1e-9)
+
     def _when(self, t: float) -> str:
         return f"t = {t:.6g} s"
 
@@ -165,6 +176,7 @@ class MotionAuditor(EquilibriumAuditor):
             "off": self._last_imbalance,
             "scale": self._scale,
             "chords": self._rotation.restart_state(),
+            "resolution": self._resolution.restart_state(),
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -175,3 +187,5 @@ class MotionAuditor(EquilibriumAuditor):
         self._strains.restore(str(saved.get("far", "")))
         self._last_imbalance, self._scale = float(saved["off"]), float(saved["scale"])
         self._rotation.restore(saved["chords"])
+        if "resolution" in saved:
+            self._resolution.restore(saved["resolution"])
