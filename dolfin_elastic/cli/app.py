@@ -23,7 +23,7 @@ from dolfin_elastic.cli.pipes import guard_output
 from dolfin_elastic.cli.run import Trust, log_to_screen, restart, run
 from dolfin_elastic.core import __version__
 from dolfin_elastic.core.errors import CaseError, ElasticError, check_kept
-from dolfin_elastic.core.signals import INTERRUPTED, launched_rank
+from dolfin_elastic.core.signals import INTERRUPTED, ignore_more, launched_rank
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -188,7 +188,9 @@ def main() -> None:
     guard_output()
     if launched_rank():
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-    sys.exit(guarded())
+    code = guarded()
+    ignore_more()
+    sys.exit(code)
 
 
 def guarded() -> int:

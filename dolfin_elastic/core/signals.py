@@ -156,6 +156,16 @@ def acknowledge() -> None:
         _current[-1].acknowledge()
 
 
+def ignore_more() -> None:
+    """Ignores further signals to stop once a stopped run has ended; Python would die of them.
+
+    The interpreter forgets its handlers while it ends, and a signal would change the exit code.
+    """
+    if _current and _current[-1].asked:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2):
+            signal.signal(number, signal.SIG_IGN)
+
+
 def watched() -> bool:
     """Whether anything can ask for the end of the run."""
     return bool(_current)
