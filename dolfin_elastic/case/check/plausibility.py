@@ -201,7 +201,8 @@ def _distance_notes(case: Case, body: Body) -> Iterator[str]:
         assert found is not None
         distance = float(np.linalg.norm(np.array(found) - place))
         if distance > limit:
-            shown = ", ".join(f"{x / unit.metres:.4g}" for x in found)
+            exact = (x if abs(x) > 1e-9 * limit else 0.0 for x in found)  # round-off of the mesh
+            shown = ", ".join(f"{x / unit.metres:.4g}" for x in exact)
             yield (
                 f"points.{key_text(name)}: the nearest vertex is ({shown}) {unit.name}, "
                 f"{distance / unit.metres:.3g} {unit.name} from the place: a finer mesh has a "
