@@ -94,9 +94,9 @@ def check_formulas(case: Case, integrals: Integrals) -> None:
 def check_poles(case: Case, integrals: Integrals) -> None:
     """Looks for poles of formulas between the places and times at which they are used. Collective.
 
-    A pole lies between two points of a facet, cell or edge at which a part of a denominator has
-    opposite signs, if values grow towards the place where it is zero.  In loads and springs, which
-    are integrated, poles such as 1/sqrt(x) are none.
+    A pole lies at or between two points of a facet, cell or edge at which a part of a denominator
+    is zero or has opposite signs, if values grow towards the place where it is zero.  In loads and
+    springs, which are integrated, poles such as 1/sqrt(x) are none.
 
     Args:
         case: Its loads, supports, materials and initial motion.
@@ -300,7 +300,8 @@ def _poles(formula: Formula, X: FloatArray, t: float, growth: float) -> Iterator
     for divisor in formula.divisors:
         values = np.nan_to_num(number_at(divisor, X, t))
         low, high = values.argmin(axis=1), values.argmax(axis=1)
-        rows = np.flatnonzero((values.min(axis=1) < 0) & (values.max(axis=1) > 0))
+        least, most = values.min(axis=1), values.max(axis=1)
+        rows = np.flatnonzero((least <= 0) & (most >= 0) & (least < most))
         start, end = X[rows, low[rows]], X[rows, high[rows]]
 
         def at(s: FloatArray, start: FloatArray = start, end: FloatArray = end) -> FloatArray:
@@ -341,7 +342,7 @@ def _poles_in_time(formula: Formula, X: FloatArray, times: Sequence[float]) -> I
 
 
 def _roots(function: Callable[[FloatArray], FloatArray], count: int) -> FloatArray:
-    """Zeros of functions that are negative at 0 and positive at 1, by bisection.
+    """Zeros of functions that are not positive at 0 and not negative at 1, by bisection.
 
     Args:
         function: Values of the functions at a number each.

@@ -121,6 +121,10 @@ BETWEEN: dict[str, tuple[dict[str, Any], str]] = {
         load(value=["1/(z - 0.37)", 0, 0]),
         r"load\[0\]\.value: .* near \(2, \S+, 0\.37\) m",
     ),
+    "traction on nodes": (
+        load(value=["1/(y - 1)", 0, 0]),
+        r"load\[0\]\.value: .* near \(2, 1, \S+\) m",
+    ),
     "pressure": (
         {"load": [{"kind": "pressure", "on": "top", "value": "1/(x - t)"}]},
         r"load\[0\]\.value: .* near \(0\.025, \S+, 1\) m at t = 0\.025",

@@ -685,7 +685,7 @@ def test_what_petsc_refuses_leaves_nothing_behind(scheme, option, monkeypatch):
         Implicit, "_prepare", lambda self, *a: [made.append(self), prepare(self, *a)]
     )
     motion = Dynamics(oscillator(), end=0.02, dt=0.01, scheme=scheme, petsc={option: "nonsense"})
-    with pytest.raises(InputError, match=f"PETSc refuses the options -{option} nonsense"):
+    with pytest.raises(InputError, match=f"PETSc refuses the option -{option} nonsense"):
         next(motion.steps())
     march = made[0]
     owned = [march.ts, march.moving.mass, march.assembler.tangent.matrix]
