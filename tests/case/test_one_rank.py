@@ -98,6 +98,7 @@ def test_all_ranks_end(body: str, tmp_path: Path) -> None:
     assert time.monotonic() - begin < 10.0 + 5.0, "the start of python counts, too"
 
 
+@pytest.mark.long
 def test_a_loop_that_all_leave(tmp_path: Path) -> None:
     """A `break` is no fault: a checkpoint is left, however late one rank is; exit code 0."""
     small(tmp_path)

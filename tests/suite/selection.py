@@ -40,6 +40,7 @@ POINTS = {
 }
 """Tests of numbers and texts, and of rates, in which ranks take no part: on one rank only."""
 LAWS = {
+    "case/check/test_check_report.py",
     "case/converge/test_converge.py",
     "mesh/test_selection.py",
     "model/materials/test_law_input.py",
@@ -54,6 +55,7 @@ LAWS = {
     "solvers/statics/test_arc_length.py",
     "solvers/statics/test_hard_cases.py",
     "verification/test_enclosed.py",
+    "verification/test_linear.py",
 }
 """Tests of every law, or of names, on bodies of a few cells, and of long paths whose solvers other
 files try on several ranks: there in the rest only."""
