@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -278,6 +279,33 @@ def test_a_full_disk(tmp_path: Path, monkeypatch, caplog):
     with pytest.raises(OutputError, match=r"no space left on device; .*no space left on device"):
         find_or_compile([tmp_path, spare], "g", refuse)
     shutil.rmtree(spare)
+
+
+@serial
+def test_a_claim_that_cannot_be_written(tmp_path: Path, monkeypatch):
+    """An empty one would be waited for, by this user's next run and by others."""
+    monkeypatch.setattr(claim.Claim, "_text", full)
+    with pytest.raises(OutputError, match="no space left on device"):
+        find_or_compile([tmp_path], "f", refuse)
+    assert not [*tmp_path.iterdir()]
+
+
+def full(*_: object) -> str:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@serial
+@pytest.mark.parametrize(
+    ("number", "mode"), [(0, 0o777), (1, 0o777), (1, 0o775)], ids=["cache", "spare", "group"]
+)
+def test_code_that_another_user_may_have_left(number: int, mode: int, tmp_path: Path):
+    """A folder in /tmp or /dev/shm under a name that was seen in the other one; a home in /tmp."""
+    roots = [tmp_path / "cache", tmp_path / "spare"]
+    find_or_compile([roots[number]], "f", write("planted"))
+    roots[number].chmod(mode)
+    found = find_or_compile(roots, "f", write("own"))
+    assert found == roots[1 - number] / "f"
+    assert (found / "code").read_text() == "own"
 
 
 class Free:

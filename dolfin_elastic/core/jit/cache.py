@@ -15,6 +15,7 @@ import logging
 import os
 import platform
 import shutil
+import stat
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -76,8 +77,8 @@ def find_or_compile(roots: Sequence[Path], key: str, compile_into: Compile) -> P
         OutputError: It can be compiled in no folder.
         StoppedError: A signal has asked for the end of the run meanwhile.
     """
-    for root in roots:
-        if _is_whole(root / key):
+    for number, root in enumerate(roots):
+        if _is_whole(root / key) and not _foreign(root, private=number > 0):
             return root / key
     faults: list[str] = []
     for number, root in enumerate(roots):
@@ -123,15 +124,35 @@ def _compile(root: Path, key: str, compile_into: Compile, *, private: bool) -> P
 def _make_root(root: Path, *, private: bool) -> None:
     if not private:
         root.mkdir(parents=True, exist_ok=True)
-        return
-    try:
-        root.mkdir(mode=0o700)
-    except FileExistsError:
-        found = root.lstat()
-        if found.st_uid != os.getuid() or not root.is_dir() or root.is_symlink():
-            raise
     else:
-        atexit.register(shutil.rmtree, root, ignore_errors=True)
+        with suppress(FileExistsError):
+            root.mkdir(mode=0o700)
+            atexit.register(shutil.rmtree, root, ignore_errors=True)
+    if fault := _foreign(root, private=private):
+        raise OSError(fault)
+
+
+def _foreign(root: Path, *, private: bool) -> str:
+    """Why what is in a root may be the code of another user; empty where it cannot be.
+
+    A folder in /tmp may have been made by anybody who has seen the name of one in /dev/shm, and
+    with a home folder such as /tmp so may the cache.
+
+    Args:
+        root: The cache, which may be a link, and that of an administrator; or one in its place.
+        private: It is one in its place.
+    """
+    try:
+        found = root.lstat() if private else root.stat()
+    except OSError as error:
+        return _cause(error)
+    if not stat.S_ISDIR(found.st_mode):
+        return "it is no folder"
+    if found.st_uid not in ({os.getuid()} if private else {os.getuid(), 0}):
+        return "it belongs to another user"
+    if found.st_mode & (0o022 if private else 0o002):
+        return "other users may write to it"
+    return ""
 
 
 def _publish(root: Path, key: str, compile_into: Compile) -> Path:

@@ -95,10 +95,16 @@ class Claim:
 
     def _taken(self) -> bool:
         try:
-            with self._file.open("x", encoding="utf-8") as file:
-                file.write(self._text(0))
+            file = self._file.open("x", encoding="utf-8")
         except FileExistsError:
             return False
+        try:
+            with file:
+                file.write(self._text(0))
+        except OSError:  # a full disk: others would wait for a holder that there is not
+            with suppress(OSError):
+                self._file.unlink()
+            raise
         return True
 
     def _text(self, count: int) -> str:
