@@ -114,8 +114,12 @@ _OF_SOLVERS = re.compile(
 Not among them is what loads code (`pc_python_type`) or writes files: viewers of matrices and
 solutions, MUMPS's units of output (icntl_1 to 3) and its factors on the disk (icntl_22).
 """
-_NO_OPTIONS = re.compile(r"\w*(?:python|shell|dump|filename|print_to|tmpdir|library)\w*")
-_SCREEN = re.compile(r"(?:\w*_)?(?:monitor\w*|view\w*|converged_reason|error_\w+|log|statistics)")
+_NO_OPTIONS = re.compile(
+    r"\w*(?:python|shell|dump|filename|print_to|print_subdomains|tmpdir|library)\w*"
+)
+_SCREEN = re.compile(
+    r"(?:\w*_)?(?:monitor\w*|view\w*|converged_(?:reason|rate)|error_\w+|log|statistics)"
+)
 """Options whose value is a viewer: the screen, or a file."""
 _VIEWER = re.compile(r"(?:ascii)?(?:::ascii_\w+)?")
 """Viewers of the screen."""
