@@ -318,6 +318,34 @@ def test_memory_is_limited(tmp_path: Path, monkeypatch) -> None:
     assert used < 8e9
 
 
+LIMITED = """
+import pathlib
+from dolfin_elastic.mesh.formats.cad import process
+from dolfin_elastic.mesh.formats.cad.read import mesh_cad
+process._free_memory = lambda: 1e12
+path = pathlib.Path("a.geo")
+how = process.Permission()
+print(len(mesh_cad(path, size=None, curved=None, dim=None, permission=how).points))
+"""
+
+
+def test_a_limit_of_the_users_own(tmp_path: Path) -> None:
+    """Below `ulimit -v`, as clusters set it, a process may go, but not above it."""
+    (tmp_path / "a.geo").write_text(BOX)
+    most = 12 << 30
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(process.__file__).parents[4])},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (most, most)),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 8
+
+
 # --- scripts of one's own ---
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import select
 import signal
 import subprocess
@@ -164,7 +165,9 @@ def gmsh_process(
             copy = readable / file
             copy.parent.mkdir(parents=True, exist_ok=True)
             copy.write_bytes(content)
-        memory = int(_SHARE * _free_memory() + _LIBRARIES)
+        # The user's own limit (ulimit -v) cannot be raised.
+        own = [one for one in resource.getrlimit(resource.RLIMIT_AS) if one >= 0]
+        memory = min([int(_SHARE * _free_memory() + _LIBRARIES), *own])
         terms = {
             "file": str(path.absolute() if permission.trusted else readable / path.name),
             "readable": str(readable),
@@ -194,13 +197,7 @@ def _started(
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        # One thread: Landlock holds for those that are started later only.
-        env={
-            **environment,
-            "TMPDIR": str(writable),
-            "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1",
-        },
+        env=environment,
         cwd=path.absolute().parent if permission.trusted else writable,
         start_new_session=True,
     )
