@@ -36,6 +36,7 @@ from dolfin_elastic.model.values import Component, number_at
 from dolfin_elastic.problem.loads.edges_points import owned
 
 _HALVINGS = 60
+_ROUND_OFF = 2.0**-50
 _FAR, _NEAR = 2.0**-15, 2.0**-30
 """Distances from a zero of a denominator at which values are compared, in shares of a cell."""
 _ANY, _NOT_INTEGRABLE = 2.0**3, 2.0**12
@@ -55,6 +56,8 @@ class _Use:
             (entities, points, dim).  Found for formulas only.
         inside: The first of the points inside, at which there must be values; None: others look.
         growth: Of values near a pole, from which on it is refused.
+        corners: How many of the places are corners between which there is an integral.
+        ring: The integral has the radius x as a factor.
     """
 
     where: str
@@ -62,6 +65,8 @@ class _Use:
     places: Callable[[], FloatArray]
     inside: int | None
     growth: float = _ANY
+    corners: int = 0
+    ring: bool = False
 
 
 def all_times(case: Case) -> list[float]:
@@ -94,9 +99,10 @@ def check_formulas(case: Case, integrals: Integrals) -> None:
 def check_poles(case: Case, integrals: Integrals) -> None:
     """Looks for poles of formulas between the places and times at which they are used. Collective.
 
-    A pole lies at or between two points of a facet, cell or edge at which a part of a denominator
-    is zero or has opposite signs, if values grow towards the place where it is zero.  In loads and
-    springs, which are integrated, poles such as 1/sqrt(x) are none.
+    A pole lies between two points of a facet, cell or edge at which a part of a denominator has
+    opposite signs, if values grow towards the place where it is zero.  In loads and springs, which
+    are integrated, poles such as 1/sqrt(x) are none.  A pole may also run along nodes, so that all
+    corners but one are on it; at a single corner even 1/r can be integrated.
 
     Args:
         case: Its loads, supports, materials and initial motion.
@@ -153,13 +159,15 @@ def _uses(case: Case, integrals: Integrals) -> Iterator[_Use]:
         yield _Use("dynamics.initial_displacement", motion.displacement, every, None)
         yield _Use("dynamics.initial_velocity", motion.velocity, every, None)
     filled = {n: _cells_of(body, m.regions) for n, m in case.materials.items() if m.regions}
+    ring = integrals.problem.geometry == "axisymmetric"
     rest = np.setdiff1d(body.owned_cells(), _cells_of(body, [], *filled.values()))
     for name, material in case.materials.items():
         places = partial(_cells, integrals, filled.get(name, rest))
         for constant, item in material.law.spatial_constants().items():
             formula = item.known(body.fields) if isinstance(item, SpatialFormula) else None
             if formula is not None and formula.names <= set(PLACE):
-                yield _Use(f"materials.{key_text(name)}.{constant}", (formula,), places, None)
+                where = f"materials.{key_text(name)}.{constant}"
+                yield _Use(where, (formula,), places, None, _ANY, body.dim + 1, ring)
 
 
 def _cells_of(body: Body, names: Sequence[str], *more: IndexArray) -> IndexArray:
@@ -170,19 +178,20 @@ def _cells_of(body: Body, names: Sequence[str], *more: IndexArray) -> IndexArray
 
 def _of_load(key: str, load: Load, integrals: Integrals) -> Iterator[_Use]:
     body, inside, growth = integrals.body, None, _NOT_INTEGRABLE
+    corners, ring = 2, integrals.problem.geometry == "axisymmetric"
     if isinstance(load, ConcentratedLoad):
         if load.on is not None and load.part_kinds != ("edge",):
             return  # nodes have nothing between them
         places = partial(_edges, body, load.parts) if load.on is not None else partial(_line, load)
     elif acts_on_surfaces(load):
-        places = partial(_facets, integrals, load.parts)
+        places, corners = partial(_facets, integrals, load.parts), body.dim
     else:
         cells = _cells_of(body, load.parts) if load.parts else body.owned_cells()
-        places = partial(_cells, integrals, cells)
+        places, corners = partial(_cells, integrals, cells), body.dim + 1
         if load.is_eigenstrain:
             inside, growth = body.dim + 1, _ANY
     where = f"{key}.{'force' if 'force' in load.vectors else 'value'}"
-    yield _Use(where, load.values, places, inside, growth)
+    yield _Use(where, load.values, places, inside, growth, corners, ring)
 
 
 def _of_support(key: str, support: Restraint, integrals: Integrals) -> Iterator[_Use]:
@@ -199,9 +208,11 @@ def _of_support(key: str, support: Restraint, integrals: Integrals) -> Iterator[
             places, inside = partial(_edges, body, names), 2
         else:
             places, inside = partial(_facets, integrals, names), body.dim
-        growth = _NOT_INTEGRABLE if resists else _ANY
+        growth, corners = (_NOT_INTEGRABLE, inside) if resists else (_ANY, 0)
+        ring = integrals.problem.geometry == "axisymmetric"
+        looked = inside if resists else None
         for name, values in given.items():
-            yield _Use(f"{key}.{name}", values, places, inside if resists else None, growth)
+            yield _Use(f"{key}.{name}", values, places, looked, growth, corners, ring)
 
 
 def _by_kind(body: Body, support: Restraint) -> dict[str, list[str]]:
@@ -269,7 +280,7 @@ def _check_poles(
     poles = [
         (t, place)
         for t in (times if "t" in value.names else [0.0])
-        for place in _poles(value, X, t, use.growth)
+        for place in _poles(value, X, t, use)
     ]
     found = first_of(comm, poles)
     if found is not None:
@@ -293,26 +304,47 @@ def _no_value(formula: Formula, where: str, t: float, place: Place) -> CaseError
     )
 
 
-def _poles(formula: Formula, X: FloatArray, t: float, growth: float) -> Iterator[Place]:
+def _poles(formula: Formula, X: FloatArray, t: float, use: _Use) -> Iterator[Place]:
     """Poles on lines between two points of one facet, cell or edge."""
     if not X.size:
         return
     for divisor in formula.divisors:
         values = np.nan_to_num(number_at(divisor, X, t))
-        low, high = values.argmin(axis=1), values.argmax(axis=1)
-        least, most = values.min(axis=1), values.max(axis=1)
-        rows = np.flatnonzero((least <= 0) & (most >= 0) & (least < most))
-        start, end = X[rows, low[rows]], X[rows, high[rows]]
+        across, from_corners = _across(X, values), _from_corners(X, values, use)
+        start, end = map(np.concatenate, zip(across, from_corners, strict=True))
+        growth = np.full(len(start), _NOT_INTEGRABLE)
+        growth[: len(across[0])] = use.growth
 
         def at(s: FloatArray, start: FloatArray = start, end: FloatArray = end) -> FloatArray:
             return start + s[:, None] * (end - start)
 
-        def zero(s: FloatArray, divisor: Formula = divisor) -> FloatArray:
-            return number_at(divisor, at(s), t)
+        sign = np.where(number_at(divisor, end, t) < 0, -1.0, 1.0)
 
-        roots = _roots(zero, len(rows))
+        def zero(s: FloatArray, divisor: Formula = divisor, sign: FloatArray = sign) -> FloatArray:
+            return sign * number_at(divisor, at(s), t)
+
+        roots = _roots(zero, len(start))
         grow = _grown(lambda s: np.abs(number_at(formula, at(s), t)), roots, growth)
         yield from (tuple(map(float, place)) for place in at(roots)[grow])
+
+
+def _across(X: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Ends of lines on which a denominator changes its sign, one for each facet, cell or edge."""
+    rows = np.flatnonzero((values.min(axis=1) < 0) & (values.max(axis=1) > 0))
+    return X[rows, values[rows].argmin(axis=1)], X[rows, values[rows].argmax(axis=1)]
+
+
+def _from_corners(X: FloatArray, values: FloatArray, use: _Use) -> tuple[FloatArray, FloatArray]:
+    """Ends of lines that begin where a denominator is zero: between all corners but one."""
+    corners = X[:, : use.corners]
+    zero = values[:, : use.corners] == 0
+    if use.ring:  # the circumference makes up for 1/x
+        zero &= corners[..., 0] != 0
+    rows = np.flatnonzero((zero.sum(axis=1) == use.corners - 1) & (values != 0).any(axis=1))
+    # Not in their middle, which may be a place of its own.
+    shares = zero[rows] * (1.0 + 0.1 * np.arange(zero.shape[1]))
+    start = np.einsum("nk,nkc->nc", shares / shares.sum(axis=1, keepdims=True), corners[rows])
+    return start, X[rows, np.abs(values[rows]).argmax(axis=1)]
 
 
 def _poles_in_time(formula: Formula, X: FloatArray, times: Sequence[float]) -> Iterator[float]:
@@ -342,7 +374,7 @@ def _poles_in_time(formula: Formula, X: FloatArray, times: Sequence[float]) -> I
 
 
 def _roots(function: Callable[[FloatArray], FloatArray], count: int) -> FloatArray:
-    """Zeros of functions that are not positive at 0 and not negative at 1, by bisection.
+    """Zeros of functions that are negative at 0 and positive at 1, by bisection.
 
     Args:
         function: Values of the functions at a number each.
@@ -354,10 +386,12 @@ def _roots(function: Callable[[FloatArray], FloatArray], count: int) -> FloatArr
         middle = (low + high) / 2
         below = function(middle) < 0
         low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return high
+    return np.where(high < _ROUND_OFF, 0.0, high)
 
 
-def _grown(size: Callable[[FloatArray], FloatArray], roots: FloatArray, growth: float) -> BoolArray:
+def _grown(
+    size: Callable[[FloatArray], FloatArray], roots: FloatArray, growth: float | FloatArray
+) -> BoolArray:
     """Where values grow towards zeros of denominators; a quotient of zeros counts as none.
 
     Args:

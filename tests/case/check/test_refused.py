@@ -125,6 +125,23 @@ BETWEEN: dict[str, tuple[dict[str, Any], str]] = {
         load(value=["1/(y - 1)", 0, 0]),
         r"load\[0\]\.value: .* near \(2, 1, \S+\) m",
     ),
+    "traction, pole through nodes": (
+        load(on="top", value=["1/(x - 1)", 0, 0]),
+        r"load\[0\]\.value: .* near \(1, \S+, 1\) m",
+    ),
+    "body force, pole on the surface": (
+        {"load": [{"kind": "body-force", "value": ["1/x^2", 0, 0]}]},
+        r"load\[0\]\.value: .* near \(0, 0\.\d+, ",
+    ),
+    "springs, pole through nodes": (
+        {
+            "support": [
+                {"on": "left"},
+                {"kind": "spring", "on": "top", "stiffness": ["1/(x - 1)^2", 1, 1]},
+            ]
+        },
+        r"support\[1\]\.stiffness: .* near \(1, ",
+    ),
     "pressure": (
         {"load": [{"kind": "pressure", "on": "top", "value": "1/(x - t)"}]},
         r"load\[0\]\.value: .* near \(0\.025, \S+, 1\) m at t = 0\.025",
@@ -201,6 +218,10 @@ BETWEEN: dict[str, tuple[dict[str, Any], str]] = {
         {"materials": {"m": {"law": "neo-hookean", "E": "1e6/(x - 0.503)^2", "nu": 0.3}}},
         r"materials\.m\.E: .* near \(0\.503, ",
     ),
+    "material, pole through nodes": (
+        {"materials": {"m": {"law": "neo-hookean", "E": "1e6/(x - 1)^2", "nu": 0.3}}},
+        r"materials\.m\.E: .* near \(1, ",
+    ),
 }
 
 
@@ -233,8 +254,23 @@ def test_quotients_that_stay_finite() -> None:
     ):
         moved = [{"on": "left"}, {"on": "top", "displacement": [formula, 0, 0]}]
         assert report(case(support=moved)).notes is not None
-    punch = load(value=["1e3/sqrt(abs(y - 0.3))", 0, 0])  # contact pressure under an edge
-    assert report(case(**punch)).notes is not None
+    for where, formula in (
+        ("right", "1e3/sqrt(abs(y - 0.3))"),  # contact pressure under an edge
+        ("top", "1e3/sqrt(abs(x - 1))"),  # the same through nodes
+        ("top", "1e3/sqrt((x - 1)^2 + y^2)"),  # about a node
+    ):
+        assert report(case(**load(on=where, value=[formula, 0, 0]))).notes is not None
+    graded = {"m": {"law": "neo-hookean", "E": "1e6/sqrt(x)", "nu": 0.3}}
+    assert report(case(materials=graded)).notes is not None
+
+
+def test_a_pole_on_the_axis_that_the_circumference_makes_up_for() -> None:
+    """The integral of 1/r over a disc is finite."""
+    disc_mesh = {"rectangle": {"size": [2, 1], "cells": [2, 1]}, "degree": 1}
+    mesh = {**disc_mesh, "geometry": "axisymmetric"}
+    disc = load(on="top", value=[0, "1e3/x"])
+    found = report(case(mesh=mesh, support=[{"on": "bottom"}], **disc))
+    assert found.notes is not None
 
 
 def test_formulas_that_have_values() -> None:
