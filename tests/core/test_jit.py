@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import ufl
+from cffi import VerificationError
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -279,6 +280,32 @@ def test_a_full_disk(tmp_path: Path, monkeypatch, caplog):
     with pytest.raises(OutputError, match=r"no space left on device; .*no space left on device"):
         find_or_compile([tmp_path, spare], "g", refuse)
     shutil.rmtree(spare)
+
+
+@serial
+def test_a_sleeper_whose_folder_was_removed(tmp_path: Path):
+    """It waits for the process that compiles the form now, and does not go elsewhere."""
+    cache_root, spare = tmp_path / "cache", tmp_path / "spare"
+    at_work = threading.Event()
+
+    def slow(into: Path) -> None:
+        at_work.set()
+        time.sleep(0.5)
+        (into / "code").write_text("the other")
+
+    other = threading.Thread(target=find_or_compile, args=([cache_root], "f", slow))
+
+    def asleep(into: Path) -> None:
+        (cache_root / ".f.claim").unlink()
+        other.start()
+        at_work.wait(10)
+        assert not into.exists()
+        raise VerificationError("no such folder")
+
+    assert find_or_compile([cache_root, spare], "f", asleep) == cache_root / "f"
+    other.join()
+    assert (cache_root / "f/code").read_text() == "the other"
+    assert not spare.exists()
 
 
 @serial

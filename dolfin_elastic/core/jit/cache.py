@@ -108,17 +108,22 @@ def _compile(root: Path, key: str, compile_into: Compile, *, private: bool) -> P
     """Compiles a form into a root, unless another process does so meanwhile."""
     _make_root(root, private=private)
     target = root / key
-    with Claim(root / f".{key}.claim", lambda: _is_whole(target)):
-        if _is_whole(target):  # by another process, before this one had the claim
-            return target
-        if shutil.disk_usage(root).free < _ROOM:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        for left in root.glob(f".{key}.part-*"):  # by a killed compilation
-            shutil.rmtree(left, ignore_errors=True)
-        if target.exists():
-            _warn_once(f"a compiled form in {root} is damaged: it is compiled again")
-            _remove_damaged(target)
-        return _publish(root, key, compile_into)
+    while True:
+        with Claim(root / f".{key}.claim", lambda: _is_whole(target)) as claim:
+            if _is_whole(target):  # by another process, before this one had the claim
+                return target
+            if shutil.disk_usage(root).free < _ROOM:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            for left in root.glob(f".{key}.part-*"):  # by a killed compilation
+                shutil.rmtree(left, ignore_errors=True)
+            if target.exists():
+                _warn_once(f"a compiled form in {root} is damaged: it is compiled again")
+                _remove_damaged(target)
+            try:
+                return _publish(root, key, compile_into)
+            except (OSError, VerificationError):
+                if not claim.is_lost():
+                    raise  # else another process has removed the folder, and compiles the form
 
 
 def _make_root(root: Path, *, private: bool) -> None:

@@ -93,6 +93,10 @@ class Claim:
             with suppress(OSError):
                 self._file.unlink()
 
+    def is_lost(self) -> bool:
+        """Whether another process has taken it, as this one slept and seemed dead."""
+        return self.held and _read(self._file).get("token") != self._token
+
     def _taken(self) -> bool:
         try:
             file = self._file.open("x", encoding="utf-8")
