@@ -20,6 +20,7 @@ import pytest
 from conftest import ROOT
 from dolfinx import fem
 from dolfinx.mesh import compute_midpoints
+from helpers.bodies import made
 from helpers.states import COMM, displacement, make_problem, make_state
 
 from dolfin_elastic.core import timing
@@ -27,7 +28,7 @@ from dolfin_elastic.core.errors import InputError, OutputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.model.materials.registry import NeoHookean
+from dolfin_elastic.model.materials.registry import LinearElastic, NeoHookean
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results import files, hdf5
@@ -42,6 +43,7 @@ from dolfin_elastic.results.outputs import (
 )
 from dolfin_elastic.results.pictures import colour_bar, pictures, renderer
 from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
+from dolfin_elastic.results.pictures.drawn_field import DrawnField
 from dolfin_elastic.results.pictures.pictures import Appearance, picture
 from dolfin_elastic.results.pictures.surface import Surface, gather_surface
 
@@ -716,3 +718,67 @@ def test_the_surface_is_closed_and_oriented_outwards(degree: int) -> None:
         assert np.linalg.norm(normals, axis=1).sum() == pytest.approx(10.0)
         assert np.einsum("ij,ij->", normals, a) / 3 == pytest.approx(2.0)  # divergence theorem
         assert np.array_equal(surface.values["x"], surface.points)
+
+
+def test_the_neutral_axis_of_a_beam_is_drawn_without_stress() -> None:
+    """|sigma| = E k |y - 1/2| in pure bending, where the edges between nodes cross the axis.
+
+    The von Mises stress was interpolated between nodes at y = 1/4 and 3/4: 50 instead of 0.  What
+    is left is that an edge is divided into eight: its middle piece has 1/8 of its stress.
+    """
+    points = [(0, 0), (0, 1), (1, 0.5), (2, 0), (2, 1)]
+    body = made(COMM, [(0, 1, 2), (0, 3, 2), (1, 4, 2), (3, 4, 2)], points)
+    law = LinearElastic(E=100.0, nu=0.0, allowable=50.0)
+    problem = Problem(body, law, degree=2)
+    problem.u.interpolate(lambda x: (2 * x[0] * (x[1] - 0.5), -(x[0] ** 2)))
+    state = State(1, 1.0, problem.u)
+    for name in ("von_mises", "safety_factor", "pressure", "displacement"):
+        drawn = DrawnField(problem, name)
+        assert not drawn.linear
+        surface = gather_surface(drawn.grid, {"value": drawn.at_nodes(state)})
+        if surface is None:
+            continue
+        value, (x, y) = drawn.shown(surface.values["value"])[:, 0], surface.points[:, :2].T
+        sigma = 200 * (y - 0.5)
+        right = {
+            "von_mises": np.abs(sigma),
+            "safety_factor": 50 / np.maximum(np.abs(sigma), 50 / 1000),
+            "pressure": -sigma / 3,
+            "displacement": np.hypot(2 * x * (y - 0.5), x**2),
+        }[name]
+        np.testing.assert_allclose(value, right, rtol=1e-9, atol=1e-9)
+        if name == "von_mises":
+            assert np.sum(np.abs(y - 0.5) < 1e-12) == 2 * 4 + 1, "points on the axis are drawn"
+            for a, b in ((0, 1), (1, 2), (2, 0)):
+                ends = surface.triangles[:, [a, b]]
+                between = value[ends].mean(axis=1) - np.abs(200 * (y[ends].mean(axis=1) - 0.5))
+                assert between.max() < 100 / 8 + 1e-9
+
+
+def test_means_of_cells_and_contact_are_drawn_without_overshoots() -> None:
+    """Shape functions of nodes are negative in places: a step from 0 to 1 would begin at -1/8."""
+    problem = make_problem(2, 2)
+    grid = DrawnField(problem, "contact_pressure").grid
+    assert DrawnField(problem, "jacobian").linear
+    assert DrawnField(problem, "contact_pressure").linear
+    step = (problem.V.tabulate_dof_coordinates()[:, :1] > 0.9).astype(float)
+    lines = gather_surface(grid, {"a": step, "b": step}, linear=["a"])
+    if lines is not None:
+        assert lines.values["a"].min() == 0.0 and lines.values["a"].max() == 1.0
+        assert lines.values["b"].min() < -0.1
+        x = lines.points[:, 0]
+        assert np.allclose(lines.values["a"][:, 0][x > 1.0], 1.0)
+
+
+def test_a_material_without_allowable_stress_spoils_no_neighbour() -> None:
+    """Nodes without a value (NaN) leave the points between the others their values."""
+    problem = make_problem(2, 2)
+    x = problem.V.tabulate_dof_coordinates()[:, :1]
+    drawn = gather_surface(
+        DrawnField(problem, "pressure").grid, {"a": np.where(x > 1.2, np.nan, x)}
+    )
+    if drawn is not None:
+        at, value = drawn.points[:, 0], drawn.values["a"][:, 0]
+        known = ~np.isnan(value)
+        assert np.allclose(value[known], at[known]) and known[at <= 1.0].all()
+        assert not known[at > 1.2].any()

@@ -18,21 +18,18 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from dolfinx import fem, la
-from dolfinx.common import IndexMap
+from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import InputError, OutputError, nearest
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.timing import stage
-from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh.body import extent, span
 from dolfin_elastic.problem.state import Mode, State
-from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import make_folder, writing
-from dolfin_elastic.results.grid import to_nodes
 from dolfin_elastic.results.pictures.colour_bar import make_colour_bar, upper_end
+from dolfin_elastic.results.pictures.drawn_field import DrawnField, with_ghosts
 from dolfin_elastic.results.pictures.renderer import RENDERER
 from dolfin_elastic.results.pictures.surface import Surface, gather_surface
 from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
@@ -297,7 +294,7 @@ class Painter:
         self.dim = problem.body.dim
         self._failed = False
         self._noise = _round_off(problem, FIELDS[field].unit)
-        self._evaluate = Evaluator(problem, [field])
+        self._drawn = DrawnField(problem, field)
 
     def close(self) -> None:
         """Ends the drawing: the renderer stops when nobody else needs it. Not collective."""
@@ -332,16 +329,18 @@ class Painter:
         Raises:
             OutputError: The picture cannot be drawn or written.
         """
-        values = self._evaluate(state)[self.field]
-        grid = self._evaluate.grid
+        grid = self._drawn.grid
         u = state.u.x.array.reshape(-1, self.dim)
         fields, of_cells = {"u": np.pad(u, ((0, 0), (0, 3 - self.dim)))}, None
         if self.field in _CATEGORIES:
             cells = grid.mesh.topology.index_map(grid.mesh.topology.dim)
-            of_cells = _with_ghosts(cells, values)[:, 0].astype(np.int64)
+            of_cells = with_ghosts(cells, self._drawn.values(state))[:, 0].astype(np.int64)
         else:
-            fields["value"] = self._at_local_nodes(values)
-        surface = gather_surface(grid, fields, of_cells)
+            fields["value"] = self._drawn.at_nodes(state)
+        linear = ("value",) if self._drawn.linear else ()
+        surface = gather_surface(grid, fields, of_cells, linear=linear)
+        if surface is not None and "value" in fields:
+            surface.values["value"] = self._drawn.shown(surface.values["value"])
         settings = {
             "scale": appearance.scale,
             "view": "z" if self.dim == 2 else appearance.view,
@@ -349,14 +348,6 @@ class Painter:
             "plane": self.dim == 2,
         }
         _on_root_alone(self.comm, lambda: self._draw(surface, file, settings))
-
-    def _at_local_nodes(self, values: AnyArray) -> AnyArray:
-        grid, field = self._evaluate.grid, FIELDS[self.field]
-        if field.columns > 1:
-            values = np.linalg.norm(values, axis=1, keepdims=True)
-        if field.centre == "cell":
-            return to_nodes(grid.V, values)
-        return _with_ghosts(grid.V.dofmap.index_map, values)
 
     def _draw(self, surface: Surface | None, file: Path, settings: Mapping[str, Any]) -> None:
         assert surface is not None
@@ -444,19 +435,3 @@ def _on_root_alone(comm: MPI.Comm, action: Callable[[], None]) -> None:
     while not done.Test():
         time.sleep(_SLEEP)
     agree(comm, error)
-
-
-def _with_ghosts(index_map: IndexMap, values: AnyArray) -> AnyArray:
-    """Values of owned points or cells, completed by those of ghosts. Collective.
-
-    Args:
-        index_map: Of the points or cells.
-        values: Shape (owned, 1).
-
-    Returns:
-        Shape (owned and ghosts, 1).
-    """
-    work = la.vector(index_map, 1)
-    work.array[: len(values)] = values[:, 0]
-    work.scatter_forward()
-    return work.array[:, None].copy()

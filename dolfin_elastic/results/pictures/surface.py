@@ -1,7 +1,13 @@
-"""The surface of a body, gathered on rank 0 for pictures; the mesh is not gathered."""
+"""The surface of a body, gathered on rank 0 for pictures; the mesh is not gathered.
+
+VTK interpolates linearly in the triangles that it draws.  Every face of a cell is therefore divided
+into many, whose corners get the values of the shape functions: between its few nodes a von Mises
+stress that falls to zero, as on the neutral axis of a beam, would not be seen.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +18,15 @@ from mpi4py import MPI
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.results.grid import Grid
 
-# A triangle whose nodes are corners a, b, c and the middles of bc, ac, ab, as four triangles.
-_QUARTERS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2], [5, 3, 4]])
 _CORNERS = 3
+_MOST_TRIANGLES = 30_000
+"""Faces are divided into up to 64 triangles each while these are no more together, for drawing them
+takes about 30 microseconds each."""
+_SIDES = ((1, 2), (0, 2), (0, 1))
+"""Corners of the sides of a face, whose middles are the nodes after the corners."""
 
 _Share = tuple[AnyArray, AnyArray, AnyArray, dict[str, AnyArray], AnyArray | None]
-"""Triangles, global numbers of points, points, values and values of cells of one rank."""
+"""Faces, global numbers of nodes, their places, values and values of cells of one rank."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +47,11 @@ class Surface:
 
 
 def gather_surface(
-    grid: Grid, values: dict[str, AnyArray], of_cells: AnyArray | None = None
+    grid: Grid,
+    values: dict[str, AnyArray],
+    of_cells: AnyArray | None = None,
+    *,
+    linear: Collection[str] = (),
 ) -> Surface | None:
     """The body's surface on rank 0, None on the others. Collective.
 
@@ -46,17 +59,25 @@ def gather_surface(
 
     Args:
         grid: The body's points and cells.
-        values: Name to values at the local points (ghosts included), shape (points, columns).
+        values: Name to values at the local points (ghosts included), shape (points, columns);
+            between them they follow the shape functions of the displacement.
         of_cells: Values of the local cells (ghosts included), shape (cells,), or None.
+        linear: Names of values that are linear between neighbouring nodes instead.
     """
-    triangles, cells = _triangles(grid)
-    used, local = np.unique(triangles, return_inverse=True)
+    faces, cells = _faces(grid)
+    used, local = np.unique(faces, return_inverse=True)
     numbers = grid.V.dofmap.index_map.local_to_global(used.astype(np.int32))
     points = grid.V.tabulate_dof_coordinates()[used]
     mine = None if of_cells is None else of_cells[cells]
-    own = (local.reshape(-1, 3), numbers, points, {k: v[used] for k, v in values.items()}, mine)
+    own = (
+        local.reshape(faces.shape),
+        numbers,
+        points,
+        {k: v[used] for k, v in values.items()},
+        mine,
+    )
     parts = _to_root(grid.mesh.comm, own)
-    return _joined(parts) if grid.mesh.comm.rank == 0 else None
+    return _divided(_joined(parts), linear) if grid.mesh.comm.rank == 0 else None
 
 
 def _to_root(comm: MPI.Comm, own: _Share) -> list[_Share]:
@@ -64,11 +85,11 @@ def _to_root(comm: MPI.Comm, own: _Share) -> list[_Share]:
 
 
 def _joined(parts: list[_Share]) -> Surface:
-    """One surface from the parts of all ranks; points that several ranks have are merged."""
+    """The faces of all ranks, with 3 or 6 nodes; nodes that several ranks have are merged."""
     numbers = np.concatenate([part[1] for part in parts])
     _, first, new = np.unique(numbers, return_index=True, return_inverse=True)
     starts = np.cumsum([0, *(len(part[1]) for part in parts)])
-    triangles = np.concatenate(
+    faces = np.concatenate(
         [new[part[0] + start] for part, start in zip(parts, starts, strict=False)]
     )
     points = np.concatenate([part[2] for part in parts])[first]
@@ -76,24 +97,135 @@ def _joined(parts: list[_Share]) -> Surface:
     values = {k: np.concatenate([part[3][k] for part in parts])[first] for k in names}
     shares = [part[4] for part in parts if part[4] is not None]
     of_cells = np.concatenate(shares) if shares else None
-    return Surface(triangles, points, values, of_cells)
+    return Surface(faces, points, values, of_cells)
 
 
-def _triangles(grid: Grid) -> tuple[AnyArray, AnyArray]:
-    """Local points of this rank's triangles, shape (n, 3), and the cell of each."""
+# --- division of faces ---
+
+
+def _divided(faces: Surface, linear: Collection[str]) -> Surface:
+    """Faces divided into triangles.
+
+    Args:
+        faces: With faces of 3 or 6 nodes as its triangles.
+        linear: See `gather_surface`.
+    """
+    nodes = faces.triangles
+    least = 1 if nodes.shape[1] == _CORNERS else 2
+    n = least
+    while n < 8 and len(nodes) * (2 * n) ** 2 <= _MOST_TRIANGLES:
+        n *= 2
+    lattice = _lattice(n)
+    numbers = _numbered(nodes[:, :_CORNERS], lattice, n)
+    _, first, new = np.unique(numbers, return_index=True, return_inverse=True)
+    smooth = _shape_functions(lattice / n, nodes.shape[1])
+    kinked = _hat_functions(lattice / n, nodes.shape[1])
+    face, place = np.divmod(first, len(lattice))
+
+    def between(values: AnyArray, shape: AnyArray) -> AnyArray:
+        # A node without a value (NaN) matters where its shape function is not zero only.
+        unknown = np.isnan(values)
+        known, weights = np.where(unknown, 0.0, values)[nodes[face]], shape[place]
+        found = np.einsum("pn,pnj->pj", weights, known)
+        gaps = np.einsum("pn,pnj->pj", (weights != 0).astype(float), unknown[nodes[face]])
+        return np.asarray(np.where(gaps > 0, np.nan, found))
+
+    pieces = _pieces(n)
+    return Surface(
+        new.reshape(numbers.shape)[:, pieces].reshape(-1, _CORNERS),
+        between(faces.points, smooth),
+        {k: between(v, kinked if k in linear else smooth) for k, v in faces.values.items()},
+        None if faces.of_cells is None else np.repeat(faces.of_cells, len(pieces)),
+    )
+
+
+def _lattice(n: int) -> AnyArray:
+    """Points of a divided triangle: n times their barycentric coordinates, shape (points, 3)."""
+    return np.array([(n - p - q, p, q) for q in range(n + 1) for p in range(n + 1 - q)])
+
+
+def _pieces(n: int) -> AnyArray:
+    """Triangles between the points of `_lattice`, oriented as the whole one, shape (n^2, 3)."""
+    number = {(b, c): i for i, (_, b, c) in enumerate(_lattice(n).tolist())}
+    found = []
+    for (p, q), here in number.items():
+        if p + q < n:
+            found.append((here, number[p + 1, q], number[p, q + 1]))
+        if p + q < n - 1:
+            found.append((number[p + 1, q], number[p + 1, q + 1], number[p, q + 1]))
+    return np.array(found)
+
+
+def _numbered(corners: AnyArray, lattice: AnyArray, n: int) -> AnyArray:
+    """Numbers of the points of divided faces, the same in all faces that share a side or corner.
+
+    Args:
+        corners: Nodes at the corners of the faces, shape (faces, 3).
+        lattice: See `_lattice`.
+        n: Divisions of a side.
+    """
+    count = int(corners.max(initial=-1)) + 1
+    found = np.empty((len(corners), len(lattice)), dtype=np.int64)
+    ends = corners[:, _SIDES]
+    low, high = ends.min(axis=2).astype(np.int64), ends.max(axis=2)
+    keys, sides = np.unique(low * count + high, return_inverse=True)
+    sides = sides.reshape(low.shape)
+    inside = count + len(keys) * (n - 1) + np.arange(len(corners)) * len(lattice)
+    for i, weights in enumerate(lattice):
+        touched = np.flatnonzero(weights)
+        if len(touched) == 1:
+            found[:, i] = corners[:, touched[0]]
+        elif len(touched) == 2:
+            side = _SIDES.index((int(touched[0]), int(touched[1])))
+            a, b = ends[:, side, 0], ends[:, side, 1]
+            along = np.where(a < b, weights[touched[1]], weights[touched[0]])
+            found[:, i] = count + sides[:, side] * (n - 1) + along - 1
+        else:
+            found[:, i] = inside + i
+    return found
+
+
+def _shape_functions(x: AnyArray, nodes: int) -> AnyArray:
+    """Shape functions of a face, shape (points, nodes).
+
+    Args:
+        x: Barycentric coordinates, shape (points, 3).
+        nodes: 3: linear, 6: quadratic.
+    """
+    if nodes == _CORNERS:
+        return x
+    middles = [4 * x[:, i] * x[:, j] for i, j in _SIDES]
+    return np.column_stack([x * (2 * x - 1), *middles])
+
+
+def _hat_functions(x: AnyArray, nodes: int) -> AnyArray:
+    """Functions that are linear in each of the four triangles between the nodes of a face.
+
+    Args:
+        x: Barycentric coordinates, shape (points, 3).
+        nodes: 3 or 6.
+    """
+    if nodes == _CORNERS:
+        return x
+    middles = [
+        np.clip(np.minimum(np.minimum(2 * x[:, i], 2 * x[:, j]), 1 - 2 * x[:, 3 - i - j]), 0, None)
+        for i, j in _SIDES
+    ]
+    return np.column_stack([np.clip(2 * x - 1, 0, None), *middles])
+
+
+# --- faces ---
+
+
+def _faces(grid: Grid) -> tuple[AnyArray, AnyArray]:
+    """Local nodes of this rank's faces, shape (n, 3 or 6), and the cell of each."""
     if grid.mesh.topology.dim == 2:
         own = np.arange(grid.own_cells)
-        return _split(_upward(grid.V, grid.V.dofmap.list[own]), own)
+        return _upward(grid.V, grid.V.dofmap.list[own]), own
     cells, sides = _outer_sides(grid.mesh)
     nodes = np.array([sorted(grid.V.dofmap.dof_layout.entity_closure_dofs(2, i)) for i in range(4)])
     faces = np.take_along_axis(grid.V.dofmap.list[cells], nodes[sides], axis=1)
-    return _split(_outward(grid.V, faces, grid.V.dofmap.list[cells, sides]), cells)
-
-
-def _split(faces: AnyArray, cells: AnyArray) -> tuple[AnyArray, AnyArray]:
-    if faces.shape[1] == _CORNERS:
-        return faces, cells
-    return faces[:, _QUARTERS].reshape(-1, 3), np.repeat(cells, len(_QUARTERS))
+    return _outward(grid.V, faces, grid.V.dofmap.list[cells, sides]), cells
 
 
 def _outward(V: fem.FunctionSpace, faces: AnyArray, opposite: AnyArray) -> AnyArray:

@@ -80,29 +80,37 @@ class Peaks:
         """The largest one that does not grow with every refinement."""
         return self.elsewhere if self.largest.singular else self.largest
 
-    def text(self) -> str:
-        """All of it as a sentence."""
-        found = f"largest von Mises stress {self.largest.text()}"
-        if not self.largest.singular:
-            found += f", estimated error {percent(self.largest.error)}"
-        else:
-            found += f", at {self.largest.singular}: it grows with every refinement"
+    def lines(self, norm: float) -> list[str]:
+        """All of it for people, a fact a line; what belongs to the line above is indented.
+
+        Args:
+            norm: Estimated error of the stress field, relative, in the energy norm.
+        """
+        most = f"largest von Mises stress  {self.largest.text()}"
+        found = [most, *_remarks(self.largest, "grows")]
         if self.elsewhere is not None:
             other = f"{self.elsewhere.text()}, estimated error {percent(self.elsewhere.error)}"
-            found += f"; the largest elsewhere {other}"
-        return found + self._safety_text()
-
-    def _safety_text(self) -> str:
-        """The rest of the sentence; empty without an allowable stress."""
-        if self.safety is None:
-            return ""
-        found = f"; smallest safety factor {self.safety.value:.3g} {self.safety.where()}"
-        if self.safety.singular:
-            found += f", at {self.safety.singular}: it falls with every refinement"
+            found.append(f"  largest elsewhere       {other}")
+        if self.safety is not None:
+            least = f"smallest safety factor    {self.safety.value:.3g} {self.safety.where()}"
+            found += [least, *_remarks(self.safety, "falls")]
         if self.safety_elsewhere is not None:
-            other = self.safety_elsewhere
-            found += f"; the smallest elsewhere {other.value:.3g} {other.where()}"
-        return found
+            beside = self.safety_elsewhere
+            found.append(f"  smallest elsewhere      {beside.value:.3g} {beside.where()}")
+        field = f"estimated error           {percent(norm)} of the whole stress field (energy norm)"
+        return [*found, field]
+
+
+def _remarks(peak: Peak, changes: str) -> list[str]:
+    """Lines below that of a largest value.
+
+    Args:
+        peak: It.
+        changes: "grows" or "falls" with every refinement at a singular place.
+    """
+    if peak.singular:
+        return [f"  not to be relied on     at {peak.singular} it {changes} with every refinement"]
+    return [f"  estimated error         {percent(peak.error)}"] if changes == "grows" else []
 
 
 def percent(share: float) -> str:

@@ -90,12 +90,14 @@ class NodalStress:
         region: Number of the material region that it belongs to, shape (nodes,).
         safety: Allowable over von Mises stress, shape (nodes,); NaN without an allowable stress.
         safety_region: Number of the region that the safety factor belongs to.
+        utilisation: Cauchy stress of that region over its allowable stress, shape (nodes, 6).
     """
 
     stress: FloatArray
     region: IntArray
     safety: FloatArray
     safety_region: IntArray
+    utilisation: FloatArray
 
     @classmethod
     def of(
@@ -110,7 +112,7 @@ class NodalStress:
         count = V.dofmap.index_map.size_local
         stress, region = np.full((count, 6), np.nan), np.full(count, -1)
         safety, safety_region = np.full(count, np.nan), np.full(count, -1)
-        highest = np.full(count, -1.0)
+        highest, utilisation = np.full(count, -1.0), np.full((count, 6), np.nan)
         for number, (part, values) in enumerate(found):
             allowable = part.allowable()[:, :, None]
             ones = np.ones_like(allowable)
@@ -123,7 +125,8 @@ class NodalStress:
             factor = safety_factor(rows[:, 6], value)
             less = here & ~(factor >= safety) & ~np.isnan(rows[:, 6])
             safety[less], safety_region[less] = factor[less], number
-        return cls(stress, region, safety, safety_region)
+            utilisation[less] = rows[less, :6] / rows[less, 6:7]
+        return cls(stress, region, safety, safety_region, utilisation)
 
     def rows(self, name: str) -> FloatArray:
         """Rows of a field that follows from the recovered stress."""

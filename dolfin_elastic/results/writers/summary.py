@@ -24,7 +24,7 @@ from dolfin_elastic.problem.state import Audit, Mode, State, plain
 from dolfin_elastic.results.extremes import Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
-from dolfin_elastic.results.recovery.peaks import find_peaks, percent
+from dolfin_elastic.results.recovery.peaks import find_peaks
 from dolfin_elastic.results.writer import LastState, Numbers
 from dolfin_elastic.results.writers.modes import row
 
@@ -233,8 +233,8 @@ def _error(problem: Problem, estimate: ErrorEstimate) -> dict[str, object]:
     """The estimated error and the largest stresses, which it also logs. Collective."""
     peaks = find_peaks(problem, estimate)
     if peaks.largest.value > 0:
-        norm = percent(estimate.relative)
-        log.info("%s; of the whole stress field %s (energy norm)", peaks.text(), norm)
+        for line in peaks.lines(estimate.relative):
+            log.info("%s", line)
     found = {
         "energy_norm": estimate.relative,
         "energy": estimate.energy,
