@@ -132,7 +132,6 @@ class Ties:
     def _add(self, tie: Tie, held: BoolArray, where: str) -> tuple[IndexArray, TiedSurfaces]:
         """Adds the rows of a tie. Collective."""
         near, far = (owned(self._body, self._V, names) for names in (tie.surfaces, tie.others))
-        everywhere = float(span(self._body))
         margin = (
             tie.tolerance if tie.tolerance is not None else GAP * longest_edge(self.comm, near, far)
         )
@@ -140,7 +139,7 @@ class Ties:
         pieces = cut(near, there, tie.tolerance)
         covered = total(self.comm, float(pieces.weights.sum()))
         if not covered > 0.0:
-            self._refuse(tie, near, opposite(self.comm, near, far, everywhere), where)
+            self._refuse(tie, near, far, margin, where)
         mortar = integrate(self._nodes, near, there, pieces, axisymmetric=self._axisymmetric)
         dofs = self._eliminate(mortar, held)
         side = np.diff(mortar.beside.indptr) > 0
@@ -149,14 +148,26 @@ class Ties:
         size = longest_edge(self.comm, near, far)
         return dofs, TiedSurfaces(tie.label, dofs, side, area, min(covered, area), gap, size)
 
-    def _refuse(self, tie: Tie, near: Facets, far: Facets, where: str) -> None:
+    def _refuse(self, tie: Tie, near: Facets, far: Facets, reach: float, where: str) -> None:
         """Says how far apart surfaces are that nothing ties. Collective.
+
+        Args:
+            tie: The tie.
+            near: This rank's facets of one surface.
+            far: Its facets of the other.
+            reach: Distance up to which none lie opposite each other [m]; others are looked at step
+                by step, for all pairs of large surfaces would be too many.
+            where: Key of the tie.
 
         Raises:
             InputError: Always.
         """
-        pieces = cut(near, far, np.inf)
-        least = smallest(self.comm, float(pieces.gaps.min(initial=np.inf)))
+        farthest, least = float(span(self._body)), np.inf
+        reach = max(reach, 1e-3 * farthest)
+        while not np.isfinite(least) and reach <= 4 * farthest:
+            pieces = cut(near, opposite(self.comm, near, far, reach), reach)
+            least = smallest(self.comm, float(pieces.gaps.min(initial=np.inf)))
+            reach *= 4
         names = f"'{'+'.join(tie.surfaces)}' and '{'+'.join(tie.others)}'"
         if not np.isfinite(least):
             raise InputError(

@@ -34,6 +34,7 @@ from dolfin_elastic import (
     box_body,
 )
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.problem.ties import segments
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 COMM = MPI.COMM_WORLD
@@ -214,6 +215,23 @@ def test_surfaces_too_far_apart_are_refused() -> None:
     )
     assert problem.ties is not None
     assert problem.ties.surfaces[0].gap == pytest.approx(0.1)
+
+
+def test_of_large_surfaces_few_pairs_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To say how far apart they are; all pairs of fine meshes would take all memory."""
+    pairs = [0]
+    found = segments._candidates
+
+    def counted(*arguments: Any) -> Any:
+        i, j = found(*arguments)
+        pairs.append(len(i))
+        return i, j
+
+    monkeypatch.setattr(segments, "_candidates", counted)
+    body = stacked((1.0, 0.6), (60, 1), (60, 1), gap=0.1)
+    with pytest.raises(InputError, match=r"are 0\.1 m apart"):
+        Problem(body, STEEL, ties=[Tie(on="above", to="below")])
+    assert max(pairs) < 60 * 60 / 2
 
 
 def test_surfaces_that_are_not_opposite_are_refused() -> None:
