@@ -11,7 +11,17 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import UnionType
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, Union, cast, get_args, get_origin
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+)
 
 from pydantic import (
     AliasChoices,
@@ -59,6 +69,9 @@ class Record(BaseModel, metaclass=_InputErrorMeta):
         allow_inf_nan=False,
     )
 
+    key_hints: ClassVar[Mapping[str, str]] = {}
+    """Keys that belong elsewhere, and what to write instead."""
+
     @model_validator(mode="before")
     @classmethod
     def _refuse_unknown_keys(cls, data: object) -> object:
@@ -66,7 +79,8 @@ class Record(BaseModel, metaclass=_InputErrorMeta):
             fields = {key: f for n, f in cls.model_fields.items() for key in _names(n, f)}
             for name, value in data.items():
                 if name not in fields:
-                    raise InputError(f"unknown key '{name}'", expected=nearest(str(name), fields))
+                    expected = cls.key_hints.get(str(name)) or nearest(str(name), fields)
+                    raise InputError(f"unknown key '{name}'", expected=expected)
                 if not _validates_itself(fields[name].metadata):
                     _refuse_boolean([fields[name].annotation], name, value)
                 _refuse_non_boolean(fields[name].annotation, name, value)

@@ -18,7 +18,8 @@ the mesh's unit, one with a unit ("2 mm") is what it says.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
@@ -144,6 +145,12 @@ class Selector(Place):
     angle: Annotated[float, Field(gt=0, le=180)] | None = None
     all: bool = False
 
+    key_hints: ClassVar[Mapping[str, str]] = {
+        "between": "edges between surfaces stand in the table [edges], points in [points]",
+        "line": "edges on a line stand in the table [edges]",
+        "nearest": "a point stands in the table [points]",
+    }
+
     @model_validator(mode="after")
     def _whole(self) -> Selector:
         if self.angle is not None and self.normal is None:
@@ -177,6 +184,10 @@ class EdgeSelector(Place):
     between: Annotated[list[str], Field(min_length=2)] | None = None
     line: Line | None = None
     all: bool = False
+    key_hints: ClassVar[Mapping[str, str]] = {
+        "nearest": "a point stands in the table [points]",
+        "normal": "the surfaces that a normal picks stand in the table [surfaces]",
+    }
     angle: Annotated[float, Field(gt=0, lt=180)] | None = None
 
     @model_validator(mode="after")
@@ -199,6 +210,10 @@ class PointSelector(Place):
 
     nearest: Point | None = None
     between: Annotated[list[str], Field(min_length=2)] | None = None
+    key_hints: ClassVar[Mapping[str, str]] = {
+        "line": "edges on a line stand in the table [edges]",
+        "normal": "the surfaces that a normal picks stand in the table [surfaces]",
+    }
 
     @model_validator(mode="after")
     def _somewhere(self) -> PointSelector:

@@ -12,6 +12,8 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.mesh import (
     Body,
+    EdgeSelector,
+    PointSelector,
     Selector,
     box_body,
     mesh_statistics,
@@ -31,6 +33,23 @@ def box() -> Body:
 def picked(body: Body, scale: float = 1e-3, **keys: Any) -> Body:
     """The body with the surface 'part'."""
     return name_parts(body, surfaces={"part": Selector(**keys)}, scale=scale)
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys", "says"),
+    [
+        (Selector, {"between": ["tip", "root"]}, r"\[edges\], points in \[points\]"),
+        (Selector, {"line": {}}, r"\[edges\]"),
+        (Selector, {"nearest": [0, 0, 0]}, r"\[points\]"),
+        (EdgeSelector, {"nearest": [0, 0, 0]}, r"\[points\]"),
+        (EdgeSelector, {"normal": [0, 0, 1]}, r"\[surfaces\]"),
+        (PointSelector, {"line": {}}, r"\[edges\]"),
+    ],
+)
+def test_a_key_of_another_kind_of_part(kind: Any, keys: dict[str, Any], says: str) -> None:
+    """The list of the known keys did not say which table takes it."""
+    with pytest.raises(InputError, match=says):
+        kind(**keys)
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,7 @@ from dolfin_elastic.results.checkpoint.lock import FolderLock
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import Peak, find_peaks, largest
 from dolfin_elastic.results.recovery.singular import singular_places
+from dolfin_elastic.results.writers.summary import SummaryWriter
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.statics.load_stepping import NearEnd
 from dolfin_elastic.solvers.statics.statics import Statics
@@ -328,6 +329,8 @@ class _Convergence:
         self.lock.acquire(create=True)
         with open_outputs(self.case.files(), solved.problem, self.folder) as writers:
             for writer in writers:
+                if isinstance(writer, SummaryWriter) and progress.verdict == "running":
+                    writer.silence()
                 writer.write(solved.state)
         with timing.stage("output"):
             on_root(self.comm, lambda: write_report(progress, self.folder))

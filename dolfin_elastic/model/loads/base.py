@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -132,6 +132,10 @@ class Load(Record):
     value: list[Any]
     curve: Curve | None = None
 
+    key_hints: ClassVar[Mapping[str, str]] = {
+        "moment": "a support of kind 'rigid' on the surface takes a moment and a force, as in "
+        '[[support]] kind = "rigid", on = "tip", moment = [0, "100 N*m", 0]',
+    }
     unit: ClassVar[str] = ""
     """SI unit of `value`."""
     needs_density: ClassVar[bool] = False

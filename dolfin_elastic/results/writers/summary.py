@@ -85,6 +85,7 @@ class SummaryWriter:
         self._extremes: Extremes | None = None
         self._estimator: ErrorEstimator | None = None
         self._modes: list[Mode] = []
+        self._logs = True
         with timing.stage("output"):
             on_root(self.comm, lambda: make_folder(path.parent))
             self._save("running")
@@ -101,6 +102,10 @@ class SummaryWriter:
             self._last = _numbers(state)
             self._audits.add(state)
             self._save_if_due()
+
+    def silence(self) -> None:
+        """Logs nothing of the estimated error at the end, as of a mesh that others follow."""
+        self._logs = False
 
     def write_mode(self, mode: Mode) -> None:
         """Takes the numbers of one mode; updates the file if that is due."""
@@ -137,7 +142,7 @@ class SummaryWriter:
                 "extremes": {name: asdict(extreme) for name, extreme in found.items()},
             }
             if estimate:
-                extra["error"] = _error(self.problem, estimate)
+                extra["error"] = _error(self.problem, estimate, logs=self._logs)
             if isinstance(error, SolveError) and error.diagnosis is not None:
                 extra["diagnosis"] = asdict(error.diagnosis)
             if self.problem.mixed and found:
@@ -229,10 +234,16 @@ def _numbers(state: State) -> dict[str, object]:
     }
 
 
-def _error(problem: Problem, estimate: ErrorEstimate) -> dict[str, object]:
-    """The estimated error and the largest stresses, which it also logs. Collective."""
+def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str, object]:
+    """The estimated error and the largest stresses. Collective.
+
+    Args:
+        problem: The problem that is solved, in the state of the estimate.
+        estimate: The estimated error.
+        logs: They are also logged.
+    """
     peaks = find_peaks(problem, estimate)
-    if peaks.largest.value > 0:
+    if logs and peaks.largest.value > 0:
         for line in peaks.lines(estimate.relative):
             log.info("%s", line)
     found = {

@@ -352,6 +352,7 @@ def test_a_centrifugal_axis_with_a_name(name, row):
         ("traction", {"on": "top", "value": [1, 2], "force": [1, 2]}, "given together"),
         ("traction", {"on": "top", "force": ["1 Pa", 2]}, "force[0]: '1 Pa' has the wrong unit"),
         ("traction", {"on": [], "value": [1, 2]}, "on: no name is given"),
+        ("traction", {"on": "top", "moment": [1, 2, 3]}, "'moment'; a support of kind 'rigid'"),
         ("gravity", {"on": []}, "on: no name is given; a region's name; left out, it is the"),
         ("centrifugal", {"value": "2 mm"}, "value: '2 mm' has the wrong unit"),
         ("centrifugal", {"value": "x"}, "value: a body spins with one speed"),
