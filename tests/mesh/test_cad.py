@@ -172,6 +172,26 @@ def test_bodies_that_are_not_joined_are_noted_with_the_place(folder: Path) -> No
         read_body(folder / "a.geo", join=True)
 
 
+@pytest.mark.parametrize(("gap", "said"), [(0.05, True), (1.0, False)])
+def test_bodies_that_almost_touch_are_noted_with_the_gap(
+    folder: Path, gap: float, said: bool
+) -> None:
+    """Only that a body is free was said; a gap as wide as this is meant to be one."""
+
+    def apart(occ: Any) -> None:
+        stack(occ)  # its two blocks are joined: one piece
+        occ.addBox(2, 0, 5 + gap, 4, 4, 2)
+
+    write(folder / "apart.step", apart)
+    body = read_body(folder / "apart.step", size=2)
+    note = (
+        "'body2' and 'body3' are 0.05 mm apart and not joined, so that each moves on its own: "
+        "close the gap in the CAD program, or tie their surfaces by [[tie]]"
+    )
+    assert (note in body.notes) == said
+    assert any("apart" in line for line in body.notes) == said
+
+
 def test_bodies_that_overlap_are_noted(folder: Path) -> None:
     def draw(occ: Any) -> None:
         occ.addBox(0, 0, 0, 2, 1, 1)

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import combinations
 from pathlib import Path
 from types import ModuleType
 
@@ -28,6 +29,8 @@ _FORMATS = {
 }
 _GAPS = 1e-6, 1e-4
 """Gaps that sewing closes, over the diagonal: round-off, and then those of careless export."""
+_ALMOST = 0.01
+"""Distance over the diagonal up to which bodies almost touch, where a gap may be a mistake."""
 _NEAR = 1e-6
 """Distance over the diagonal below which two faces are the same."""
 _NAMELESS = ("Open CASCADE STEP translator", "COMPOUND", "SOLID", "SHELL")
@@ -280,6 +283,7 @@ def _join(
     ]
     if joined:
         remarks.information.append(f"bodies that touch are joined: {', '.join(joined)}")
+    remarks.notes += _gaps(gmsh, found, lengths)
     return _lines(found), _lines(of_faces)
 
 
@@ -303,6 +307,38 @@ def _fragments(
     return [
         [part for part in of_one if part[0] == entity[0]]
         for entity, of_one in zip(entities, parts, strict=True)
+    ]
+
+
+def _gaps(gmsh: ModuleType, names: Mapping[Entity, Sequence[str]], lengths: Lengths) -> list[str]:
+    """Notes on bodies that almost touch: no shared face joins them, nor one of others.
+
+    Args:
+        gmsh: Gmsh with the bodies, those that touch joined.
+        names: Bodies with their names.
+        lengths: The user's unit.
+    """
+    dim, most = next(iter(names))[0], _ALMOST * diagonal(gmsh)
+    around = [
+        [(dim, int(tag)) for tag in gmsh.model.getAdjacencies(*face)[0]]
+        for face in gmsh.model.getEntities(dim - 1)
+    ]
+    groups = _connected(list(names), [[b for b in owners if b in names] for owners in around])
+    of = {body: number for number, group in enumerate(groups) for body in group}
+    boxes = {body: np.array(gmsh.model.getBoundingBox(*body)) for body in names}
+    nearest: dict[tuple[int, int], tuple[float, list[str]]] = {}
+    for a, b in combinations(names, 2):
+        apart = np.maximum(boxes[a][:3] - boxes[b][3:], boxes[b][:3] - boxes[a][3:])
+        if of[a] == of[b] or np.linalg.norm(np.maximum(apart, 0.0)) > most:
+            continue
+        distance = float(gmsh.model.occ.getDistance(*a, *b)[0])
+        pair = (of[a], of[b])
+        if distance <= most and distance < nearest.get(pair, (np.inf, []))[0]:
+            nearest[pair] = distance, [names[a][0], names[b][0]]
+    return [
+        f"{_listed(pair)} are {lengths.text(distance, 1)} apart and not joined, so that each moves "
+        "on its own: close the gap in the CAD program, or tie their surfaces by [[tie]]"
+        for distance, pair in nearest.values()
     ]
 
 
