@@ -249,3 +249,25 @@ def test_a_default_size_that_gmsh_cannot_mesh_is_changed(folder: Path) -> None:
     assert how.endswith("with which Gmsh finds no valid mesh")
     with pytest.raises(MeshError, match="Gmsh cannot mesh it: .* another mesh.size"):
         read_body(folder / "tube.brep", size=0.25)
+
+
+def test_cells_at_a_small_fillet_that_stay_straight_have_a_place(folder: Path) -> None:
+    """Cells of 9.4 mm at a fillet of 5 mm, in walls of 6 mm: only their number was told."""
+
+    def bracket(occ: Any) -> None:
+        walls, _ = occ.fuse(
+            [(3, occ.addBox(0, 0, 0, 60, 40, 6))], [(3, occ.addBox(0, 0, 0, 6, 40, 60))]
+        )
+        occ.synchronize()
+        near = (5.9, -1, 5.9, 6.1, 41, 6.1)
+        (edge,) = [tag for _, tag in occ.getEntitiesInBoundingBox(*near, 1)]
+        body = occ.fillet([walls[0][1]], [edge], [5])
+        occ.cut(body, [(3, occ.addCylinder(45, y, -1, 0, 0, 10, 3.5)) for y in (10, 30)])
+
+    write(folder / "bracket.step", bracket)
+    (how,) = [line for line in read_body(folder / "bracket.step").information if "Gmsh" in line]
+    found = re.search(r"but for (\d+) that would fold, (.*) mm: the stress there", how)
+    assert found is not None, how
+    places = np.array([[*map(float, p.split(","))] for p in re.findall(r"\(([^)]*)\)", found[2])])
+    assert len(places) == min(int(found[1]), 3)
+    assert (np.hypot(places[:, 0] - 11, places[:, 2] - 11) < 12).all(), "at the fillet"

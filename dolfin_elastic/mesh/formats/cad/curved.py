@@ -7,12 +7,13 @@ from types import ModuleType
 import numpy as np
 
 from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.mesh.formats.cad.shapes import Lengths
 
 _LEAST = 0.1
 """Smallest over largest determinant of the map of a curved cell; in straight ones it is 1."""
 
 
-def follow_curves(gmsh: ModuleType, dim: int, curved: bool | None) -> str:
+def follow_curves(gmsh: ModuleType, dim: int, curved: bool | None, lengths: Lengths) -> str:
     """Makes the cells quadratic, with their boundary nodes on the CAD surfaces.
 
     Where cells would fold, in a thin wall or at a small fillet, Gmsh moves nodes inside the body as
@@ -23,6 +24,7 @@ def follow_curves(gmsh: ModuleType, dim: int, curved: bool | None) -> str:
         gmsh: Gmsh with a mesh.
         dim: 2 or 3.
         curved: None: only if a face of the body is curved.
+        lengths: The user's unit.
 
     Returns:
         What has been done, for the note.
@@ -40,8 +42,13 @@ def follow_curves(gmsh: ModuleType, dim: int, curved: bool | None) -> str:
         return ""
     if len(_folded(gmsh, dim)):
         gmsh.model.mesh.optimize("HighOrderElastic")
-    count = _straighten_folded(gmsh, dim)
-    return ", cells curved" + (f", but for {count} that would fold" if count else "")
+    straight = _straighten_folded(gmsh, dim)
+    if not straight:
+        return ", cells curved"
+    return (
+        f", cells curved, but for {len(straight)} that would fold, {lengths.near(straight)}: the "
+        "stress there is that of straight cells; a smaller mesh.size follows the surface"
+    )
 
 
 _EDGES = {
@@ -89,8 +96,8 @@ def _folded(gmsh: ModuleType, dim: int) -> IntArray:
     return np.flatnonzero(smallest < _LEAST * largest)
 
 
-def _straighten_folded(gmsh: ModuleType, dim: int) -> int:
-    """Makes the edges of folded cells straight, and of those that then fold; their number."""
+def _straighten_folded(gmsh: ModuleType, dim: int) -> list[list[float]]:
+    """Makes the edges of folded cells straight, and of those that then fold; their middles."""
     straight: set[int] = set()
     while new := {int(cell) for cell in _folded(gmsh, dim)} - straight:
         straight |= new
@@ -99,4 +106,5 @@ def _straighten_folded(gmsh: ModuleType, dim: int) -> int:
         for a, b, c in _EDGES[dim]:
             for tag, place in zip(nodes[at, c], (x[at, a] + x[at, b]) / 2, strict=True):
                 gmsh.model.mesh.setNode(int(tag), place.tolist(), [])
-    return len(straight)
+    _, _, x = _nodes(gmsh, dim)
+    return [[float(part) for part in x[cell, : dim + 1].mean(axis=0)] for cell in sorted(straight)]

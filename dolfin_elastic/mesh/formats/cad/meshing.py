@@ -62,7 +62,7 @@ def mesh_file(
             where=path.name,
         )
     how = _mesh(gmsh, size, dim, path.name, lengths)
-    how += "" if curved is False else follow_curves(gmsh, dim, curved)
+    how += "" if curved is False else follow_curves(gmsh, dim, curved, lengths)
     return Remarks([*remarks.information, f"meshed by Gmsh, {how}"], remarks.notes)
 
 
