@@ -30,6 +30,8 @@ ALPHA = 0.2
 
 COVERED = 1e-3
 """Part of a node's surroundings from which it is tied."""
+_SINGULAR = 1e-12
+"""Eigenvalue of a facet's mass matrix over its largest below which it is round-off."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,9 @@ def integrate(
     np.add.at(means, pieces.near, np.einsum("np,npi->ni", weights, s))
     dual = np.zeros_like(masses)
     some = np.unique(pieces.near)
-    dual[some] = means[some, :, None] * np.linalg.inv(masses[some])
+    # A facet of which no more than a sliver lies opposite has a singular mass matrix.
+    inverse = np.linalg.pinv(masses[some], rcond=_SINGULAR, hermitian=True)
+    dual[some] = means[some, :, None] * inverse
     products = np.einsum("np,npi,npj->nij", weights, s, m)
     local = np.einsum("nij,njk->nik", dual[pieces.near], products)
     rows = np.repeat(near.nodes[pieces.near], m.shape[2], axis=1)

@@ -59,12 +59,14 @@ class PressureEnergy:
         return [part for part in regions if not part.incompressible]
 
     def energy(self) -> float:
-        """Energy of p* less the present pressure [J]. Collective."""
+        """Energy of p* less the present pressure [J]; NaN if p* is not found. Collective."""
         rows = la.vector(self._map, 1)
         fem.assemble_vector(rows.array, self._gap)
         rows.scatter_reverse(la.InsertMode.add)
         self._b.array_w[:] = rows.array[: self._map.size_local]
         self._ksp.solve(self._b, self._x)
+        if self._ksp.getConvergedReason() < 0:
+            return float("nan")
         return float(total(self._comm, 0.5 * float(self._b.array_r @ self._x.array_r)))
 
     def destroy(self) -> None:
