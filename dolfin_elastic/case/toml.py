@@ -98,6 +98,8 @@ def read_toml(file: str) -> dict[str, Any]:
         raise CaseError("there is no such case file", where=file, expected=hint) from None
     except OSError as error:
         raise CaseError(f"cannot be read: {error.strerror}", where=file) from None
+    except ValueError:  # Python converts no more than 4300 digits
+        raise CaseError(_TOO_LARGE, where=file, expected=_LARGEST) from None
     _check_limits(tables, file)
     return tables
 
@@ -111,6 +113,8 @@ time that grows with the square of their number."""
 
 LONGEST_NAME = 200
 DEEPEST = 20
+_TOO_LARGE = "an integer has too many digits"
+_LARGEST = "integers of 64 bits, as TOML has them, or a number such as 1e20"
 _TOO_DEEP = f"tables or lists are nested more than {DEEPEST} deep"
 
 
@@ -142,10 +146,19 @@ def _check_limits(tables: Mapping[str, Any], file: str) -> None:
                     where=place,
                     expected=f"at most {MOST_ROWS}; one table can have several surfaces in `on`",
                 )
-            if any(isinstance(one, dict | list) for one in value):
-                left += [(f"{where}[{i}]", v, depth + 1) for i, v in enumerate(value)]
+            left += [
+                (f"{where}[{i}]", v, depth + 1)
+                for i, v in enumerate(value)
+                if isinstance(v, dict | list) or _too_large(v)
+            ]
+        elif _too_large(value):
+            raise CaseError(_TOO_LARGE, where=place, expected=_LARGEST)
         elif isinstance(value, str) and "\0" in value:
             raise CaseError("a text with the character NUL", where=place)
+
+
+def _too_large(value: object) -> bool:
+    return isinstance(value, int) and not -(2**63) <= value < 2**63
 
 
 def shortened(text: str) -> str:

@@ -69,6 +69,12 @@ HOSTILE = {
         case("box = {size = [1, 1, 1], cells = [100000, 100000, 100000]}"),
         r"mesh.box.*6e\+15 cells are too many",
     ),
+    "digits": (case() + f"[output]\ncheckpoint = 1{'0' * 400}\n", r"output.checkpoint: an integer"),
+    "digits-list": (
+        case(f"box = {{size = [1, 1, 1], cells = [1, 1, 1{'0' * 30}]}}\n"),
+        r"cells\[2\]",
+    ),
+    "digits-many": (case() + f"x = 1{'0' * 5000}\n", r"an integer has too many digits"),
     "deep": (case() + "x = " + "[" * 5000 + "]" * 5000, r"nested more than 20 deep"),
     "deep-tables": (case() + ".".join(["a"] * 5000) + " = 1", r"nested more than 20 deep"),
     "name": (

@@ -83,7 +83,7 @@ def small(folder: Path) -> None:
     (folder / "case.toml").write_text(made.to_toml())
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("body", [LOOP, OTHERS_WAIT, CLOSING, CAUGHT, OUTPUT, ENERGY])
 def test_all_ranks_end(body: str, tmp_path: Path) -> None:
     """Also where the others wait for it in a call of the user's own."""

@@ -160,6 +160,7 @@ def test_stopped_amid_a_step(analysis: dict[str, Any], signals: int, tmp_path: P
         check_same(found, known, near=1e-7)
 
 
+@pytest.mark.long
 def test_the_third_signal_ends_at_once(tmp_path: Path) -> None:
     """Wherever the program is, here asleep; the summary says that it was stopped."""
     write_case(tmp_path, 3000)

@@ -172,7 +172,9 @@ def test_waiting_says_for_whom(tmp_path: Path, monkeypatch, caplog):
 
     def beat() -> None:
         for count in range(20):
-            file.write_text(json.dumps({**json.loads(file.read_text()), "beat": count}))
+            new = file.with_suffix(".new")  # by renaming: whoever looks reads the whole of it
+            new.write_text(json.dumps({**json.loads(file.read_text()), "beat": count}))
+            new.replace(file)
             time.sleep(0.1)
         (tmp_path / "f").mkdir()
         (tmp_path / "f/whole.json").write_text(json.dumps({"code": cache._checksum(file)}))

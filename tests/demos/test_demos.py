@@ -65,7 +65,7 @@ def test_all_there() -> None:
     assert {path.stem for path in SCRIPTS} == set(CHECKED)
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize("script", MARKED, ids=lambda path: path.stem)
 def test_script(script: Path, ranks: int, tmp_path: Path) -> None:

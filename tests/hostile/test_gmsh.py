@@ -283,6 +283,7 @@ def test_the_start_is_quick() -> None:
 # --- limits ---
 
 
+@pytest.mark.long
 def test_an_endless_loop_is_ended(tmp_path: Path) -> None:
     (tmp_path / "a.geo").write_text(f"{BOX}For i In {{1:1e18}}\n x = i;\nEndFor\n")
     for command in ("check", "run"):

@@ -58,6 +58,7 @@ def test_markup_is_text() -> None:
     assert out.getvalue() == "[red]x[/red] [link=http://x]y[/link] :smile: \\u001b[1m\n"
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     "words", [["check"], ["check", "--json"], ["run", "--quiet"], ["run"]], ids=" ".join
 )
@@ -113,6 +114,7 @@ def test_on_a_terminal(tmp_path: Path) -> None:
 SHADOWS = ("numpy", "random", "platform", "typer", "rich", "pydantic", "dolfinx", "gmsh", "h5py")
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     "program",
     [PROGRAM, ["dolfin-elastic"], [sys.executable, "-P", "-m", "dolfin_elastic"]],

@@ -115,12 +115,14 @@ class Claim:
         return json.dumps({"token": self._token, "beat": count, **_this_process()})
 
     def _beat(self) -> None:
-        count = 0
+        count, new = 0, self._file.with_name(f"{self._file.name}.{self._token}")
         while not self._end.wait(BEAT):
             count += 1
             with suppress(OSError):
                 if _read(self._file).get("token") == self._token:
-                    self._file.write_text(self._text(count), encoding="utf-8")
+                    # By renaming: whoever looks, this process too, reads the whole of it.
+                    new.write_text(self._text(count), encoding="utf-8")
+                    new.replace(self._file)
 
 
 class _Watch:

@@ -13,7 +13,14 @@ _LEAST = 0.1
 """Smallest over largest determinant of the map of a curved cell; in straight ones it is 1."""
 
 
-def follow_curves(gmsh: ModuleType, dim: int, curved: bool | None, lengths: Lengths) -> str:
+_LARGE, _FAIR = 60.0, 45.0
+"""Angles in degrees by which the edge of a cell turns along a curved surface: from the first on the
+estimated error of a peak there is too small, with the second it was right (fillets of brackets)."""
+
+
+def follow_curves(
+    gmsh: ModuleType, dim: int, curved: bool | None, lengths: Lengths
+) -> tuple[str, list[str]]:
     """Makes the cells quadratic, with their boundary nodes on the CAD surfaces.
 
     Where cells would fold, in a thin wall or at a small fillet, Gmsh moves nodes inside the body as
@@ -27,7 +34,7 @@ def follow_curves(gmsh: ModuleType, dim: int, curved: bool | None, lengths: Leng
         lengths: The user's unit.
 
     Returns:
-        What has been done, for the note.
+        What has been done, and notes on what is doubtful.
     """
     flat = "Plane" if dim == 3 else "Line"
     properties = map(gmsh.model.mesh.getElementProperties, gmsh.model.mesh.getElementTypes(dim))
@@ -35,20 +42,21 @@ def follow_curves(gmsh: ModuleType, dim: int, curved: bool | None, lengths: Leng
         any(order > 1 for _, _, order, *_ in properties)  # as a .geo file says
         or all(gmsh.model.getType(*face) == flat for face in gmsh.model.getEntities(dim - 1))
     ):
-        return ""
+        return "", []
     gmsh.model.mesh.setOrder(2)
     if curved is None and not _is_curved(gmsh, dim):
         gmsh.model.mesh.setOrder(1)
-        return ""
+        return "", []
+    notes = _coarse(gmsh, dim, lengths)
     if len(_folded(gmsh, dim)):
         gmsh.model.mesh.optimize("HighOrderElastic")
     straight = _straighten_folded(gmsh, dim)
     if not straight:
-        return ", cells curved"
+        return ", cells curved", notes
     return (
         f", cells curved, but for {len(straight)} that would fold, {lengths.near(straight)}: the "
         "stress there is that of straight cells; a smaller mesh.size follows the surface"
-    )
+    ), notes
 
 
 _EDGES = {
@@ -73,14 +81,33 @@ def _nodes(gmsh: ModuleType, dim: int) -> tuple[IntArray, IntArray, FloatArray]:
 
 def _is_curved(gmsh: ModuleType, dim: int) -> bool:
     """Whether a quadratic facet of the boundary has a middle node off its straight edge."""
+    rise, chord, _ = _arcs(gmsh, dim)
+    return bool(np.any(rise > 1e-6 * chord))
+
+
+def _arcs(gmsh: ModuleType, dim: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rise and chord of the edges of the boundary's quadratic facets, and their middle nodes."""
     _, _, x = _nodes(gmsh, dim - 1)
-    return any(
-        np.any(
-            np.linalg.norm(x[:, c] - (x[:, a] + x[:, b]) / 2, axis=1)
-            > 1e-6 * np.linalg.norm(x[:, b] - x[:, a], axis=1)
-        )
-        for a, b, c in _EDGES[dim - 1]
-    )
+    a, b, c = (x[:, list(which)].reshape(-1, 3) for which in zip(*_EDGES[dim - 1], strict=True))
+    return np.linalg.norm(c - (a + b) / 2, axis=1), np.linalg.norm(b - a, axis=1), c
+
+
+def _coarse(gmsh: ModuleType, dim: int, lengths: Lengths) -> list[str]:
+    """A note where cells are too large for a curved surface.
+
+    The tangent of a circle of which an edge is a chord turns by 4 atan(2 rise/chord).
+    """
+    rise, chord, middle = _arcs(gmsh, dim)
+    angles = np.degrees(4 * np.arctan2(2 * rise, chord))
+    worst = int(np.argmax(angles)) if len(angles) else 0
+    if not len(angles) or angles[worst] < _LARGE:
+        return []
+    size = lengths.text(chord[worst] * _FAIR / angles[worst], 1)
+    return [
+        f"a cell turns by {angles[worst]:.0f} degrees along a curved surface, "
+        f"{lengths.near([middle[worst].tolist()])}: a peak of stress there can be off by more than "
+        f'its estimated error; mesh.size = "{size}" follows that surface'
+    ]
 
 
 def _folded(gmsh: ModuleType, dim: int) -> IntArray:

@@ -62,8 +62,9 @@ def mesh_file(
             where=path.name,
         )
     how = _mesh(gmsh, size, dim, path.name, lengths)
-    how += "" if curved is False else follow_curves(gmsh, dim, curved, lengths)
-    return Remarks([*remarks.information, f"meshed by Gmsh, {how}"], remarks.notes)
+    curves, notes = ("", []) if curved is False else follow_curves(gmsh, dim, curved, lengths)
+    meshed = f"meshed by Gmsh, {how}{curves}"
+    return Remarks([*remarks.information, meshed], [*remarks.notes, *notes])
 
 
 def load(gmsh: ModuleType, path: Path) -> None:
