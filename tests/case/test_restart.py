@@ -187,7 +187,7 @@ def numbers(states: list[State]) -> list[dict[str, Any]]:
     return [dict(state) if isinstance(state, dict) else row(state) for state in states]
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("name", SOLVES)
 def test_a_solver_goes_on(name: str, folder: Path) -> None:
     """From each of its steps, through a file, in a problem of its own."""

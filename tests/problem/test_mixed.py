@@ -241,6 +241,7 @@ def twisted(body: Body, angle: float, degree: int) -> tuple[float, float, float]
     return float(body.comm.allreduce(moment)), float(state.reactions["high"][2]), change
 
 
+@pytest.mark.long
 def test_torsion_of_an_incompressible_cylinder(comm, folder):
     """T = pi mu a^4 psi/2 and N = -pi mu a^4 psi^2/4 at psi = 1: Poynting's effect.
 
@@ -292,6 +293,7 @@ def test_a_homogeneous_state_is_exact(law, degree):
     assert answers[0] == pytest.approx(answers[1], rel=1e-10)
 
 
+@pytest.mark.long
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_iterations_give_the_factorisation_answer(degree):
@@ -312,6 +314,7 @@ def test_iterations_give_the_factorisation_answer(degree):
     assert found[0] == pytest.approx(found[1], rel=1e-8)
 
 
+@pytest.mark.long
 def test_only_the_part_that_needs_it_has_a_pressure():
     """Rubber on foam: the foam's cells keep their own volumetric energy, and its stress."""
     body = name_parts(
@@ -417,6 +420,7 @@ def test_the_explicit_scheme_has_no_pressure():
         next(Dynamics(problem, scheme="symplectic-euler", end=1.0).steps())
 
 
+@pytest.mark.long
 def test_the_volume_change_is_reported(folder):
     """|J - 1| below 1e-3 where nothing is singular: a block sheared between plates."""
     tables = {

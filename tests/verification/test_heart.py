@@ -59,6 +59,7 @@ def ventricle(cells: tuple[int, int]) -> str:
     return patch(corners, cells, kinds={1: "ellipse", 3: "ellipse"}, order=2)
 
 
+@pytest.mark.long
 def test_ventricle(folder):
     """Problem 2: a ventricle blown up to 10 kPa: its apex goes to -26.613(4), -28.280(4) mm.
 

@@ -46,7 +46,7 @@ def slopes(law: Law, dim: int, degree: int, cells: Sequence[int]) -> np.ndarray:
     return np.polyfit(np.log(1 / np.array(cells)), np.log(table), 1)[0]
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("dim", "degree", "cells"),
     [(2, 1, (12, 24, 48)), (2, 2, (6, 12, 24)), (3, 1, (5, 10, 15)), (3, 2, (3, 5, 7))],

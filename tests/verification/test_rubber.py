@@ -93,6 +93,7 @@ def test_curve_of_the_sphere():
     assert sphere_pressure(2, 0.4, 0.1) == pytest.approx(1.033830178250, rel=1e-11)
 
 
+@pytest.mark.long
 @pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("material", "stretch"), [(RUBBER, 1.1), (RUBBER, 1.25), (RUBBER, 1.5), (MOONEY, 1.5)]

@@ -77,7 +77,7 @@ def test_every_energy_has_a_reference():
     assert [n for n, kind in MATERIALS.items() if n not in ENERGIES] == ["textbook"]
 
 
-@pytest.mark.sample(5)
+@pytest.mark.sample(3)
 @pytest.mark.usefixtures("serial_only")
 @pytest.mark.parametrize("name", ENERGIES)
 def test_energy_stress_and_tangent(name):

@@ -106,6 +106,7 @@ def test_curved_cells_in_which_the_gradients_vary():
     check(Problem(body, SOFT, degree=2, supports=[Support(on="inside")]))
 
 
+@pytest.mark.long
 def test_two_materials_constants_that_vary_growth_springs_and_pressure():
     body = name_parts(
         box_body(size=(1.0, 1.0, 1.0), cells=(2, 2, 2)),

@@ -53,6 +53,7 @@ def warned(problem: Problem, **settings: Any) -> tuple[list[str], State]:
 # --- work ---
 
 
+@pytest.mark.long
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("radius", [0.9, 0.5])
 @pytest.mark.parametrize("scheme", ["alpha2", "generalized-alpha"])

@@ -85,7 +85,7 @@ def order(residuals: tuple[float, ...], floor: float) -> float:
     return float(np.log(r[-1] / r[-2]) / np.log(r[-2] / r[-3]))
 
 
-@pytest.mark.sample(6)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("load", ["traction", "displacement"])
 @pytest.mark.parametrize("name", [n for n, kind in MATERIALS.items() if not kind.linear])
 def test_quadratic(name, load):

@@ -254,6 +254,7 @@ def test_a_continued_run_is_the_same(kind, scheme):
         )
 
 
+@pytest.mark.long
 def test_states_do_not_change_the_motion():
     """How often it is looked at only rounds differently."""
     ends = []

@@ -144,6 +144,7 @@ def test_a_law_that_lets_cells_turn(scheme: str, comm: MPI.Comm) -> None:
     assert last.max_displacement < 2.0
 
 
+@pytest.mark.long
 def test_a_formula_without_a_value(comm: MPI.Comm) -> None:
     """No cell has turned, but the material is stretched beyond its limit."""
     body = box_body(size=(1, 1, 1), cells=(2, 2, 2), comm=comm)

@@ -465,6 +465,7 @@ def test_little_energy_is_judged_like_much():
     assert said[0] == said[1] == ["the scheme has damped"]
 
 
+@pytest.mark.long
 def test_a_motion_goes_on_as_if_it_had_never_stopped():
     """From copied arrays and numbers as JSON, in a new problem: the same states to round-off."""
     upright, lying = tall(), long()  # two of a kind can be parted and numbered in two ways

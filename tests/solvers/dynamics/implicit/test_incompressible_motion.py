@@ -225,6 +225,7 @@ SCHEMES = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_ring_that_breathes(folder, scheme):
