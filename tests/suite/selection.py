@@ -3,9 +3,10 @@
 Where the command line names files, all of their tests run, whatever set they belong to.  Else:
 
                    one rank                        n ranks
-    quick set      what is not `long`, and of      one parameter of each test of the files that
-                   a `sample(k)` k parameters      run on n ranks, if it is neither `long` nor SLOW,
-                                                   on 2 or on 3 where a file runs on both
+    quick set      what is not `long`, and of      one parameter of every second test of the files
+                   a `sample(k)` k parameters      that run on n ranks, if it is neither `long` nor
+                                                   SLOW; where a file runs on 2 and 3, the others
+                                                   run on 3
     all (--all)    every test                      every test and parameter of these files
 
 and the rest (--rest) is all but the quick set.
@@ -194,8 +195,8 @@ def _quick(items: Iterable[pytest.Item], ranks: int) -> list[pytest.Item]:
     for group in _alike(short):
         file = _file(group[0])
         seen[file] += 1
-        # Each test of what ranks share runs on two ranks or on three, each of the files on both.
-        if ranks > 1 and file in SHARED and (seen[file] + ranks) % 2:
+        # Each test of what ranks share runs on two ranks or on three, each of its files on both.
+        if ranks > 1 and (seen[file] + ranks) % 2:
             continue
         sample = group[0].get_closest_marker("sample")
         most = 1 if ranks > 1 else sample.args[0] if sample else len(group)
