@@ -164,6 +164,7 @@ def test_run(folder: Path, ranks: int) -> None:
     assert summary["reactions"]["left"][2] == pytest.approx(-1e4, rel=1e-6)
 
 
+@pytest.mark.long
 def test_only_own_files_are_listed(folder: Path) -> None:
     """Files of others stay and are not named; what an older run has left goes."""
     (folder / "case.toml").write_text(
@@ -211,6 +212,7 @@ def test_wrong_case(folder: Path, ranks: int) -> None:
     assert [path.name for path in folder.iterdir()] == ["case.toml"]
 
 
+@pytest.mark.long
 def test_motion(folder: Path) -> None:
     """Time instead of load; a step above the stable one is refused before anything is written."""
     text = CASE.replace("nu = 0.3", "nu = 0.3\ndensity = 1000").replace(
@@ -342,6 +344,7 @@ dt = 0.01
 """Newmark's scheme far beyond its stable step; nothing else is wrong."""
 
 
+@pytest.mark.long
 def test_energy_from_nowhere_has_its_own_exit_code(folder: Path) -> None:
     """Such a run ended with code 0; its results are complete."""
     (folder / "gains.toml").write_text(GAINS)
@@ -361,6 +364,7 @@ def test_energy_from_nowhere_has_its_own_exit_code(folder: Path) -> None:
     assert f"audit FAIL: {line}" in err
 
 
+@pytest.mark.long
 def test_petsc_options(folder: Path) -> None:
     """They reach the solver; there is a warning of those that no solver asks for."""
     code, _, err = cli(
@@ -376,6 +380,7 @@ def test_petsc_options(folder: Path) -> None:
     assert {"mesh", "assemble", "solve", "output"} <= set(stages)  # see core/timing.py
 
 
+@pytest.mark.long
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("command", ["run", "check"])
 @pytest.mark.parametrize("option", ["snes_rtol", "snes_atol", "snes_stol", "snes_max_it"])

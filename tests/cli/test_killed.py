@@ -216,6 +216,7 @@ def test_a_file_that_stopped_another_run_is_forgotten(tmp_path: Path) -> None:
     assert not (folder / "stop").exists()
 
 
+@pytest.mark.long
 def test_a_run_that_is_refused_leaves_the_stop_file_of_another(tmp_path: Path) -> None:
     """Whose run it shall end is going."""
     write_case(tmp_path, 3)

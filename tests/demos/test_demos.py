@@ -78,6 +78,7 @@ def test_script(script: Path, ranks: int, tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.long
 def test_tetrahedron_on_three_ranks(tmp_path: Path) -> None:
     """Two ranks without a cell."""
     out = launched([str(DEMOS / "tetrahedron/tetrahedron.py")], tmp_path, 3)

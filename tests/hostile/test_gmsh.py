@@ -350,6 +350,7 @@ def test_a_limit_of_the_users_own(tmp_path: Path) -> None:
 # --- scripts of one's own ---
 
 
+@pytest.mark.long
 def test_trust(tmp_path: Path) -> None:
     """Only what the user says on the command line lets a script do what it wants."""
     (tmp_path / "common").mkdir()
@@ -374,6 +375,7 @@ def test_trust(tmp_path: Path) -> None:
     assert "unknown key 'trust'" in err
 
 
+@pytest.mark.long
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [3, 1])
 def test_several_ranks(tmp_path: Path, ranks: int) -> None:

@@ -114,6 +114,7 @@ def test_on_a_terminal(tmp_path: Path) -> None:
 SHADOWS = ("numpy", "random", "platform", "typer", "rich", "pydantic", "dolfinx", "gmsh", "h5py")
 
 
+@pytest.mark.long
 @pytest.mark.sample(1)
 @pytest.mark.parametrize(
     "program",

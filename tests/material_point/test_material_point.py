@@ -287,6 +287,7 @@ def test_growth_as_the_volume_vanishes(law, text):
     assert text in finding.text
 
 
+@pytest.mark.long
 @pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("volumetric", "text"),
@@ -403,6 +404,7 @@ def test_on_two_ranks_it_is_said_once(tmp_path):
     assert out.count("Treloar") == 1
 
 
+@pytest.mark.long
 @ALONE
 def test_commands_in_json(tmp_path):
     out = json.loads(started(tmp_path, "material", "m.toml", "--json", "-o", "b").stdout)
