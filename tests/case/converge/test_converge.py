@@ -84,7 +84,7 @@ def test_stress_at_a_hole(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> N
     with caplog.at_level("INFO", "dolfin_elastic"):
         progress = last(plate(folder), folder / "out", "von_mises on hole", "2%")
     said = [r for r in caplog.records if r.getMessage().startswith("largest von Mises stress")]
-    assert len(said) == 1, "of the last mesh alone"
+    assert len(said) == (WORLD.rank == 0), "of the last mesh alone, once for all ranks"
     assert len(progress.levels) > 1
     found = progress.last
     assert progress.verdict == "reached"
