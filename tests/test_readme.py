@@ -43,8 +43,7 @@ from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, Picture
 from dolfin_elastic.solvers.dynamics.schemes import SCHEMES
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
-from dolfin_elastic.solvers.eigen.buckling import BucklingSettings
-from dolfin_elastic.solvers.eigen.modal import ModalSettings
+from dolfin_elastic.solvers.eigen.settings import BucklingSettings, ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 

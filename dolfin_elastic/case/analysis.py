@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Literal, Self, TypeAlias
 
 from pydantic import model_validator
 
@@ -14,16 +14,20 @@ from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.outputs import Output as File
-from dolfin_elastic.solvers.dynamics.dynamics import Dynamics
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
-from dolfin_elastic.solvers.eigen.buckling import Buckling, BucklingSettings
-from dolfin_elastic.solvers.eigen.modal import Modal, ModalSettings
+from dolfin_elastic.solvers.eigen.settings import BucklingSettings, ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
-from dolfin_elastic.solvers.statics.statics import Statics
+
+if TYPE_CHECKING:
+    from dolfin_elastic.solvers.dynamics.dynamics import Dynamics
+    from dolfin_elastic.solvers.eigen.buckling import Buckling
+    from dolfin_elastic.solvers.eigen.modal import Modal
+    from dolfin_elastic.solvers.statics.statics import Statics
+
+    Solver: TypeAlias = Statics | Dynamics | Modal | Buckling
 
 Analysis = Literal["statics", "dynamics", "modal", "buckling"]
-Solver = Statics | Dynamics | Modal | Buckling
 
 ANALYSES: tuple[Analysis, ...] = ("statics", "dynamics", "modal", "buckling")
 """Keys of the tables, of which a case has one; [statics] also beside a preload."""
@@ -125,14 +129,23 @@ class AnalysisTables(ModelTables):
         Raises:
             InputError: The analysis cannot be made of this problem.
         """
+        # Each is imported where it is needed: together they are a fifth of the package.
         if self.dynamics is not None:
+            from dolfin_elastic.solvers.dynamics.dynamics import Dynamics
+
             return Dynamics(problem, self.dynamics, linear=self.solver, petsc=petsc)
         if self.modal is not None:
+            from dolfin_elastic.solvers.eigen.modal import Modal
+
             return Modal(problem, self.modal, statics=self.statics, linear=self.solver, petsc=petsc)
         if self.buckling is not None:
+            from dolfin_elastic.solvers.eigen.buckling import Buckling
+
             return Buckling(
                 problem, self.buckling, statics=self.statics, linear=self.solver, petsc=petsc
             )
+        from dolfin_elastic.solvers.statics.statics import Statics
+
         return Statics(problem, self.statics, linear=self.solver, petsc=petsc)
 
     def files(self) -> list[File]:

@@ -16,12 +16,12 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 from pydantic import PrivateAttr
 
-from dolfin_elastic.case.analysis import ANALYSES, AnalysisTables, Solver
+from dolfin_elastic.case.analysis import ANALYSES, AnalysisTables
 from dolfin_elastic.case.curve_files import with_curves
 from dolfin_elastic.case.model_tables import read_material_tables
 from dolfin_elastic.case.tables import Material, table_of
@@ -32,6 +32,9 @@ from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import within
 from dolfin_elastic.mesh import Body, name_parts
 from dolfin_elastic.problem.problem import Problem
+
+if TYPE_CHECKING:
+    from dolfin_elastic.case.analysis import Solver
 
 
 class Case(AnalysisTables):

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from itertools import chain, islice
 from os import PathLike
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from mpi4py import MPI
 
-from dolfin_elastic.case.analysis import Solver
 from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.check import check
 from dolfin_elastic.case.check.formulas import check_poles
@@ -47,6 +46,9 @@ from dolfin_elastic.results.writer import ModeWriter, Writer
 from dolfin_elastic.results.writers.modes import clear as clear_modes
 from dolfin_elastic.results.writers.xdmf import remove
 from dolfin_elastic.solvers.nonlinear.contact import warn_of_untouched
+
+if TYPE_CHECKING:
+    from dolfin_elastic.case.analysis import Solver
 
 log = logging.getLogger("dolfin_elastic")
 States = Generator[State | Mode, None, None]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import sys
 from collections.abc import Generator
@@ -133,8 +134,15 @@ def begin(quiet: bool) -> MPI.Comm:
     """Shows log messages from now on, with `quiet` warnings only; all ranks."""
     from mpi4py import MPI
 
+    collect_garbage()
     log_to_screen(MPI.COMM_WORLD.rank, logging.WARNING if quiet else logging.INFO)
     return MPI.COMM_WORLD
+
+
+def collect_garbage() -> None:
+    """Looks for garbage from now on, but not among what importing has made; see `main`."""
+    gc.freeze()
+    gc.enable()
 
 
 @dataclass

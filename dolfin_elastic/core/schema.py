@@ -63,6 +63,7 @@ class Record(BaseModel, metaclass=_InputErrorMeta):
     model_config = ConfigDict(
         frozen=True,
         extra="forbid",
+        defer_build=True,
         arbitrary_types_allowed=True,
         populate_by_name=True,
         validate_default=False,

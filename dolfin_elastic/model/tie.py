@@ -10,6 +10,9 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.units import Length
 from dolfin_elastic.model.on_surfaces import OnSurfaces
 
+EXPLICIT_TIES = "explicit schemes have a mass at each node, and tied nodes none of their own"
+IMPLICIT = 'dynamics.scheme = "newmark" or "generalized-alpha"'
+
 
 class Tie(OnSurfaces):
     """Surfaces whose displacement follows that of others that lie opposite.

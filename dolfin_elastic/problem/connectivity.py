@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from dolfinx import la
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.mesh.body import connected_components
 from dolfin_elastic.problem.problem import Problem
 
 _JOINED = 3
@@ -47,10 +46,7 @@ class ConnectedBodies:
     def _components_here(self) -> IntArray:
         """Component of each local node, numbered from 0 on each rank."""
         nodes = self._map.size_local + self._map.num_ghosts
-        first = np.repeat(self._dofs[:, 0], self._dofs.shape[1])
-        ones = np.ones(len(first), dtype=np.int8)
-        graph = coo_array((ones, (first, self._dofs.ravel())), shape=(nodes, nodes))
-        return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+        return connected_components(nodes, self._dofs)[1]
 
     def _joined(self, own: IntArray) -> tuple[int, IntArray]:
         """How many bodies there are, and the body of each of this rank's components."""
@@ -68,10 +64,8 @@ class ConnectedBodies:
             pairs = np.concatenate([pairs, self._ties.links(nodes)])
         pairs = np.unique(pairs, axis=0)
         links = np.concatenate(self.comm.allgather(pairs))
-        size = sum(counts)
-        graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(size, size))
-        found, numbers = connected_components(graph, directed=False)
-        return int(found), np.asarray(numbers[start : start + mine], dtype=np.int64)
+        found, numbers = connected_components(sum(counts), links)
+        return found, numbers[start : start + mine]
 
     def _number_by_place(self) -> None:
         """Numbers the bodies by where they are, then by their cells: the same on any ranks."""

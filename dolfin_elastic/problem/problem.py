@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import ufl
 from dolfinx.fem import Constant
@@ -44,8 +45,10 @@ from dolfin_elastic.problem.material_regions import (
 from dolfin_elastic.problem.periodic.fluctuation import Fluctuation
 from dolfin_elastic.problem.periodic.unit_cell import Cell, make_cell
 from dolfin_elastic.problem.spaces import Unknowns
-from dolfin_elastic.problem.ties.ties import Ties
 from dolfin_elastic.problem.weak_form import WeakForm
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem.ties.ties import Ties
 
 
 class Problem:
@@ -158,6 +161,8 @@ class Problem:
         )
         self.ties: Ties | None = None
         if ties:
+            from dolfin_elastic.problem.ties.ties import Ties  # and all of scipy.sparse
+
             self.ties = Ties(body, self.V, ties, self.dirichlet, axisymmetric=axisymmetric)
         # Terms that few problems have are only made on demand, to keep the usual path short.
         kinds = {type(load) for load in self.loads}

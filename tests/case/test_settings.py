@@ -26,8 +26,7 @@ from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.schema import known_keys
 from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
-from dolfin_elastic.solvers.eigen.buckling import BucklingSettings
-from dolfin_elastic.solvers.eigen.modal import ModalSettings
+from dolfin_elastic.solvers.eigen.settings import BucklingSettings, ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.tables import MeshTable, Output
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
-from dolfin_elastic.solvers.eigen.modal import ModalSettings
+from dolfin_elastic.solvers.eigen.settings import ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 

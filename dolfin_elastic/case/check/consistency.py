@@ -20,9 +20,9 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.supports.springs import ResistingSupport
+from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.problem.material_regions import volume_modulus
-from dolfin_elastic.problem.ties.ties import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.results.fields import FIELDS
 
 

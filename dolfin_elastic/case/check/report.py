@@ -55,9 +55,7 @@ from dolfin_elastic.solvers.diagnostics.rigid_body import (
     check_no_rigid_motion,
     free_bodies,
 )
-from dolfin_elastic.solvers.dynamics.implicit.implicit import suited
-from dolfin_elastic.solvers.eigen.buckling import Buckling
-from dolfin_elastic.solvers.eigen.modal import UNMOVED, Modal
+from dolfin_elastic.solvers.eigen.settings import UNMOVED
 from dolfin_elastic.solvers.linear.choice import Choice, choose
 
 PLANE = ("plane-strain", "plane-stress")
@@ -209,6 +207,8 @@ def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
             check_damped(problem, case.dynamics.damping.get("stiffness", 0.0))
         case.dynamics.row.scheme.check(problem, case.dynamics.scheme)
         if case.dynamics.parameters is not None:
+            from dolfin_elastic.solvers.dynamics.implicit.implicit import suited
+
             suited(problem, case.dynamics.parameters)
     notes = start_notes(problem, case.dynamics) if case.dynamics is not None else ()
     if case.analysis in ("statics", "dynamics") or case.preloaded:
@@ -223,12 +223,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
     integrals = Integrals(problem, case.mesh.metres_thick(body))
     check_formulas(case, integrals)
     sums = load_sums(case, integrals)
-    moving = case.dynamics is not None
-    solver = case.make_solver(problem)
-    if isinstance(solver, Modal | Buckling):
-        choice: Choice | None = solver.choice
-    else:
-        choice = None if case.explicit else choose(problem, case.solver, moving=moving)
+    choice = _solver_choice(case, problem)
     return Report(
         case=case.file,
         title=case.title,
@@ -272,6 +267,19 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         bodies=tuple(free_bodies(problem)),
         memory=memory(problem, choice),
     )
+
+
+def _solver_choice(case: Case, problem: Problem) -> Choice | None:
+    """How the equations are solved; None: none are. Collective."""
+    solver = case.make_solver(problem)
+    if case.gives_modes:
+        from dolfin_elastic.solvers.eigen.buckling import Buckling
+        from dolfin_elastic.solvers.eigen.modal import Modal
+
+        assert isinstance(solver, Modal | Buckling)
+        return solver.choice
+    moving = case.dynamics is not None
+    return None if case.explicit else choose(problem, case.solver, moving=moving)
 
 
 def _thickness(case: Case, problem: Problem) -> float | None:

@@ -11,6 +11,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import agree, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
+from dolfin_elastic.mesh.body import connected_components
 from dolfin_elastic.mesh.formats.raw import RawMesh, format_points
 
 
@@ -216,12 +217,8 @@ def _hinged(raw: RawMesh, here: IntArray, there: IntArray) -> RawMesh:
         here: A cell beside each facet inside.
         there: The cell on its other side.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     corners = _corners(raw)
-    links = coo_array((np.ones(len(here), dtype=bool), (here, there)), (len(corners),) * 2)
-    pieces, label = connected_components(links, directed=False)
+    pieces, label = connected_components(len(corners), np.stack([here, there], axis=1))
     if pieces == 1:
         return raw
     of_nodes = np.stack([corners.ravel(), np.repeat(label, raw.dim + 1)], axis=1)
@@ -238,13 +235,8 @@ def _hinged(raw: RawMesh, here: IntArray, there: IntArray) -> RawMesh:
 
 
 def _pieces(raw: RawMesh) -> RawMesh:
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     corners, n = _corners(raw), len(raw.points)
-    rows = np.repeat(corners[:, 0], raw.dim)
-    links = coo_array((np.ones(len(rows), dtype=bool), (rows, corners[:, 1:].ravel())), (n, n))
-    _, label = connected_components(links, directed=False)
+    _, label = connected_components(n, corners)
     sizes = np.bincount(label[corners[:, 0]])
     sizes = np.sort(sizes[sizes > 0])[::-1]
     if len(sizes) == 1:
@@ -255,7 +247,7 @@ def _pieces(raw: RawMesh) -> RawMesh:
         f"the mesh is in {len(sizes)} unconnected pieces of {text} cells: each "
         "needs its own support, or a [[tie]]",
     )
-    same = _same_places(raw, np.asarray(label))
+    same = _same_places(raw, label)
     if not len(same):
         return raw
     return _noted(

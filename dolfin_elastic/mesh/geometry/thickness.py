@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from dolfinx import la
 from dolfinx.mesh import Mesh
-from scipy.sparse import csr_array
 
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.geometry.curved import cell_volumes, facet_areas
@@ -94,6 +93,8 @@ class _Walk:
         vertices = mesh.topology.connectivity(d, 0).array.reshape(-1, d + 1)[: len(volumes)]
         shape = (len(volumes), self._map.size_local + self._map.num_ghosts)
         start = np.arange(0, vertices.size + 1, d + 1)
+        from scipy.sparse import csr_array
+
         self._mean = csr_array(
             (np.full(vertices.size, 1 / (d + 1)), vertices.ravel(), start), shape=shape
         )

@@ -15,13 +15,10 @@ import numpy as np
 from dolfinx import cpp, fem, la
 from dolfinx.graph import adjacencylist
 from mpi4py import MPI
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
-from dolfin_elastic.mesh.body import Body, span
+from dolfin_elastic.mesh.body import Body, connected_components, span
 
 NEAR = 1e-6
 """Distance over the body's diagonal within which two nodes are the same."""
@@ -178,6 +175,8 @@ class PeriodicPairing:
 
     def _match(self, a: FloatArray, b: FloatArray, vector: FloatArray, k: int) -> IntArray:
         """Index in a of the image of each point of b."""
+        from scipy.spatial import cKDTree
+
         shift = np.zeros(3)
         shift[: len(vector)] = vector
         for here, there, way, side in ((a, b, shift, 0), (b, a, -shift, 1)):
@@ -236,9 +235,7 @@ def _shown(vector: FloatArray) -> str:
 def _classes(edges: IntArray) -> tuple[IntArray, IntArray]:
     """Global indices in pairs, sorted, and the smallest index of the class of each."""
     ids, flat = np.unique(edges, return_inverse=True)
-    a, b = flat.reshape(edges.shape).T
-    graph = coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(len(ids), len(ids)))
-    _, label = connected_components(graph, directed=False)
+    _, label = connected_components(len(ids), flat.reshape(edges.shape))
     _, first = np.unique(label, return_index=True)  # the first of a class is its smallest
     return ids, ids[first[label]]
 

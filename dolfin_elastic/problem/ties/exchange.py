@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
-from scipy.sparse import csr_array
 
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 class Owners:
@@ -46,6 +49,8 @@ class Owners:
             columns: Global column.
             values: The entry.
         """
+        from scipy.sparse import csr_array
+
         i, j, v = self._sent(self._ranks(rows), (rows, columns, values))
         return csr_array((v, (i - self.first, j)), shape=(self.count, self.size))
 
@@ -71,6 +76,8 @@ class Product:
     """
 
     def __init__(self, owners: Owners, rows: csr_array) -> None:
+        from scipy.sparse import csr_array
+
         self._owners, comm = owners, owners.comm
         ids, columns = np.unique(rows.indices.astype(np.int64), return_inverse=True)
         shape = (rows.shape[0], len(ids))

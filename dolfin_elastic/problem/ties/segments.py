@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import basix
 import numpy as np
-from scipy.spatial import cKDTree
 
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.problem.ties.facets import Facets
@@ -132,6 +131,8 @@ def _candidates(a: _Flat, b: _Flat, tolerance: float | None) -> tuple[IntArray, 
     longest = float(sizes[1].max())
     reach = GAP * np.maximum(sizes[0], longest) if tolerance is None else tolerance
     reach = np.minimum(sizes[0] + longest + reach, 1e300)
+    from scipy.spatial import cKDTree
+
     found = cKDTree(middles[1]).query_ball_point(middles[0], reach)
     i = np.repeat(np.arange(len(a.x)), [len(row) for row in found])
     j = np.concatenate([nothing, *map(np.asarray, found)]).astype(np.int64)

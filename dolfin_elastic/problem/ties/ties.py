@@ -32,10 +32,6 @@ CHAIN = 8
 """Ties that may follow one another."""
 
 
-EXPLICIT_TIES = "explicit schemes have a mass at each node, and tied nodes none of their own"
-IMPLICIT = 'dynamics.scheme = "newmark" or "generalized-alpha"'
-
-
 @dataclass(frozen=True)
 class TiedSurfaces:
     """What one tie holds together.

@@ -12,9 +12,9 @@ from petsc4py import PETSc
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys, settings_from
+from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
-from dolfin_elastic.problem.ties.ties import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
 from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit
 from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial

@@ -31,12 +31,11 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
-from pydantic import Field
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.petsc_options import PetscOptions
-from dolfin_elastic.core.schema import Record, settings_from
+from dolfin_elastic.core.schema import settings_from
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
@@ -50,6 +49,7 @@ from dolfin_elastic.solvers.diagnostics.stability import Stability
 from dolfin_elastic.solvers.eigen.critical_load import CriticalLoad
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest, refuse, shape
 from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
+from dolfin_elastic.solvers.eigen.settings import BucklingSettings
 from dolfin_elastic.solvers.eigen.slepc import DIRECT_LIMIT, Pair, prefixed
 from dolfin_elastic.solvers.linear.choice import Choice, LinearSettings, factorising
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
@@ -71,22 +71,6 @@ SHARE = 1e-3
 
 _Buckled = tuple[Pair, fem.Function]
 """Load factor and mode, and the displacement of the state about which they were found."""
-
-
-class BucklingSettings(Record):
-    """Which buckling modes are looked for.
-
-    Attributes:
-        count: How many, from the smallest load factor on.
-        negative: As many with the loads reversed, too, always linearised at rest.
-        preload: Share of the loads at whose equilibrium the problem is linearised; 0: at rest.
-        tolerance: Relative error of load factors.
-    """
-
-    count: int = Field(default=4, ge=1)
-    negative: bool = False
-    preload: float = Field(default=0.0, ge=0)
-    tolerance: float = Field(default=1e-9, gt=0, lt=1)
 
 
 class Buckling(PreloadedAnalysis):

@@ -8,21 +8,19 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
-from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.petsc_options import PetscOptions
-from dolfin_elastic.core.schema import Record, settings_from
+from dolfin_elastic.core.schema import settings_from
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import Frequency
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
@@ -42,6 +40,7 @@ from dolfin_elastic.solvers.eigen.mode_shapes import (
     undetermined,
 )
 from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
+from dolfin_elastic.solvers.eigen.settings import UNMOVED, ModalSettings
 from dolfin_elastic.solvers.eigen.slepc import (
     Pair,
     Spectrum,
@@ -55,8 +54,6 @@ from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 log = logging.getLogger("dolfin_elastic")
 
-UNMOVED = "small-strain laws know no preload: the frequencies are those at rest"
-
 MOST = 500
 """Modes that are looked for by frequency, at most."""
 
@@ -68,28 +65,6 @@ FAR = 30.0
 
 NOTHING = 1e-8
 """Eigenvalues over the Rayleigh quotient of a smooth motion whose sign may be round-off."""
-
-
-class ModalSettings(Record):
-    """Which modes of vibration are looked for.
-
-    Attributes:
-        count: How many, from the lowest on; rigid ones come in addition.
-        below: All modes below this frequency, instead of so many [Hz].
-        preload: They are those about the equilibrium under the loads; without, at rest.
-        tolerance: Relative error of omega^2.
-    """
-
-    count: int | None = Field(default=None, ge=1)
-    below: Frequency | None = Field(default=None, gt=0)
-    preload: bool = False
-    tolerance: float = Field(default=1e-9, gt=0, lt=1)
-
-    @model_validator(mode="after")
-    def _one_measure(self) -> Self:
-        if self.count is not None and self.below is not None:
-            raise InputError("count and below given together", expected="leave one of them out")
-        return self
 
 
 class Modal(PreloadedAnalysis):

@@ -28,8 +28,8 @@ from dolfin_elastic import (
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem.state import Mode, State
-from dolfin_elastic.solvers.eigen.modal import ModalSettings
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest
+from dolfin_elastic.solvers.eigen.settings import ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 

@@ -1,0 +1,51 @@
+"""Which modes are looked for: the tables [modal] and [buckling]."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.units import Frequency
+
+UNMOVED = "small-strain laws know no preload: the frequencies are those at rest"
+
+
+class ModalSettings(Record):
+    """Which modes of vibration are looked for.
+
+    Attributes:
+        count: How many, from the lowest on; rigid ones come in addition.
+        below: All modes below this frequency, instead of so many [Hz].
+        preload: They are those about the equilibrium under the loads; without, at rest.
+        tolerance: Relative error of omega^2.
+    """
+
+    count: int | None = Field(default=None, ge=1)
+    below: Frequency | None = Field(default=None, gt=0)
+    preload: bool = False
+    tolerance: float = Field(default=1e-9, gt=0, lt=1)
+
+    @model_validator(mode="after")
+    def _one_measure(self) -> Self:
+        if self.count is not None and self.below is not None:
+            raise InputError("count and below given together", expected="leave one of them out")
+        return self
+
+
+class BucklingSettings(Record):
+    """Which buckling modes are looked for.
+
+    Attributes:
+        count: How many, from the smallest load factor on.
+        negative: As many with the loads reversed, too, always linearised at rest.
+        preload: Share of the loads at whose equilibrium the problem is linearised; 0: at rest.
+        tolerance: Relative error of load factors.
+    """
+
+    count: int = Field(default=4, ge=1)
+    negative: bool = False
+    preload: float = Field(default=0.0, ge=0)
+    tolerance: float = Field(default=1e-9, gt=0, lt=1)
