@@ -22,6 +22,7 @@ from dolfinx import fem
 from dolfinx.mesh import compute_midpoints
 from helpers.bodies import made
 from helpers.states import COMM, displacement, make_problem, make_state
+from mpi4py import MPI
 
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import InputError, OutputError
@@ -32,6 +33,8 @@ from dolfin_elastic.model.materials.registry import LinearElastic, NeoHookean
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results import files, hdf5
+from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.hdf5 import Rows
 from dolfin_elastic.results.outputs import (
     History,
@@ -44,7 +47,7 @@ from dolfin_elastic.results.outputs import (
 from dolfin_elastic.results.pictures import colour_bar, pictures, renderer
 from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
 from dolfin_elastic.results.pictures.drawn_field import DrawnField
-from dolfin_elastic.results.pictures.pictures import Appearance, picture
+from dolfin_elastic.results.pictures.pictures import Appearance, _round_off, picture
 from dolfin_elastic.results.pictures.surface import Surface, gather_surface
 
 
@@ -595,6 +598,25 @@ def test_round_off_gets_no_colours(folder: Path) -> None:
     if COMM.rank == 0:
         middle = image(folder / "a.png")[500:600, 500:700].reshape(-1, 3)
         assert np.ptp(middle, axis=0).max() < 3
+
+
+@pytest.mark.parametrize("field", ["energy_density", "von_mises", "green_strain", "displacement"])
+def test_round_off_and_small_values(field: str) -> None:
+    """What a rotation leaves of a field is round-off to a picture, strains of 1e-6 are not."""
+    problem, c, s = make_problem(2), np.cos(0.5), np.sin(0.5)
+    noise, found = _round_off(problem, FIELDS[field].unit), []
+    for stretch, by in ((1.0, (c, s)), (1 + 1e-6, (1.0, 0.0))):
+        a, b = by
+        problem.u.interpolate(
+            lambda x, a=a, b=b, k=stretch: np.stack(
+                [k * (a * x[0] - b * x[1]) - x[0], b * x[0] + a * x[1] - x[1]]
+            )
+        )
+        values = Evaluator(problem, [field])(State(1, 1.0, problem.u))[field]
+        found.append(COMM.allreduce(float(np.abs(values).max(initial=0.0)), op=MPI.MAX))
+    if field != "displacement":  # a rotation is a displacement, but no strain
+        assert found[0] < noise
+    assert found[1] > 5 * noise
 
 
 @pytest.mark.sample(1)

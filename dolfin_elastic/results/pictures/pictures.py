@@ -25,6 +25,7 @@ from dolfin_elastic.core.errors import InputError, OutputError, nearest
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.mesh.body import extent, span
+from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import make_folder, writing
@@ -412,7 +413,7 @@ def _round_off(problem: Problem, unit: str) -> float:
 
     Stresses and strains follow from differences of displacements, which cancel leading digits.
     """
-    stiff = min(float(part.shear.value) for part in problem.regions)
+    stiff = min(shear_modulus(part.typical) for part in problem.regions)
     scales = {
         "Pa": 1e-9 * stiff,
         "J/m^3": 1e-14 * stiff,
