@@ -69,6 +69,16 @@ def test_value(text: str, expected: float) -> None:
     assert value(text, x=3.0) == pytest.approx(expected, rel=1e-15)
 
 
+@pytest.mark.parametrize("terms", [0, 1, 9, 30])
+def test_a_long_formula_is_shown_in_part(terms: int) -> None:
+    """Seventy characters about the fault fit a terminal, with the caret under it."""
+    with pytest.raises(FormulaError) as caught:
+        Formula.parse("1234 + " * terms + "abc" + " + 1234" * 30, allowed=XYZT)
+    shown, caret = str(caught.value).splitlines()[-2:]
+    assert shown[caret.index("^") :].startswith("abc")
+    assert len(shown) == 4 + 70
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -187,6 +187,16 @@ def test_base_units():
             to_base(text)
 
 
+def test_scales_with_a_zero_of_their_own():
+    """Equal steps from another zero are told from unequal steps, however large a step is."""
+    # 80 C above the 0 C of 273.15 K, and as a change of temperature.
+    assert to_si("80 celsius", "K") == pytest.approx(80, rel=1e-12)
+    assert to_si("180 degF", "K") == pytest.approx(100, rel=1e-12)
+    for unit in ("dB", "dBm", "dBu", "Np", "decade", "octave"):  # 1, 1 mW, 1 uW; e, 10, 2
+        with pytest.raises(UnitError, match="on a scale whose steps are not equal"):
+            to_base(f"3 {unit}")
+
+
 def test_units_that_mean_more():
     """A turn is 2 pi, and a change of temperature knows no zero."""
     assert to_si("50 Hz", "rad/s") == pytest.approx(314.1592653589793, rel=1e-15)

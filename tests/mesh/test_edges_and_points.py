@@ -67,6 +67,19 @@ def cube(blocks: list[Block], **more: Any) -> Body:
     return build_body(read, comm=COMM, unit=LengthUnit.of(2.0), source="cube")
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_nodes_that_ranks_share_count_once(dim: int) -> None:
+    """Every node of the body, named on all ranks that have it, is owned by one of them."""
+    body = (
+        box_body(size=(1, 1, 1), cells=(3, 3, 3))
+        if dim == 3
+        else rectangle_body(size=(1, 1), cells=(4, 4))
+    )
+    nodes = np.arange(len(body.mesh.geometry.x), dtype=np.int32)
+    body = body.named(points={"all": nodes})
+    assert len(places(body, "all")) == len(set(places(body, "all"))) == {2: 25, 3: 64}[dim]
+
+
 # --- read ---
 
 

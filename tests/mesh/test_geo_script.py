@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.mesh import read_body
+from dolfin_elastic.mesh import mesh_statistics, read_body
 from dolfin_elastic.mesh.formats.cad.script import files_of_script
 
 BOX = 'SetFactory("OpenCASCADE");\nBox(1) = {0, 0, 0, 1, 1, 1};\n'
@@ -72,3 +72,18 @@ def test_what_describes_a_body_is_read(tmp_path: Path) -> None:
         'Physical Volume("Exit") = {1};\n'
     )
     assert {file.name for file in files_of_script(path)} == {"a.geo", "size.geo"}
+
+
+def test_sizes_of_a_script_are_kept_below_the_size_asked_for(folder: Path) -> None:
+    """Cells grow from a corner of size 0.02; without it all are of the size asked for."""
+    square = "Point(2) = {1,0,0}; Point(3) = {1,1,0}; Point(4) = {0,1,0};\n"
+    square += "Line(1) = {1,2}; Line(2) = {2,3}; Line(3) = {3,4}; Line(4) = {4,1};\n"
+    square += "Curve Loop(1) = {1:4}; Plane Surface(1) = {1};\n"
+    shortest = {}
+    for size in (", 0.02", ""):
+        text = f"Point(1) = {{0,0,0{size}}}; {square}"
+        on_root(MPI.COMM_WORLD, lambda text=text: (folder / "a.geo").write_text(text) and None)
+        shortest[size] = mesh_statistics(read_body(folder / "a.geo", size=0.5)).shortest
+    # The longest edge of the smallest cell: five times the corner's for a steep growth.
+    assert shortest[", 0.02"] < 0.15
+    assert shortest[""] > 0.3

@@ -512,10 +512,12 @@ def test_a_surface_in_space_is_refused(folder: Path) -> None:
         read_body(folder / "shell.vtu")
 
 
-def test_pieces_are_counted(folder: Path) -> None:
+@pytest.mark.parametrize("cells", [6, 1])
+def test_pieces_are_counted(folder: Path, cells: int) -> None:
     points = np.vstack([POINTS, POINTS + 3])
-    made(lambda: write_cube(folder / "two.vtu", points, np.vstack([CUBE, CUBE + 8])))
-    assert "2 unconnected pieces of 6, 6 cells" in " ".join(read_body(folder / "two.vtu").notes)
+    made(lambda: write_cube(folder / "two.vtu", points, np.vstack([CUBE, CUBE[:cells] + 8])))
+    said = " ".join(read_body(folder / "two.vtu").notes)
+    assert f"2 unconnected pieces of 6, {cells} cells" in said
 
 
 def test_only_facets_named_and_names_without_elements(folder: Path) -> None:

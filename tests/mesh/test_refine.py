@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dolfinx import fem
 from helpers.annulus import annulus
 from mpi4py import MPI
 
-from dolfin_elastic import Selector, box_body, name_parts, read_body
+from dolfin_elastic import Selector, box_body, name_parts, read_body, rectangle_body
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector
 from dolfin_elastic.mesh.fields import MeshField
@@ -21,6 +22,7 @@ from dolfin_elastic.mesh.geometry.curved import (
     smallest_jacobians,
 )
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, edge_nodes, facet_corners
+from dolfin_elastic.mesh.refine.cad_surfaces import _restore_folded
 from dolfin_elastic.mesh.refine.marking import bulk
 from dolfin_elastic.mesh.refine.refinement import refine_body
 
@@ -205,3 +207,26 @@ def test_edges_and_points() -> None:
     corner = body.mesh.geometry.x[body.owned_points("corner")]
     assert total(WORLD, len(corner)) == 1
     assert np.allclose(corner, [0, 0, 1])
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize(("left", "back"), [(0.05, 1), (0.2, 0)])
+def test_nodes_that_would_fold_cells_go_back(size: float, left: float, back: int) -> None:
+    """A node of a square's corner that leaves a twentieth of its cell is put back, in any unit."""
+    body = rectangle_body(size=(size, size), cells=(2, 2))
+    space = fem.functionspace(body.mesh, ("Lagrange", 1))
+    x = space.tabulate_dof_coordinates()[:, :2].copy()
+    # The two cells of the corner square share its diagonal, or one cell has the corner alone.
+    corners = cell_corners(body.mesh)
+    corner = np.array([[0.0, 0.0], [size, 0.0], [0.0, size], [size, size]])
+    alone = next(
+        c
+        for c in corner
+        if total(WORLD, int((np.linalg.norm(corners - c, axis=2) < 1e-9 * size).sum())) == 1
+    )
+    inwards = np.sign(size / 2 - alone) * size / 4  # to the middle of the diagonal: a flat cell
+    moved = x.copy()
+    moved[np.linalg.norm(x - alone, axis=1) < 1e-9 * size] += (1 - left) * inwards
+    assert _restore_folded(body, space, x, moved) == back
+    change = np.linalg.norm(moved - x, axis=1).max(initial=0.0)
+    assert (WORLD.allreduce(float(change), op=MPI.MAX) > 0) is (back == 0)

@@ -194,6 +194,26 @@ def test_size_and_data_encoded_apart(folder: Path) -> None:
     assert mesh_statistics(read_body(folder / "cell.vtu")).volume == pytest.approx(1 / 6)
 
 
+def test_an_array_that_ends_before_the_next_one(folder: Path) -> None:
+    """In base64 a padding ends an array, whatever its size says: the next one is not part of it."""
+    data, next_one = POINTS.tobytes()[:-8], np.arange(4, dtype="<i4").tobytes()
+    short = base64.b64encode(struct.pack("<I", len(data) + 8) + data).decode()
+    assert short.endswith("=")
+    following = base64.b64encode(struct.pack("<I", len(next_one)) + next_one).decode()
+    text = (
+        '<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">'
+        '<UnstructuredGrid><Piece NumberOfPoints="8" NumberOfCells="1"><Points>'
+        '<DataArray type="Float64" NumberOfComponents="3" format="appended" offset="0"/>'
+        '</Points><Cells><DataArray type="Int32" Name="connectivity" format="appended" '
+        f'offset="{len(short)}"/><DataArray type="Int32" Name="offsets">4</DataArray>'
+        '<DataArray type="UInt8" Name="types">10</DataArray></Cells></Piece></UnstructuredGrid>'
+        f'<AppendedData encoding="base64">_{short}{following}</AppendedData></VTKFile>'
+    )
+    made(lambda: (folder / "cell.vtu").write_text(text))
+    with pytest.raises(MeshError, match="the data end after 184 of 192 bytes"):
+        read_body(folder / "cell.vtu")
+
+
 GOOD = raw_file(POINTS, CELLS, kind=10)
 BOMB = struct.pack("<QQQQ", 1, 1 << 40, 0, 30) + zlib.compress(bytes(1 << 20))
 

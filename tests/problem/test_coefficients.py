@@ -20,6 +20,7 @@ from dolfin_elastic import (
     Dynamics,
     Gravity,
     LinearElastic,
+    MooneyRivlin,
     NeoHookean,
     NeoHookeanSplit,
     Problem,
@@ -261,6 +262,14 @@ def test_any_two_constants_that_vary(pair: tuple[str, str]) -> None:
     one_number = {pair[0]: given[pair[0]], pair[1]: PAIRS[pair[1]]}
     _, mixed = pulled(bar(2), NeoHookean(**one_number))
     assert mixed.reactions["right"] == pytest.approx(plain.reactions["right"], rel=1e-10)
+
+
+def test_a_volume_that_varies_beside_the_shape() -> None:
+    """Of a law with constants of its own for the shape, K comes from nu at each place."""
+    given = {"c10": 3e5, "c01": 1e5, "nu": 0.3}
+    _, plain = pulled(bar(2), MooneyRivlin(**given))
+    _, varied = pulled(bar(2), MooneyRivlin(**{n: f"{v!r} + 0*x" for n, v in given.items()}))
+    assert varied.reactions["right"] == pytest.approx(plain.reactions["right"], rel=1e-10)
 
 
 def test_another_formula_compiles_nothing() -> None:

@@ -101,7 +101,7 @@ class CadSurfaces:
             links = _shared(space, _links(body, division, space, x, facets, tags))
             _on_each_rank(body.comm, lambda: self._project(model, links, moved))
         _from_owners(space, moved)
-        stay = _restore_folded(body, division, space, x, moved)
+        stay = _restore_folded(body, space, x, moved)
         note = f"{stay} nodes are not on the surfaces of {body.source}: cells would fold"
         return moved, (note,) if stay else ()
 
@@ -269,14 +269,11 @@ def _from_owners(space: fem.FunctionSpace, x: FloatArray) -> None:
     x[:] = copy.array.reshape(x.shape)
 
 
-def _restore_folded(
-    body: Body, division: Division, space: fem.FunctionSpace, x: FloatArray, moved: FloatArray
-) -> int:
+def _restore_folded(body: Body, space: fem.FunctionSpace, x: FloatArray, moved: FloatArray) -> int:
     """Puts nodes of cells back that would be flat or fold; returns how many. Collective.
 
     Args:
         body: The coarse body.
-        division: Of its cells.
         space: Of the nodes.
         x: Their places before [m].
         moved: Their places afterwards [m], which are changed.

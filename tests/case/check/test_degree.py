@@ -26,12 +26,12 @@ from dolfin_elastic import (
     rectangle_body,
     run,
 )
-from dolfin_elastic.case.check.mesh_quality import bending_notes
+from dolfin_elastic.case.check.mesh_quality import bending_notes, bending_stiffness
 from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.geometry.ridges import ridge_angles
-from dolfin_elastic.mesh.geometry.thickness import local_thickness
+from dolfin_elastic.mesh.geometry.thickness import Thickness, local_thickness
 from dolfin_elastic.solvers.dynamics.schemes import SCHEMES, ExplicitRow
 
 FREE = "free"
@@ -362,3 +362,18 @@ def test_ridges() -> None:
     bent = np.array([np.sum(np.isclose(angles, 90)), np.sum(np.isclose(angles, 0, atol=1e-5))])
     MPI.COMM_WORLD.Allreduce(MPI.IN_PLACE, bent)
     assert list(bent) == [12 * 3, 6 * (2 * 3 * 2 + 9)]
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.45])
+@pytest.mark.parametrize(("across", "along"), [(0.3, 0.0), (0.0, 3.0), (0.5, 2.0)])
+def test_excess_stiffness_goes_with_the_square_of_cells(nu: float, across: float, along: float):
+    """A constant strain errs by what bending changes across a cell, its energy by the square."""
+
+    def excess(factor: float) -> float:
+        one, size = np.ones(1), np.full(1, factor)
+        found = Thickness(volumes=one, thickness=2 * one, across=across * size, along=along * size)
+        return float(bending_stiffness(found, np.full(1, nu))[0]) - 1
+
+    assert excess(0.0) == 0
+    assert excess(2.0) == pytest.approx(4 * excess(1.0), rel=1e-12)
+    assert excess(1.0) > 0

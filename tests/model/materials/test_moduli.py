@@ -7,6 +7,7 @@ from itertools import combinations
 import pytest
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.materials.isochoric import Isochoric
 from dolfin_elastic.model.materials.moduli import NAMES, complete
 from dolfin_elastic.model.materials.registry import MATERIALS, Isotropic, NeoHookean
 
@@ -103,6 +104,24 @@ def test_laws_take_any_pair(name):
     assert law.constants() == pytest.approx(
         solid(9 * 5e6 * 1e6 / (3 * 5e6 + 1e6), (15e6 - 2e6) / (2 * (15e6 + 1e6))), rel=1e-13
     )
+
+
+@pytest.mark.parametrize("nu", [-0.2, 0.0, 0.3, 0.49])
+@pytest.mark.parametrize(
+    "name", [name for name, kind in MATERIALS.items() if issubclass(kind, Isochoric)]
+)
+def test_constants_of_the_shape_and_one_of_the_volume(name, nu):
+    """K from nu and nu from K, of numbers and where constants vary: Landau & Lifshitz (5.9)."""
+    kind = MATERIALS[name]
+    shape = {key: value for key, value in kind.example.items() if key not in ("K", "nu")}
+    mu = kind(**shape, K=1e9).shear()
+    K = solid(2 * mu * (1 + nu), nu)["K"]
+    one, other = kind(**shape, nu=nu), kind(**shape, K=K)
+    assert (one.K, one.nu) == pytest.approx((K, nu), rel=1e-13)
+    assert other.nu == pytest.approx(nu, rel=1e-12, abs=1e-14)
+    by_nu, by_K = kind(**shape, nu=f"{nu!r} + 0*x"), kind(**shape, K=f"{K!r} + 0*x")
+    assert by_nu.complete_constants({"nu": nu})["K"] == pytest.approx(K, rel=1e-13)
+    assert by_K.complete_constants({"K": K})["nu"] == pytest.approx(nu, rel=1e-12, abs=1e-14)
 
 
 def test_laws_read_units_and_the_name_lambda():

@@ -198,6 +198,45 @@ def test_large_laminate():
     assert numbers["P22"] == pytest.approx(E1 / 2 * (low**3 - low), rel=1e-8)
 
 
+@pytest.mark.parametrize("steps", [1, 4])
+def test_work_of_the_neighbours(steps):
+    """What the audit calls work is the energy that Hooke's law stores, V E/(1 - nu^2) e^2/2.
+
+    Pulled by e and free across, in plane strain, through a cell of neither unit area nor unit
+    length: forces grow linearly, and the trapezoidal rule of the audit is exact.
+    """
+    strain, volume = 1e-3, 6.0
+    periodic = Periodic(pairs=PAIRS, gradient=[[1 + strain, 0], [0, FREE]])
+    body = rectangle_body(size=(3, 2), cells=(2, 2))
+    state = last(Problem(body, LinearElastic(E=E, nu=NU), periodic=periodic, degree=1), steps=steps)
+    stored = volume * E / (1 - NU**2) * strain**2 / 2
+    assert state.audit.verdict == "pass"
+    assert state.audit.work == pytest.approx(stored, rel=1e-8)
+    assert state.audit.energy == pytest.approx(stored, rel=1e-8)
+
+
+@pytest.mark.parametrize("side", [0.01, 100.0])
+def test_work_through_large_strains(side):
+    """Forces times displacements add up to the energy, by the trapezoidal rule: slope 2.
+
+    Neo-Hooke's psi = mu/2 (F:F - 3) - mu ln J + lmbda/2 (ln J)^2 at F = diag(1.3, 0.9), Bonet &
+    Wood (2008), (6.27), in cells far smaller and far larger than a metre.
+    """
+    F, body = [[1.3, 0.0], [0.0, 0.9]], rectangle_body(size=(side, side), cells=(1, 1))
+    J, mu, lmbda = 1.3 * 0.9, E / 2 / (1 + NU), E * NU / (1 + NU) / (1 - 2 * NU)
+    psi = mu / 2 * (1.3**2 + 0.9**2 - 2) - mu * np.log(J) + lmbda / 2 * np.log(J) ** 2
+    errors = []
+    for steps in (2, 4, 8):
+        problem = Problem(
+            body, rubber(1, dim=2), periodic=Periodic(pairs=PAIRS, gradient=F), degree=1
+        )
+        audit = last(problem, steps=steps).audit
+        assert audit.verdict == "pass"
+        assert audit.energy == pytest.approx(psi * side**2, rel=1e-9)
+        errors.append(abs(audit.work / (psi * side**2) - 1))
+    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx(2, abs=0.1)
+
+
 # --- free strains ---
 
 
