@@ -207,7 +207,7 @@ class _Run:
                     go_on_together(self.comm)
                     checkpoints.remember(result)
             except StoppedError:
-                acknowledge()
+                acknowledge()  # the checkpoint is written in order
                 checkpoints.save_remembered(writers)
                 raise
 
@@ -383,6 +383,7 @@ def open_outputs(
         on_root(problem.body.comm, lambda: _remove_others(folder, files))
         yield writers
     except StoppedError:
+        acknowledge()
         ending = ("stopped", "on request")
         raise
     except ElasticError as error:

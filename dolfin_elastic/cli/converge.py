@@ -11,8 +11,9 @@ import typer
 from click.exceptions import Exit
 
 from dolfin_elastic.cli.run import AUDIT_FAILED, Petsc, Quiet, Trust, begin
-from dolfin_elastic.core.errors import check_kept
+from dolfin_elastic.core.errors import StoppedError, check_kept
 from dolfin_elastic.core.petsc_options import parse_arguments, start_petsc
+from dolfin_elastic.core.signals import INTERRUPTED, Stop
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.converge.progress import Level, Progress
@@ -53,6 +54,7 @@ def converge(
     `displacement of PROBE`, `FIELD of PROBE`, `reaction of SUPPORT`, or a column of history.csv.
     The mesh is refined where the estimated error is.  The table of all meshes, a plot and the
     results of the last one go to CASE_converged.  Exit code 6: not known as well as wanted.
+    What stops `run` stops it, too, with the results of the last complete mesh and exit code 130.
 
     \f
     Args:
@@ -68,11 +70,13 @@ def converge(
     options, at_start = parse_arguments(petsc or [])
     start_petsc(at_start)
     from contextlib import closing
+    from dataclasses import replace
 
     from dolfin_elastic.case.case import read_case
     from dolfin_elastic.case.converge.converge import Goal, default_folder
     from dolfin_elastic.case.converge.converge import converge as converge_case
     from dolfin_elastic.case.converge.quantity import Quantity, tolerance
+    from dolfin_elastic.results.writers.summary import mark_stopped
 
     goal = Goal(Quantity.read(until[0]), tolerance(until[1]), refinements, int(unknowns))
     comm = begin(quiet)
@@ -81,14 +85,22 @@ def converge(
     check_kept(folder, "--output" if output is not None else "output.folder")
     visible = comm.rank == 0 and not quiet
     shown, progress = 0, None
-    with closing(converge_case(read, goal, output=folder, petsc=options, comm=comm)) as levels:
-        for progress in levels:
-            if visible and len(progress.levels) > shown:
-                shown = len(progress.levels)
-                print(_line(progress, progress.last), flush=True)
+    Stop(folder, lambda: mark_stopped(folder))
+    try:
+        with closing(converge_case(read, goal, output=folder, petsc=options, comm=comm)) as levels:
+            for progress in levels:
+                if visible and len(progress.levels) > shown:
+                    shown = len(progress.levels)
+                    print(_line(progress, progress.last), flush=True)
+    except StoppedError:
+        if progress is None:
+            raise Exit(INTERRUPTED) from None
+        progress = replace(progress, verdict="stopped", reason="stopped on request")
     assert progress is not None
     if visible:
         show_table_of(progress, folder)
+    if progress.verdict == "stopped":
+        raise Exit(INTERRUPTED)
     if progress.verdict != "reached":
         raise Exit(AUDIT_FAILED if progress.verdict == "audit" else NOT_REACHED)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -16,11 +18,16 @@ from dolfin_elastic.results.checkpoint.checkpoints import last_step
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
 )
+LONGEST = 10.0
+"""Seconds from an exception on one rank to the end of all."""
 HEAD = """\
 from mpi4py import MPI
 from dolfin_elastic import read_case, run
 comm = MPI.COMM_WORLD
 def fail():
+    import time
+    with open("failed", "w") as file:
+        file.write(str(time.time()))
     raise KeyError("a fault of the user")
 case = read_case("case.toml")
 """
@@ -87,15 +94,36 @@ def small(folder: Path) -> None:
 @pytest.mark.parametrize("body", [LOOP, OTHERS_WAIT, CLOSING, CAUGHT, OUTPUT, ENERGY])
 def test_all_ranks_end(body: str, tmp_path: Path) -> None:
     """Also where the others wait for it in a call of the user's own."""
-    small(tmp_path)
-    (tmp_path / "script.py").write_text(HEAD + body)
-    with started([sys.executable, "script.py"], tmp_path, 2) as process:
-        begin = time.monotonic()
-        _, err = process.communicate(timeout=60)
+    assert seconds_to_the_end(body, tmp_path) < LONGEST
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("body", [LOOP, OTHERS_WAIT, ENERGY])
+def test_all_ranks_end_under_load(body: str, tmp_path: Path) -> None:
+    """Where four other processes want each core of this machine."""
+    busy = [sys.executable, "-c", "while True: pass"]
+    others = [subprocess.Popen(busy) for _ in range(4 * len(os.sched_getaffinity(0)))]
+    try:
+        assert seconds_to_the_end(body, tmp_path) < LONGEST
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+
+
+def seconds_to_the_end(body: str, folder: Path) -> float:
+    """Time from the exception on one rank to the end of the launcher [s]."""
+    small(folder)
+    (folder / "script.py").write_text(HEAD + body)
+    with started([sys.executable, "script.py"], folder, 2) as process:
+        _, err = process.communicate(timeout=120)
+    end = time.time()
     assert process.returncode != 0
     assert "KeyError: 'a fault of the user'" in err
     assert "in fail" in err
-    assert time.monotonic() - begin < 10.0 + 5.0, "the start of python counts, too"
+    seconds = end - float((folder / "failed").read_text())
+    print(f"{seconds:.3g} s")
+    return seconds
 
 
 @pytest.mark.long

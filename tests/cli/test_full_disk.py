@@ -1,4 +1,4 @@
-"""A disk that fills up amid a run: code 4, whole files, and `restart` once there is room."""
+"""A disk or quota that is used up amid a run: code 4, whole files, `restart` once there is room."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pathlib import Path
 
 import h5py
 import pytest
-from helpers.processes import clean_environment
+from helpers.processes import PROGRAM, clean_environment, cli, started
 from helpers.runs import case, check_same, history
 from mpi4py import MPI
 
-from dolfin_elastic import run
+from dolfin_elastic import Case, run
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts processes of its own")
 INSIDE = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c"]
@@ -54,17 +54,121 @@ def test_full_disk(full: str, room: str, tmp_path: Path) -> None:
     assert (tmp_path / "code").read_text() == "4\n", error
     assert "no space left on device" in error
     assert "Traceback" not in error
-    assert json.loads((failed / "summary.json").read_text())
-    for file in failed.rglob("*.xdmf"):
-        ET.parse(file)
-    for file in failed.rglob("*.h5"):
-        if not file.name.startswith("."):
-            with h5py.File(file) as h5:
-                assert [*h5]
-    rows = (failed / "history.csv").read_text()
-    assert rows.endswith("\n")
-    assert len({line.count(",") for line in rows.splitlines()}) == 1
+    check_whole(failed)
     assert (tmp_path / "code2").read_text() == "0\n", (tmp_path / "err2").read_text()
     for _ in run(whole, output=tmp_path / "whole"):
         pass
     check_same(history(tmp_path / "completed"), history(tmp_path / "whole"), near=1e-7)
+
+
+QUOTA = """\
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/uio.h>
+#include <unistd.h>
+static long used;
+static int beyond(int fd, long size)
+{
+    char name[64], path[4096];
+    snprintf(name, sizeof name, "/proc/self/fd/%d", fd);
+    long n = readlink(name, path, sizeof path - 1);
+    if (n < 0)
+        return 0;
+    path[n] = 0;
+    if (!strstr(path, "/case_results/"))
+        return 0;
+    if (used + size > atol(getenv("QUOTA"))) {
+        errno = EDQUOT;
+        return 1;
+    }
+    used += size;
+    return 0;
+}
+static long total(const struct iovec *v, int n)
+{
+    long sum = 0;
+    for (int i = 0; i < n; ++i)
+        sum += v[i].iov_len;
+    return sum;
+}
+#define WRAP(name, size, parameters, ...)                              \\
+    ssize_t name parameters                                            \\
+    {                                                                  \\
+        ssize_t (*next) parameters = dlsym(RTLD_NEXT, #name);          \\
+        return beyond(fd, size) ? -1 : next(__VA_ARGS__);              \\
+    }
+WRAP(write, n, (int fd, const void *p, size_t n), fd, p, n)
+WRAP(pwrite, n, (int fd, const void *p, size_t n, off_t o), fd, p, n, o)
+WRAP(pwrite64, n, (int fd, const void *p, size_t n, off64_t o), fd, p, n, o)
+WRAP(writev, total(v, n), (int fd, const struct iovec *v, int n), fd, v, n)
+WRAP(pwritev, total(v, n), (int fd, const struct iovec *v, int n, off_t o), fd, v, n, o)
+WRAP(pwritev64, total(v, n), (int fd, const struct iovec *v, int n, off64_t o), fd, v, n, o)
+"""
+"""Functions of the C library that answer as a file system does whose quota is used up.
+
+Free space, unlike on a full disk, is there: only the call that writes fails, whoever makes it:
+Python, HDF5 or MPI-IO.
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("quota", [60_000, 150_000, 151_000, 153_000, 300_000])
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_quota(quota: int, ranks: int, tmp_path: Path) -> None:
+    """Code 4 with the reason wherever the quota ends, whole files, and a restart that goes on."""
+    (tmp_path / "quota.c").write_text(QUOTA)
+    library = tmp_path / "quota.so"
+    subprocess.run(
+        ["gcc", "-shared", "-fPIC", "-o", library, tmp_path / "quota.c", "-ldl"], check=True
+    )
+    whole = case(statics={"steps": 30}, output={"checkpoint": {"every": 1}})
+    (tmp_path / "case.toml").write_text(whole.to_toml())
+    command = ["env", f"LD_PRELOAD={library}", f"QUOTA={quota}", *PROGRAM, "run", "case.toml", "-q"]
+    with started(command, tmp_path, ranks) as process:
+        _, err = process.communicate(timeout=200)
+    assert process.returncode == 4, err
+    assert "disk quota exceeded; your quota is used up" in err
+    assert "Traceback" not in err
+    check_goes_on(tmp_path, whole)
+
+
+@pytest.mark.long
+def test_a_file_that_may_not_grow(tmp_path: Path) -> None:
+    """A limit of `ulimit -f` ends a run as a full disk does, not by the signal SIGXFSZ."""
+    whole = case(statics={"steps": 30}, output={"checkpoint": {"every": 1}})
+    (tmp_path / "case.toml").write_text(whole.to_toml())
+    limit = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (14000, 14000)); "
+    limit += "sys.argv[1:] = ['run', 'case.toml', '-q']; from dolfin_elastic.cli.app import main; "
+    with started([sys.executable, "-c", f"{limit}main()"], tmp_path, 1) as process:
+        _, err = process.communicate(timeout=200)
+    assert process.returncode == 4, err
+    assert "file too large" in err
+    assert "Traceback" not in err
+    check_goes_on(tmp_path, whole)
+
+
+def check_goes_on(folder: Path, whole: Case) -> None:
+    """Files are whole, and the restart ends as a run that nothing has happened to."""
+    check_whole(folder / "case_results")
+    code, _, err = cli("restart", "case_results", "-q", folder=folder)
+    assert code == 0, err
+    for _ in run(whole, output=folder / "whole"):
+        pass
+    check_same(history(folder / "case_results"), history(folder / "whole"), near=1e-7)
+
+
+def check_whole(folder: Path) -> None:
+    """Whether every file that a reader would open can be read to its end."""
+    assert json.loads((folder / "summary.json").read_text())
+    for file in folder.rglob("*.xdmf"):
+        for item in ET.parse(file).iter("DataItem"):
+            name, _, array = str(item.text).partition(":")
+            with h5py.File(folder / name.strip()) as h5:
+                assert h5[array.strip()][:].size
+    rows = (folder / "history.csv").read_text()
+    assert rows.endswith("\n")
+    assert len({line.count(",") for line in rows.splitlines()}) == 1

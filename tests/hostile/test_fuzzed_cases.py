@@ -69,7 +69,7 @@ def cases(draw: st.DrawFn) -> bytes:
     return Hostile.of_tables(tables)
 
 
-def _fuzz(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def _fuzz(count: int, monkeypatch: pytest.MonkeyPatch, command: str = "check") -> None:
     @settings(
         max_examples=count,
         deadline=None,
@@ -80,7 +80,7 @@ def _fuzz(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     @given(cases())
     def holds(text: bytes) -> None:
         with tempfile.TemporaryDirectory() as folder:
-            told = read(Hostile("", text), Path(folder), monkeypatch)
+            told = read(Hostile("", text), Path(folder), monkeypatch, command)
             monkeypatch.chdir("/")
         assert told == "", text.decode("utf-8", "replace")
 
@@ -94,3 +94,9 @@ def test_fuzzed_cases(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.long
 def test_many_fuzzed_cases(monkeypatch: pytest.MonkeyPatch) -> None:
     _fuzz(2000, monkeypatch)
+
+
+@pytest.mark.long
+def test_fuzzed_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Computed, too, on two cells; a run that takes long is asked to stop."""
+    _fuzz(300, monkeypatch, "run")

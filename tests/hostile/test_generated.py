@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import re
 import signal
 import sys
+import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,12 +18,16 @@ from helpers.hostile import Hostile, broken_cases, good_ones, hostile_meshes
 from mpi4py import MPI
 
 from dolfin_elastic.cli.app import guarded
+from dolfin_elastic.core import signals
 from dolfin_elastic.core.parallel import on_root
 
 COMM = MPI.COMM_WORLD
 BLOCKS = 10
 LONGEST = 20.0
 """Time that one of them may take [s]."""
+STOP = 8.0
+"""Time after which a run is asked to stop [s]: a good case may have a million steps."""
+STOPPED = 130
 SHARED = 25
 """How many of each several ranks read."""
 
@@ -42,8 +49,33 @@ def code_of(words: list[str], monkeypatch: pytest.MonkeyPatch) -> tuple[int, str
     return code, out.getvalue()
 
 
-def read(found: Hostile, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """What is wrong with how it was read; nothing, if all is well.  Collective."""
+@contextlib.contextmanager
+def stopped_in_time(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Asks a run to stop when it takes long, and leaves no handler of signals behind."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
+    before = {number: signal.getsignal(number) for number in numbers}
+    monkeypatch.setattr(signals, "_current", [])
+
+    def ask() -> None:
+        if signals.watched():  # else it reads the case yet, which is soon over
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    timer = threading.Timer(STOP, ask)
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        timer.join()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        monkeypatch.setattr(signals, "_current", [])
+
+
+def read(
+    found: Hostile, folder: Path, monkeypatch: pytest.MonkeyPatch, command: str = "check"
+) -> str:
+    """What is wrong with how it was read, or computed; nothing, if all is well.  Collective."""
 
     def write() -> Path:
         place = folder / f"{len(list(folder.iterdir()))}"
@@ -52,30 +84,34 @@ def read(found: Hostile, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
     path = on_root(COMM, write)
     monkeypatch.chdir(path.parent)
-    before = signal.getsignal(signal.SIGINT)
     begin = time.monotonic()
     try:
-        code, said = code_of(["check", "case.toml"], monkeypatch)
+        with stopped_in_time(monkeypatch):
+            code, said = code_of([command, "case.toml"], monkeypatch)
     except BaseException as error:  # what is no refusal would have been code 1
         return f"{type(error).__name__}: {error}"
-    finally:
-        signal.signal(signal.SIGINT, before)
     seconds = time.monotonic() - begin
     codes = COMM.allgather(code)
-    if set(codes) not in ({0}, {2}, {3}):
+    late = command == "run" and COMM.allreduce(seconds, op=MPI.MAX) > STOP
+    if set(codes) not in ({0}, {2}, {3}, *([{STOPPED}] if late else [])):
         return f"codes {codes}: {said}"
     if seconds > LONGEST:
         return f"{seconds:.3g} s"
     told = re.findall("^error: ", said, re.MULTILINE)
-    if COMM.rank == 0 and code and (len(told) != 1 or "Traceback" in said):
+    wrong = bool(code) and code != STOPPED
+    if COMM.rank == 0 and (len(told) != int(wrong) or "Traceback" in said):
         return f"not one message: {said}"
     left = sorted(p.name for p in path.parent.iterdir() if p.name not in ("case.toml", found.file))
+    if command == "run":
+        left = [name for name in left if name.startswith("trace")]
     return f"left behind: {left}" if left else ""
 
 
-def failures(chosen: list[Hostile], folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def failures(
+    chosen: list[Hostile], folder: Path, monkeypatch: pytest.MonkeyPatch, command: str = "check"
+) -> list[str]:
     """Those that were not read as they should be, with the reason."""
-    told = [(found.name, read(found, folder, monkeypatch)) for found in chosen]
+    told = [(found.name, read(found, folder, monkeypatch, command)) for found in chosen]
     return [f"{name}: {text[:500]}" for name, text in told if text]
 
 
@@ -98,6 +134,15 @@ def test_on_several_ranks(folder: Path, monkeypatch, found: list[Hostile]) -> No
         pytest.skip("one rank reads all of them")
     chosen = found[:: len(found) // SHARED][:SHARED]
     assert failures(chosen, folder, monkeypatch) == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("block", range(BLOCKS))
+@pytest.mark.parametrize("found", [CASES, MESHES], ids=["cases", "meshes"])
+def test_run(folder: Path, monkeypatch, found: list[Hostile], block: int) -> None:
+    """All of them through `run`; on several ranks as many as through `check`."""
+    chosen = found if COMM.size == 1 else found[:: len(found) // SHARED][:SHARED]
+    assert failures(chosen[block::BLOCKS], folder, monkeypatch, "run") == []
 
 
 @pytest.mark.parametrize("name", GOOD)

@@ -347,6 +347,31 @@ def test_a_limit_of_the_users_own(tmp_path: Path) -> None:
     assert int(done.stdout) > 8
 
 
+def test_the_disk_is_not_filled(tmp_path: Path, monkeypatch) -> None:
+    """A file of Gmsh ends at the limit, here less than its mesh, and nothing of it is left."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr(process, "_largest_file", lambda folder: 4096)
+    path = tmp_path / "a.geo"
+    path.write_text(f"{BOX}Mesh.MeshSizeMax = 0.2;\n")
+    with pytest.raises(MeshError, match=r"a\.geo: Gmsh needs more room on the disk.*TMPDIR"):
+        mesh_cad(path, size=None, curved=None, dim=None, permission=Permission(seconds=60))
+    assert [p.name for p in tmp_path.iterdir()] == ["a.geo"]
+
+
+def test_without_landlock(tmp_path: Path, monkeypatch) -> None:
+    """It is said once what is not protected then, and nothing where nothing would be."""
+    (tmp_path / "a.geo").write_text(BOX)
+    (tmp_path / "old.msh").write_text(MESH1)
+    told = "is not confined, because this kernel has no Landlock"
+    if landlock.version() > 0:
+        assert told not in " ".join(read_body(tmp_path / "a.geo").notes)
+    monkeypatch.setattr(landlock, "version", lambda: 0)
+    assert " ".join(read_body(tmp_path / "a.geo").notes).count(told) == 1
+    assert told not in " ".join(read_body(tmp_path / "a.geo", trust=True).notes)
+    assert " ".join(read_body(tmp_path / "old.msh").notes).count(told) == 1
+
+
 # --- scripts of one's own ---
 
 

@@ -23,9 +23,10 @@ from dolfin_elastic.case.converge.quantity import Measured, Measurement, Quantit
 from dolfin_elastic.case.converge.report import write_report
 from dolfin_elastic.case.run import check_problem, log_notes, open_outputs
 from dolfin_elastic.core import timing
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, StoppedError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
+from dolfin_elastic.core.signals import acknowledge, raise_if_agreed, remove_stop_file
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.refine.marking import bulk
 from dolfin_elastic.mesh.refine.refinement import Refinement, refine_body
@@ -36,7 +37,7 @@ from dolfin_elastic.results.checkpoint.lock import FolderLock
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import Peak, find_peaks, largest
 from dolfin_elastic.results.recovery.singular import singular_places
-from dolfin_elastic.results.writers.summary import SummaryWriter
+from dolfin_elastic.results.writers.summary import SummaryWriter, mark_stopped
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.statics.load_stepping import NearEnd
 from dolfin_elastic.solvers.statics.statics import Statics
@@ -94,11 +95,14 @@ def converge(
             folder.
         SolveError: No solution was found on a mesh; the results of the one before are complete.
         OutputError: Results cannot be written.
+        StoppedError: A signal has asked for the end; the results of the mesh before are complete.
     """
     _check_kind(case)
     folder = output or default_folder(case)
     with closing(FolderLock(comm, folder)) as lock:
         lock.acquire()
+        if comm.rank == 0:
+            remove_stop_file(folder)
         yield from _Convergence(case, goal, folder, dict(petsc or {}), comm, lock).levels()
 
 
@@ -167,29 +171,41 @@ class _Convergence:
         body = self._first_body()
         progress = Progress(self.goal.quantity, self.goal.tolerance, ())
         refinement, before = None, None
-        while progress.verdict == "running":
-            problem = self.case.make_problem(body)
-            if before is None:
-                check_problem(self.case, problem)
-            elif problem.num_dofs > self.goal.unknowns:
-                progress = self._ended(
-                    progress,
-                    "unknowns",
-                    f"the next mesh has {problem.num_dofs} unknowns, above the limit of "
-                    f"{self.goal.unknowns} (--unknowns){_doubt(before.peak)}",
-                )
+        try:
+            while progress.verdict == "running":
+                raise_if_agreed(self.comm)
+                problem = self.case.make_problem(body)
+                if before is None:
+                    check_problem(self.case, problem)
+                elif problem.num_dofs > self.goal.unknowns:
+                    progress = self._ended(
+                        progress,
+                        "unknowns",
+                        f"the next mesh has {problem.num_dofs} unknowns, above the limit of "
+                        f"{self.goal.unknowns} (--unknowns){_doubt(before.peak)}",
+                    )
+                    yield progress
+                    return
+                solved = self._solve(body, problem, refinement, before)
+                progress = self._judged(progress, solved)
+                self._write(solved, progress)
                 yield progress
-                return
-            solved = self._solve(body, problem, refinement, before)
-            progress = self._judged(progress, solved)
-            self._write(solved, progress)
-            yield progress
-            if progress.verdict == "running":
-                with timing.stage("mesh"):
-                    refinement, before = self._refined(solved), solved
-                    body = refinement.body
-                for note in body.notes:
-                    log.info("mesh: %s", note)
+                if progress.verdict == "running":
+                    with timing.stage("mesh"):
+                        refinement, before = self._refined(solved), solved
+                        body = refinement.body
+                    for note in body.notes:
+                        log.info("mesh: %s", note)
+        except StoppedError:
+            acknowledge()
+            if progress.levels:
+                ended = replace(progress, verdict="stopped", reason="stopped on request")
+                on_root(self.comm, lambda: self._mark_stopped(ended))
+            raise
+
+    def _mark_stopped(self, ended: Progress) -> None:
+        write_report(ended, self.folder, plot=False)
+        mark_stopped(self.folder, "on request", before="completed")
 
     def _first_body(self) -> Body:
         with timing.stage("mesh"):

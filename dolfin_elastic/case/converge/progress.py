@@ -7,7 +7,7 @@ from typing import Literal
 
 from dolfin_elastic.case.converge.quantity import Quantity
 
-Verdict = Literal["running", "reached", "singular", "audit", "refinements", "unknowns"]
+Verdict = Literal["running", "reached", "singular", "audit", "refinements", "unknowns", "stopped"]
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Progress:
         tolerance: Relative error at which it counts as known.
         levels: Of each mesh.
         verdict: "running"; "reached"; "singular", the quantity has no limit; "audit", that of a
-            solution fails; or the limit that ended it, "refinements" or "unknowns".
+            solution fails; the limit that ended it, "refinements" or "unknowns"; or "stopped".
         reason: Why it ended without reaching the goal, in words; empty otherwise.
     """
 

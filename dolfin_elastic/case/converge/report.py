@@ -16,12 +16,13 @@ TABLE, SUMMARY, PLOT = FILES = ("converge.csv", "converge.json", "converge.png")
 _INK, _LIMIT, _ENERGY = "#1f5f8b", "#b0562f", "#228833"
 
 
-def write_report(progress: Progress, folder: Path) -> None:
+def write_report(progress: Progress, folder: Path, *, plot: bool = True) -> None:
     """Writes all three files anew. Not collective.
 
     Args:
         progress: All meshes so far.
         folder: Of the results; made if missing.
+        plot: Without, the plot stays as it is, for drawing takes time.
 
     Raises:
         OutputError: They cannot be written.
@@ -29,7 +30,8 @@ def write_report(progress: Progress, folder: Path) -> None:
     make_folder(folder)
     replace_text(folder / TABLE, _table(progress))
     replace_text(folder / SUMMARY, json.dumps(_summary(progress), indent=2, allow_nan=False) + "\n")
-    _draw(progress, folder / PLOT)
+    if plot:
+        _draw(progress, folder / PLOT)
 
 
 def _table(progress: Progress) -> str:

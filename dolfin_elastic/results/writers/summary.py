@@ -259,18 +259,24 @@ def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str
     return found
 
 
-def mark_stopped(folder: Path) -> None:
-    """Changes "running" to "stopped" in the summary of a run that is about to end at once.
+def mark_stopped(
+    folder: Path, reason: str = "on request, at once", *, before: str = "running"
+) -> None:
+    """Changes the status to "stopped" in the summary of a run that its writer does not close.
 
     Not collective: called on any ranks, of which the first to come changes it.
 
     Args:
         folder: Of the results.
+        reason: Why it was stopped.
+        before: The status that is changed; another one stays.
     """
     path = folder / "summary.json"
+    if not path.exists():
+        return
     text = json.loads(path.read_text(encoding="utf-8"))
-    if text["status"] == "running":
-        text |= {"status": "stopped", "reason": "on request, at once"}
+    if text["status"] == before:
+        text |= {"status": "stopped", "reason": reason}
         replace_text(path, json.dumps(text, indent=2, ensure_ascii=False) + "\n")
 
 

@@ -22,7 +22,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.eigen.mode_shapes import SPARE, complete
-from dolfin_elastic.solvers.eigen.slepc import Pair, failing, negative, uneven
+from dolfin_elastic.solvers.eigen.slepc import Pair, failing, negative, solve, uneven
 from dolfin_elastic.solvers.linear.choice import Choice
 from dolfin_elastic.solvers.petsc.options import Options
 
@@ -105,6 +105,9 @@ class CriticalLoad:
             room: How many there may be at all.
             known: Vectors that are found already.
             seed: Another number is another start.
+
+        Raises:
+            StoppedError: See `solve`.
         """
         count = min(count, room)
         if count < 1:
@@ -120,7 +123,7 @@ class CriticalLoad:
                 eps.setDeflationSpace(spaces[1:])
             with stage("solve"), failing(), self._options.in_force(), self._options.input_errors():
                 eps.setFromOptions()
-                eps.solve()
+                solve(eps)
                 self._options.report_unused()
             return self._pairs(eps)
         finally:

@@ -24,6 +24,7 @@ from slepc4py import SLEPc
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
+from dolfin_elastic.core.signals import raise_if_agreed, stop_agreed
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
@@ -90,7 +91,9 @@ def negative(matrix: PETSc.Mat) -> int | None:
 
     Raises:
         ConvergenceError: It cannot be factorised.
+        StoppedError: A signal has asked for the end of the run.
     """
+    raise_if_agreed(matrix.comm.tompi4py())
     ksp = PETSc.KSP().create(matrix.comm)
     try:
         ksp.setOptionsPrefix(PREFIX + "inertia_")
@@ -210,6 +213,7 @@ class Spectrum:
 
         Raises:
             ConvergenceError: Fewer were found.
+            StoppedError: See `solve`.
         """
         count = min(count, room)
         if count < 1:
@@ -224,7 +228,7 @@ class Spectrum:
             with stage("solve"), failing(), self.options.in_force(), self.options.input_errors():
                 eps.setFromOptions()
                 preconditioned = self._prepare(eps.getST(), shift)
-                eps.solve()
+                solve(eps)
                 self.options.report_unused()
             return self._pairs(eps, shift, count)
         finally:
@@ -285,6 +289,41 @@ class Spectrum:
         if values is not None:
             vector.array_w[:] = values
         return vector
+
+
+def solve(eps: SLEPc.EPS) -> None:
+    """Solves an eigenvalue problem, unless the run shall stop. Collective.
+
+    Args:
+        eps: The solver, ready.
+
+    Raises:
+        StoppedError: A signal has asked for the end of the run.
+    """
+    comm = eps.comm.tompi4py()
+    raise_if_agreed(comm)
+    eps.setStoppingTest(_stops)
+    eps.solve()
+    if eps.getConvergedReason() == SLEPc.EPS.ConvergedReason.CONVERGED_USER:
+        raise_if_agreed(comm)
+
+
+def _stops(eps: SLEPc.EPS, iteration: int, most: int, found: int, wanted: int) -> int:
+    """SLEPc's own test after each restart, and whether the run shall stop. Collective.
+
+    Args:
+        eps: The solver.
+        iteration: Number of restarts.
+        most: Largest number of them.
+        found: Eigenpairs that have converged.
+        wanted: Eigenpairs that were asked for.
+    """
+    reason = SLEPc.EPS.ConvergedReason
+    if found >= wanted:
+        return int(reason.CONVERGED_TOL)
+    if stop_agreed(eps.comm.tompi4py()):
+        return int(reason.CONVERGED_USER)
+    return int(reason.DIVERGED_ITS if iteration >= most else reason.CONVERGED_ITERATING)
 
 
 def _reason(eps: SLEPc.EPS) -> str:

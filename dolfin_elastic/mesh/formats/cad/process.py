@@ -12,6 +12,7 @@ import json
 import os
 import resource
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.signals import raise_if_asked
 from dolfin_elastic.mesh.formats.cad import landlock
 
 _PROGRAM = """
@@ -38,6 +40,8 @@ _ENVIRONMENT = ("PATH", "LANG", "LC_ALL", "LD_LIBRARY_PATH")
 """What a process needs to find its libraries: nothing of MPI, which would take it for a rank."""
 _SHARE = 0.8
 """Share of the free memory that Gmsh may take."""
+_LOOK = 0.5
+"""Seconds from one look to the next whether the run shall stop."""
 _LIBRARIES = 3e9
 """Addresses that its libraries reserve and do not use [byte]."""
 
@@ -55,6 +59,19 @@ class Permission:
     seconds: float = 600.0
 
 
+@dataclass(frozen=True)
+class _Limits:
+    """What a process may take.
+
+    Attributes:
+        memory: Of it [byte].
+        disk: Size of its largest file [byte].
+    """
+
+    memory: int
+    disk: int
+
+
 class GmshProcess:
     """A running Gmsh; see `gmsh_process`.
 
@@ -62,14 +79,14 @@ class GmshProcess:
         process: It.
         path: Where it finds the file.
         seconds: Time that each task may take [s].
-        memory: It may take [byte].
+        limits: Memory that it may take, and size of its largest file.
     """
 
     def __init__(
-        self, process: subprocess.Popen[bytes], path: Path, seconds: float, memory: int
+        self, process: subprocess.Popen[bytes], path: Path, seconds: float, limits: _Limits
     ) -> None:
         self._process, self._name = process, path.name
-        self._seconds, self._memory = seconds, memory
+        self._seconds, self._limits = seconds, limits
         self._read = b""
 
     @property
@@ -89,6 +106,7 @@ class GmshProcess:
 
         Raises:
             MeshError: Gmsh cannot do it, or takes too long or too much memory.
+            StoppedError: A signal has asked for the end of the run meanwhile.
         """
         line = json.dumps({"do": task, "with": arguments}).encode() + b"\n"
         answer = json.loads(self._exchange(line))
@@ -112,7 +130,11 @@ class GmshProcess:
             raise self._ended() from None
         while b"\n" not in self._read[-1:]:
             left = until - time.monotonic()
-            ready, _, _ = select.select([self._process.stdout], [], [], max(left, 0.0))
+            wait = min(max(left, 0.0), _LOOK)
+            ready, _, _ = select.select([self._process.stdout], [], [], wait)
+            if not ready and left > 0.0:
+                raise_if_asked()
+                continue
             if not ready:
                 raise MeshError(
                     f"Gmsh was stopped after {self._seconds:g} s",
@@ -129,6 +151,8 @@ class GmshProcess:
     def _ended(self) -> MeshError:
         """What is to be said of a process that has ended by itself."""
         code = self._process.wait()
+        if -code == signal.SIGXFSZ:
+            return self._needs("more room on the disk")
         how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
         if -code in (signal.SIGKILL, signal.SIGABRT):  # C++ aborts where it gets no memory
             return self._needs(f"more memory, or has failed ({how})")
@@ -137,11 +161,29 @@ class GmshProcess:
         )
 
     def _needs(self, what: str) -> MeshError:
+        most = f"{self._limits.memory / 1e9:.2g} GB, and write {self._limits.disk / 1e9:.2g} GB"
         return MeshError(
-            f"Gmsh needs {what}; it may take {self._memory / 1e9:.2g} GB here",
+            f"Gmsh needs {what}; it may take {most} here",
             where=self._name,
-            expected="larger elements (mesh.size), or a machine with more free memory",
+            expected="larger elements (mesh.size), a machine with more free memory, or more room "
+            "in the folder of temporary files (TMPDIR)",
         )
+
+
+def notes_of(permission: Permission) -> list[str]:
+    """What the user must know of how Gmsh is kept here; nothing where it is confined, or trusted.
+
+    Args:
+        permission: What Gmsh may do.
+    """
+    if permission.trusted or landlock.version() > 0:
+        return []
+    return [
+        "the process of Gmsh is not confined, because this kernel has no Landlock (Linux 5.13 and "
+        "later): statements that run commands or write files are refused, but a damaged file that "
+        "takes Gmsh over could do what you can; read files of strangers in a container or a "
+        "virtual machine"
+    ]
 
 
 @contextmanager
@@ -168,15 +210,17 @@ def gmsh_process(
         # The user's own limit (ulimit -v) cannot be raised.
         own = [one for one in resource.getrlimit(resource.RLIMIT_AS) if one >= 0]
         memory = min([int(_SHARE * _free_memory() + _LIBRARIES), *own])
+        limits = _Limits(memory, _largest_file(writable))
         terms = {
             "file": str(path.absolute() if permission.trusted else readable / path.name),
             "readable": str(readable),
             "writable": str(writable),
-            "memory": memory,
+            "memory": limits.memory,
+            "disk": limits.disk,
             "confined": not permission.trusted and landlock.version() > 0,
         }
         with _started(permission, path, writable) as process:
-            gmsh = GmshProcess(process, path, permission.seconds, memory)
+            gmsh = GmshProcess(process, path, permission.seconds, limits)
             assert process.stdin is not None
             process.stdin.write(json.dumps(terms).encode() + b"\n")
             yield gmsh, writable
@@ -206,6 +250,12 @@ def _started(
     finally:
         process.kill()
         process.communicate()
+
+
+def _largest_file(folder: Path) -> int:
+    """Size of a file [byte] that leaves as much free as it takes, within the user's own limit."""
+    own = [one for one in resource.getrlimit(resource.RLIMIT_FSIZE) if one >= 0]
+    return min([int(shutil.disk_usage(folder).free / 2), *own])
 
 
 def _free_memory() -> float:

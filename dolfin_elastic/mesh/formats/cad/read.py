@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,12 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.mesh.formats.cad.meshing import RESULT
-from dolfin_elastic.mesh.formats.cad.process import GmshProcess, Permission, gmsh_process
+from dolfin_elastic.mesh.formats.cad.process import (
+    GmshProcess,
+    Permission,
+    gmsh_process,
+    notes_of,
+)
 from dolfin_elastic.mesh.formats.cad.script import SCRIPTS, files_of_script
 from dolfin_elastic.mesh.formats.msh import mesh_alone, read_msh
 from dolfin_elastic.mesh.formats.raw import MeshFile
@@ -59,7 +65,12 @@ def mesh_cad(
             factor=factor,
         )
         found = read_msh(folder / RESULT)
-    return MeshFile(found.points * factor, found.blocks, [*found.notes, *notes], information)
+    return MeshFile(
+        found.points * factor,
+        found.blocks,
+        [*found.notes, *notes, *notes_of(permission)],
+        information,
+    )
 
 
 def convert_msh(path: Path, permission: Permission) -> MeshFile:
@@ -76,7 +87,8 @@ def convert_msh(path: Path, permission: Permission) -> MeshFile:
     within = Permission(seconds=permission.seconds)  # a mesh needs no trust
     with gmsh_process(path, files, within) as (gmsh, folder):
         gmsh.ask("convert")
-        return read_msh(folder / RESULT)
+        found = read_msh(folder / RESULT)
+    return replace(found, notes=[*found.notes, *notes_of(within)])
 
 
 class CadModel:

@@ -62,7 +62,8 @@ class _Worker:
 
     Args:
         terms: The `file`, the folders that are `readable` and `writable`, the largest `memory`
-            [byte], and whether to be `confined` to these folders.
+            [byte], the size of its largest file on the `disk` [byte], and whether to be `confined`
+            to these folders.
     """
 
     def __init__(self, terms: Mapping[str, Any]) -> None:
@@ -77,6 +78,9 @@ class _Worker:
             ) from None
         resource.setrlimit(resource.RLIMIT_AS, (terms["memory"], terms["memory"]))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        # Gmsh does not look whether its files are written: beyond the limit its process ends.
+        signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (terms["disk"], terms["disk"]))
         if terms["confined"]:
             # numpy imports some of its modules when they are needed.
             landlock.confine(map(Path, [terms["readable"], *sys.path]), self._folder)
