@@ -234,6 +234,25 @@ def test_strains_are_told_of_either_way(comm: MPI.Comm, caplog: Any) -> None:
     assert f"load factor {found[0]:.6g} " in told[0]
 
 
+def test_strains_count_from_the_preload(comm: MPI.Comm, caplog: Any) -> None:
+    """A stocky column is strained much where it buckles, little from nine tenths of the load on."""
+    problem = Problem(
+        rectangle_body(size=[1.6, 1], cells=(4, 2), comm=comm),
+        NeoHookean(**SOFT),
+        supports=[Support(on="left")],
+        loads=[Traction(on="right", value=[-1e5, 0])],
+        degree=2,
+    )
+    told, load, first = [], 0.0, 0.0
+    for share in (0.0, 0.9):
+        caplog.clear()
+        load = share * first
+        (first,) = factors(problem, count=1, preload=load)
+        mine = [r.message for r in caplog.records if "strained by" in r.message]
+        told.append(comm.bcast(len(mine)))
+    assert told == [1, 0]
+
+
 def refused(comm: MPI.Comm, text: str, error: type[Exception] = InputError, **keys: Any) -> None:
     settings = keys.pop("settings", {})
     whole = {
