@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -15,10 +16,10 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.model.materials.law import Law, ModifiedLaw
 from dolfin_elastic.results.fields import FIELDS
 
 if TYPE_CHECKING:
-    from dolfin_elastic.model.materials.law import Law
     from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
@@ -41,16 +42,45 @@ def cell_components(
     Raises:
         InputError: An energy density of a law without a strain energy.
     """
-    law = cast("Law", problem.weak_form.response(region, w))
+    F = problem.weak_form.F(w)
+    law = cast("Law", _Once(problem.weak_form.response(region, w), F))
     if "energy_density" in names and not law.has_energy:
         raise InputError(
             f"the law of '{region.name}' has no strain energy",
             where=where,
             expected="leave the field 'energy_density' out",
         )
-    F = problem.weak_form.F(w)
     tensors = (FIELDS[name].of_cell(law, F) for name in names)
     return [None if tensor is None else _components(tensor) for tensor in tensors]
+
+
+@dataclass(frozen=True)
+class _Once(ModifiedLaw):
+    """A law at one deformation gradient, whose stress is one expression for all fields.
+
+    Of three equal expressions that are not one object, FFCx would compare every path through each
+    with every path through the others: minutes for a stress beside growth.
+
+    Attributes:
+        law: The law of a region.
+        F: The deformation gradient, 3x3.
+    """
+
+    law: Law | ModifiedLaw
+    F: Expr
+
+    @cached_property
+    def _stress(self) -> Expr:
+        return self.law.stress(self.F)
+
+    def energy(self, F: Expr) -> Expr:
+        """See `ModifiedLaw.energy`."""
+        return self.law.energy(F)
+
+    def stress(self, F: Expr) -> Expr:
+        """See `ModifiedLaw.stress`; at `F` only."""
+        assert F is self.F
+        return self._stress
 
 
 def _components(tensor: Expr) -> list[Expr]:

@@ -8,6 +8,7 @@ import sysconfig
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Timer
 from typing import TypeAlias, TypedDict, TypeVar, cast
 from uuid import uuid4
 
@@ -35,7 +36,10 @@ from dolfin_elastic.core.signals import interruptible
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 
+log = logging.getLogger("dolfin_elastic")
 T = TypeVar("T")
+SLOW = 3.0
+"""Seconds of compiling after which a line says so."""
 # No -ffast-math: it would hide the NaN and Inf by which an inverted element is seen.
 # Without the second scheduling pass: on the long straight-line code of a tangent at one point gcc
 # takes minutes for it (130 s against 0.4 s for a neo-Hookean solid), and the code is no faster.
@@ -111,7 +115,7 @@ def compile_forms(
         StoppedError: A signal has asked for the end of the run meanwhile.
         Exception: What the form compiler raised on any rank.
     """
-    with stage("compile"):
+    with compiling():
         found = _compiled(comm, forms, jit_options)
         return [
             _on_all_ranks(comm, lambda f=form, o=one: fem.form(f, jit_options=o))  # type: ignore[misc]
@@ -138,7 +142,7 @@ def compile_expression(
     """
     expression = _with_numbered_labels(expression)
     places = np.reshape(points, (-1, np.shape(points)[-1]))  # as `fem.Expression` has them
-    with stage("compile"):
+    with compiling():
         found = _compiled(comm, [(expression, places)], jit_options)[0]
         return _on_all_ranks(comm, lambda: fem.Expression(expression, points, jit_options=found))
 
@@ -231,6 +235,19 @@ def _named(form: Compilable, jit_options: JitOptions) -> tuple[str, Compile]:
             )
 
     return compute_signature([form], tag), compile_into
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """The stage "compile"; a line says what is waited for, be it FFCx, gcc or another rank."""
+    timer = Timer(SLOW, log.info, ["compiling ... (the first run of this form)"])
+    timer.daemon = True  # it keeps no run from its end
+    with stage("compile"):
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
 
 
 @contextmanager
