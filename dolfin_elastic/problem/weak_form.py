@@ -54,6 +54,7 @@ class WeakForm:
         self._context, self._unknowns = context, context.unknowns
         self._loads, self._restraints, self._contacts = loads, restraints, contacts
         self._eigenstrains, self._quadrature_degree = eigenstrains, quadrature_degree
+        self._responses: dict[str, Law | Mixed | GrownLaw] = {}
 
     def F(self, w: Expr) -> Expr:
         """The 3x3 deformation gradient of a function of all unknowns."""
@@ -99,13 +100,20 @@ class WeakForm:
             region: The material region.
             w: Function of all unknowns, from which the pressure is taken.
         """
+        # Of the present unknowns it is one object, so that the terms share its expressions.
+        present = w is self._unknowns.w
+        if present and region.name in self._responses:
+            return self._responses[region.name]
         law: Law | Mixed = region.law
         if region.compliance is not None:
             assert isinstance(region.law, SplitLaw)
             p = self._unknowns.auxiliary("pressure", w)
             law = Mixed(region.law, p, region.compliance, _keeps_volume(self._context, region))
         growth = self._eigenstrains.get(region.name)
-        return law if growth is None else GrownLaw(law, growth)
+        found = law if growth is None else GrownLaw(law, growth)
+        if present:
+            self._responses[region.name] = found
+        return found
 
     @cached_property
     def internal(self) -> ufl.Form:

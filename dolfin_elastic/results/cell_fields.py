@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -16,7 +15,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
-from dolfin_elastic.model.materials.law import Law, ModifiedLaw
+from dolfin_elastic.model.materials.law import Law, ModifiedLaw, once
 from dolfin_elastic.results.fields import FIELDS
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ def cell_components(
         InputError: An energy density of a law without a strain energy.
     """
     F = problem.weak_form.F(w)
-    law = cast("Law", _Once(problem.weak_form.response(region, w), F))
+    law = cast("Law", _Once(problem.weak_form.response(region, w)))
     if "energy_density" in names and not law.has_energy:
         raise InputError(
             f"the law of '{region.name}' has no strain energy",
@@ -56,31 +55,22 @@ def cell_components(
 
 @dataclass(frozen=True)
 class _Once(ModifiedLaw):
-    """A law at one deformation gradient, whose stress is one expression for all fields.
-
-    Of three equal expressions that are not one object, FFCx would compare every path through each
-    with every path through the others: minutes for a stress beside growth.
+    """A law whose stress is one expression for all fields, see `once`.
 
     Attributes:
         law: The law of a region.
-        F: The deformation gradient, 3x3.
     """
 
     law: Law | ModifiedLaw
-    F: Expr
-
-    @cached_property
-    def _stress(self) -> Expr:
-        return self.law.stress(self.F)
 
     def energy(self, F: Expr) -> Expr:
         """See `ModifiedLaw.energy`."""
         return self.law.energy(F)
 
+    @once
     def stress(self, F: Expr) -> Expr:
-        """See `ModifiedLaw.stress`; at `F` only."""
-        assert F is self.F
-        return self._stress
+        """See `ModifiedLaw.stress`."""
+        return self.law.stress(F)
 
 
 def _components(tensor: Expr) -> list[Expr]:

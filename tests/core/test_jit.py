@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import logging
 import os
 import shutil
 import signal
@@ -14,6 +15,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import dolfinx
 import numpy as np
 import pytest
 import ufl
@@ -25,6 +27,7 @@ from dolfin_elastic import box_body
 from dolfin_elastic.core import jit, signals
 from dolfin_elastic.core.errors import OutputError, StoppedError
 from dolfin_elastic.core.jit import cache, claim
+from dolfin_elastic.core.jit import compile as compile_module
 from dolfin_elastic.core.jit.cache import find_or_compile, private_folders
 from dolfin_elastic.core.parallel import on_root
 
@@ -105,6 +108,39 @@ def test_where_the_cache_cannot_be_written(comm: MPI.Comm, monkeypatch, caplog):
     assert compiled(comm) == pytest.approx(3.0)
     told = [r.message for r in caplog.records if "cannot be kept" in r.message]
     assert len(comm.allreduce(told)) == 1
+
+
+@pytest.mark.parametrize("slow", [True, False])
+def test_compiling_that_lasts_is_announced(slow: bool, comm: MPI.Comm, folder, monkeypatch):
+    """Once, while FFCx is at work in Python and not only with the C compiler; else nothing."""
+    said: list[str] = []
+    told = threading.Event()
+
+    class Handler(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            said.append(record.getMessage())
+            told.set()
+
+    def ffcx(*args: object, **options: object) -> object:
+        end = time.monotonic() + (60.0 if slow else 0.0)
+        while not told.is_set() and time.monotonic() < end:
+            sum(range(1000))
+        return build(*args, **options)
+
+    build = dolfinx.jit.ffcx_jit
+    monkeypatch.setattr(dolfinx.jit, "ffcx_jit", ffcx)
+    monkeypatch.setattr(compile_module, "SLOW", 0.05 if slow else 1000.0)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
+    log, handler = logging.getLogger("dolfin_elastic"), Handler()
+    level = log.level
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        assert compiled(comm) == pytest.approx(3.0)
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(level)
+    assert said == ["compiling ... (the first run of this form)"] * slow
 
 
 # --- the cache alone, with a compiler that writes a file ---

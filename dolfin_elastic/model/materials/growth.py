@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.model.materials.law import Law, ModifiedLaw
+from dolfin_elastic.model.materials.law import Law, ModifiedLaw, once
 from dolfin_elastic.model.materials.mixed import Mixed
 
 
@@ -31,6 +31,7 @@ class GrownLaw(ModifiedLaw):
     law: Law | ModifiedLaw
     growth: Expr
 
+    @once
     def elastic(self, F: Expr) -> Expr:
         """Elastic part Fe of a deformation gradient, shape (3, 3)."""
         if self.law.linear:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any, ClassVar, Self
+from collections.abc import Callable, Mapping
+from functools import wraps
+from typing import Any, ClassVar, Self, TypeVar
 
 import ufl
 from pydantic import AliasChoices, Field, model_validator
@@ -22,6 +23,9 @@ from dolfin_elastic.core.units import (
 from dolfin_elastic.model.kinematics import cofactor
 from dolfin_elastic.model.materials import moduli, spatial
 from dolfin_elastic.model.materials.fibres import as_floats
+
+S = TypeVar("S")
+T = TypeVar("T")
 
 
 class Law(Record):
@@ -190,6 +194,27 @@ class SplitLaw(Law):
         """First Piola-Kirchhoff stress [Pa], part by part."""
         k = getattr(self, self.volume_modulus)
         return self.shape_stress(F) + k * self.volume_strain(F) * self.volume_gradient(F)
+
+
+def once(method: Callable[[S, Expr], T]) -> Callable[[S, Expr], T]:
+    """A method whose result for the last deformation gradient is kept as one expression.
+
+    Of three equal expressions that are not one object, FFCx may compare every path through each
+    with every path through the others: minutes, where one object takes a second.
+
+    Args:
+        method: Function of a deformation gradient and of nothing that may change.
+    """
+    name = f"_{method.__name__}_once"
+
+    @wraps(method)
+    def kept(self: S, F: Expr) -> T:
+        last: tuple[Expr, T] | None = vars(self).get(name)
+        if last is None or last[0] is not F:
+            last = vars(self)[name] = (F, method(self, F))
+        return last[1]
+
+    return kept
 
 
 class ModifiedLaw(ABC):

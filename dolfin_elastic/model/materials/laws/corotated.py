@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.model.materials.law import Isotropic, SplitLaw
+from dolfin_elastic.model.materials.law import Isotropic, SplitLaw, once
 from dolfin_elastic.model.materials.spectral import polar
 
 
@@ -25,24 +25,28 @@ class Corotated(Isotropic, SplitLaw):
 
     volume_modulus: ClassVar[str] = "lmbda"
 
+    @once
+    def _polar(self, F: Expr) -> tuple[Expr, Expr]:
+        return polar(F)
+
     def shape_energy(self, F: Expr) -> Expr:
         """mu (F:F - 2 tr U + 3)."""
-        return self.mu * (ufl.inner(F, F) - 2 * polar(F)[1] + 3)
+        return self.mu * (ufl.inner(F, F) - 2 * self._polar(F)[1] + 3)
 
     def shape_stress(self, F: Expr) -> Expr:
         """2 mu (F - R)."""
-        return 2 * self.mu * (F - polar(F)[0])
+        return 2 * self.mu * (F - self._polar(F)[0])
 
     def stress(self, F: Expr) -> Expr:
         """2 mu (F - R) + lmbda tr(U - I) R, as R is the derivative of tr U."""
         # R and U once, not once a part: equal trees of this size take long to be found equal.
-        R, x = polar(F)
+        R, x = self._polar(F)
         return 2 * self.mu * (F - R) + self.lmbda * (x - 3) * R
 
     def volume_strain(self, F: Expr) -> Expr:
         """Trace of U - I."""
-        return polar(F)[1] - 3
+        return self._polar(F)[1] - 3
 
     def volume_gradient(self, F: Expr) -> Expr:
         """R, as d(tr U)/dF = R."""
-        return polar(F)[0]
+        return self._polar(F)[0]

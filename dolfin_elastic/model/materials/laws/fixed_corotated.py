@@ -8,7 +8,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.kinematics import cofactor
-from dolfin_elastic.model.materials.law import Isotropic, SplitLaw
+from dolfin_elastic.model.materials.law import Isotropic, SplitLaw, once
 from dolfin_elastic.model.materials.spectral import polar
 
 
@@ -28,13 +28,17 @@ class FixedCorotated(Isotropic, SplitLaw):
     volume_modulus: ClassVar[str] = "lmbda"
     strain_of_volume: ClassVar[bool] = True
 
+    @once
+    def _polar(self, F: Expr) -> tuple[Expr, Expr]:
+        return polar(F)
+
     def shape_energy(self, F: Expr) -> Expr:
         """mu (F:F - 2 tr U + 3)."""
-        return self.mu * (ufl.inner(F, F) - 2 * polar(F)[1] + 3)
+        return self.mu * (ufl.inner(F, F) - 2 * self._polar(F)[1] + 3)
 
     def shape_stress(self, F: Expr) -> Expr:
         """2 mu (F - R)."""
-        return 2 * self.mu * (F - polar(F)[0])
+        return 2 * self.mu * (F - self._polar(F)[0])
 
     @property
     def curved_strain(self) -> bool:
