@@ -187,6 +187,13 @@ def test_base_units():
             to_base(text)
 
 
+def test_units_of_forty_characters() -> None:
+    """Longer ones are nobody's: Pint would work them out, however long."""
+    assert to_si("2 " + "km*km/km" + "*m/m" * 8, "m") == pytest.approx(2000, rel=1e-12)
+    with pytest.raises(UnitError, match="unknown unit"):
+        to_si("2 m" + "*m/m" * 10, "m")
+
+
 def test_scales_with_a_zero_of_their_own():
     """Equal steps from another zero are told from unequal steps, however large a step is."""
     # 80 C above the 0 C of 273.15 K, and as a change of temperature.

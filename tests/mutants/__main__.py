@@ -294,7 +294,7 @@ def main() -> int:
     parser.add_argument("--list", action="store_true", help="the mutants, without running them")
     parser.add_argument("--table", action="store_true", help="writes the tables of docs/mutants.md")
     parser.add_argument("--only", type=numbers, metavar="N", help="these: 7, or 1-20,33")
-    parser.add_argument("--again", action="store_true", help="also those with a result")
+    parser.add_argument("--again", action="store_true", help="also those that lived")
     parser.add_argument("--jobs", type=int, default=1, help="so many at a time")
     parser.add_argument("--count", type=int, default=200, help="size of the sample")
     parser.add_argument("--seed", type=int, default=15, help="of the sample")
@@ -307,8 +307,7 @@ def main() -> int:
         DOCUMENT.write_text(f"{head}{BEGIN}\n\n{tables(mutants)}", encoding="utf-8")
         return 0
     done = {row["key"]: row["outcome"] for row in results()}
-    reasons = equivalent()
-    done.update(dict.fromkeys(reasons, "equivalent"))
+    done.update(dict.fromkeys(equivalent(), "equivalent"))
     wanted = [(n, one) for n, one in enumerate(mutants, 1) if n in (options.only or {n})]
     if options.list:
         for number, one in wanted:
@@ -317,7 +316,7 @@ def main() -> int:
     wanted = [
         each
         for each in wanted
-        if each[1].key not in reasons and (options.again or each[1].key not in done)
+        if done.get(each[1].key) in ((None, "lived") if options.again else (None,))
     ]
     run(wanted, options.jobs, Plan(Visited(WORK / "visits")))
     return 0
