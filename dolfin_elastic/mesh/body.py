@@ -367,7 +367,7 @@ def connected_components(size: int, sets: IntArray | IndexArray) -> tuple[int, I
         How many components there are, and that of each node, shape (size,): numbers from 0 in the
         order of their first nodes.
     """
-    parent = np.arange(size, dtype=np.int64)
+    parent: IntArray = np.arange(size, dtype=np.int64)
     while True:
         roots = parent[sets]
         lowest = roots.min(axis=1, initial=size)
