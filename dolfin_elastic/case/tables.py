@@ -42,6 +42,7 @@ from dolfin_elastic.problem.material_regions import Formulation
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
 from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.files import LONGEST_NAME
 from dolfin_elastic.results.outputs import (
     History,
     ModePicture,
@@ -292,6 +293,10 @@ class Output(Record):
                 f"{quoted(folder)} is no name of a folder",
                 expected='for example "results", or "." for that of the case file',
             )
+        if folder is not None and any(
+            len(part.encode(errors="replace")) > LONGEST_NAME for part in Path(folder).parts
+        ):
+            raise InputError(f"{quoted(folder)}: file name too long", expected="a shorter one")
         return folder
 
     @field_validator("fields")

@@ -15,7 +15,8 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import OutputError, RestartError
 
 _SPARE = 1 << 20
-_LONGEST_NAME = 255
+LONGEST_NAME = 255
+"""Bytes of a file's name."""
 
 
 @contextmanager
@@ -64,7 +65,7 @@ def why_not_made(folder: Path) -> str:
         there = next(path for path in (whole, *whole.parents) if path.exists())
         if not there.is_dir():
             return f"{there} is a file"
-        if any(len(os.fsencode(part)) > _LONGEST_NAME for part in folder.parts):
+        if any(len(os.fsencode(part)) > LONGEST_NAME for part in folder.parts):
             return os.strerror(errno.ENAMETOOLONG).lower()
         os.rmdir(tempfile.mkdtemp(prefix=".dolfin-elastic-", dir=there))
     except OSError as error:

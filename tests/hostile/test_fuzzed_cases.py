@@ -99,4 +99,4 @@ def test_many_fuzzed_cases(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.long
 def test_fuzzed_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Computed, too, on two cells; a run that takes long is asked to stop."""
-    _fuzz(300, monkeypatch, "run")
+    _fuzz(1000, monkeypatch, "run")

@@ -23,7 +23,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import RestartError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.signals import STOP_FILE
-from dolfin_elastic.results.files import make_folder
+from dolfin_elastic.results.files import make_folder, writing
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -63,8 +63,9 @@ class FolderLock:
     def _acquire(self, create: bool) -> bool:
         if create:
             make_folder(self._folder)
-        if not self._folder.is_dir():
-            return False
+        with writing(self._folder):  # a name that is too long, or of a folder that is closed
+            if not self._folder.is_dir():
+                return False
         try:
             self._descriptor = _locked(self._folder / LOCK)
         except OSError as error:

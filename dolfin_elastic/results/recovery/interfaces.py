@@ -8,6 +8,7 @@ for facets of a round interface meet at angles, too.
 
 from __future__ import annotations
 
+from math import comb
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -77,7 +78,7 @@ def _angles(problem: Problem, count: int) -> FloatArray:
     """
     mesh, dim = problem.body.mesh, problem.body.dim
     corners = cell_corners(mesh)
-    around = mesh.topology.connectivity(dim, dim - 2).array.reshape(len(corners), -1)
+    around = mesh.topology.connectivity(dim, dim - 2).array.reshape(-1, comb(dim + 1, dim - 1))
     width = len(problem.regions)
     work = la.vector(mesh.topology.index_map(dim - 2), width)
     table = work.array.reshape(count, width)

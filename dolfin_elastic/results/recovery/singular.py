@@ -30,6 +30,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from math import comb
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -119,7 +120,7 @@ def singular_places(problem: Problem) -> SingularPlaces:
         names = [n for s in held if s.label == label for n in s.surfaces]
         table[_nodes_of_edges_and_points(problem, names), 3 + column] = 1.0
     if problem.nodal_loads is not None:
-        forces = problem.nodal_loads.nodal().reshape(len(table), -1)
+        forces = problem.nodal_loads.nodal().reshape(len(table), problem.body.dim)
         table[:, 0] = np.abs(forces).max(axis=1, initial=0.0) > 0
     marks.scatter_reverse(la.InsertMode.add)
     marks.scatter_forward()
@@ -190,7 +191,7 @@ def _sums_at_ridges(
     index_map = mesh.topology.index_map(dim - 2)
     work = la.vector(index_map, 6 + facts.shape[1])
     table = work.array.reshape(-1, 6 + facts.shape[1])
-    around = mesh.topology.connectivity(dim, dim - 2).array.reshape(len(mesh.geometry.dofmap), -1)
+    around = mesh.topology.connectivity(dim, dim - 2).array.reshape(-1, comb(dim + 1, dim - 1))
     numbers = {(int(a), int(b)): i for i, (a, b) in enumerate(cell_edges(dim))}
     for facet in range(dim + 1):
         rows = np.flatnonzero(local == facet)

@@ -8,6 +8,7 @@ import numpy as np
 import ufl
 from petsc4py import PETSc
 
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.problem.connectivity import ConnectedBodies
@@ -101,7 +102,14 @@ class Frame:
         nodal = mass.times(unit[:, None])[problem.unknowns.displacement_dofs, 0].reshape(-1, dim)[
             :, 0
         ]
-        sums = total(comm, np.array([nodal.sum(), *(nodal @ places)]))
+        with np.errstate(over="ignore"):
+            sums = total(comm, np.array([nodal.sum(), *(nodal @ places)]))
+        if not np.isfinite(sums).all():
+            raise InputError(
+                f"the mass of the body is no finite number, {sums[0]:.3g} kg",
+                where="materials",
+                expected="a density in kg/m^3 that such a body can have",
+            )
         self.centre: FloatArray = sums[1:] / sums[0]
         motions = rigid_motions(places - self.centre) * inside[:, None, None]
         names = ["x", "y", "z"][:dim] + (["rx", "ry", "rz"] if dim == 3 else ["rz"])

@@ -206,3 +206,17 @@ def test_the_edge_of_a_punch(on: str, reason: str) -> None:
     singular = peaks_of(problem).largest.singular
     assert singular.startswith(reason)
     assert bool(singular) is bool(reason)
+
+
+def test_fewer_cells_than_ranks() -> None:
+    """A rank without cells had no array to shape, and ended the run after its last step."""
+    body = rectangle_body(size=(1, 1), cells=(1, 1))
+    problem = Problem(
+        body,
+        LinearElastic(E=1.0, nu=0.3),
+        supports=[Support(on="left")],
+        loads=[Traction(on="right", value=[1, 0])],
+    )
+    *_, state = Statics(problem).steps()
+    peaks = find_peaks(problem, ErrorEstimator(problem)(state))
+    assert peaks.largest.value > 0
