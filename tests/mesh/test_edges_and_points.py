@@ -28,7 +28,7 @@ from dolfin_elastic.mesh import (
 )
 from dolfin_elastic.mesh.distribute import build_body
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile, RawMesh, assemble
-from dolfin_elastic.mesh.geometry.simplices import edge_nodes, vertex_nodes
+from dolfin_elastic.mesh.geometry.simplices import edge_nodes, prepare_facets, vertex_nodes
 from dolfin_elastic.problem.loads.edges_points import extent
 
 COMM = MPI.COMM_WORLD
@@ -68,8 +68,11 @@ def cube(blocks: list[Block], **more: Any) -> Body:
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_nodes_that_ranks_share_count_once(dim: int) -> None:
-    """Every node of the body, named on all ranks that have it, is owned by one of them."""
+def test_what_ranks_share_counts_once(dim: int) -> None:
+    """Every node and facet, named on all ranks that have it, is owned by one of them.
+
+    Facets are half of those of all cells and of the boundary: (3 32 + 16)/2 and (4 162 + 108)/2.
+    """
     body = (
         box_body(size=(1, 1, 1), cells=(3, 3, 3))
         if dim == 3
@@ -78,6 +81,10 @@ def test_nodes_that_ranks_share_count_once(dim: int) -> None:
     nodes = np.arange(len(body.mesh.geometry.x), dtype=np.int32)
     body = body.named(points={"all": nodes})
     assert len(places(body, "all")) == len(set(places(body, "all"))) == {2: 25, 3: 64}[dim]
+    prepare_facets(body.mesh)
+    facets = body.mesh.topology.index_map(dim - 1)
+    every = np.arange(facets.size_local + facets.num_ghosts, dtype=np.int32)
+    assert body.named(surfaces={"all": every}).count("all") == {2: 56, 3: 378}[dim]
 
 
 # --- read ---

@@ -105,6 +105,7 @@ class Copy:
             limit: Seconds.
         """
         words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--tb=line"]
+        words += ["--color=no"]
         if ranks > 1:
             reports = tempfile.mkdtemp(dir=self.folder)
             words = ["mpirun", "-n", str(ranks), "--oversubscribe", *words]
@@ -294,7 +295,7 @@ def main() -> int:
     parser.add_argument("--list", action="store_true", help="the mutants, without running them")
     parser.add_argument("--table", action="store_true", help="writes the tables of docs/mutants.md")
     parser.add_argument("--only", type=numbers, metavar="N", help="these: 7, or 1-20,33")
-    parser.add_argument("--again", action="store_true", help="also those that lived")
+    parser.add_argument("--again", action="store_true", help="those that lived, once more")
     parser.add_argument("--jobs", type=int, default=1, help="so many at a time")
     parser.add_argument("--count", type=int, default=200, help="size of the sample")
     parser.add_argument("--seed", type=int, default=15, help="of the sample")
@@ -314,9 +315,7 @@ def main() -> int:
             print(f"{number:3} {one.key} {done.get(one.key, '-'):10} {one}")
         return 0
     wanted = [
-        each
-        for each in wanted
-        if done.get(each[1].key) in ((None, "lived") if options.again else (None,))
+        each for each in wanted if done.get(each[1].key) == ("lived" if options.again else None)
     ]
     run(wanted, options.jobs, Plan(Visited(WORK / "visits")))
     return 0
