@@ -146,7 +146,9 @@ class AnalysisTables(ModelTables):
             )
         from dolfin_elastic.solvers.statics.statics import Statics
 
-        return Statics(problem, self.statics, linear=self.solver, petsc=petsc)
+        output = self.output
+        shown = output.every is not None or any(p.every != "last" for p in output.pictures)
+        return Statics(problem, self.statics, linear=self.solver, petsc=petsc, gradual=shown)
 
     def files(self) -> list[File]:
         """Everything that is written."""

@@ -420,7 +420,7 @@ class PathEnergyCheck:
         """Begins the next step at the state evaluated last."""
         self._before = self._now
 
-    def jumped(self, residual: float) -> bool:
+    def jumped(self, residual: float, share: float = 1.0) -> bool:
         """Whether the step took up another energy than its path would have given. Collective.
 
         Along a path on which forces grow steadily, the energy taken up lies between the work of
@@ -429,6 +429,8 @@ class PathEnergyCheck:
 
         Args:
             residual: Norm of the free residual that Newton's method may leave [N].
+            share: Of the way from the middle of these bounds to either of them: less than 1 where
+                the forces have to grow not only steadily but nearly in proportion.
         """
         problem = self._assembler.problem
         if self.strain.none or problem.eigenstrains or problem.unknowns.stabilised:
@@ -443,7 +445,7 @@ class PathEnergyCheck:
         slack = SLACK * max(abs(gained), abs(before), abs(after))
         slack += SMALL * max(abs(was), abs(now)) + 2 * residual * np.sqrt(square)
         slack += round_off(self._assembler)[1]
-        return bool(abs(gained - (before + after) / 2) > abs(after - before) / 2 + slack)
+        return bool(abs(gained - (before + after) / 2) > share * abs(after - before) / 2 + slack)
 
 
 def round_off(assembler: Assembler) -> tuple[float, float]:

@@ -17,6 +17,7 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -30,6 +31,10 @@ At the limit a state takes about six seconds on one core, and up to four states 
 
 NEGATIVE_PIVOTS = 12
 """Index of their number in MUMPS's INFOG."""
+
+CURVATURE_TOLERANCE = 1e-2
+"""Relative residual of the solve that looks for negative curvature: the weakest modes have more
+than this share of the right-hand side, and weigh most in the preconditioned norm."""
 
 _DIGITS = 1e-3
 """Relative accuracy of the weakest mode's stiffness."""
@@ -80,6 +85,46 @@ def negative_eigenvalues(newton: Newton) -> int | None:
         return below
     found = below + newton.bordered.negative()
     return None if found < 0 else found
+
+
+def can_prove_stability(newton: Newton) -> bool:
+    """Whether `is_positive_definite` has anything to go by. Not collective."""
+    if not newton.assembler.problem.symmetric:
+        return False
+    if newton.linear.direct:
+        pc = newton.ksp.getPC()
+        return pc.getType() == "cholesky" and pc.getFactorSolverType() == "mumps"
+    return newton.ksp.getType() == "cg" and newton.bordered is None
+
+
+def is_positive_definite(newton: Newton) -> bool:
+    """Whether the last tangent of a Newton solve is proven to be that of a stable body. Collective.
+
+    By the pivots of its factors; else by conjugate gradients, which build the Lanczos polynomials
+    of the preconditioned tangent and meet a direction of negative curvature as soon as one of their
+    Ritz values is negative.  A right-hand side with a part in every mode cannot be solved for
+    before: the residual polynomial is 1 at zero and has to be small at each eigenvalue, a negative
+    one, too.  Source: C. C. Paige and M. A. Saunders, SIAM J. Numer. Anal. 12 (1975) 617.
+
+    Args:
+        newton: The solver, after a solve that has converged.
+    """
+    if newton.linear.direct:
+        return negative_eigenvalues(newton) == 0
+    assembler, ksp = newton.assembler, newton.ksp
+    if not (newton.result.newton or newton.factorised):
+        newton.factorise()
+    x, b = assembler.create_vector(), assembler.create_vector()
+    b.array_w[assembler.displacement_dofs] = start_vector(assembler)
+    assembler.remove_constrained(b)
+    before = ksp.getTolerances()[0]
+    ksp.setTolerances(rtol=CURVATURE_TOLERANCE)
+    with stage("solve"):
+        ksp.solve(b, x)
+    ksp.setTolerances(rtol=before)
+    x.destroy()
+    b.destroy()
+    return bool(ksp.getConvergedReason() > 0)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ mixed norm of forces and displacements decides nothing; prescribed values must h
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, Self
 
@@ -46,6 +47,10 @@ SAFETY = 4.0
 
 MAX_STIFFENING = 1e6
 """Growth of the largest stiffness beyond which a cell is crushed: no larger round-off counts."""
+
+
+Course = Callable[[PETSc.SNES, int, float], bool]
+"""From solver, iteration and norm of the free residual [N] to whether to give up at once."""
 
 
 @dataclass(frozen=True)
@@ -230,9 +235,15 @@ class ConvergenceTest:
             False,
             False,
         )
+        self._course: Course | None = None
 
     def begin(
-        self, *, backtracks: bool = False, patient: bool = False, max_iterations: int | None = None
+        self,
+        *,
+        backtracks: bool = False,
+        patient: bool = False,
+        max_iterations: int | None = None,
+        course: Course | None = None,
     ) -> None:
         """Forgets the last solve. Collective.
 
@@ -240,11 +251,12 @@ class ConvergenceTest:
             backtracks: Steps are shortened until the residual falls: then it may stall.
             patient: Steps that are shortened again and again are no reason to give up.
             max_iterations: In place of the tolerance's.
+            course: Watches iterates that must not stray; no step may then have to be shortened.
 
         Raises:
             InputError: A load has no finite value now.
         """
-        self._backtracks, self._patient = backtracks, patient
+        self._backtracks, self._patient, self._course = backtracks, patient, course
         self._max_iterations = max_iterations or self._tolerance.max_iterations
         self.residuals.clear()
         self.predicted = 0.0
@@ -316,17 +328,23 @@ class ConvergenceTest:
         self.interrupted = stop_agreed(a.comm)
         if self.interrupted or self._shortened_too_often():
             return int(reason.DIVERGED_FUNCTION_DOMAIN)
-        if self._stalled():
+        if self._stalled() or self._strays(snes, iteration):
             return int(reason.DIVERGED_LINE_SEARCH)
         if iteration >= self._max_iterations:
             return int(reason.DIVERGED_MAX_IT)
         return 0
+
+    def _strays(self, snes: PETSc.SNES, iteration: int) -> bool:
+        course = self._course
+        return course is not None and course(snes, iteration, self.residuals[-1])
 
     def _shortened_too_often(self) -> bool:
         """Too many Newton steps were shortened: a smaller load step is faster."""
         guard = self._guard
         if guard is None:
             return False
+        if self._course is not None and guard.rejected:
+            return True
         return guard.stuck or (guard.rejected > PATIENCE and not self._patient)
 
     def _scalars_hold(self) -> bool:

@@ -23,6 +23,7 @@ from dolfin_elastic.solvers.linear.ksp import LinearSolver
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered, ScalarUnknowns, python_solver
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ConvergenceTest,
+    Course,
     Inertia,
     NewtonResult,
     Tolerance,
@@ -158,7 +159,12 @@ class Newton:
     # --- one solve ---
 
     def solve(
-        self, line_search: str, *, shift: Shift | None = None, max_iterations: int | None = None
+        self,
+        line_search: str,
+        *,
+        shift: Shift | None = None,
+        max_iterations: int | None = None,
+        course: Course | None = None,
     ) -> NewtonResult:
         """Finds equilibrium from the problem's present displacement. Collective.
 
@@ -168,6 +174,7 @@ class Newton:
             line_search: PETSc's name of it.
             shift: What is added to the diagonal of the tangent; None: Newton's method.
             max_iterations: In place of the tolerance's.
+            course: See `ConvergenceTest.begin`.
 
         Raises:
             StoppedError: A signal has asked for the end of the run.
@@ -187,6 +194,7 @@ class Newton:
                 backtracks=line_search == "bt",
                 patient=shift is not None,
                 max_iterations=max_iterations,
+                course=course,
             )
             if self.guard is not None:
                 self.guard.begin()
@@ -203,7 +211,12 @@ class Newton:
         return self.result
 
     def begin(
-        self, *, backtracks: bool = False, patient: bool = False, max_iterations: int | None = None
+        self,
+        *,
+        backtracks: bool = False,
+        patient: bool = False,
+        max_iterations: int | None = None,
+        course: Course | None = None,
     ) -> None:
         """Forgets the last solve. Collective.
 
@@ -211,12 +224,15 @@ class Newton:
             backtracks: See `ConvergenceTest.begin`.
             patient: The same.
             max_iterations: The same.
+            course: The same.
 
         Raises:
             InputError: A load has no finite value now.
         """
         self.result, self.factorised = NewtonResult(), False
-        self.test.begin(backtracks=backtracks, patient=patient, max_iterations=max_iterations)
+        self.test.begin(
+            backtracks=backtracks, patient=patient, max_iterations=max_iterations, course=course
+        )
 
     def finish(self) -> NewtonResult:
         """Stores how SNES has ended as `result`. Collective."""

@@ -35,6 +35,7 @@ from dolfin_elastic.solvers.statics.retry import RetryStrategy
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 from dolfin_elastic.solvers.statics.states import StaticStates
 from dolfin_elastic.solvers.statics.step_size import StepSizes, StepSpeed
+from dolfin_elastic.solvers.statics.whole_load import try_whole_load
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -80,6 +81,7 @@ class LoadStepping:
         newton: The solver; its problem is at the starting point.
         scalars: Scalar unknowns; None without any.
         watch: Of det F.
+        whole: The whole load is tried in one step before it grows in several.
     """
 
     def __init__(
@@ -90,6 +92,7 @@ class LoadStepping:
         newton: Newton,
         scalars: Scalars | None,
         watch: JacobianWatch,
+        whole: bool = False,
     ) -> None:
         self._settings, self._sizes, self._newton, self._scalars = settings, sizes, newton, scalars
         self._assembler, self._problem = newton.assembler, newton.assembler.problem
@@ -101,7 +104,7 @@ class LoadStepping:
             newton, scalars, strain=self._path_check.strain, watch=watch, end=settings.end
         )
         self._speed = StepSpeed(self._assembler, corners(self._problem))
-        self._t = 0.0
+        self._t, self._whole = 0.0, whole
         self._arc: ArcLength | None = None
         # Load factor and unknowns at the beginning of the last step: the path is extrapolated.
         self._previous: tuple[float, FloatArray] | None = None
@@ -247,6 +250,11 @@ class LoadStepping:
 
     def _by_load(self) -> Iterator[State]:
         sizes = self._sizes
+        end, start = self._settings.end, self._newton.unknowns()
+        whole = self._whole and self._t == 0.0
+        if whole and (result := try_whole_load(self._retry, self._path_check, end)) is not None:
+            self._accept(_Step(0.0, end, start), end, result, left_path=False)
+            yield self._states.state(end, result, negative=negative_eigenvalues(self._newton))
         while not sizes.done(self._t) and not self._ends_early():
             goal = within_stride(self._problem, self._t, sizes.goal(self._t))
             step = _Step(self._t, goal, self._newton.unknowns())

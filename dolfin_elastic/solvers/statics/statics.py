@@ -24,6 +24,7 @@ from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.statics.load_stepping import LoadStepping, NearEnd
 from dolfin_elastic.solvers.statics.settings import FIRST, StaticsSettings
 from dolfin_elastic.solvers.statics.step_size import StepSizes
+from dolfin_elastic.solvers.statics.whole_load import may_take_whole_load
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -38,6 +39,8 @@ class Statics:
         petsc: PETSc options, which win over everything.
         preload: The equilibrium is the preload of another analysis, which itself warns of keys
             without effect.
+        gradual: States on the way are wanted: the load grows step by step though it could be taken
+            at once.
     """
 
     def __init__(
@@ -48,9 +51,10 @@ class Statics:
         linear: LinearSettings | None = None,
         petsc: PetscOptions | None = None,
         preload: bool = False,
+        gradual: bool = False,
         **fields: Any,
     ) -> None:
-        self.problem, self._preload = problem, preload
+        self.problem, self._preload, self._gradual = problem, preload, gradual
         self.settings = settings_from(StaticsSettings, settings, fields)
         self.linear = linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
@@ -94,7 +98,12 @@ class Statics:
             )
             owned.callback(newton.destroy)
             self._stepping = LoadStepping(
-                self.settings, self._step_sizes(), newton=newton, scalars=scalars, watch=watch
+                self.settings,
+                self._step_sizes(),
+                newton=newton,
+                scalars=scalars,
+                watch=watch,
+                whole=not self._asks_for_steps() and may_take_whole_load(self.problem),
             )
             owned.callback(self._forget)
             yield from self._stepping.run(saved, near)
@@ -125,6 +134,12 @@ class Statics:
         """When equilibrium counts as found."""
         s = self.settings
         return Tolerance(s.rtol, s.atol, s.max_iterations)
+
+    def _asks_for_steps(self) -> bool:
+        """The user has chosen steps, or wants something of the states on the way."""
+        keys = {"steps", "first_step", "max_step", "times", "max_steps", "max_displacement"}
+        given = self.settings.model_fields_set
+        return self._gradual or self.settings.method != "load" or bool(keys & given)
 
     def _step_sizes(self) -> StepSizes:
         """The plan of load steps."""
