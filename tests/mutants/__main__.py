@@ -32,6 +32,7 @@ RESULTS = WORK / "results.csv"
 COLUMNS = ("key", "mutant", "outcome", "by", "tests", "seconds")
 DOCUMENT = ROOT / "docs" / "mutants.md"
 BEGIN = "<!-- tests/mutants --table writes what follows -->"
+LEFT_OUT = (".git", "build", "__pycache__", ".*_cache", ".hypothesis", ".test-run.*")
 CACHES = ("dolfin_elastic", "fenics", "matplotlib")
 FAILED, NOT_COLLECTED, USAGE = 1, 2, 4  # exit codes of pytest
 
@@ -77,24 +78,11 @@ class Copy:
             for folder in filter(Path.exists, (common / name for name in CACHES)):
                 subprocess.run(["cp", "-al", folder, self.cache], check=False)
         tree = self.folder / "tree"
-        for name in self._files():
-            target = tree / name
-            target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, target, follow_symlinks=False)
+        shutil.copytree(ROOT, tree, symlinks=True, ignore=shutil.ignore_patterns(*LEFT_OUT))
         source = (ROOT / mutant.module).read_bytes()
         (tree / mutant.module).write_bytes(mutant.applied(source))
         (self.folder / "tmp").mkdir()
         self.tree = tree
-
-    @staticmethod
-    def _files() -> list[str]:
-        skipped = {".git", "build", "__pycache__", ".pytest_cache", ".hypothesis"}
-        return [
-            os.path.relpath(os.path.join(folder, name), ROOT)
-            for folder, folders, names in os.walk(ROOT)
-            for _ in [folders.__setitem__(slice(None), [f for f in folders if f not in skipped])]
-            for name in names
-        ]
 
     def pytest(self, tests: list[str], ranks: int, limit: float) -> tuple[int | None, str]:
         """The exit code of pytest, None beyond the limit, and what it says.

@@ -90,14 +90,15 @@ class Plan:
         """Tests to be run one stage after the other, until one fails."""
         tests = self.visited.tests(mutant)
         known = self.visited.seconds
-        # Programs that tests start are not looked into: the folder's tests, whatever they execute.
+        # Programs that tests start are not looked into, and a table is read without executing any
+        # line: the folder's tests, whatever they execute.
         folder = self._folder(mutant)
         blind = [t for t in known if t.startswith(f"{folder}/") and t not in set(tests)]
         near = [t for t in tests if _nearness(t, mutant) == self._nearest(tests, mutant)]
         far = [t for t in tests if t not in set(near)]
         yield from self._stage(self._fill(near, NEAR))
         yield from self._stage(self._fill(far, FAR))
-        if not tests or "/cli/" in mutant.module:
+        if not (tests and mutant.inside) or "/cli/" in mutant.module:
             yield from self._stage(self._fill(blind, NEAR))
         on_two = self._fill((t for t in near or tests if not _on_one_rank(t)), RANKS)
         yield from self._stage(on_two, ranks=2)
