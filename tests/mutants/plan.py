@@ -99,7 +99,7 @@ class Plan:
         yield from self._stage(self._fill(near, NEAR))
         yield from self._stage(self._fill(far, FAR))
         if not (tests and mutant.inside) or "/cli/" in mutant.module:
-            yield from self._stage(self._fill(blind, NEAR))
+            yield from self._stage(self._fill(blind, 2 * NEAR))
         on_two = self._fill((t for t in near or tests if not _on_one_rank(t)), RANKS)
         yield from self._stage(on_two, ranks=2)
 
