@@ -252,7 +252,7 @@ def tables(mutants: list[Mutant]) -> str:
     lines += [f"* {one}: {reasons[one.key]}" for one in mutants if one.key in reasons]
     lines += ["", "Living:", ""]
     lines += [f"* {one}" for one in mutants if outcome[one.key] == "lived"] or ["none"]
-    lines += ["", "Lived at first, and the test that was written for it:", ""]
+    lines += ["", "Lived at first, and the test that finds it now:", ""]
     later = [
         one
         for one in mutants
