@@ -4,6 +4,8 @@ First one rank, spread over the cores, which compiles the forms; then the sessio
 one after the other as long as there are no cores for both: the cores are always busy and never
 shared, which ranks that wait for each other bear badly.  The outcomes of a
 session are written to files and reported here, so that there is one verdict and one table of times.
+Where a test fails on some ranks only, or none answers, the session ends, for its ranks are out of
+step; another one runs the tests after that one.
 """
 
 from __future__ import annotations
@@ -33,11 +35,14 @@ SILENCE = 720.0
 That timeout comes too late for ranks that are out of step: no thread of Python runs in a rank that
 waits inside PETSc or DOLFINx.
 """
+PATIENCE = 60.0
+"""Seconds that other ranks have to end a test that failed on one: they may wait for that one."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Options of the sessions on several ranks."""
     group = parser.getgroup("suite")
+    group.addoption("--after", metavar="TEST", help="only the tests behind this one")
     group.addoption("--reports-to", metavar="FOLDER", help="where a rank writes what it finds")
 
 
@@ -60,6 +65,12 @@ class _Reporter:
     def _write(self, kind: str, data: Any) -> None:
         self.file.write(json.dumps({kind: data}) + "\n")
         self.file.flush()
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """Leaves the tests behind the one that ended the session before."""
+        if last := self.config.getoption("after"):
+            del items[: [item.nodeid for item in items].index(last) + 1]
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         self._write("tests", len(session.items))
@@ -95,7 +106,7 @@ class _Sessions:
 
     def __init__(self, config: pytest.Config) -> None:
         self.config = config
-        self.waiting = [ranks for ranks in RANKS if ranks in asked(config)]
+        self.waiting = [(ranks, "") for ranks in RANKS if ranks in asked(config)]
         self.cores = len(os.sched_getaffinity(0))
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -105,11 +116,13 @@ class _Sessions:
         try:
             while self.waiting or running:
                 free = self.cores - sum(one.ranks for one in running)
-                while self.waiting and (self.waiting[0] <= free or not running):
-                    free -= self.waiting[0]
-                    running.append(_Session(session, self.waiting.pop(0)))
+                while self.waiting and (self.waiting[0][0] <= free or not running):
+                    free -= self.waiting[0][0]
+                    running.append(_Session(session, *self.waiting.pop(0)))
                 time.sleep(0.2)
-                running = [one for one in running if one.goes_on()]
+                ended = [one for one in running if not one.goes_on()]
+                running = [one for one in running if one not in ended]
+                self.waiting[:0] = [(one.ranks, one.test) for one in ended if one.unfinished]
         finally:
             for one in running:
                 one.process.terminate()
@@ -117,10 +130,22 @@ class _Sessions:
 
 
 class _Session:
-    """One mpirun."""
+    """One mpirun.
 
-    def __init__(self, session: pytest.Session, ranks: int) -> None:
-        self.session, self.config, self.ranks = session, session.config, ranks
+    Args:
+        session: The one that it reports to.
+        ranks: Their number.
+        after: The test behind which it begins; empty: with the first.
+
+    Attributes:
+        ranks: As given.
+        test: The last test to begin.
+        unfinished: It ended before its last test.
+    """
+
+    def __init__(self, session: pytest.Session, ranks: int, after: str) -> None:
+        self.session, self.config, self.ranks, self.after = session, session.config, ranks, after
+        self.unfinished, self.failed = False, 0.0
         self.folder = Path(tempfile.mkdtemp(prefix=f"ranks{ranks}_"))
         self.begin, self.failures, self.read, self.ends = time.monotonic(), 0, [0] * ranks, 0
         self.heard, self.test = self.begin, ""
@@ -145,6 +170,7 @@ class _Session:
         words += ["-q", "-p", "no:cacheprovider", f"--reports-to={self.folder}"]
         # A rank that waits in MPI hears no signal; a thread ends it, and so all.
         words += ["--timeout-method=thread"]
+        words += [f"--after={self.after}"] if self.after else []
         words += [f"--{name}" for name in ("all", "rest") if self.config.getoption(name)]
         words += ["-k", option.keyword] if option.keyword else []
         words += ["-m", option.markexpr] if option.markexpr else []
@@ -156,14 +182,18 @@ class _Session:
         for rank in range(self.ranks):
             self._tell(rank)
         now = time.monotonic()
-        late = not ended and (now - self.begin > LIMIT or now - self.heard > SILENCE)
+        apart = self.failed and now - self.failed > PATIENCE
+        late = not ended and (now - self.begin > LIMIT or now - self.heard > SILENCE or apart)
         if late:
             self._stop()
         elif not ended:
             return True
         option = self.config.option
-        good = {0, pytest.ExitCode.NO_TESTS_COLLECTED} if option.keyword or option.markexpr else {0}
+        few = option.keyword or option.markexpr or self.after
+        good = {0, pytest.ExitCode.NO_TESTS_COLLECTED} if few else {0}
         bad = late or self.process.returncode not in good
+        stopped = self.ends < self.ranks or self.process.returncode == pytest.ExitCode.INTERRUPTED
+        self.unfinished = bool(stopped and self.test and now - self.begin < LIMIT)
         if (bad and not self.failures) or self.ends < self.ranks:
             why = f"ended with {self.process.returncode}"
             if late:
@@ -200,8 +230,9 @@ class _Session:
         end: int | None = None,
     ) -> None:
         self.ends += end is not None
-        self.test = begin or self.test
-        if rank == 0:
+        if begin and begin != self.test:
+            self.test, self.failed = begin, 0.0
+        if rank == 0 and not self.after:
             self.session.testscollected += tests
         if broken:
             self._fail(f"rank {rank}", broken)
@@ -210,6 +241,8 @@ class _Session:
         hook = self.config.hook
         made = hook.pytest_report_from_serializable(config=self.config, data=report)
         self.failures += made.failed
+        if made.failed and not self.failed:
+            self.failed = time.monotonic()
         if isinstance(made.longrepr, list):  # where and why a test was skipped
             made.longrepr = tuple(made.longrepr)
         # All ranks run the same tests: the others matter where they fail.
