@@ -7,7 +7,8 @@ Where the command line names files, all of their tests run, whatever set they be
                    a `sample(k)` k parameters      that run on n ranks, if it is neither `long` nor
                                                    SLOW; where a file runs on 2 and 3, the others
                                                    run on 3
-    all (--all)    every test                      every test and parameter of these files
+    all (--all)    every test                      every test and parameter of these files, on three
+                                                   none that is ENDURING
 
 and the rest (--rest) is all but the quick set.
 """
@@ -112,6 +113,9 @@ cell or a facet of a part, it shows here."""
 SLOW = ("picture", "colour", "adaptive", "second_order")
 """In names of tests of drawings, which one rank makes, and of many small steps: such tests take
 long where ranks wait for each other, and belong to the rest there."""
+ENDURING = ("fifty_periods", "second_order")
+"""In names of tests of orders and periods in time, thousands of small steps, which would take three
+ranks on two cores ten minutes each: on one rank and two."""
 
 
 def runs_on(file: str, ranks: int) -> bool:
@@ -174,6 +178,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     mine, ranks = items, MPI.COMM_WORLD.size
     if whole(config):
         mine = [item for item in mine if ranks in asked(config) and runs_on(_file(item), ranks)]
+        if ranks > 2:
+            mine = [item for item in mine if not any(word in item.name for word in ENDURING)]
         if not config.getoption("all"):
             quick = set(map(id, _quick(mine, ranks)))
             rest = config.getoption("rest")

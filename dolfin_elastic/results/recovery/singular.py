@@ -47,7 +47,7 @@ from dolfin_elastic.model.supports.springs import Spring
 from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.material_regions import poisson, young
 from dolfin_elastic.results.recovery.interfaces import material_corners
-from dolfin_elastic.results.recovery.patches import cell_edges
+from dolfin_elastic.results.recovery.patches import cell_edges, sums_by_row
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -193,6 +193,7 @@ def _sums_at_ridges(
     table = work.array.reshape(-1, 6 + facts.shape[1])
     around = mesh.topology.connectivity(dim, dim - 2).array.reshape(-1, comb(dim + 1, dim - 1))
     numbers = {(int(a), int(b)): i for i, (a, b) in enumerate(cell_edges(dim))}
+    ridges, values = [], []
     for facet in range(dim + 1):
         rows = np.flatnonzero(local == facet)
         nodes = mesh.geometry.x[mesh.geometry.dofmap[cells[rows]], :dim]
@@ -201,9 +202,9 @@ def _sums_at_ridges(
             other = next(k for k in corners if k not in ridge)
             frames = _frames(nodes, mesh.geometry.cmap.degree, facet, ridge, other)
             number = numbers[ridge[0], ridge[-1]] if dim == 3 else ridge[0]
-            np.add.at(
-                table, around[cells[rows], number], np.concatenate([frames, facts[rows]], axis=1)
-            )
+            ridges.append(around[cells[rows], number])
+            values.append(np.concatenate([frames, facts[rows]], axis=1))
+    table += sums_by_row(np.concatenate(ridges), np.concatenate(values), len(table))
     work.scatter_reverse(la.InsertMode.add)
     work.scatter_forward()
     assert body.dim == dim

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, cast
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import ufl
@@ -28,7 +29,7 @@ from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.fields import SAFEST, cauchy_stress
-from dolfin_elastic.results.recovery.patches import Patches, sampling_points
+from dolfin_elastic.results.recovery.patches import Patches, sampling_points, sums_by_row
 
 if TYPE_CHECKING:
     from dolfin_elastic.model.materials.law import Law
@@ -133,6 +134,18 @@ class NodalStress:
         return field_rows(name, self.stress, self.safety)
 
 
+_PATCHES: WeakKeyDictionary[Problem, dict[str, Patches]] = WeakKeyDictionary()
+"""Those of each problem by region: they follow from the mesh alone, and outputs share them."""
+
+
+def _patches(problem: Problem, region: MaterialRegion) -> Patches:
+    """Patches of all cells of a material region. Collective."""
+    known = _PATCHES.setdefault(problem, {})
+    if region.name not in known:
+        known[region.name] = Patches(problem.V, region.cells)
+    return known[region.name]
+
+
 class RegionStress:
     """Recovers the Cauchy stress in one material region.  All of it is collective.
 
@@ -165,7 +178,7 @@ class RegionStress:
         # One kernel for all points: compiling it takes longer than evaluating it.
         everywhere = samples if points is None else np.concatenate([samples, points])
         self._kernel = self._compiled(ufl.as_vector(columns), everywhere)
-        self.patches = Patches(problem.V, self.cells)
+        self.patches = _patches(problem, region) if cells is None else Patches(problem.V, cells)
         self._nodes = np.asarray(problem.V.element.basix_element.points)
         allowable = region.law.allowable
         self._allowable: fem.Expression | float | None
@@ -266,8 +279,7 @@ def means_at_nodes(V: fem.FunctionSpace, cells: IndexArray, values: FloatArray) 
     table = work.array.reshape(-1, width)
     nodes = V.dofmap.list[cells].reshape(-1)
     table[:, -1] = np.bincount(nodes, minlength=len(table))
-    for column in range(width - 1):
-        table[:, column] = np.bincount(nodes, values[..., column].reshape(-1), len(table))
+    table[:, :-1] = sums_by_row(nodes, values, len(table))
     work.scatter_reverse(la.InsertMode.add)
     own = table[: V.dofmap.index_map.size_local]
     return np.asarray(own[:, :-1] / np.where(own[:, -1:] > 0, own[:, -1:], np.nan))
