@@ -36,6 +36,9 @@ CURVATURE_TOLERANCE = 1e-2
 """Relative residual of the solve that looks for negative curvature: the weakest modes have more
 than this share of the right-hand side, and weigh most in the preconditioned norm."""
 
+CURVATURE_ITERATIONS = 200
+"""Of that solve: ten serve for a preconditioner of this tangent, more where it is an old one."""
+
 _DIGITS = 1e-3
 """Relative accuracy of the weakest mode's stiffness."""
 
@@ -88,17 +91,19 @@ def negative_eigenvalues(newton: Newton) -> int | None:
 
 
 def can_prove_stability(newton: Newton) -> bool:
-    """Whether `is_positive_definite` has anything to go by. Not collective."""
-    if not newton.assembler.problem.symmetric:
+    """Whether `is_stable` has anything to go by. Not collective."""
+    problem = newton.assembler.problem
+    if not problem.symmetric:
         return False
     if newton.linear.direct:
         pc = newton.ksp.getPC()
         return pc.getType() == "cholesky" and pc.getFactorSolverType() == "mumps"
-    return newton.ksp.getType() == "cg" and newton.bordered is None
+    by_gradients = newton.ksp.getType() == "cg" or newton.linear.left_gradients
+    return by_gradients and newton.bordered is None
 
 
-def is_positive_definite(newton: Newton) -> bool:
-    """Whether the last tangent of a Newton solve is proven to be that of a stable body. Collective.
+def is_stable(newton: Newton) -> bool | None:
+    """Whether the tangent at the end of a Newton solve is that of a stable body. Collective.
 
     By the pivots of its factors; else by conjugate gradients, which build the Lanczos polynomials
     of the preconditioned tangent and meet a direction of negative curvature as soon as one of their
@@ -108,23 +113,38 @@ def is_positive_definite(newton: Newton) -> bool:
 
     Args:
         newton: The solver, after a solve that has converged.
+
+    Returns:
+        None where nothing tells: see `can_prove_stability`; or conjugate gradients end otherwise.
     """
     if newton.linear.direct:
-        return negative_eigenvalues(newton) == 0
-    assembler, ksp = newton.assembler, newton.ksp
-    if not (newton.result.newton or newton.factorised):
+        below = negative_eigenvalues(newton)
+        return None if below is None else below == 0
+    return _is_positive_definite(newton) if can_prove_stability(newton) else None
+
+
+def _is_positive_definite(newton: Newton) -> bool | None:
+    """Whether the last tangent is, by conjugate gradients; None: they tell nothing. Collective."""
+    assembler = newton.assembler
+    if newton.shift > 0.0 or not (newton.result.newton or newton.factorised):
         newton.factorise()
     x, b = assembler.create_vector(), assembler.create_vector()
     b.array_w[assembler.displacement_dofs] = start_vector(assembler)
     assembler.remove_constrained(b)
-    before = ksp.getTolerances()[0]
-    ksp.setTolerances(rtol=CURVATURE_TOLERANCE)
+    # Newton's solver may be GMRES by now; its preconditioner, as old as it may be, serves both.
+    gradients = PETSc.KSP().create(assembler.comm)
+    gradients.setType("cg")
+    gradients.setPC(newton.ksp.getPC())
+    gradients.setOperators(*newton.ksp.getOperators())
+    gradients.setTolerances(rtol=CURVATURE_TOLERANCE, max_it=CURVATURE_ITERATIONS)
     with stage("solve"):
-        ksp.solve(b, x)
-    ksp.setTolerances(rtol=before)
-    x.destroy()
-    b.destroy()
-    return bool(ksp.getConvergedReason() > 0)
+        gradients.solve(b, x)
+    reason = gradients.getConvergedReason()
+    for thing in (gradients, x, b):
+        thing.destroy()
+    if reason == PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT:
+        return False
+    return True if reason > 0 else None
 
 
 @dataclass(frozen=True)

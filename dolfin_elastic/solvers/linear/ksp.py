@@ -27,6 +27,7 @@ class LinearSolver:
 
     Attributes:
         direct: It factorises.
+        left_gradients: It was CG, and is GMRES since that failed.
     """
 
     def __init__(
@@ -34,7 +35,7 @@ class LinearSolver:
     ) -> None:
         self._assembler, self._options, self.ksp, self._snes = assembler, options, ksp, snes
         self._parts: PMultigrid | PressureSplit | None = None
-        self._prepared, self.direct = False, False
+        self._prepared, self.direct, self.left_gradients = False, False, False
 
     def set_up(self) -> None:
         """Reads the options in force and attaches multigrid and near null space. Collective."""
@@ -116,6 +117,7 @@ class LinearSolver:
         if self.ksp.getType() == "cg":
             log.info("conjugate gradients failed (%s): GMRES from here on", in_words(reason))
             self._options.update(GMRES)
+            self.left_gradients = True
             self.refresh()
             return True
         problem = self._assembler.problem

@@ -17,7 +17,7 @@ from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
 from dolfin_elastic.solvers.breakpoints import corners, within_stride
-from dolfin_elastic.solvers.diagnostics.stability import negative_eigenvalues
+from dolfin_elastic.solvers.diagnostics.stability import is_stable, negative_eigenvalues
 from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
 from dolfin_elastic.solvers.nonlinear.convergence import (
@@ -244,7 +244,7 @@ class LoadStepping:
         if not self._path_check.finite():
             return BEYOND
         linear = self._problem.linear
-        return UNSTABLE if not linear and (negative_eigenvalues(self._newton) or 0) > 0 else ""
+        return UNSTABLE if not linear and is_stable(self._newton) is False else ""
 
     # --- the load grows ---
 
@@ -320,7 +320,7 @@ class LoadStepping:
         self._path_check.evaluate()
         if not self._path_check.finite():
             return BEYOND
-        if (negative_eigenvalues(self._newton) or 0) > 0:
+        if is_stable(self._newton) is False:
             return UNSTABLE
         if self._jumps >= JUMPS:
             return ""
@@ -391,7 +391,7 @@ class LoadStepping:
             return step.goal, found
         self._problem.set_time(goal, default=PROPORTIONAL)
         found = self._retry.solve([("", unknowns)])
-        if found.converged and (negative_eigenvalues(self._newton) or 0) > 0:
+        if found.converged and is_stable(self._newton) is False:
             found = flow_to_equilibrium(self._retry, settled=True)
         return goal, found
 

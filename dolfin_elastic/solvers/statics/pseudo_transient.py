@@ -11,7 +11,7 @@ import logging
 
 from petsc4py import PETSc
 
-from dolfin_elastic.solvers.diagnostics.stability import negative_eigenvalues, start_vector
+from dolfin_elastic.solvers.diagnostics.stability import is_stable, start_vector
 from dolfin_elastic.solvers.nonlinear.convergence import UNSTABLE, NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
@@ -54,7 +54,7 @@ def flow_to_equilibrium(retry: RetryStrategy, *, settled: bool) -> NewtonResult:
     newton = retry.newton
     sizes = [1e-2 * newton.cell_size, *(share * newton.span for share in PERTURBATIONS)]
     result = NewtonResult(converged=True) if settled else _flow(retry)
-    while result.converged and (settled or (negative_eigenvalues(newton) or 0) > 0):
+    while result.converged and (settled or is_stable(newton) is False):
         if not sizes:
             return result.refused(UNSTABLE)
         settled = False

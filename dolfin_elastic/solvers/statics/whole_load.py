@@ -38,7 +38,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
 from dolfin_elastic.solvers.breakpoints import corners, driven_by_formula
-from dolfin_elastic.solvers.diagnostics.stability import can_prove_stability, is_positive_definite
+from dolfin_elastic.solvers.diagnostics.stability import can_prove_stability, is_stable
 from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.convergence import ANOTHER, BEYOND, UNSTABLE, NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
@@ -155,4 +155,4 @@ def _judged(newton: Newton, path_check: PathEnergyCheck) -> NewtonResult:
         return result.refused(BEYOND)
     if path_check.jumped(result.target, share=PROPORTIONAL_WORK):
         return result.refused(ANOTHER)
-    return result if is_positive_definite(newton) else result.refused(UNSTABLE)
+    return result if is_stable(newton) else result.refused(UNSTABLE)

@@ -104,6 +104,27 @@ def test_conjugate_gradients_tell_a_buckled_column(factor, side, first):
     states.close()
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("side", [0.0, 1e-3])
+def test_iterative_solvers_see_the_column_buckle(side):
+    """Steps that end on the straight or the wrong branch are refused, as with pivots.
+
+    Without a look at the tangent GMRES, which takes over from conjugate gradients, solves for the
+    straight column under any load.  The deflection is ten times the column's thickness: 1e-8 in
+    force, softened by the condition of a column near its critical load.
+    """
+    direct, iterative = column(1.5, side), column(1.5, side)
+    steps = [solved(direct, "direct"), solved(iterative, "iterative")]
+    assert steps[0][-1].max_displacement > 1.0
+    assert off(direct, iterative) < 1e-6 or off(mirrored(direct), iterative) < 1e-6
+
+
+def mirrored(problem: Problem) -> Problem:
+    """Bent to the other side."""
+    problem.u.x.array[::2] *= -1.0
+    return problem
+
+
 def test_nothing_to_do():
     """No iteration, and no tangent before the one that is looked at."""
     problem = Problem(
