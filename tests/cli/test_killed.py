@@ -55,6 +55,7 @@ def until(met: Callable[[], bool], process: Any) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.long
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_stopped_then_restarted(tmp_path: Path, ranks: int) -> None:

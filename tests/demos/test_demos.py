@@ -16,7 +16,7 @@ DEMOS = ROOT / "demos"
 SCRIPTS = sorted(DEMOS.glob("*/*.py"))
 CASES = sorted(DEMOS.glob("*/*.toml"))
 # Half a minute each on two cores: the other demos run the same paths in the quick set.
-LONG = {"duck", "turek_hron"}
+LONG = {"bounce", "duck", "turek_hron"}
 MARKED = [
     pytest.param(path, marks=pytest.mark.long) if path.stem in LONG else path for path in SCRIPTS
 ]

@@ -260,6 +260,7 @@ def test_acoustic_tensor_of_hooke():
     np.testing.assert_allclose(np.linalg.norm(N, axis=1), 1, rtol=1e-14)
 
 
+@pytest.mark.long
 def test_st_venant_kirchhoff_loses_ellipticity():
     """In a bar that is pressed at fixed sides the wave modulus along it is 0 at s^2 = 1/3."""
     point = LawAtPoints(StVenantKirchhoff(E=E, nu=NU))

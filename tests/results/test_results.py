@@ -533,6 +533,7 @@ def test_many_pictures_are_listed_briefly(folder: Path) -> None:
     assert listed == ["a_0000.png ... a_10000.png (12 pictures)"]
 
 
+@pytest.mark.long
 def test_one_renderer_for_all_pictures(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It ends with the last output that draws; a second run gets a new one."""
     started, ended = [], []
@@ -573,6 +574,7 @@ def image(path: Path) -> AnyArray:
     return np.asarray(read.point_data.active_scalars)[:, :3].reshape(*read.dimensions[1::-1], 3)
 
 
+@pytest.mark.long
 def test_colours_are_those_of_the_bar(folder: Path) -> None:
     """Also where the undeformed body lies over the deformed one."""
     problem = make_problem(2)

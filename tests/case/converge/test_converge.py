@@ -176,6 +176,7 @@ def test_other_results(tmp_path: Path, text: str, share: str, exact: float) -> N
     assert abs(found.last.value / exact - 1) <= found.last.error
 
 
+@pytest.mark.long
 @pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("limits", "verdict", "reason"),
