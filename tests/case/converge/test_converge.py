@@ -197,7 +197,7 @@ def test_limits(tmp_path: Path, limits: dict[str, int], verdict: str, reason: st
 
 @pytest.mark.long
 def test_nonlinear(tmp_path: Path) -> None:
-    """Newton's method goes on from the coarser mesh: one step, few iterations."""
+    """Newton's method goes on from the coarser mesh: three iterations, from rest six."""
     folder = on_root(WORLD, lambda: tmp_path)
     made = Case.from_dict(
         {
@@ -212,7 +212,7 @@ def test_nonlinear(tmp_path: Path) -> None:
     progress = last(made, folder / "out", "displacement of tip", "0.5%")
     assert progress.verdict == "reached"
     first, *others = [level.newton for level in progress.levels]
-    assert max(others) < first / 2
+    assert max(others) <= 3 < first
 
 
 @pytest.mark.skipif(WORLD.size == 1, reason="compares numbers of ranks")
