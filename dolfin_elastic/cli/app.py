@@ -24,7 +24,12 @@ from dolfin_elastic.cli.pipes import guard_output
 from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen, restart, run
 from dolfin_elastic.core import __version__
 from dolfin_elastic.core.errors import CaseError, ElasticError, check_kept
-from dolfin_elastic.core.signals import INTERRUPTED, ignore_more, launched_rank
+from dolfin_elastic.core.signals import (
+    INTERRUPTED,
+    ignore_more,
+    interrupt_on_request,
+    launched_rank,
+)
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -114,6 +119,7 @@ def check(
 
     comm = MPI.COMM_WORLD
     collect_garbage()
+    interrupt_on_request()
     log_to_screen(comm.rank, logging.ERROR)  # warnings are among the report's notes
     found = report(read_case(case, comm=comm, trust=trust), comm=comm)
     if comm.rank == 0 and json:
@@ -214,6 +220,9 @@ def guarded() -> int:
     except ElasticError as error:
         return _show_error(error)
     except KeyboardInterrupt:
+        comm = _comm()
+        if comm and comm.size > 1 and not _all_arrive(comm):
+            comm.Abort(INTERRUPTED)
         return INTERRUPTED
     except Exception:
         _abort_all_ranks()

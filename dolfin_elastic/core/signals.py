@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dolfin_elastic.core.errors import StoppedError
 
@@ -21,6 +21,9 @@ INTERRUPTED = StoppedError.exit_code
 
 STOP_FILE = "stop"
 """File in the folder of results that ends a run there."""
+
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2, signal.SIGHUP)
+"""Signals that end a run; SIGHUP, of a terminal that is closed, unless nohup ignores it."""
 
 SAME_SIGNAL = 0.5
 """Signals closer than this [s] count as one: a launcher forwards what the group got already."""
@@ -45,8 +48,7 @@ class Stop:
         self._since, self._signals, self._looked = 0.0, 0, 0.0
         self._interruptible = self._agreed = False
         self._last_words = last_words
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2):
-            signal.signal(number, self._request_stop)
+        _handle(ENDING, self._request_stop)
         signal.signal(signal.SIGUSR1, self._request_checkpoint)
         _current.append(self)
 
@@ -162,8 +164,25 @@ def ignore_more() -> None:
     The interpreter forgets its handlers while it ends, and a signal would change the exit code.
     """
     if _current and _current[-1].asked:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2):
-            signal.signal(number, signal.SIG_IGN)
+        _handle(ENDING, signal.SIG_IGN)
+
+
+def _handle(
+    numbers: Iterable[signal.Signals], handler: Callable[[int, FrameType | None], Any] | int
+) -> None:
+    """Sets a handler for signals; SIGHUP stays ignored where nohup has told so."""
+    for number in numbers:
+        ignored = number == signal.SIGHUP and signal.getsignal(number) == signal.SIG_IGN
+        # Ignored anew: PETSc has put a handler of its own there, which ends the process.
+        signal.signal(number, signal.SIG_IGN if ignored else handler)
+
+
+def interrupt_on_request() -> None:
+    """Lets SIGTERM and SIGHUP end this process as Ctrl-C does, so that temporary files go.
+
+    For commands without results, once PETSc has started; `Stop` does it where there are any.
+    """
+    _handle((signal.SIGTERM, signal.SIGHUP), signal.default_int_handler)
 
 
 def watched() -> bool:

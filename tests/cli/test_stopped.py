@@ -215,6 +215,34 @@ def test_while_gmsh_meshes(ranks: int, tmp_path: Path, monkeypatch) -> None:
     assert not (tmp_path / "case_results").exists()
 
 
+@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGHUP])
+def test_check_while_gmsh_meshes(sent: signal.Signals, tmp_path: Path, monkeypatch) -> None:
+    """A command without results leaves nothing behind either."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    (tmp_path / "a.geo").write_text("For i In {1:1e18}\n x = i;\nEndFor\n")
+    (tmp_path / "case.toml").write_text(small(mesh={"file": "a.geo"}).to_toml())
+    with started([*PROGRAM, "check", "case.toml"], tmp_path, 1) as process:
+        until(lambda: bool(gmsh(tmp_path)), process)
+        stopped(process, 1, sent)
+    assert not gmsh(tmp_path)
+    assert not [*tmp_path.glob("dolfin_elastic-gmsh-*")]
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_terminal_that_is_closed(ignored: bool, tmp_path: Path) -> None:
+    """SIGHUP stops a run in order, unless nohup has told it to go on."""
+    patches = f'slow(ConvergenceTest, "__call__", {0.1 if ignored else 0.4})'
+    words = program(NEWTON, patches, "run", "case.toml")
+    (tmp_path / "case.toml").write_text(small().to_toml())
+    with started([*(["nohup"] if ignored else []), *words], tmp_path, 1) as process:
+        until((tmp_path / "there").exists, process)
+        process.send_signal(signal.SIGHUP)
+        process.communicate(timeout=60)
+    assert process.returncode == (0 if ignored else 130)
+    status = summary(tmp_path / "case_results")["status"]
+    assert status == ("completed" if ignored else "stopped")
+
+
 def gmsh(folder: Path) -> list[int]:
     """Processes of Gmsh whose private folder is in this one."""
     found = []
