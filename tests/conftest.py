@@ -64,10 +64,17 @@ def _together(request: pytest.FixtureRequest):
 
 @pytest.fixture(autouse=True)
 def _own_log():
-    """What a command line run in this process does to the log is undone."""
+    """What a command line run in this process does to log and garbage collection is undone.
+
+    A command looks for garbage from its start on; ranks that go on with it free what is collective
+    at times of their own.
+    """
     log = logging.getLogger("dolfin_elastic")
     before = log.handlers[:], log.level, log.propagate
+    collects = gc.isenabled()
     yield
+    (gc.enable if collects else gc.disable)()
+    gc.unfreeze()
     log.handlers[:], log.propagate = before[0], before[2]
     log.setLevel(before[1])
 
