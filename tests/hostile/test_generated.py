@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import os
 import re
@@ -46,13 +47,15 @@ def code_of(words: list[str], monkeypatch: pytest.MonkeyPatch) -> tuple[int, str
     monkeypatch.setattr(sys, "argv", ["dolfin-elastic", *words])
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
         code = guarded()
+    if MPI.COMM_WORLD.size > 1:
+        gc.disable()  # which the command has enabled: see `pytest_collection_finish`
     return code, out.getvalue()
 
 
 @contextlib.contextmanager
 def stopped_in_time(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Asks a run to stop when it takes long, and leaves no handler of signals behind."""
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
+    numbers = (*signals.ENDING, signal.SIGUSR1)
     before = {number: signal.getsignal(number) for number in numbers}
     monkeypatch.setattr(signals, "_current", [])
 
