@@ -126,6 +126,7 @@ def test_curved_cells_keep_their_shape() -> None:
     assert area(body, "inside") == pytest.approx(arc, rel=1e-8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("curved", [False, True])
 def test_arcs_of_cad(tmp_path: Path, curved: bool) -> None:
     """Nodes that are made on an arc lie on it; the area approaches the exact one by the rate.

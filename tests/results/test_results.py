@@ -476,6 +476,7 @@ def names(folder: Path) -> list[str]:
     return on_root(COMM, lambda: sorted(p.name for p in folder.iterdir()))
 
 
+@pytest.mark.long
 def test_pictures_during_a_run(folder: Path) -> None:
     """Steps 3, 7, 8, 9 as a solver may show them: each second one or what follows, and the last."""
     problem = make_problem(2)
@@ -621,6 +622,7 @@ def test_round_off_and_small_values(field: str) -> None:
     assert found[1] > 5 * noise
 
 
+@pytest.mark.long
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_pictures_of_materials(folder: Path, dim: int) -> None:
