@@ -27,8 +27,8 @@ BROUGHT = {
 OPTIONAL = {"lz4"}
 """Modules whose absence has a message; in Debian's environment they are there."""
 
-UNDER_OTHER_NAMES = {"python3-dev", "python3-h5py-mpi"}
-"""Packages of the environment that no module imports by name: compiled forms and h5py need them."""
+UNDER_OTHER_NAMES = {"python3-dev", "python3-h5py-mpi", "python3-imageio-ffmpeg"}
+"""Packages that no module imports by name: compiled forms, h5py and imageio need them."""
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="reads files only")
 
