@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.processes import clean_environment
 
 SLOW = [
     *("scipy", "h5py", "gmsh", "meshio", "pyvista", "matplotlib", "pint"),
@@ -36,11 +37,19 @@ LIST = (
         (["check", "case.toml"], SLOW),
     ],
 )
+@pytest.mark.usefixtures("serial_only")
 def test_nothing_is_imported_that_is_not_needed(arguments, unwanted, tmp_path: Path):
     """Help needs no numerics, and the check of a plain static case what it is about."""
     (tmp_path / "case.toml").write_text(CASE)
     command = [sys.executable, "-c", LIST, *arguments]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command,
+        cwd=tmp_path,
+        env=clean_environment(),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     modules = set(done.stdout.splitlines()[-1].split())
     assert "dolfin_elastic" in modules
     assert sorted(modules & set(unwanted)) == []

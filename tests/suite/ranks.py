@@ -48,6 +48,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Makes this process the rank of a session, or the one that starts sessions."""
+    if MPI.COMM_WORLD.size > 1:
+        # A program that a test starts would find itself described as this rank, take its place
+        # and write into the memory that it shares with the others: a rank crashed at its next
+        # message.
+        for name in os.environ.keys() - clean_environment().keys():
+            del os.environ[name]
     if folder := config.getoption("reports_to"):
         config.pluginmanager.register(_Reporter(config, Path(folder)))
     elif whole(config) and alone(config) and not config.option.collectonly:
