@@ -115,12 +115,13 @@ class Patches:
         self._centres = self._vertex_places()
         count, squares = self._sum(2, self._spread).T
         self._size = np.sqrt(np.where(squares > 0, squares / np.maximum(count, 1), 1.0))
-        self._solve, self._regular = self._normal_equations()
-        self._rounds = self._plan_extrapolation()
         # Of linear cells it takes 128 bytes a cell and saves half of the time of every further
         # state; of quadratic ones ten times that, a third of the tangent.
-        kept = self._parts if self._degree == 1 else []
-        self._kept = {part.cells.start: self._weighted(part) for part in kept}
+        self._kept: dict[int, FloatArray] = {}
+        if self._degree == 1:
+            self._kept = {part.cells.start: self._weighted(part) for part in self._parts}
+        self._solve, self._regular = self._normal_equations()
+        self._rounds = self._plan_extrapolation()
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """Recovers fields from their values at the sampling points. Collective.
@@ -135,9 +136,7 @@ class Patches:
         width, size = values.shape[2], len(self._powers)
 
         def moments(part: _Chunk) -> FloatArray:
-            kept = self._kept.get(part.cells.start)
-            p = self._weighted(part) if kept is None else kept
-            found = p.swapaxes(2, 3) @ values[part.cells][:, None]
+            found = self._weighted(part).swapaxes(2, 3) @ values[part.cells][:, None]
             return np.asarray(found.reshape(*found.shape[:2], size * width))
 
         right = self._sum(size * width, moments).reshape(-1, size, width)
@@ -191,6 +190,9 @@ class Patches:
 
     def _weighted(self, part: _Chunk) -> FloatArray:
         """Monomials at the sampling points times weights, shape (cells, corners, points, -)."""
+        kept = self._kept.get(part.cells.start)
+        if kept is not None:
+            return kept
         p = self._monomials(part, self._samples)
         return p * self._weights(p)
 

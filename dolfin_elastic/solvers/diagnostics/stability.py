@@ -57,10 +57,14 @@ def negative_pivots(pc: PETSc.PC, assembler: Assembler) -> int | None:
         Their number; None where it is not MUMPS's of a symmetric matrix, or where there are fewer
         pivots than pressures, for then the tangent is singular.
     """
-    if pc.getType() != "cholesky" or pc.getFactorSolverType() != "mumps":
+    if not _counts_pivots(pc):
         return None
     found = int(pc.getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS)) - assembler.pressures
     return None if found < 0 else found
+
+
+def _counts_pivots(pc: PETSc.PC) -> bool:
+    return bool(pc.getType() == "cholesky" and pc.getFactorSolverType() == "mumps")
 
 
 def negative_eigenvalues(newton: Newton) -> int | None:
@@ -76,10 +80,8 @@ def negative_eigenvalues(newton: Newton) -> int | None:
     Returns:
         Their number; None where no symmetric factorisation is at hand.
     """
-    if not (newton.linear.direct and newton.assembler.problem.symmetric):
-        return None
     pc = newton.ksp.getPC()
-    if pc.getType() != "cholesky" or pc.getFactorSolverType() != "mumps":
+    if not (newton.linear.direct and newton.assembler.problem.symmetric and _counts_pivots(pc)):
         return None
     if newton.shift > 0.0 or not (newton.result.newton or newton.factorised):
         newton.factorise()
@@ -96,8 +98,7 @@ def can_prove_stability(newton: Newton) -> bool:
     if not problem.symmetric:
         return False
     if newton.linear.direct:
-        pc = newton.ksp.getPC()
-        return pc.getType() == "cholesky" and pc.getFactorSolverType() == "mumps"
+        return _counts_pivots(newton.ksp.getPC())
     by_gradients = newton.ksp.getType() == "cg" or newton.linear.left_gradients
     return by_gradients and newton.bordered is None
 
