@@ -273,6 +273,16 @@ def portable(case: Case) -> dict[str, Any]:
     return tables
 
 
+def written_tables(case: Case) -> dict[str, Any]:
+    """As `portable`; empty of a case with Python functions, which no file holds. Not collective."""
+    tables = portable(case)
+    try:
+        toml_text(tables)
+    except TypeError:
+        return {}
+    return tables
+
+
 def _inline_curve(row: Record) -> Record:
     """A record with its curve as a table in place of a CSV file."""
     curve = getattr(row, "curve", None)

@@ -21,7 +21,7 @@ from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.loads import load_sums, stress_notes
 from dolfin_elastic.case.check.mesh_quality import bending_notes, shape_notes
 from dolfin_elastic.case.check.plausibility import unit_information
-from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished
+from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished, written_tables
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import (
     CaseError,
@@ -41,7 +41,7 @@ from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
 from dolfin_elastic.results.checkpoint.checksums import fingerprint
 from dolfin_elastic.results.checkpoint.lock import FolderLock
 from dolfin_elastic.results.files import writing
-from dolfin_elastic.results.outputs import Modes, Output, Xdmf
+from dolfin_elastic.results.outputs import Modes, Output, Summary, Xdmf
 from dolfin_elastic.results.writer import ModeWriter, Writer
 from dolfin_elastic.results.writers.modes import clear as clear_modes
 from dolfin_elastic.results.writers.xdmf import remove
@@ -191,7 +191,7 @@ class _Run:
         lock.acquire(create=True)
         checkpoints.remove_foreign(new=before is None)
         saved = None if before is None else before.found.content["outputs"]
-        with open_outputs(self.case.files(), problem, self.folder, saved) as writers:
+        with open_outputs(outputs_of(self.case), problem, self.folder, saved) as writers:
             try:
                 for result in chain(first, probed):
                     checkpoints.forget()  # the files are about to be ahead of it
@@ -358,6 +358,16 @@ def check_problem(case: Case, problem: Problem) -> None:
         notes += stress_notes(case, integrals, load_sums(case, integrals))
     for note in notes:
         log.warning("%s", note)
+
+
+def outputs_of(case: Case) -> list[Output]:
+    """The outputs of a case, its summary with a copy of it. Not collective."""
+    return [
+        file.model_copy(update={"case": written_tables(case)})
+        if isinstance(file, Summary)
+        else file
+        for file in case.files()
+    ]
 
 
 @contextmanager

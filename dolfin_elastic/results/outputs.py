@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, field_validator
 
@@ -135,13 +135,15 @@ class Summary(Output):
 
     Attributes:
         file: The JSON file.
+        case: Tables of the case, of which the summary holds a copy.
     """
 
     file: str = "summary.json"
+    case: dict[str, Any] = Field(default={})
 
     def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> SummaryWriter:
         """See `Output.open`."""
-        return SummaryWriter(problem, folder / self.file, saved)
+        return SummaryWriter(problem, folder / self.file, saved, case=self.case)
 
 
 class Picture(Output):

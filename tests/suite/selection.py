@@ -89,6 +89,7 @@ SHARED = {
     "problem/periodic/test_periodic.py",
     "problem/test_problem.py",
     "results/checkpoint/test_checkpoints.py",
+    "results/finished/test_finished.py",
     "results/test_probes.py",
     "results/test_results.py",
     "solvers/audit/test_audit.py",

@@ -21,7 +21,7 @@ from dolfin_elastic.case.converge.extrapolation import extrapolate, grows
 from dolfin_elastic.case.converge.progress import Level, Progress, Verdict
 from dolfin_elastic.case.converge.quantity import Measured, Measurement, Quantity
 from dolfin_elastic.case.converge.report import write_report
-from dolfin_elastic.case.run import check_problem, log_notes, open_outputs
+from dolfin_elastic.case.run import check_problem, log_notes, open_outputs, outputs_of
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import InputError, StoppedError
 from dolfin_elastic.core.parallel import on_root, total
@@ -343,7 +343,7 @@ class _Convergence:
     def _write(self, solved: _Solved, progress: Progress) -> None:
         """The results of this mesh, in place of those of the one before. Collective."""
         self.lock.acquire(create=True)
-        with open_outputs(self.case.files(), solved.problem, self.folder) as writers:
+        with open_outputs(outputs_of(self.case), solved.problem, self.folder) as writers:
             for writer in writers:
                 if isinstance(writer, SummaryWriter) and progress.verdict == "running":
                     writer.silence()

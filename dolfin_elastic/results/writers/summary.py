@@ -63,13 +63,22 @@ class SummaryWriter:
         problem: The problem that is solved.
         path: The file; an old one is overwritten.
         saved: Its restart state: counts and seconds before the checkpoint are added.
+        case: Tables of the case, of which the file holds a copy.
 
     Raises:
         OutputError: The file cannot be written.
     """
 
-    def __init__(self, problem: Problem, path: Path, saved: Numbers | None = None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        path: Path,
+        saved: Numbers | None = None,
+        *,
+        case: Mapping[str, object] | None = None,
+    ) -> None:
         self.problem, self.path, self.comm = problem, path, problem.body.comm
+        self._case = dict(case or {})
         self._begin = self._written = time.monotonic()
         before = dict(saved or {})
         self._started = before.get("started", _now())
@@ -165,6 +174,7 @@ class SummaryWriter:
             "units": UNITS,
             "started": self._started,
             "restarts": self._restarts,
+            "case": self._case,
             **(extra or {}),
         }
         text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"

@@ -1,0 +1,168 @@
+"""`FinishedRun`: a folder of results, to be shown, drawn or reported without computing again."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.results.finished.units import column_unit
+from dolfin_elastic.results.finished.xdmf import Frame, read_frames, read_grid
+
+if TYPE_CHECKING:
+    import pyvista
+
+_SUMMARY, _HISTORY, _FIELDS = "summary.json", "history.csv", "results.xdmf"
+
+
+class FinishedRun:
+    """A folder of results.  One process reads it, and nothing is written; no MPI, no DOLFINx.
+
+    The run may also be going on or have failed: `summary["status"]` says so.
+
+    Args:
+        folder: The folder of the results.
+
+    Attributes:
+        folder: As given.
+        summary: `summary.json`.
+        case: The tables of the case as it was computed, with the curves of CSV files in it and an
+            absolute path of the mesh; empty of a case with Python functions.
+        frames: The steps that `results.xdmf` holds; none where only modes were computed.
+        history: Column of `history.csv` to its numbers, shape (rows,), SI units; an empty cell is
+            nan, columns of words are left out; empty where only modes were computed.
+        units: Column to its SI unit, empty where it has none.
+
+    Raises:
+        InputError: It is no folder of results, or a file in it cannot be read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._check_folder()
+        self.summary: dict[str, Any] = _read_json(folder / _SUMMARY)
+        self.case: dict[str, Any] = self.summary.get("case") or {}
+        self.history = _read_history(folder / _HISTORY)
+        self.frames: list[Frame] = read_frames(folder / _FIELDS)
+
+    def _check_folder(self) -> None:
+        folder, where = self.folder, str(self.folder)
+        expected = "expected the folder of the results of a run"
+        if folder.is_file():
+            raise InputError("this is a file", where=where, expected=expected)
+        if not folder.is_dir():
+            others = [path.parent.name for path in folder.parent.glob(f"*/{_SUMMARY}")]
+            hint = nearest(folder.name, others) if others else expected
+            raise InputError("there is no such folder", where=where, expected=hint)
+        if not (folder / _SUMMARY).is_file():
+            raise InputError(f"it holds no {_SUMMARY}", where=where, expected=expected)
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """See the class."""
+        return {name: column_unit(name, moving=self.moving) for name in self.history}
+
+    @property
+    def moving(self) -> bool:
+        """The run was a motion: t is a time [s]; else it is the load parameter of statics."""
+        return "kinetic_energy" in self.history
+
+    @property
+    def steps(self) -> list[float]:
+        """The times [s], in statics load parameters, that `results.xdmf` holds."""
+        return [frame.t for frame in self.frames]
+
+    @property
+    def dim(self) -> int:
+        """2 of a plane or axisymmetric body, 3 of a solid.
+
+        Raises:
+            InputError: The folder holds no fields.
+        """
+        return self.frame().dim
+
+    def frame(self, step: int = -1) -> Frame:
+        """One of `frames`.
+
+        Args:
+            step: Its index in `steps`; negative ones count from the end.
+
+        Raises:
+            InputError: There is none.
+        """
+        if not self.frames:
+            raise InputError(
+                f"it holds no fields of steps ({_FIELDS})",
+                where=str(self.folder),
+                expected="of modes each has a file of its own",
+            )
+        if not -len(self.frames) <= step < len(self.frames):
+            raise InputError(
+                f"there is no step {step}",
+                where=str(self.folder),
+                expected=f"0 to {len(self.frames) - 1}, or -1 for the last",
+            )
+        return self.frames[step]
+
+    def fields(self, step: int = -1) -> tuple[str, ...]:
+        """Names of the fields of a step.
+
+        Args:
+            step: See `frame`.
+        """
+        return tuple(self.frame(step).arrays)
+
+    def grid(self, step: int = -1) -> pyvista.UnstructuredGrid:
+        """The undeformed body, quadratic cells as such, with all fields of a step.
+
+        Fields of nodes are point data, those of cells cell data, of shape (n,) or (n, columns), in
+        SI units; a tensor has nine components, row by row.
+
+        Args:
+            step: See `frame`.
+
+        Raises:
+            InputError: There is no such step, or its files are missing or damaged.
+        """
+        return read_grid(self.folder, self.frame(step))
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be read: {error}", where=str(path)) from None
+    if not isinstance(found, dict):
+        raise InputError("this is no summary of a run", where=str(path))
+    return found
+
+
+def _read_history(path: Path) -> dict[str, FloatArray]:
+    """Columns of numbers; none without the file."""
+    if not path.is_file():
+        return {}
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            head, *rows = [*csv.reader(file)] or [[]]
+    except (OSError, ValueError, csv.Error) as error:
+        raise InputError(f"cannot be read: {error}", where=str(path)) from None
+    # The last row may be in the making.
+    whole = [row for row in rows if len(row) == len(head)]
+    columns = {name: [row[i] for row in whole] for i, name in enumerate(head)}
+    found = {name: _numbers(column) for name, column in columns.items()}
+    return {name: numbers for name, numbers in found.items() if numbers is not None}
+
+
+def _numbers(column: list[str]) -> FloatArray | None:
+    """A column as numbers; None if it holds words."""
+    try:
+        return np.array([float(cell) if cell else math.nan for cell in column])
+    except ValueError:
+        return None

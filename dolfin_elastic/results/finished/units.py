@@ -1,0 +1,58 @@
+"""SI units of the columns of `history.csv` and of fields."""
+
+from __future__ import annotations
+
+_EXACT = {
+    "max_displacement": "m",
+    "external_work": "J",
+    "frequency": "Hz",
+    "omega": "rad/s",
+    "mass": "kg",
+}
+_BEGINNINGS = {
+    "reaction_": "N",
+    "momentum_": "kg m/s",
+    "angular_momentum_": "kg m^2/s",
+    "moment_": "N m",
+    "torque_": "N m",
+    "penetration_": "m",
+    "contact_area_": "m^2",
+    "pressure_": "Pa",
+    "volume_": "m^3",
+}
+_WITHOUT = ("step", "load_factor", "newton", "krylov", "balance_force", "balance_moment")
+_WITHOUT_UNIT = (*_WITHOUT, "min_jacobian", "max_jacobian")
+_AXES, _TURNS = ("x", "y", "z"), ("rx", "ry", "rz")
+
+
+def column_unit(column: str, *, moving: bool) -> str:
+    """Unit of a column of `history.csv`; empty of a pure number.
+
+    Probes are told by the end of the name, see [output] probes: a name and axis are a displacement,
+    a name and a field have the field's unit.
+
+    Args:
+        column: Its name.
+        moving: The run was a motion, so that t is a time.
+    """
+    exact = {**_EXACT, **dict.fromkeys(_WITHOUT_UNIT, ""), "t": "s" if moving else ""}
+    if column in exact:
+        return exact[column]
+    if column.endswith("_energy"):
+        return "J"
+    if (unit := _field_unit(column)) is not None:
+        return unit
+    last = column.rpartition("_")[2]
+    by_end = "m" if last in _AXES else "rad" if last in _TURNS else ""
+    return next((unit for begin, unit in _BEGINNINGS.items() if column.startswith(begin)), by_end)
+
+
+def _field_unit(column: str) -> str | None:
+    """Unit of the longest name of a field that a column ends in, but for components."""
+    from dolfin_elastic.results.fields import FIELDS
+
+    name, _, last = column.rpartition("_")
+    vector, tensor = last in _AXES, len(last) == 2 and set(last) <= set(_AXES)
+    text = name if vector or tensor else column
+    found = [field for field in FIELDS if text.endswith(f"_{field}")]
+    return FIELDS[max(found, key=len)].unit if found else None

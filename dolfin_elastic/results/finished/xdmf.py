@@ -1,0 +1,177 @@
+"""Reads what `writers/xdmf.py` has written, by its XML and the HDF5 files that this refers to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import AnyArray
+
+if TYPE_CHECKING:
+    import pyvista
+
+# XDMF's name of a cell -> VTK's number, dimension.
+_CELLS = {
+    "Triangle": (5, 2),
+    "Triangle_6": (22, 2),
+    "Tetrahedron": (10, 3),
+    "Tetrahedron_10": (24, 3),
+}
+
+
+@dataclass(frozen=True)
+class Stored:
+    """An array in an HDF5 file.
+
+    Attributes:
+        file: Relative to the folder of the results.
+        name: In the file.
+        shape: Rows and columns.
+        centre: "node" or "cell".
+    """
+
+    file: str
+    name: str
+    shape: tuple[int, ...]
+    centre: str = "node"
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One step.
+
+    Attributes:
+        number: Of the step in the run.
+        t: Time [s], or load parameter.
+        kind: XDMF's name of the cells.
+        points: Places of the nodes.
+        cells: Nodes of each cell in VTK's order.
+        arrays: Name of a field to its numbers.
+    """
+
+    number: int
+    t: float
+    kind: str
+    points: Stored
+    cells: Stored
+    arrays: Mapping[str, Stored]
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the cells."""
+        return _CELLS[self.kind][1]
+
+
+def read_frames(path: Path) -> list[Frame]:
+    """The steps of an XDMF file; none if there is no file.
+
+    Args:
+        path: A file from `XdmfWriter` or of a mode.
+
+    Raises:
+        InputError: It is no such file.
+    """
+    if not path.is_file():
+        return []
+    try:
+        tree = ElementTree.parse(path)
+        return [_frame(grid) for grid in tree.iterfind(".//Grid/Grid")]
+    except (OSError, ElementTree.ParseError, KeyError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"cannot be read: {error}", where=str(path), expected="expected a file from a run"
+        ) from None
+
+
+def _frame(grid: ElementTree.Element) -> Frame:
+    topology, geometry, time = (_child(grid, name) for name in ("Topology", "Geometry", "Time"))
+    kind = topology.attrib["TopologyType"]
+    if kind not in _CELLS:
+        raise ValueError(f"unknown cells '{kind}'")
+    arrays = {
+        row.attrib["Name"]: _stored(row, row.attrib["Center"].lower())
+        for row in grid.iterfind("Attribute")
+    }
+    number = int(grid.attrib["Name"].rpartition(" ")[2])
+    t = float(time.attrib["Value"])
+    return Frame(number, t, kind, _stored(geometry), _stored(topology, "cell"), arrays)
+
+
+def _child(parent: ElementTree.Element, name: str) -> ElementTree.Element:
+    found = parent.find(name)
+    if found is None:
+        raise ValueError(f"a step has no {name}")
+    return found
+
+
+def _stored(parent: ElementTree.Element, centre: str = "node") -> Stored:
+    item = _child(parent, "DataItem")
+    file, _, name = (item.text or "").rpartition(":/")
+    if not file or Path(file).is_absolute() or ".." in Path(file).parts:
+        raise ValueError(f"'{item.text}' is no place in a file beside it")
+    shape = tuple(int(size) for size in item.attrib["Dimensions"].split())
+    return Stored(file, name, shape, centre)
+
+
+def read_array(folder: Path, stored: Stored) -> AnyArray:
+    """The numbers of an array.
+
+    Args:
+        folder: Of the results.
+        stored: Where they are.
+
+    Raises:
+        InputError: The file is missing or damaged.
+    """
+    import h5py
+
+    path = folder / stored.file
+    try:
+        with h5py.File(path, "r") as file:
+            found = np.asarray(file[stored.name][()])
+    except (OSError, KeyError, RuntimeError) as error:
+        raise InputError(
+            f"cannot be read: {error}",
+            where=f"{path}:/{stored.name}",
+            expected="keep results.xdmf and the folder results_data together",
+        ) from None
+    if found.shape != stored.shape:
+        raise InputError(
+            f"it has the shape {found.shape}, not {stored.shape}", where=f"{path}:/{stored.name}"
+        )
+    return found
+
+
+def read_grid(folder: Path, frame: Frame) -> pyvista.UnstructuredGrid:
+    """The undeformed body with the fields of a step, see `FinishedRun.grid`.
+
+    Args:
+        folder: Of the results.
+        frame: The step.
+    """
+    import pyvista as pv
+
+    cells, points = read_array(folder, frame.cells), read_array(folder, frame.points)
+    if cells.size and not 0 <= cells.min() <= cells.max() < len(points):
+        raise InputError(
+            "cells have nodes that are not there", where=str(folder / frame.cells.file)
+        )
+    kinds = np.full(len(cells), _CELLS[frame.kind][0], dtype=np.uint8)
+    rows = np.insert(cells.astype(np.int64), 0, cells.shape[1], axis=1)
+    grid = pv.UnstructuredGrid(rows.ravel(), kinds, points)
+    sizes: dict[str, tuple[int, Any]] = {
+        "node": (len(points), grid.point_data),
+        "cell": (len(cells), grid.cell_data),
+    }
+    for name, stored in frame.arrays.items():
+        count, data = sizes[stored.centre]
+        values = read_array(folder, stored)
+        if len(values) != count:
+            raise InputError(f"'{name}' has {len(values)} values, not {count}", where=str(folder))
+        data[name] = values[:, 0] if values.shape[1] == 1 else values
+    return grid

@@ -1,0 +1,131 @@
+"""Folders of results are read back: fields, history, case; and folders that are none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from helpers.states import COMM, displacement, make_problem, make_state
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.results.finished.run import FinishedRun
+from dolfin_elastic.results.finished.units import column_unit
+from dolfin_elastic.results.outputs import History, Summary, Xdmf
+
+CASE = {"title": "A beam", "statics": {"steps": 2}}
+
+
+def written(folder: Path, dim: int, degree: int) -> Problem:
+    """Two steps of a state with known displacements."""
+    problem = make_problem(dim, degree, cells=1)
+    fields = ("displacement", "von_mises", "cauchy_stress_cell", "rank")
+    outputs = (Xdmf(fields=fields), History(), Summary(case=CASE))
+    writers = [output.open(problem, folder) for output in outputs]
+    for step in (1, 2):
+        state = make_state(problem, step, step / 2, numbers={"tip_x": 0.25 * step}, done=step / 2)
+        for writer in writers:
+            writer.write(state)
+    for writer in writers:
+        writer.close()
+    return problem
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize(("dim", "degree"), [(3, 2), (2, 1), (2, 2), (3, 1)])
+def test_what_a_run_has_left(folder: Path, dim: int, degree: int) -> None:
+    """Every number as it was computed, on cells with their mid-edge nodes in VTK's order."""
+    problem = written(folder, dim, degree)
+    nodes, cells = problem.V.dofmap.index_map.size_global, problem.body.num_cells
+    on_root(COMM, lambda: check(folder, dim, degree, (nodes, cells)))
+
+
+def check(folder: Path, dim: int, degree: int, count: tuple[int, int]) -> None:
+    run = FinishedRun(folder)
+    assert run.case == CASE
+    assert run.summary["status"] == "completed"
+    assert run.steps == [0.5, 1.0]
+    assert run.dim == dim
+    assert run.history["step"].tolist() == [1, 2]
+    assert run.history["tip_x"].tolist() == [0.25, 0.5]
+    assert (run.units["tip_x"], run.units["t"]) == ("m", "")
+    grid = run.grid()
+    assert (grid.n_points, grid.n_cells) == count
+    assert set(run.fields()) == {"displacement", "von_mises", "cauchy_stress_cell", "rank"}
+    assert grid.cell_data["cauchy_stress_cell"].shape == (count[1], 9)
+    assert set(grid.cell_data["rank"]) == set(range(COMM.size))
+    inside = np.where(np.arange(3) < dim, displacement(grid.points.T).T, 0.0)
+    assert np.abs(grid.point_data["displacement"] - inside).max() < 1e-14
+    assert np.abs(run.grid(0).point_data["displacement"] - inside / 2).max() < 1e-14
+    # VTK's own volumes of the cells: nodes in another order would change them, or their sign.
+    name = "Area" if dim == 2 else "Volume"
+    sizes = grid.compute_cell_sizes()[name]
+    assert sizes.min() > 0
+    assert sizes.sum() == pytest.approx(2.0, rel=1e-12)
+    assert set(grid.celltypes) == {{(2, 1): 5, (2, 2): 22, (3, 1): 10, (3, 2): 24}[dim, degree]}
+    for step in (2, -3):
+        with pytest.raises(InputError, match=f"no step {step}; 0 to 1, or -1 for the last"):
+            run.grid(step)
+
+
+def test_what_is_no_result_or_damaged(folder: Path) -> None:
+    """What is wrong, and where; a history with half a row is that of a run that goes on."""
+    written(folder / "beam", 2, 1)
+    on_root(COMM, lambda: check_damaged(folder / "beam"))
+
+
+def check_damaged(beam: Path) -> None:
+    for name, what in (
+        ("beem", "no such folder; did you mean 'beam'"),
+        ("beam/results.xdmf", "this is a file; expected the folder"),
+        ("beam/results_data", "it holds no summary.json"),
+    ):
+        with pytest.raises(InputError, match=what):
+            FinishedRun(beam.parent / name)
+    with (beam / "history.csv").open("a") as file:
+        file.write("3,1.5")
+    assert FinishedRun(beam).history["step"].tolist() == [1, 2]
+    with h5py.File(beam / "results_data/000001.h5", "a") as data:
+        del data["displacement"]
+    with pytest.raises(InputError, match=r"000001.h5:/displacement: cannot be read"):
+        FinishedRun(beam).grid()
+    xdmf = (beam / "results.xdmf").read_text()
+    (beam / "results.xdmf").write_text(xdmf.replace("results_data/", "../results_data/"))
+    with pytest.raises(InputError, match="is no place in a file beside it"):
+        FinishedRun(beam)
+    (beam / "results.xdmf").write_text(xdmf[:-30])
+    with pytest.raises(InputError, match=r"results.xdmf: cannot be read"):
+        FinishedRun(beam)
+    (beam / "results.xdmf").unlink()
+    with pytest.raises(InputError, match="it holds no fields of steps"):
+        FinishedRun(beam).grid()
+    (beam / "summary.json").write_text(json.dumps([1]))
+    with pytest.raises(InputError, match="this is no summary of a run"):
+        FinishedRun(beam)
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"),
+    [
+        ("tip_x", "m"),
+        ("reaction_left_y", "N"),
+        ("notch_von_mises", "Pa"),
+        ("notch_green_strain_xy", ""),
+        ("tip_velocity_z", "m/s"),
+        ("lid_rx", "rad"),
+        ("torque_hub", "N m"),
+        ("min_jacobian", ""),
+        ("strain_energy", "J"),
+        ("momentum_x", "kg m/s"),
+        ("angular_momentum_z", "kg m^2/s"),
+        ("pressure_chamber", "Pa"),
+        ("external_work", "J"),
+    ],
+)
+def test_units_of_columns(column: str, unit: str) -> None:
+    """By the rules by which columns get their names."""
+    assert column_unit(column, moving=False) == unit
