@@ -1,4 +1,4 @@
-"""The README says nothing that does not run, and leaves out no key."""
+"""README and docs/ say nothing that does not run, and the guide leaves out no key."""
 
 from __future__ import annotations
 
@@ -47,7 +47,13 @@ from dolfin_elastic.solvers.eigen.settings import BucklingSettings, ModalSetting
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = {
+    path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+    for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    if "_build" not in path.parts
+}
+GUIDE = "".join(text for name, text in PAGES.items() if name.startswith("docs/guide/"))
+"""What people have written about the keys; the pages in docs/reference/ are made from the code."""
 MODELS: list[type[BaseModel]] = [
     Case,
     tables.MeshTable,
@@ -75,15 +81,15 @@ MODELS: list[type[BaseModel]] = [
 ]
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+def blocks(language: str, text: str = GUIDE) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
 def test_every_key(model: type[BaseModel]) -> None:
-    """A new key needs a line in the README."""
+    """A new key needs a line in the guide."""
     missing = [
-        name for name in model.model_fields if not re.search(rf"[`\[{{ ]{name}(?![a-z])", README)
+        name for name in model.model_fields if not re.search(rf"[`\[{{ ]{name}(?![a-z])", GUIDE)
     ]
     assert missing == []
 
@@ -95,7 +101,7 @@ def test_every_key(model: type[BaseModel]) -> None:
 )
 def test_every_name(names: dict[str, object]) -> None:
     """So does a new law, load, field or function."""
-    assert [name for name in names if not re.search(rf"\b{re.escape(name)}\b", README)] == []
+    assert [name for name in names if not re.search(rf"\b{re.escape(name)}\b", GUIDE)] == []
 
 
 def test_selectors() -> None:
@@ -137,8 +143,8 @@ def test_tie() -> None:
 @pytest.mark.usefixtures("serial_only")
 def test_examples_run(tmp_path: Path) -> None:
     """The case and both Python programs."""
-    (tmp_path / "block.toml").write_text(blocks("toml")[0])
-    python = blocks("python")
+    (tmp_path / "block.toml").write_text(blocks("toml", PAGES["docs/guide/case-file.md"])[0])
+    python = blocks("python", PAGES["docs/guide/python.md"])
     assert len(python) == 2
     for code in python:
         done = subprocess.run(
@@ -156,12 +162,50 @@ def test_examples_run(tmp_path: Path) -> None:
         assert (tmp_path / folder / "results.xdmf").exists()
 
 
-def test_links() -> None:
-    """Files that the README refers to exist."""
-    links = re.findall(r"\]\(([^)#:]+)\)", README) + re.findall(
-        r"`((?:docker|demos)/[\w./]+)`", README
-    )
-    assert [link for link in links if not (ROOT / link).exists()] == []
+@pytest.mark.parametrize("page", PAGES)
+def test_cases(page: str) -> None:
+    """Blocks that begin with ```toml are TOML; those with a mesh are whole cases that can be read.
+
+    The mesh itself is read by the tests that run them.
+    """
+    for text in blocks("toml", PAGES[page]):
+        found = tomllib.loads(text)
+        if "mesh" in found:
+            assert Case.from_dict(found).to_dict()
+        for table in found.get("materials", {}).values():
+            assert tables.Material.read(table).law
+
+
+def test_the_case_of_the_readme_is_that_of_the_guide() -> None:
+    """It stands in both, and runs."""
+    assert blocks("toml", PAGES["README.md"]) == blocks("toml", PAGES["docs/guide/case-file.md"])
+
+
+def test_the_readme_is_short() -> None:
+    """What is longer belongs into the guide."""
+    assert len(PAGES["README.md"].splitlines()) <= 250
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links(page: str) -> None:
+    """Files that a page refers to exist, and so do the headings in them."""
+    folder = (ROOT / page).parent
+    missing = []
+    for link in re.findall(
+        r"\]\(([^):\s]+)\)", re.sub(r"```.*?```", "", PAGES[page], flags=re.DOTALL)
+    ):
+        file, _, heading = link.partition("#")
+        target = (folder / file).resolve() if file else ROOT / page
+        if not target.exists() or (heading and heading not in headings(target)):
+            missing.append(link)
+    files = re.findall(r"`((?:docker|demos)/[\w./]+)`", PAGES[page])
+    assert missing + [file for file in files if not (ROOT / file).exists()] == []
+
+
+def headings(page: Path) -> list[str]:
+    """Anchors of a page's headings, as GitHub and MyST make them."""
+    lines = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return [re.sub(r"[^\w\- ]", "", line.lower()).replace(" ", "-") for line in lines]
 
 
 def imported(name: str, code: str, folder: Path) -> ModuleType:

@@ -493,7 +493,7 @@ def test_accepted_formulas_mean_what_they_say(pair):
         assert found == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
-def test_own_names_are_in_the_readme():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_own_names_are_in_the_guide():
+    text = (ROOT / "docs/guide/materials.md").read_text(encoding="utf-8")
     for name in (*user_names.PLAIN, *user_names.ALONG, *user_names.ACROSS):
         assert f"`{name}`" in text, name

@@ -1,0 +1,66 @@
+"""The documentation site: Sphinx, MyST and Furo, all Debian packages; see docs/build."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from pygments.lexers.configs import TOMLLexer
+from sphinx.application import Sphinx
+from sphinx.writers.html5 import HTML5Translator
+
+CODE = Path(__file__).parents[1] / "dolfin_elastic/core/__init__.py"
+
+project = "dolfin_elastic"
+author = "the authors of dolfin_elastic"
+copyright = "LGPL-3.0-or-later"  # noqa: A001
+release = version = re.findall(r'__version__ = "(.*)"', CODE.read_text(encoding="utf-8"))[0]
+extensions = ["myst_parser"]
+source_suffix = {".md": "markdown"}
+exclude_patterns = ["_build"]
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 4
+html_theme = "furo"
+html_title = f"dolfin_elastic {release}"
+html_copy_source = False
+html_theme_options = {"top_of_page_buttons": []}
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+nitpicky = True
+
+
+def visit_math(self: HTML5Translator, node: nodes.math) -> None:
+    """Formulae as MathML, which browsers draw without a script from anywhere."""
+    self.body.append(f'<math xmlns="http://www.w3.org/1998/Math/MathML">{mathml(node, "inline")}')
+    self.body.append("</math>")
+    raise nodes.SkipNode
+
+
+def visit_displaymath(self: HTML5Translator, node: nodes.math_block) -> None:
+    """The same on a line of its own."""
+    self.body.append('<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">')
+    self.body.append(f"{mathml(node, 'block')}</math>")
+    raise nodes.SkipNode
+
+
+def mathml(node: nodes.Node, kind: str) -> str:
+    """What stands within the element <math>.
+
+    Args:
+        node: The formula in TeX.
+        kind: "inline" or "block".
+    """
+    text = tex2mathml(node.astext(), as_block=kind == "block")
+    return re.sub(r"^\s*<math[^>]*>|</math>\s*$", "", text.strip())
+
+
+def setup(app: Sphinx) -> None:
+    """Formulae, and the names that tests give to blocks of TOML."""
+    app.add_html_math_renderer("mathml", (visit_math, None), (visit_displaymath, None))
+    for name in ("part", "edges", "material", "periodic", "contact", "tie"):
+        app.add_lexer(f"toml-{name}", TOMLLexer)
+
+
+html_math_renderer = "mathml"
