@@ -22,8 +22,11 @@ from dolfin_elastic.cli.converge import converge
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import guard_output
 from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen, restart, run
+from dolfin_elastic.cli.tools.new import new
+from dolfin_elastic.cli.tools.schema import schema
+from dolfin_elastic.cli.tools.verbs import Verbs
 from dolfin_elastic.core import __version__
-from dolfin_elastic.core.errors import CaseError, ElasticError, check_kept
+from dolfin_elastic.core.errors import ElasticError
 from dolfin_elastic.core.signals import (
     INTERRUPTED,
     ignore_more,
@@ -63,7 +66,7 @@ Exit codes:
 app = typer.Typer(
     help=HELP,
     no_args_is_help=True,
-    add_completion=False,
+    cls=Verbs,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -138,42 +141,8 @@ app.command()(converge)
 app.command()(restart)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(material)
 app.command()(materials)
-
-
-@app.command()
-def new(
-    file: Annotated[Path, typer.Argument(metavar="[FILE]", hidden=True)] = Path("case.toml"),
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
-) -> None:
-    """Write a first case file that runs as it is.
-
-    \b
-      dolfin-elastic new               writes case.toml
-      dolfin-elastic new beam.toml
-
-    \f
-    Args:
-        file: The file to write.
-        force: Overwrite it if it exists.
-
-    Raises:
-        CaseError: It exists, or cannot be written.
-    """
-    from dolfin_elastic.cli.template import case_template
-
-    if launched_rank() == 0:
-        check_kept(file.parent, str(file))
-        if file.exists() and not force:
-            raise CaseError(
-                "this file exists already",
-                where=str(file),
-                expected="choose another name, or --force to overwrite it",
-            )
-        try:
-            file.write_text(case_template(str(file)), encoding="utf-8")
-        except OSError as error:
-            raise CaseError(f"cannot be written: {error.strerror}", where=str(file)) from None
-    print(f"{file} written; compute it with: dolfin-elastic run {file}")
+app.command()(new)
+app.command()(schema)
 
 
 @app.command()

@@ -77,7 +77,7 @@ class Record(BaseModel, metaclass=_InputErrorMeta):
     @classmethod
     def _refuse_unknown_keys(cls, data: object) -> object:
         if isinstance(data, dict):
-            fields = {key: f for n, f in cls.model_fields.items() for key in _names(n, f)}
+            fields = {key: f for n, f in cls.model_fields.items() for key in field_keys(n, f)}
             for name, value in data.items():
                 if name not in fields:
                     expected = cls.key_hints.get(str(name)) or nearest(str(name), fields)
@@ -90,7 +90,7 @@ class Record(BaseModel, metaclass=_InputErrorMeta):
 
 def _refuse_boolean(kinds: Sequence[object], where: str, value: object) -> None:
     """Refuses booleans where numbers are expected: pydantic would read `steps = true` as 1."""
-    members = [member for kind in kinds for member in _members(kind)]
+    members = [member for kind in kinds for member in members_of(kind)]
     if isinstance(value, list | tuple):
         inside = [get_args(kind)[0] for kind in members if get_origin(kind) in (list, tuple)]
         for index, one in enumerate(value):
@@ -107,7 +107,7 @@ def _refuse_boolean(kinds: Sequence[object], where: str, value: object) -> None:
 def _refuse_non_boolean(kind: object, where: str, value: object) -> None:
     """Refuses "no", "off" and 0 for false, which pydantic would take."""
     if (
-        _members(kind) == [bool]
+        members_of(kind) == [bool]
         and not isinstance(value, bool)
         and isinstance(value, str | int | float)
     ):
@@ -249,32 +249,37 @@ def _part_types(kind: object, part: str | int) -> list[object]:
     """Types of the values that a type holds under a key or index; empty if it has no such part."""
     origin, inside = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and origin is None and issubclass(kind, BaseModel):
-        field = next((f for n, f in kind.model_fields.items() if part in _names(n, f)), None)
-        return [] if field is None else _members(field.annotation)
+        field = next((f for n, f in kind.model_fields.items() if part in field_keys(n, f)), None)
+        return [] if field is None else members_of(field.annotation)
     if isinstance(origin, type) and issubclass(origin, Mapping) and isinstance(part, str):
-        return [] if part.startswith("[") else _members(inside[1])
+        return [] if part.startswith("[") else members_of(inside[1])
     if isinstance(origin, type) and issubclass(origin, list | tuple) and isinstance(part, int):
-        return _members(inside[0])
+        return members_of(inside[0])
     return []
 
 
-def _members(kind: object) -> list[object]:
-    """The members of a union, or the type itself."""
+def members_of(kind: object) -> list[object]:
+    """The members of a union without what annotates them, or the type itself."""
     origin = get_origin(kind)
     if origin is Annotated:
-        return _members(get_args(kind)[0])
+        return members_of(get_args(kind)[0])
     if origin is Union or origin is UnionType:
-        return [member for one in get_args(kind) for member in _members(one)]
+        return [member for one in get_args(kind) for member in members_of(one)]
     return [kind]
 
 
 def known_keys(model: type[BaseModel]) -> list[str]:
     """Keys that a record's table may have, other spellings included."""
-    return [key for name, field in model.model_fields.items() for key in _names(name, field)]
+    return [key for name, field in model.model_fields.items() for key in field_keys(name, field)]
 
 
-def _names(name: str, field: FieldInfo) -> list[str]:
-    """The key of a field, and its other spellings."""
+def field_keys(name: str, field: FieldInfo) -> list[str]:
+    """The key of a field, and its other spellings.
+
+    Args:
+        name: The attribute.
+        field: What pydantic knows of it.
+    """
     alias = field.validation_alias
     if isinstance(alias, str):  # the attribute has another name, which is no key
         return [alias]

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, read_case
 from dolfin_elastic.case.check import check, report
-from dolfin_elastic.cli.template import case_template
+from dolfin_elastic.cli.tools.new import Kind, template
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.model.materials.registry import MATERIALS
@@ -765,9 +765,10 @@ def test_case_in_python() -> None:
     assert str(caught.value) == "materials.m: 3 is no material; write its table as [materials.NAME]"
 
 
-def test_starter(folder: Path) -> None:
-    """The case that `new` writes has nothing wrong with it."""
-    found = report(case_of(folder, case_template("case.toml")))
+@pytest.mark.parametrize("kind", Kind)
+def test_starters(kind: Kind, folder: Path) -> None:
+    """The cases that `new` writes have nothing wrong with them."""
+    found = report(case_of(folder, template(kind, "case.toml")))
     assert found.notes == ()
 
 

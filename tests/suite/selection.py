@@ -26,6 +26,8 @@ from mpi4py import MPI
 TESTS = Path(__file__).resolve().parent.parent
 
 POINTS = {
+    "case/reference/test_json_schema.py",
+    "cli/test_tools.py",
     "core/test_formula.py",
     "core/test_units.py",
     "hostile/test_gmsh.py",

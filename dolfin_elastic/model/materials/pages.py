@@ -15,6 +15,7 @@ from pathlib import Path
 
 from pydantic_core import PydanticUndefined
 
+from dolfin_elastic.core.schema import Record
 from dolfin_elastic.model.materials.law import Isotropic, Law, SplitLaw
 from dolfin_elastic.model.materials.registry import MATERIALS
 
@@ -29,8 +30,8 @@ KEYS = {"lmbda": "lambda"}
 """Field to the key that case files prefer."""
 
 
-def descriptions(kind: type[Law]) -> dict[str, str]:
-    """Field to its description in the docstring of a law's class or of a base."""
+def descriptions(kind: type[Record]) -> dict[str, str]:
+    """Field to its description in the docstring of a record's class or of a base."""
     found: dict[str, str] = {}
     for base in kind.__mro__:
         section = _SECTION.search(inspect.cleandoc(base.__doc__ or ""))
@@ -89,7 +90,7 @@ def _example(kind: type[Law]) -> str:
 def overview() -> str:
     """The list of all laws in Markdown."""
     rows = [
-        f"| [{name}]({name}.md) | {_first_line(kind)} |" for name, kind in sorted(MATERIALS.items())
+        f"| [{name}]({name}.md) | {summary(kind)} |" for name, kind in sorted(MATERIALS.items())
     ]
     head = (
         "# Material laws",
@@ -102,7 +103,8 @@ def overview() -> str:
     return "\n\n".join([*head, "\n".join(["| law | what |", "|---|---|", *rows])]) + "\n"
 
 
-def _first_line(kind: type[Law]) -> str:
+def summary(kind: type[Record]) -> str:
+    """The first line of a record's docstring."""
     return inspect.cleandoc(kind.__doc__ or "").partition("\n")[0]
 
 

@@ -1,0 +1,1 @@
+"""Commands that help to begin: new, schema, verify, and names of commands that are misspelt."""

@@ -1,0 +1,74 @@
+"""The command `new`: first cases that run as they are; comments say what to change."""
+# ruff: noqa: D301
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dolfin_elastic.core.errors import CaseError, check_kept
+from dolfin_elastic.core.signals import launched_rank
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+class Kind(StrEnum):
+    """What a first case is about: the names of the files in `TEMPLATES`."""
+
+    STATICS = "statics"
+    MODAL = "modal"
+    DYNAMICS = "dynamics"
+    RUBBER = "rubber"
+    CONTACT = "contact"
+    CELL = "cell"
+    AXISYMMETRIC = "axisymmetric"
+
+
+def new(
+    file: Annotated[Path, typer.Argument(metavar="[FILE]", hidden=True)] = Path("case.toml"),
+    kind: Annotated[Kind, typer.Option("--kind", "-k", help="What it is about.")] = Kind.STATICS,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+) -> None:
+    """Write a first case file that runs as it is.
+
+    \b
+      dolfin-elastic new                             a cantilever, in case.toml
+      dolfin-elastic new mount.toml --kind rubber
+      dolfin-elastic new reed.toml --kind modal      natural frequencies
+
+    \f
+    Args:
+        file: The file to write.
+        kind: What it is about.
+        force: Overwrite it if it exists.
+
+    Raises:
+        CaseError: It exists, or cannot be written.
+    """
+    if launched_rank() == 0:
+        check_kept(file.parent, str(file))
+        if file.exists() and not force:
+            raise CaseError(
+                "this file exists already",
+                where=str(file),
+                expected="choose another name, or --force to overwrite it",
+            )
+        try:
+            file.write_text(template(kind, str(file)), encoding="utf-8")
+        except OSError as error:
+            raise CaseError(f"cannot be written: {error.strerror}", where=str(file)) from None
+    print(f"{file} written; compute it with: dolfin-elastic run {file}")
+
+
+def template(kind: Kind, name: str) -> str:
+    """The text of a first case file.
+
+    Args:
+        kind: What it is about.
+        name: What the file will be called.
+    """
+    text = (TEMPLATES / f"{kind}.toml").read_text(encoding="utf-8")
+    return text.replace("{name}", name)
