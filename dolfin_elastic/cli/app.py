@@ -190,7 +190,7 @@ def guarded() -> int:
         return _show_error(error)
     except KeyboardInterrupt:
         comm = _comm()
-        if comm and comm.size > 1 and not _all_arrive(comm):
+        if comm and not _all_arrive(comm):
             comm.Abort(INTERRUPTED)
         return INTERRUPTED
     except Exception:
@@ -218,7 +218,7 @@ def _show_error(error: ElasticError) -> int:
         from dolfin_elastic.cli.console import error_text
 
         print(error_text(error), file=sys.stderr, flush=True)
-    if comm and comm.size > 1 and not _all_arrive(comm):
+    if comm and not _all_arrive(comm):
         if comm.rank:
             print(f"error (rank {comm.rank} alone): {error}", file=sys.stderr, flush=True)
         comm.Abort(error.exit_code)

@@ -209,6 +209,7 @@ def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
                 if result.done < 1.0 and displayed.stop.agreed(comm):
                     return INTERRUPTED
     except StoppedError:
+        displayed.stop.acknowledge()
         return INTERRUPTED
     except SolveError as error:
         error.add_note(f"results so far are in {displayed.folder}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -28,6 +29,9 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2, signal.SIGHUP)
 SAME_SIGNAL = 0.5
 """Signals closer than this [s] count as one: a launcher forwards what the group got already."""
 
+LOOK = 1.0
+"""Seconds from one look for the file to the next."""
+
 LAST = 3
 """Signals after which the process ends at once, wherever it is."""
 
@@ -45,14 +49,20 @@ class Stop:
 
     def __init__(self, folder: Path, last_words: Callable[[], object] = lambda: None) -> None:
         self.asked, self._checkpoint, self._file = False, False, folder / STOP_FILE
+        self._absolute = self._file.absolute()  # cffi compiles in a folder of its own
         self._since, self._signals, self._looked = 0.0, 0, 0.0
-        self._interruptible = self._agreed = False
+        self._interruptible = self._agreed = self._noticed = False
+        self._last: Callable[[], object] = lambda: None
         self._last_words = last_words
         _handle(ENDING, self._request_stop)
         signal.signal(signal.SIGUSR1, self._request_checkpoint)
         _current.append(self)
 
     def _request_stop(self, number: int, frame: FrameType | None) -> None:
+        if self._noticed:
+            self._noticed = False
+            self._interrupt()
+            return
         now = time.monotonic()
         if self._signals and now - self._since < SAME_SIGNAL:
             return
@@ -68,8 +78,12 @@ class Stop:
                 else "\nstopping once the linear solver or the writing of files has ended; once "
                 "more: at once, and only the last checkpoint is left"
             )
+        self._interrupt()
+
+    def _interrupt(self) -> None:
         if self._interruptible:
             self._interruptible = False
+            self._last()
             raise StoppedError(_WORDS)
 
     def _request_checkpoint(self, number: int, frame: FrameType | None) -> None:
@@ -83,9 +97,9 @@ class Stop:
     def asked_here(self) -> bool:
         """Whether this rank got a signal to stop, or sees the file. Not collective."""
         now = time.monotonic()
-        if not self.asked and now - self._looked > 1.0:
+        if not self.asked and now - self._looked > LOOK:
             self._looked = now
-            self.asked = self._file.exists()
+            self.asked = self._absolute.exists()
         return self.asked and not self._agreed
 
     def agreed(self, comm: MPI.Comm) -> bool:
@@ -102,19 +116,48 @@ class Stop:
         return self._agreed
 
     def acknowledge(self) -> None:
-        """From now on the run ends in order, and nothing interrupts that."""
+        """From now on the run ends in order, and nothing interrupts that.
+
+        All ranks have agreed on it: the file, if it was one, has served.
+        """
         self.asked = self._agreed = True
+        if launched_rank() == 0:
+            remove_stop_file(self._file.parent)
 
     @contextmanager
-    def interruptible(self) -> Iterator[None]:
+    def interruptible(self, last: Callable[[], object]) -> Iterator[None]:
         """See the function."""
         if self.asked and not self._agreed:
             raise StoppedError(_WORDS)
-        self._interruptible = not self._agreed
+        if self._agreed:
+            yield
+            return
+        self._last, self._interruptible = last, True
+        end = threading.Event()
+        watch = threading.Thread(target=self._watch, args=(end,), daemon=True)
+        watch.start()
         try:
             yield
         finally:
-            self._interruptible = False
+            end.set()
+            watch.join()
+            self._interruptible = self._noticed = False
+
+    def _watch(self, end: threading.Event) -> None:
+        """Interrupts the main thread, by a signal, where there is a file "stop".
+
+        And again where it goes on: an exception may be lost where it is raised, in a handler of the
+        log or as an object is freed.
+        """
+        main, raised = threading.main_thread().ident, False
+        while not end.wait(LOOK):
+            if self.asked and not raised:
+                raised = True  # by the signal; what ends now has until the next look
+            elif self.asked or self._absolute.exists():
+                if not self.asked and launched_rank() == 0:
+                    _tell(f"stopping: there is a file {self._file}")
+                self.asked = raised = self._noticed = self._interruptible = True
+                signal.pthread_kill(main or 0, signal.SIGUSR2)
 
 
 _WORDS = "stopped on request"
@@ -129,8 +172,13 @@ def _tell(text: str) -> None:
 
 
 @contextmanager
-def interruptible() -> Iterator[None]:
-    """Makes a signal to stop raise at once inside.  For work of this rank alone, not for MPI.
+def interruptible(last: Callable[[], object] = lambda: None) -> Iterator[None]:
+    """Makes a signal to stop, or a file "stop", raise at once inside.
+
+    For work of this rank alone, not for MPI.
+
+    Args:
+        last: Called before it raises, with what was being done still in place.
 
     Raises:
         StoppedError: One came, or had come before.
@@ -138,7 +186,7 @@ def interruptible() -> Iterator[None]:
     if not _current:
         yield
         return
-    with _current[-1].interruptible():
+    with _current[-1].interruptible(last):
         yield
 
 

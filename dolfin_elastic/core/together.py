@@ -81,6 +81,8 @@ def _ends(request: MPI.Request, patience: float) -> bool:
 
 
 def _raise_if_different(answers: tuple[int, int] | None, mine: int) -> None:
+    if answers is not None and answers[1] == _FAILS:
+        time.sleep(PATIENCE)  # the rank that fails shows why, and ends this one
     if answers != (mine, mine):
         raise RuntimeError(
             "another rank has left the loop over the states: all ranks must leave it together"

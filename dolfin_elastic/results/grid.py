@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 from dolfinx import cpp, fem, la
-from dolfinx.mesh import CellType, Mesh
+from dolfinx.mesh import CellType
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.mesh.geometry.simplices import cell_corners, signed_volumes
 from dolfin_elastic.results.hdf5 import Rows
 
 # Cell and number of its nodes -> XDMF's name.
@@ -80,7 +81,7 @@ class Grid:
         """
         order = np.argsort(cpp.io.perm_vtk(self.mesh.topology.cell_type, self.nodes_per_cell))
         local = self.V.dofmap.list[: self.own_cells][:, order]
-        mirrored = signed_volumes(self.mesh)[: self.own_cells] < 0
+        mirrored = signed_volumes(cell_corners(self.mesh))[: self.own_cells] < 0
         local[mirrored] = local[mirrored][:, _MIRRORED[self.nodes_per_cell]]
         index_map = self.V.dofmap.index_map
         kind = np.int32 if index_map.size_global < np.iinfo(np.int32).max else np.int64
@@ -105,17 +106,6 @@ class Grid:
         )
 
 
-def signed_volumes(mesh: Mesh) -> FloatArray:
-    """Volume (3D) [m^3] or area (2D) [m^2] between the corners of each local cell, ghosts too.
-
-    Negative where the corners have negative orientation.
-    """
-    dim = mesh.topology.dim
-    corners = mesh.geometry.x[mesh.geometry.dofmap[:, : dim + 1]][:, :, :dim]
-    edges = corners[:, 1:] - corners[:, :1]
-    return np.asarray(np.linalg.det(edges) / (2 if dim == 2 else 6))
-
-
 def to_nodes(V: fem.FunctionSpace, values: FloatArray) -> FloatArray:
     """Values of cells, averaged at each node with the cells' volumes as weights. Collective.
 
@@ -128,7 +118,7 @@ def to_nodes(V: fem.FunctionSpace, values: FloatArray) -> FloatArray:
     Returns:
         Shape (local nodes, columns), ghosts up to date.
     """
-    weights = np.abs(signed_volumes(V.mesh)[: len(values)])
+    weights = np.abs(signed_volumes(cell_corners(V.mesh))[: len(values)])
     columns = np.column_stack([values * weights[:, None], weights])
     work = la.vector(V.dofmap.index_map, columns.shape[1])
     nodes = V.dofmap.list[: len(values)]

@@ -253,20 +253,29 @@ def gmsh(folder: Path) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_while_a_form_is_compiled(ranks: int, tmp_path: Path, monkeypatch) -> None:
-    """By a C compiler that takes an hour; nothing is left of it, in the cache neither."""
-    compiler = tmp_path / "cc"
-    compiler.write_text(f"#!/bin/sh\ntouch {tmp_path}/there\nexec sleep 3600\n")
+@pytest.mark.parametrize(("ranks", "by_file"), [(1, False), (2, False), (1, True), (2, True)])
+def test_while_a_form_is_compiled(ranks: int, by_file: bool, tmp_path: Path, monkeypatch) -> None:
+    """By a C compiler whose own process takes an hour; nothing is left, in the cache neither.
+
+    The folder of results is there for the file: it is of an older run.
+    """
+    compiler, folder = tmp_path / "cc", tmp_path / "case_results"
+    compiler.write_text(f"#!/bin/sh\nsleep 3600 &\necho $! >> {tmp_path}/there\nwait\n")
     compiler.chmod(0o755)
+    if by_file:
+        folder.mkdir()
     monkeypatch.setenv("CC", str(compiler))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     (tmp_path / "case.toml").write_text(small().to_toml())
     with started([*PROGRAM, "run", "case.toml"], tmp_path, ranks) as process:
         until((tmp_path / "there").exists, process)
-        stopped(process, 1, signal.SIGTERM if ranks == 1 else signal.SIGUSR2)
+        if by_file:
+            (folder / "stop").touch()
+        stopped(process, not by_file, signal.SIGTERM if ranks == 1 else signal.SIGUSR2)
     assert not [file for file in (tmp_path / "cache").rglob("*") if file.suffix == ".claim"]
-    assert not (tmp_path / "case_results").exists()
+    assert not any(alive(int(line)) for line in (tmp_path / "there").read_text().split())
+    assert {path.name for path in folder.glob("*")} <= {".lock"}
+    assert folder.exists() == by_file
 
 
 def alive(process: int) -> bool:

@@ -326,6 +326,8 @@ def test_words_of_the_command_line():
             read_constants(words)
     (law,) = read_laws("neo-hookean", {"E": "10 MPa", "nu": "0.3"}).values()
     assert law == NeoHookean(E=1e7, nu=0.3)
+    with pytest.raises(InputError, match="'neo-hooke' is neither a case file nor a law.*'neo-hook"):
+        read_laws("neo-hooke", {})
 
 
 def test_files(comm, folder):

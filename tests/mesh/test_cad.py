@@ -107,6 +107,35 @@ def test_units_of_other_files(folder: Path, suffix: str, unit: str | None) -> No
     assert (None if stated is None else stated.name) == unit
 
 
+IGES_UNITS = {
+    1: 25.4e-3,  # inch
+    2: 1e-3,
+    4: 12 * 25.4e-3,  # foot
+    5: 5280 * 12 * 25.4e-3,  # mile
+    6: 1.0,
+    7: 1e3,
+    8: 25.4e-6,  # a thousandth of an inch
+    9: 1e-6,
+    10: 1e-2,
+    11: 25.4e-9,  # a millionth of an inch
+}
+
+
+@pytest.mark.parametrize("flag", [*IGES_UNITS, 3, 12])
+def test_unit_flags_of_iges(flag: int, tmp_path: Path) -> None:
+    """The fourteenth parameter of the global section, IGES 5.3; others state none."""
+    before = "1H,,1H;,4Hpart,6Hp.iges,1Hx,1Hx,32,38,6,308,15,4Hpart,1.0"
+    text = f"{before},{flag},4Hunit,1,0.01;"
+    rows = [text[i : i + 72].ljust(72) + "G" for i in range(0, len(text), 72)]
+    (tmp_path / "part.iges").write_text("\n".join(rows))
+    stated = stated_unit(tmp_path / "part.iges")
+    if flag not in IGES_UNITS:
+        assert stated is None
+    else:
+        assert stated is not None
+        assert stated.metres == pytest.approx(IGES_UNITS[flag], rel=1e-12)
+
+
 def test_bodies_that_touch_are_joined(folder: Path) -> None:
     """Two bodies of a STEP file shared no node: the upper one flew off, or had no support."""
     write(folder / "stack.step", stack, named)

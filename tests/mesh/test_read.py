@@ -26,6 +26,7 @@ from dolfin_elastic.mesh import (
     read_body,
     rectangle_body,
 )
+from dolfin_elastic.mesh.formats.raw import Block
 
 COMM = MPI.COMM_WORLD
 SHARED = ROOT.parent / "shared" / "meshes"
@@ -753,3 +754,12 @@ def test_errors_of_a_check_come_with_the_notes_of_the_mesh(folder: Path) -> None
     with pytest.raises(InputError, match="bodies that share no nodes") as caught:
         report(Case.from_dict(tables, folder))
     assert any("the pieces touch there and are not joined" in n for n in caught.value.__notes__)
+
+
+@pytest.mark.parametrize(
+    ("kind", "dim"),
+    [("vertex", 0), ("line3", 1), ("triangle6", 2), ("tetra10", 3), ("wedge15", 3), ("vtk80", 3)],
+)
+def test_dimension_of_elements(kind: str, dim: int) -> None:
+    """Unknown ones count as solid: they are refused, and not taken for a part of the surface."""
+    assert Block(kind, np.empty((0, 1), dtype=np.int64)).dim == dim

@@ -44,7 +44,7 @@ from dolfin_elastic.mesh.geometry.simplices import cell_corners
 from dolfin_elastic.model.kinematics import green_strain
 from dolfin_elastic.model.materials.fibres import direction
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.materials.spatial import Direction
+from dolfin_elastic.model.materials.spatial import Direction, Range
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.extremes import extremes
@@ -727,3 +727,10 @@ def test_safety_factor_in_a_case(folder: Path) -> None:
     del tables["materials"]["part"]["allowable"]
     with pytest.raises(InputError, match="no material has an allowable stress"):
         report(Case.from_dict(tables, folder))
+
+
+def test_how_far_values_lie_outside_of_a_range():
+    """Of several the farthest is named, be it less than one outside or more."""
+    values = np.array([0.0, 0.5, 1.0, 1.25, 1.75, -3.0, np.nan, np.inf])
+    found = Range(low=0.0, high=1.0, high_too=True).distance(values)
+    np.testing.assert_array_equal(found, [0.0, -1, -1, 0.25, 0.75, 3.0, np.inf, np.inf])

@@ -41,6 +41,7 @@ from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.distribute import make_mesh
 from dolfin_elastic.model.loads import Load, LoadContext
+from dolfin_elastic.problem.material_regions import locking
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.extremes import extremes
 from dolfin_elastic.results.fields import FIELDS
@@ -398,6 +399,12 @@ def test_locking_is_warned_of(caplog):
     assert "linear elements lock at nu = 0.4999 ('body')" in said
     assert "times too stiff on this mesh" in said
     assert "displacement P2 and pressure P1 (nearly incompressible: body)" in chosen
+
+
+def test_what_locking_costs():
+    """At nu = 0.4 lmbda is 4 mu: with cells of half the body x = 4/2^2 = 1, of a quarter 1/4."""
+    assert locking(0.4, 2.0) == pytest.approx((1.013, 3.0), rel=1e-12)
+    assert locking(0.4, 4.0) == pytest.approx((1.00325, 1.5), rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -435,6 +435,22 @@ def test_summary_is_updated_during_a_run(folder: Path, monkeypatch: pytest.Monke
     assert found["max_displacement"] is None, "JSON has no word for NaN"
 
 
+@pytest.mark.parametrize(("there", "before"), [("running", "running"), ("completed", "completed")])
+def test_a_summary_that_its_writer_does_not_close(there: str, before: str, tmp_path: Path) -> None:
+    """Its status becomes "stopped" where it is the one to be changed, and no other one does."""
+    from dolfin_elastic.results.writers.summary import mark_stopped
+
+    mark_stopped(tmp_path, before=before)
+    assert not [*tmp_path.iterdir()], "there is none before the first step"
+    path = tmp_path / "summary.json"
+    for status, after in ((there, "stopped"), ("failed", "failed")):
+        path.write_text(json.dumps({"status": status, "dofs": 8}))
+        mark_stopped(tmp_path, "here", before=before)
+        found = json.loads(path.read_text())
+        assert (found["status"], found["dofs"]) == (after, 8)
+        assert found.get("reason") == ("here" if after == "stopped" else None)
+
+
 # --- records ---
 
 
@@ -565,6 +581,16 @@ def test_a_renderer_that_dies(folder: Path) -> None:
         renderer.RENDERER.draw(user, bad, folder / "a.png")
     assert renderer.RENDERER._renderer is None
     renderer.RENDERER.release(user)
+
+
+def test_a_renderer_that_is_closed_leaves_nothing_open() -> None:
+    if COMM.rank:
+        return
+    one = renderer.Renderer()
+    one.close()
+    assert one._process.returncode is not None
+    streams = (one._process.stdin, one._process.stdout, one._output)
+    assert [stream.closed for stream in streams if stream] == [True] * 3
 
 
 def image(path: Path) -> AnyArray:

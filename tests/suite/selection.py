@@ -27,6 +27,7 @@ TESTS = Path(__file__).resolve().parent.parent
 
 POINTS = {
     "case/reference/test_json_schema.py",
+    "cli/test_console.py",
     "cli/test_tools.py",
     "core/test_formula.py",
     "core/test_units.py",

@@ -31,6 +31,7 @@ from dolfin_elastic.core.jit.cache import (
     find_or_compile,
     private_folders,
 )
+from dolfin_elastic.core.jit.processes import NewProcesses
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.signals import interruptible
 from dolfin_elastic.core.timing import stage
@@ -208,7 +209,7 @@ def find_on_all_ranks(
         found: list[Path] = []
         error: Exception | None = None
         try:
-            with interruptible():
+            with interruptible(NewProcesses().end):
                 found = [find_or_compile(folders, key, compile_) for key, compile_ in share]
         except Exception as caught:  # raised on all ranks just below
             error = caught

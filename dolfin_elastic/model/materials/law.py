@@ -103,7 +103,7 @@ class Law(Record):
             if isinstance(value, int | float) and not isinstance(value, bool):
                 found[name] = float(value)
             elif (values := as_floats(value)) is not None:
-                found[name] = values + [0.0] * (3 - len(values) if name in self.directions else 0)
+                found[name] = values
         found.pop("density", None)
         return found
 

@@ -281,7 +281,7 @@ class Patches:
             new = count > 0
             if not total(comm, int(np.sum(new))):
                 break
-            rounds.append(_Extrapolation(known.copy(), new, np.where(new, count, 1.0)))
+            rounds.append(_Extrapolation(known.copy(), new, count))
             known |= new
         return rounds
 

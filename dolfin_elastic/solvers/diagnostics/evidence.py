@@ -20,6 +20,7 @@ from dolfin_elastic.core.parallel import (
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.material_point.checks import with_finite_moduli
 from dolfin_elastic.material_point.domain import undefined_operation
+from dolfin_elastic.mesh.geometry.simplices import cell_corners
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
@@ -68,8 +69,7 @@ class Cells:
             self.comm, _flat(problem.weak_form.F(problem.w)), self.points, problem.jit
         )
         self.own = problem.body.owned_cells()
-        corners = mesh.geometry.dofmap[self.own][:, : mesh.topology.dim + 1]
-        self.middles = mesh.geometry.x[corners].mean(axis=1)[:, : problem.body.dim]
+        self.middles = cell_corners(mesh, self.own).mean(axis=1)
 
     def gradients(self) -> FloatArray:
         """F of the present displacement at owned cells, of shape (cells, points, 3, 3)."""

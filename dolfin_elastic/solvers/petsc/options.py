@@ -132,11 +132,7 @@ def _text(value: PetscValue) -> bool | int | float | str:
 
 
 def _names(enumeration: type) -> dict[int, str]:
-    return {
-        value: name
-        for name, value in vars(enumeration).items()
-        if isinstance(value, int) and not name.startswith("_")
-    }
+    return {value: name for name, value in vars(enumeration).items() if isinstance(value, int)}
 
 
 def snes_reason(number: int) -> str:

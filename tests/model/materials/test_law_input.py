@@ -98,6 +98,13 @@ def test_directions() -> None:
     assert axes[1] @ [0, 1, 1] > 0
 
 
+def test_a_direction_in_the_plane_has_no_third_component() -> None:
+    """Among the constants of a form, where all have three."""
+    law = make("holzapfel-gasser-ogden", fibre=[0.6, 0.8], fibre2=[0.0, 0.0, 1.0])
+    found = law.constants()
+    assert (found["fibre"], found["fibre2"]) == ([0.6, 0.8, 0.0], [0.0, 0.0, 1.0])
+
+
 @pytest.mark.parametrize("name", ["guccione", "holzapfel-gasser-ogden", "orthotropic"])
 def test_turned_material(name: str) -> None:
     """P(F Q) = P'(F) Q, P' of the material turned by Q: nothing but the directions is special."""

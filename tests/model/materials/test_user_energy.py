@@ -203,6 +203,14 @@ def test_volumetric_part(volumetric):
     assert np.einsum("iijj", A) / 9 == pytest.approx(K, rel=1e-12)
 
 
+def test_moduli_in_units_of_ones_own():
+    """Any positive number is a bulk modulus."""
+    law = SplitEnergy(lambda I1bar, mu: mu / 2 * (I1bar - 3), mu=0.1, K=0.5)
+    assert law.K == 0.5
+    with pytest.raises(ValueError, match="K"):
+        SplitEnergy(lambda I1bar, mu: mu / 2 * (I1bar - 3), mu=0.1, K=0.0)
+
+
 def test_simo_taylor_has_no_seam():
     """Series and closed form meet at |J - 1| = 0.1 with three derivatives."""
     law = Energy(simo_taylor)

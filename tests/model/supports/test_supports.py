@@ -37,6 +37,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.problem.constraints.rigid_motion import tangent
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.rigid_body import free_motions
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
@@ -424,6 +425,18 @@ def test_bar_on_a_spring(total_value):
     assert state.energies["strain"] == pytest.approx(p**2 / E / 2 * 2 * area, rel=1e-10)
 
 
+def test_the_axis_of_a_body_of_revolution_has_no_area():
+    """So that no total can be spread over it."""
+    with pytest.raises(InputError, match="support 'left'.on: the surface has no area"):
+        Problem(
+            rectangle_body(size=(1.0, 1.0), cells=(1, 1)),
+            LinearElastic(E=E, nu=NU),
+            supports=[Spring(on="left", normal=1.0, total=True)],
+            degree=1,
+            geometry="axisymmetric",
+        )
+
+
 def test_base_that_moves():
     """A body on springs alone goes where their base goes, in a straight line and without strain."""
     spring = Spring(
@@ -718,3 +731,16 @@ def test_a_value_that_is_none_is_told_with_its_support_and_place(comm: MPI.Comm)
     assert str(caught.value) == (
         "support 'right': the prescribed displacement is not finite at (1, 0.666667) m at t = 1"
     )
+
+
+@pytest.mark.parametrize("angle", [0.9e-4, 1.1e-4, 0.3, 2.0, 6.0])
+def test_spin_of_a_changing_rotation_vector(angle: float) -> None:
+    """Along the axis the spin is the change; across it, it is the chord of the arc of that angle.
+
+    dtheta sin(a)/a and, beside it, 2 sin(a/2)^2/a: up to round-off also where a series is taken.
+    """
+    axis, across = np.array([0.48, 0.6, 0.64]), np.array([0.8, 0.0, -0.6])
+    T = tangent(angle * axis)
+    chord = np.sin(angle) * across + 2 * np.sin(angle / 2) ** 2 * np.cross(axis, across)
+    np.testing.assert_allclose(T @ axis, axis, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(T @ across, chord / angle, rtol=0, atol=1e-14)

@@ -30,6 +30,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.breakpoints import within_stride
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
@@ -123,6 +124,14 @@ def test_a_block_between_plates(dim, degree):
     assert not pressed[~ends].any()
 
 
+def test_what_counts_as_contact_goes_with_the_cells():
+    """A billionth of a cell: of edge 0.1 m and of 20 m."""
+    for size in (0.1, 20.0):
+        body = rectangle_body(size=(size, size), cells=(1, 1))
+        (pair,) = Problem(body, NeoHookean(E=E, nu=NU), contacts=[FLOOR], degree=1).contact_pairs
+        assert 1e-9 * size <= pair.reach <= 1.5e-9 * size
+
+
 def test_tolerance_and_stiffness():
     """A tight tolerance takes more augmentations, a larger penalty fewer."""
     tight = last(between_plates(2, 1, gap_tolerance="1 um"))
@@ -192,6 +201,21 @@ def test_no_obstacle_jumps_over_a_surface():
     states = list(Statics(problem).steps())
     assert states[-1].reactions["rod"][1] < -1e-3 * E
     assert states[-1].max_displacement == pytest.approx(0.1, rel=0.1)
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.25, 0.5])
+def test_no_step_of_an_obstacle_is_longer_than_half_its_radius(begin):
+    """A rod of 10 cm moves 40 cm as the load grows by 1: at most by 1/8, and steps are halved."""
+    rod = {"axis": "z", "point": [0.5, 1.3], "radius": 0.1}
+    problem = Problem(
+        rectangle_body(size=(1, 1), cells=(1, 1)),
+        NeoHookean(E=E, nu=NU),
+        supports=[Support(on="bottom")],
+        contacts=[Contact(on="top", cylinder=rod, motion=[0, -0.4])],
+        degree=1,
+    )
+    for asked, taken in ((0.12, 0.12), (0.13, 0.065), (0.24, 0.12), (0.4, 0.1)):
+        assert within_stride(problem, begin, begin + asked) == pytest.approx(begin + taken)
 
 
 def test_weight_on_the_floor():

@@ -21,6 +21,7 @@ from dolfin_elastic import (
     Problem,
     Statics,
     Support,
+    Thermal,
     Traction,
     box_body,
     name_parts,
@@ -287,6 +288,25 @@ def test_the_mean_over_a_surface_is_that_of_the_cells(
     problem, state = drawn(folder, HOLE, size, 2)
     found = SurfaceMean(problem, "side", ["cauchy_stress"])(state)["cauchy_stress"][0]
     assert found == pytest.approx(4 / 3, rel=most)
+
+
+def test_a_body_that_grows_evenly_has_the_same_error() -> None:
+    """Where the law is linear: a constant strain, and a constant stress, add up to the others."""
+    energies = []
+    for warm in ([], [Thermal(value=10.0)]):
+        problem = Problem(
+            rectangle_body(size=(2.0, 1.0), cells=(4, 2)),
+            LinearElastic(E=E, nu=NU, expansion=1e-3),
+            supports=[
+                Support(on="left", displacement=[0, FREE]),
+                Support(on="bottom", displacement=[FREE, 0]),
+            ],
+            loads=[Traction(on="right", value=["1000*y^2", 0]), *warm],
+            degree=1,
+        )
+        energies.append(ErrorEstimator(problem)(solved(problem)).energy)
+    assert energies[0] > 0
+    assert energies[1] == pytest.approx(energies[0], rel=1e-6)
 
 
 def test_nothing_to_estimate() -> None:

@@ -51,7 +51,7 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics import instability
 from dolfin_elastic.solvers.diagnostics.evidence import TrialStates
 from dolfin_elastic.solvers.diagnostics.loose_parts import find_loose_part
-from dolfin_elastic.solvers.diagnostics.stability import Stability, curvature
+from dolfin_elastic.solvers.diagnostics.stability import Mode, Stability, curvature
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.messages import coordinates
 
@@ -548,6 +548,16 @@ def test_a_large_body_is_judged_by_the_way_it_went(monkeypatch):
     assert found.cause == "unstable"
     assert "negative stiffness along the way" in found.text
     assert "were not looked at" in found.text
+
+
+@pytest.mark.parametrize(
+    ("negative", "stiffness", "unstable"),
+    [(2, 1.0, True), (0, -1.0, False), (None, -1.0, True), (None, 1.0, False), (None, None, False)],
+)
+def test_what_a_spectrum_says(negative, stiffness, unstable):
+    """The count of negative eigenvalues, where there is one; else the weakest mode."""
+    mode = None if stiffness is None else Mode(stiffness, np.zeros(2))
+    assert instability.Spectrum(negative, mode).unstable is unstable
 
 
 # --- solvers ---

@@ -22,6 +22,7 @@ from dolfin_elastic import (
 from dolfin_elastic.case.check import report
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.state import StateCopy
+from dolfin_elastic.solvers.dynamics import consistent_start
 from dolfin_elastic.solvers.dynamics.initial_conditions import SupportJump, set_initial
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 
@@ -204,3 +205,10 @@ def test_damping_in_plane_stress_is_refused_before_a_run(material, motion, where
     )
     with pytest.raises(InputError, match=f"{where}: .* cannot be damped"):
         report(case)
+
+
+def test_differences_in_time_are_exact_for_a_cubic() -> None:
+    """First and second derivative at the first of four points, of 1, t, t^2 and t^3."""
+    powers = np.vander(np.arange(4.0), increasing=True).T
+    np.testing.assert_allclose(powers @ consistent_start.FIRST, [0, 1, 0, 0], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(powers @ consistent_start.SECOND, [0, 0, 2, 0], rtol=0, atol=1e-14)

@@ -31,6 +31,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.problem.state import Mode
+from dolfin_elastic.solvers.eigen.modal import Vibration
 from dolfin_elastic.solvers.linear import choice
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 
@@ -60,6 +61,20 @@ def bent(body: Body, place: Any) -> Body:
 
 def strip(comm: MPI.Comm, cells: tuple[int, int] = (20, 2)) -> Body:
     return rectangle_body(size=[10, 1], cells=cells, comm=comm)
+
+
+def test_rigid_modes_are_orthonormal(comm: MPI.Comm) -> None:
+    """In the mass, also about a centre and axes of inertia that are no edges of the body."""
+    body = bent(
+        box_body(size=[1, 2, 3], cells=[1, 2, 2], comm=comm), lambda x, y, z: (x + y, y + z / 2, z)
+    )
+    vibration = Vibration(Modal(Problem(body, LinearElastic(**STEEL), degree=1), count=1))
+    try:
+        V = np.stack([mode.vector for mode in vibration.rigid], axis=1)
+        gram = comm.allreduce(V.T @ vibration.mass.times(V))
+    finally:
+        vibration.destroy()
+    np.testing.assert_allclose(gram, np.eye(6), rtol=0, atol=1e-9)
 
 
 # --- against exact and converged frequencies ---

@@ -26,7 +26,9 @@ from dolfin_elastic.core.errors import CaseError, ConvergenceError, InputError
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.nonlinear.convergence import ConvergenceTest, Tolerance
 
 E, NU = 1e6, 0.3
 FREE = "free"
@@ -324,3 +326,20 @@ def test_the_users_factorisation_is_renewed_too():
         own = {"ksp_type": "preonly", "pc_type": "cholesky"}
         *_, state = Statics(block(NH), linear=linear, petsc=own).steps()
         assert state.negative is None
+
+
+@pytest.mark.parametrize(
+    ("share", "iterates", "stalled"), [(0.95, 7, True), (0.9, 7, False), (0.95, 6, False)]
+)
+def test_when_backtracking_stalls(share, iterates, stalled):
+    """Where six iterations take less than a third off: 0.95^6 = 0.74, but 0.9^6 = 0.53."""
+    problem = block(NH)
+    assembler = Assembler(problem)
+    try:
+        test = ConvergenceTest(assembler, Tolerance())
+        for backtracks in (True, False):
+            test.begin(backtracks=backtracks)
+            test.residuals += [share**n for n in range(iterates)]
+            assert test._stalled() is (stalled and backtracks)
+    finally:
+        assembler.destroy()

@@ -15,6 +15,7 @@ from dolfin_elastic import (
     Gravity,
     LinearElastic,
     NeoHookean,
+    Pressure,
     Problem,
     Selector,
     Statics,
@@ -306,6 +307,15 @@ def test_load_formulas_in_time_are_taken_as_they_are():
     np.testing.assert_allclose(np.array(found) * E / 1e3, [0, 0.75, 1.0], rtol=1e-9, atol=1e-12)
 
 
+def test_a_formula_of_one_value_is_taken_as_it_is():
+    """A pressure, not times the load factor; a curve beside it is."""
+    for curve, shares in ((None, [0, 0.75, 1.0]), ([[0, 0], [0.5, 2], [1, 3]], [0, 1.5, 3.0])):
+        push = Pressure(on="right", value="1e3*t*(2 - t)", curve=curve)
+        problem = bar(loads=(push,))
+        found = [displacement_at(problem, (1.0, 0.0))[0] for _ in Statics(problem, steps=2).steps()]
+        np.testing.assert_allclose(-np.array(found) * E / 1e3, shares, rtol=1e-9, atol=1e-12)
+
+
 def test_a_support_that_is_not_finite_is_refused_everywhere():
     problem = bar(right=Support(on="right", displacement=["sqrt(y - 2)", FREE]))
     with pytest.raises(InputError, match="not finite"):
@@ -334,6 +344,12 @@ def test_settings_are_checked():
     for wrong in ({"steps": 0}, {"rtol": 0.0}, {"rtol": 2.0}, {"step": 3}, {"max_iterations": 0}):
         with pytest.raises(InputError):
             Statics(problem, **wrong)
+
+
+def test_the_first_step_may_be_as_large_as_any():
+    assert len([*Statics(bar(), first_step=0.5, max_step=0.5).steps()]) == 3
+    with pytest.raises(InputError, match="0.6 is more than any step may be"):
+        Statics(bar(), first_step=0.6, max_step=0.5)
 
 
 def test_states_describe_the_run():

@@ -29,6 +29,7 @@ _IGES_FLAGS = {
     8: 2.54e-5,
     9: 1e-6,
     10: 1e-2,
+    11: 2.54e-8,
 }
 """Unit flags [m] of the global section (IGES 5.3, 2.2.4.3.14); 3 refers to the name beside it."""
 _MERGED = (".step", ".stp", ".iges", ".igs")

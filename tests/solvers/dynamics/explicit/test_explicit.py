@@ -276,6 +276,17 @@ def test_a_chosen_step_follows_a_body_that_stiffens():
     assert steps[-2] < 0.8 * steps[0]
 
 
+@pytest.mark.parametrize(("steps", "every"), [(1, 1), (200, 1), (201, 2), (400, 2), (401, 3)])
+def test_about_two_hundred_states_are_yielded(steps, every):
+    problem, dt = oscillator(), 2.0**-20
+    v = fem.Function(problem.V)
+    march = Explicit(problem, v, SymplecticEuler, end=steps * dt, dt=dt, safety=0.9)
+    try:
+        assert march.every == every
+    finally:
+        march.destroy()
+
+
 def test_quadratic_elements_are_refused():
     body = rectangle_body(size=(1.0, 1.0), cells=(2, 2))
     problem = Problem(body, LinearElastic(E=E, nu=NU, density=RHO), degree=2)

@@ -359,6 +359,19 @@ def test_events_of_ts_find_their_time():
     assert max(seen) == state.step
 
 
+def test_between_the_ends_of_a_step_there_is_a_cubic():
+    """Which an event within it is looked for on; as near to the cosine as the ends are."""
+    problem, dt = oscillator(), PERIOD / 40
+    motion = Dynamics(problem, end=PERIOD / 4, dt=dt, initial_displacement=["1e-3*x", 0])
+    for state in motion.steps():
+        U = motion.ts.getSolution().duplicate()
+        for t in (state.t - 0.7 * dt, state.t - 0.2 * dt) if state.step else ():
+            motion.ts.interpolate(t, U)
+            found = problem.body.comm.allreduce(float(U.array_r.sum()))
+            assert found == pytest.approx(1e-3 * np.cos(2 * np.pi * t / PERIOD), abs=5e-6)
+        U.destroy()
+
+
 # --- audit ---
 
 

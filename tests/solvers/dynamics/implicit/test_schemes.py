@@ -281,6 +281,7 @@ def test_supports_begin_with_their_own_acceleration_whatever_the_step():
     problem = Problem(body, LinearElastic(E=E, nu=NU, density=RHO), supports=[moved], degree=1)
     motion = Dynamics(problem, end=0.1, dt=0.03, adaptive=True)
     first = next(motion.steps())
+    assert (first.newton, first.krylov) == (0, 0)
     most = largest(problem.body.comm, float(np.abs(first.a.x.array).max(initial=0.0)))
     assert most == pytest.approx(900, rel=1e-3)
 
@@ -317,6 +318,17 @@ def test_a_body_at_rest_does_not_sleep_through_what_begins_later(begins, caplog)
             assert most == pytest.approx(speed / OMEGA, rel=0.05)
         else:
             assert most == 0.0
+
+
+@pytest.mark.parametrize(("apart", "said"), [(1.0, False), (0.99, True)])
+def test_corners_as_far_apart_as_steps_are_all_met(apart, said, caplog):
+    """Equal steps pass over nothing there; a hundredth closer it is said."""
+    dt = 0.01
+    curve = [[0, 0], [apart * dt, 1], [2 * apart * dt, 0]]
+    problem = oscillator(loads=[BodyForce(value=[100, 0], curve=curve)])
+    assert len([*Dynamics(problem, end=2 * dt, dt=dt).steps()]) == 3
+    found = any("closer than dt" in record.message for record in caplog.records)
+    assert problem.body.comm.bcast(found) == said
 
 
 def test_times_that_are_met_make_no_other_step_shorter():

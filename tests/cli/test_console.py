@@ -1,0 +1,59 @@
+"""What commands print: the log, `info`, the tests of a material as JSON."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import pytest
+
+from dolfin_elastic import LinearElastic
+from dolfin_elastic.cli import info
+from dolfin_elastic.cli.console import LogHandler, console
+from dolfin_elastic.cli.console_materials import report_table
+from dolfin_elastic.material_point.checks import Finding
+from dolfin_elastic.material_point.report import MaterialReport
+
+
+def test_only_warnings_have_the_word_in_front(capfd):
+    """On rank 0; on another one only what it alone can say is shown, with the word, too."""
+    for rank, shown in ((0, "a\nwarning: b\nwarning: c\n"), (1, "warning: c\n")):
+        handler = LogHandler(rank, console(stderr=True))
+        for level, text in ((logging.INFO, "a"), (logging.WARNING, "b"), (logging.ERROR, "c")):
+            record = logging.LogRecord("dolfin_elastic", level, __file__, 1, text, (), None)
+            if text == "c":
+                record.every_rank = True
+            handler.handle(record)
+        assert capfd.readouterr().err == shown
+
+
+LIBRARIES = {"openblas": "/a/libopenblas.so.0", "mkl": "/b/libmkl_rt.so.2", "slow": "/c/libblas.so"}
+
+
+@pytest.mark.parametrize(
+    ("loaded", "named", "advised"),
+    [
+        (["openblas", "slow"], "openblas", False),
+        (["mkl"], "mkl", False),
+        (["slow"], "slow", True),
+        ([], None, False),
+    ],
+)
+def test_which_blas_is_loaded(
+    loaded: list[str], named: str | None, advised: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reference library is slow, which is said; a fast one beside it is used."""
+    maps = "".join(f"7f00-7f01 r-xp 0 0:0 1 {LIBRARIES[name]}\n" for name in loaded)
+    monkeypatch.setattr(Path, "read_text", lambda *_, **__: maps + "7f02-7f03 rw-p 0 0:0 0\n")
+    name, advice = info._blas()
+    assert name == (LIBRARIES[named] if named else "unknown")
+    assert bool(advice) == advised
+    assert all("libopenblas0-pthread" in line for line in advice)
+
+
+@pytest.mark.parametrize("verdict", ["pass", "fail", "note"])
+def test_a_material_passes_unless_a_test_fails(verdict: str) -> None:
+    """A note is no fault."""
+    finding = Finding("stress", verdict, "0.1 %", {})  # type: ignore[arg-type]
+    found = MaterialReport(LinearElastic(E=1.0, nu=0.0), (finding,), {}, ())
+    assert report_table(found)["passed"] is (verdict != "fail")
