@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 
 from docutils import nodes
@@ -11,7 +12,13 @@ from pygments.lexers.configs import TOMLLexer
 from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
-CODE = Path(__file__).parents[1] / "dolfin_elastic/core/__init__.py"
+HERE = Path(__file__).parent
+CODE = HERE.parent / "dolfin_elastic/core/__init__.py"
+sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
+
+import reference  # noqa: E402  it stands in docs/_ext
+
+reference.write(HERE / "reference/generated")
 
 project = "dolfin_elastic"
 author = "the authors of dolfin_elastic"
@@ -19,7 +26,7 @@ copyright = "LGPL-3.0-or-later"  # noqa: A001
 release = version = re.findall(r'__version__ = "(.*)"', CODE.read_text(encoding="utf-8"))[0]
 extensions = ["myst_parser"]
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "reference/generated"]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 4
 html_theme = "furo"
@@ -53,7 +60,9 @@ def mathml(node: nodes.Node, kind: str) -> str:
         kind: "inline" or "block".
     """
     text = tex2mathml(node.astext(), as_block=kind == "block")
-    return re.sub(r"^\s*<math[^>]*>|</math>\s*$", "", text.strip())
+    text = re.sub(r"^\s*<math[^>]*>|</math>\s*$", "", text.strip())
+    # Upright Greek: italic letters of mathematics are in few fonts.
+    return re.sub(r"<mi>([^\x00-\x7f]+)</mi>", r'<mi mathvariant="normal">\1</mi>', text)
 
 
 def setup(app: Sphinx) -> None:

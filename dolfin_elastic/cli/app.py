@@ -25,6 +25,7 @@ from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen, restar
 from dolfin_elastic.cli.tools.new import new
 from dolfin_elastic.cli.tools.schema import schema
 from dolfin_elastic.cli.tools.verbs import Verbs
+from dolfin_elastic.cli.tools.verify import verify
 from dolfin_elastic.core import __version__
 from dolfin_elastic.core.errors import ElasticError
 from dolfin_elastic.core.signals import (
@@ -50,6 +51,7 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
   dolfin-elastic restart beam_results       go on after it was stopped or killed
   dolfin-elastic converge beam.toml --until "displacement of tip" 1%
                                             refine the mesh until it is known so well
+  dolfin-elastic verify                     known results, computed on this installation
 
 \b
 Exit codes:
@@ -143,6 +145,7 @@ app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options"
 app.command()(materials)
 app.command()(new)
 app.command()(schema)
+app.command()(verify)
 
 
 @app.command()

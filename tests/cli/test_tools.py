@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from helpers.processes import PROGRAM, clean_environment, cli
+from helpers.processes import PROGRAM, clean_environment, cli, started
 from jsonschema import Draft7Validator
 from mpi4py import MPI
 
@@ -68,3 +70,57 @@ def test_completion(tmp_path: Path) -> None:
     )
     assert done.stdout.split() == ["converge"]
     assert os.listdir(tmp_path) == []
+
+
+FEW = """\
+import sys
+from dataclasses import replace
+import dolfin_elastic.case.verify.suite as suite, dolfin_elastic.cli.app
+suite.SUITE = [one for one in suite.SUITE if one.name == "lame"]
+suite.SUITE += [replace(one, reference={factor}*one.reference) for one in suite.SUITE]
+sys.argv = ["dolfin-elastic", "verify", "--json", "table.json"]
+dolfin_elastic.cli.app.main()
+"""
+
+
+@pytest.mark.parametrize(("factor", "code"), [(1, 0), (1.01, 1)])
+def test_verify(factor: float, code: int, tmp_path: Path) -> None:
+    """A table, and exit code 1 where a result is off."""
+    command = [sys.executable, "-c", FEW.format(factor=factor)]
+    with started(command, tmp_path, 2) as process:
+        out, err = process.communicate(timeout=240)
+    assert process.returncode == code, out + err
+    lines = out.splitlines()
+    assert lines[0].split() == ["case", "ranks", "computed", "reference", "error", "limit", "time"]
+    assert lines[1].split()[:4] == ["lame", "2", "1.31239e-05", "1.312381e-05"]
+    assert (lines[2].endswith("FAILED"), lines[3].startswith("1 of 2 FAILED: lame")) == (
+        bool(code),
+        bool(code),
+    )
+    rows = json.loads((tmp_path / "table.json").read_text())
+    assert [row["passed"] for row in rows] == [True, not code]
+
+
+def test_verify_compares_ranks(tmp_path: Path) -> None:
+    """Of a case of the user's own, on one rank and on two."""
+    text = (TEMPLATES / "axisymmetric.toml").read_text()
+    (tmp_path / "tube.toml").write_text(text)
+    code, out, err = cli("verify", "--case", "tube.toml", "--ranks", "1,2", folder=tmp_path)
+    assert code == 0, out + err
+    assert out.splitlines()[:2] == ["tube.toml on 1 rank: done", "tube.toml on 2 ranks: done"]
+    assert re.search(r"all \d+ numbers agree to 1e-06", out)
+    tight = ("verify", "--case", "tube.toml", "--tolerance", "0")
+    code, out, _ = cli(*tight, folder=tmp_path)
+    assert code == 1
+    assert re.search(r"DIFFERS\n(.*\n)*\d+ of \d+ numbers differ by more than 0\n$", out)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["tube.toml"]
+
+
+def test_verify_refuses(tmp_path: Path) -> None:
+    """Numbers of ranks that are none."""
+    code, _, err = cli("verify", "--ranks", "1,two", folder=tmp_path)
+    assert code == 2
+    assert "--ranks 1,two: numbers with commas, for example 1,2,4" in err
+    code, _, err = cli("verify", "--case", "x.toml", "--ranks", "2", folder=tmp_path)
+    assert code == 2
+    assert "at least two numbers of ranks" in err

@@ -40,7 +40,10 @@ POINTS = {
     "model/test_amplitude.py",
     "model/test_kinematics.py",
     "solvers/dynamics/implicit/test_schemes.py",
+    "test_docs.py",
+    "test_install.py",
     "test_layout.py",
+    "test_tutorials.py",
     "verification/test_manufactured.py",
 }
 """Tests of numbers and texts, and of rates, in which ranks take no part: on one rank only."""

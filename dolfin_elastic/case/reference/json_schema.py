@@ -2,6 +2,7 @@
 
 Editors complete and check by it (taplo, Even Better TOML).  It knows every key, its kind, and its
 bounds; rules about keys beside each other, names and units are for `dolfin-elastic check`.
+The SI unit of a number stands in "x-unit", which validators pass over.
 
 Source: JSON Schema draft 7, https://json-schema.org/draft-07/json-schema-validation.
 """
@@ -163,7 +164,7 @@ class _Writer:
         }
         unit = next((one.unit for one in metadata if isinstance(one, Quantity)), None)
         if unit is not None:
-            number = {**NUMBER, **limits}
+            number = {**NUMBER, **limits, "x-unit": unit}
             return {"anyOf": [number, FIELD]} if varies else number
         return {**self._bare(kind, varies=varies), **limits}
 

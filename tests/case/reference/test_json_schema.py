@@ -17,7 +17,11 @@ from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.supports.springs import SUPPORTS
 
 DEMOS = sorted((ROOT / "demos").glob("*/*.toml"))
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    path
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
+    if not {"_build", "generated"} & {*path.parts}
+]
 CASE = """
 [mesh]
 box = {size = [1, 1, "2 mm"], cells = [2, 2, 2]}

@@ -1,0 +1,258 @@
+"""Pages of the reference that are made from the code when the site is built.
+
+They go to docs/reference/generated, which is no part of the repository; the pages beside it
+include them.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+import typer
+
+from dolfin_elastic.case.reference.json_schema import case_schema
+from dolfin_elastic.cli.app import app
+from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
+from dolfin_elastic.results.fields import FIELDS
+
+ROOT = Path(__file__).parents[2]
+Schema = Mapping[str, Any]
+
+TOP = {"Case": "The whole file"}
+GROUPS = {"law-": "law", "": "kind"}
+
+
+def write(folder: Path) -> None:
+    """Writes all pages.
+
+    Args:
+        folder: Where to; it is made.
+    """
+    folder.mkdir(exist_ok=True)
+    pages = {
+        "keys.md": keys(case_schema()),
+        "commands.md": commands(),
+        "messages.md": messages(),
+        "fields.md": fields(),
+        "verification.md": verification(),
+    }
+    for name, text in pages.items():
+        file = folder / name
+        if not file.exists() or file.read_text(encoding="utf-8") != text:
+            file.write_text(text, encoding="utf-8")
+
+
+# --- keys ---
+
+
+def keys(schema: Schema) -> str:
+    """Every table with its keys."""
+    tables = {"The whole file": schema}
+    names = schema["definitions"]
+    plain = sorted(name for name in names if "-" not in name and "properties" in names[name])
+    tables |= {f"{name}": names[name] for name in plain}
+    tables |= {name: names[name] for name in sorted(names) if "-" in name and "law-" not in name}
+    tables |= {name: names[name] for name in sorted(names) if name.startswith("law-")}
+    return "\n\n".join(
+        [f"({anchor(name)})=\n## {title(name)}\n\n{table(one)}" for name, one in tables.items()]
+    )
+
+
+def anchor(name: str) -> str:
+    """The target of a table."""
+    return "keys-" + re.sub(r"\W+", "-", name.lower())
+
+
+def title(name: str) -> str:
+    """The heading of a table."""
+    kind, _, word = name.partition("-")
+    if kind == "law":
+        return f"Law `{word}`"
+    return f"{kind} `{word}`" if word else kind
+
+
+def table(schema: Schema) -> str:
+    """One table's keys in Markdown."""
+    needed = schema.get("required", [])
+    rows = []
+    for key, one in schema["properties"].items():
+        default = "needed" if key in needed else ""
+        if "default" in one and one["default"] not in ("", None):
+            default = f"`{json.dumps(one['default'])}`"
+        text = str(one.get("description", "")).replace("|", "\\|")
+        rows.append(f"| `{key}` | {kind(one)} | {default} | {escaped(text)} |")
+    head = escaped(schema.get("description", ""))
+    return "\n".join([head, "", "| key | value | default | what |", "|---|---|---|---|", *rows])
+
+
+def escaped(text: str) -> str:
+    """Text of docstrings as Markdown: brackets are no links, stars no emphasis."""
+    parts = re.split(r"(`[^`]*`)", text)
+    return "".join(
+        part if part.startswith("`") else re.sub(r"([\[\]*_<>{}$])", r"\\\1", part)
+        for part in parts
+    )
+
+
+def kind(schema: Schema) -> str:
+    """What a value is, in words."""
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return "curve" if name == "Curve" else f"[{escaped(title(name))}](#{anchor(name)})"
+    if "const" in schema:
+        return f"`{json.dumps(schema['const'])}`"
+    if "enum" in schema:
+        return " or ".join(f"`{json.dumps(one)}`" for one in schema["enum"])
+    if "anyOf" in schema:
+        words = dict.fromkeys(kind(one) for one in schema["anyOf"])
+        return " or ".join(words)
+    return simple(schema)
+
+
+def simple(schema: Schema) -> str:
+    """What a value without alternatives is."""
+    if "x-unit" in schema:
+        unit = schema["x-unit"]
+        return "number" + (f" \\[{unit}\\]" if unit else "") + bounds(schema)
+    type_ = schema.get("type")
+    if type_ == "array":
+        low, high = schema.get("minItems"), schema.get("maxItems")
+        count = f"{low} " if low == high and low else f"{low} to {high} " if low and high else ""
+        return f"list of {count}({kind(schema['items'])})"
+    if type_ == "object":
+        inner = schema.get("additionalProperties")
+        if inner:
+            return f"names, each {kind(inner)}"
+        return "`{" + ", ".join(f"{key} = .." for key in schema.get("properties", {})) + "}`"
+    words = {"string": "text", "boolean": "true or false", "integer": "whole number"}
+    if isinstance(type_, list):
+        return "number"
+    return words.get(str(type_), str(type_ or "number, text or list")) + bounds(schema)
+
+
+def bounds(schema: Schema) -> str:
+    """Limits of a number."""
+    words = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
+    found = [f"{sign} {schema[key]:g}" for key, sign in words.items() if key in schema]
+    return f", {' and '.join(found)}" if found else ""
+
+
+# --- commands ---
+
+
+def commands() -> str:
+    """The help of every command."""
+    group = typer.main.get_command(app)
+    assert isinstance(group, click.Group)
+    with click.Context(group, info_name="dolfin-elastic") as top:
+        parts = []
+        for name in group.list_commands(top):
+            command = group.get_command(top, name)
+            assert command is not None
+            context = click.Context(command, info_name=name, parent=top, terminal_width=100)
+            text = command.get_help(context)
+            parts.append(f"## `{name}`\n\n```text\n{text}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+# --- messages ---
+
+CODES = {"SolveError": 3, "OutputError": 4}
+"""Exit codes of errors that are not 2."""
+
+
+def messages() -> str:
+    """Every message that an error of the program carries, by the part of the program it is from."""
+    found: dict[str, list[tuple[str, str, int]]] = defaultdict(list)
+    for path in sorted((ROOT / "dolfin_elastic").rglob("*.py")):
+        part = path.relative_to(ROOT / "dolfin_elastic").parts[0]
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and (row := message(node)):
+                found[part].append(row)
+    parts = []
+    for part, rows in found.items():
+        lines = [
+            f"| {cell(what)} | {cell(expected)} | {code} |"
+            for what, expected, code in sorted(set(rows))
+        ]
+        parts.append(f"## `{part}`\n\n| message | what to do | code |\n|---|---|---|")
+        parts[-1] += "\n" + "\n".join(lines)
+    return "\n\n".join(parts) + "\n"
+
+
+def message(node: ast.Call) -> tuple[str, str, int] | None:
+    """Text, advice and exit code of what makes an error; None of other calls."""
+    name = node.func.id if isinstance(node.func, ast.Name) else ""
+    if not re.fullmatch(r"(Input|Mesh|Unit|Case|Solve|Output|Restart|Formula)Error", name):
+        return None
+    what = text_of(node.args[0]) if node.args else ""
+    advice = next((text_of(one.value) for one in node.keywords if one.arg == "expected"), "")
+    return (what, advice, CODES.get(name, 2)) if re.search(r"\w{3}", what) else None
+
+
+def text_of(node: ast.expr) -> str:
+    """A text, with an ellipsis for what is known only when the program runs."""
+    if isinstance(node, ast.Constant):
+        return str(node.value)
+    if isinstance(node, ast.JoinedStr):
+        return "".join(text_of(part) for part in node.values)
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
+        return text_of(node.left) + text_of(node.right)
+    return "…"
+
+
+def cell(text: str) -> str:
+    """A text in a cell of a table."""
+    return escaped(" ".join(text.split())).replace("|", "\\|")
+
+
+# --- fields, functions ---
+
+
+def fields() -> str:
+    """Names of fields, and of functions in formulas."""
+    rows = [
+        f"| `{name}` | {escaped(field.description)} | {field.unit} |"
+        for name, field in sorted(FIELDS.items())
+    ]
+    listed = ", ".join(f"`{name}`" for name in (*FUNCTIONS, *CONSTANTS))
+    table = "\n".join(["| field | what | unit |", "|---|---|---|", *rows])
+    return f"{table}\n\nFunctions and numbers of formulas: {listed}.\n"
+
+
+# --- verification ---
+
+
+def verification() -> str:
+    """The table of the last recorded `dolfin-elastic verify --full`."""
+    file = ROOT / "docs/verification.json"
+    rows: Iterable[Mapping[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
+    return "\n".join(
+        [
+            "| case | computed | reference | error | limit | |",
+            "|---|---|---|---|---|---|",
+            *lines(rows),
+            "",
+        ]
+    )
+
+
+def lines(rows: Iterable[Mapping[str, Any]]) -> Iterator[str]:
+    """Rows of the table of verification."""
+    for row in rows:
+        unit = f" {row['unit']}" if row["unit"] else ""
+        share = min(1.0, row["error"] / row["limit"])
+        bar = "▮" * max(1, round(10 * share)) + "▯" * (10 - max(1, round(10 * share)))
+        numbers = (
+            f"{row['computed']:.8g}{unit} | {row['reference']:.8g}{unit} | "
+            f"{row['error']:.1e} | {row['limit']:.0e}"
+        )
+        what = f"**{row['name']}**: {escaped(row['what'])}. {escaped(row['source'])}"
+        yield f"| {what} | {numbers} | {bar} |"

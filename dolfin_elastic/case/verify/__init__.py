@@ -1,0 +1,1 @@
+"""The verification of an installation: small cases with references, and ranks compared."""
