@@ -41,10 +41,9 @@ from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
 from dolfin_elastic.results.checkpoint.checksums import fingerprint
 from dolfin_elastic.results.checkpoint.lock import FolderLock
 from dolfin_elastic.results.files import writing
-from dolfin_elastic.results.outputs import Modes, Output, Summary, Xdmf
+from dolfin_elastic.results.outputs import FORMATS, History, Modes, Output, Summary, Xdmf
 from dolfin_elastic.results.writer import ModeWriter, Writer
 from dolfin_elastic.results.writers.modes import clear as clear_modes
-from dolfin_elastic.results.writers.xdmf import remove
 from dolfin_elastic.solvers.nonlinear.contact import warn_of_untouched
 
 if TYPE_CHECKING:
@@ -418,10 +417,12 @@ def open_outputs(
 
 def _remove_others(folder: Path, files: Sequence[Output]) -> None:
     """Removes files of an older run that this one does not overwrite. Not collective."""
-    remove(folder / _FAILED)
+    Xdmf(file=_FAILED).remove(folder)
     kinds = {type(file) for file in files}
-    if Xdmf not in kinds:
-        remove(folder / "results.xdmf")
+    for kind in FORMATS.values():
+        if kind not in kinds:
+            kind().remove(folder)
+    if History not in kinds:
         with writing(folder):
             (folder / "history.csv").unlink(missing_ok=True)
     if Modes not in kinds:

@@ -44,12 +44,13 @@ from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import LONGEST_NAME
 from dolfin_elastic.results.outputs import (
+    FORMATS,
     History,
     ModePicture,
     Modes,
     Picture,
     Summary,
-    Xdmf,
+    check_formats,
 )
 from dolfin_elastic.results.outputs import Output as File
 from dolfin_elastic.results.probes import Probe, ProbePoint, check_places
@@ -266,6 +267,7 @@ class Output(Record):
         folder: Folder of the results, relative to the case file's; by default the case file's
             name with "_results", in the folder where the run is started.
         fields: Fields for ParaView; by default displacement and stresses.
+        formats: Formats of the fields, names from `FORMATS`.
         every: Fields are written every so many steps, and at the end; by default every step, with
             an explicit scheme about 200 states.
         pictures: Pictures of the deformed body.
@@ -278,6 +280,7 @@ class Output(Record):
 
     folder: str | None = None
     fields: tuple[str, ...] | None = None
+    formats: tuple[str, ...] = ("xdmf",)
     every: Steps | None = None
     pictures: list[Picture] = Field(default=[])
     probes: dict[str, ProbePoint] = Field(default={})
@@ -308,6 +311,8 @@ class Output(Record):
                     f"unknown field '{name}'", where=f"[{index}]", expected=nearest(name, FIELDS)
                 )
         return names
+
+    _known_formats = field_validator("formats")(staticmethod(check_formats))
 
     @field_validator("pictures")
     @classmethod
@@ -369,7 +374,10 @@ class Output(Record):
             p if p.title is not None else p.model_copy(update={"title": title})
             for p in self.pictures
         ]
-        found: list[File] = [Xdmf(fields=self.fields, **every), History()] if states else []
+        found: list[File] = []
+        if states:
+            written = [FORMATS[name](fields=self.fields, **every) for name in self.formats]
+            found = [*written, History()]
         if not modes:
             return [*found, *pictures, Summary()]
         drawn = [ModePicture(**{**table_of(p), "amplitude": self.amplitude}) for p in pictures]

@@ -285,6 +285,22 @@ FIELDS: dict[str, Field] = {
     ),
 }
 
+_AXES = "xyz"
+
+
+def component_names(stem: str, size: int) -> list[str]:
+    """Names of the columns of a field in tables.
+
+    Args:
+        stem: What they begin with.
+        size: Number of components: 1, 2 or 3 of a vector, 9 of a tensor, row by row.
+    """
+    if size == 1:
+        return [stem]
+    ends = _AXES[:size] if size < 4 else [a + b for a in _AXES for b in _AXES]
+    return [f"{stem}_{end}" for end in ends]
+
+
 DEFAULT = ("displacement", "von_mises", "cauchy_stress")
 IN_MOTION = ("velocity",)
 

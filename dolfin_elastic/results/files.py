@@ -9,10 +9,13 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import cast
 
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import OutputError, RestartError
+from dolfin_elastic.core.parallel import agree
+from dolfin_elastic.core.types import AnyArray
 
 _SPARE = 1 << 20
 LONGEST_NAME = 255
@@ -48,6 +51,46 @@ def _cause(error: OSError) -> str:
         errno.EROFS: "; choose a folder you may write to",
     }
     return reason + advice.get(error.errno or 0, "")
+
+
+def open_together(comm: MPI.Comm, path: Path) -> MPI.File:
+    """Opens a file that is there, for all ranks to write into. Collective.
+
+    Args:
+        comm: The ranks.
+        path: The file, on a file system that all ranks see.
+
+    Raises:
+        OutputError: On all ranks, when one of them cannot open it.
+    """
+    error, file = None, MPI.FILE_NULL
+    try:
+        with writing(path):
+            file = MPI.File.Open(cast(MPI.Intracomm, comm), str(path), MPI.MODE_WRONLY)
+    except OutputError as caught:
+        error = caught
+    agree(comm, error)
+    return file
+
+
+def write_at(file: MPI.File, path: Path, place: int, values: AnyArray) -> OutputError | None:
+    """Writes an array into a file; returns an error, which all ranks then raise. Not collective.
+
+    Args:
+        file: From `open_together`.
+        path: Its name, for the message.
+        place: Byte at which the array begins.
+        values: The array, C-contiguous.
+    """
+    status = MPI.Status()
+    try:
+        with writing(path):
+            file.Write_at(place, values, status)
+    except OutputError as caught:
+        return caught
+    if status.Get_count(MPI.BYTE) != values.nbytes:
+        return OutputError(f"cannot write {path}: only a part was written; is the disk full?")
+    return None
 
 
 def why_not_made(folder: Path) -> str:

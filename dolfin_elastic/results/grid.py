@@ -79,14 +79,31 @@ class Grid:
         Returns:
             Shape (owned cells, nodes of a cell).
         """
-        order = np.argsort(cpp.io.perm_vtk(self.mesh.topology.cell_type, self.nodes_per_cell))
-        local = self.V.dofmap.list[: self.own_cells][:, order]
-        mirrored = signed_volumes(cell_corners(self.mesh))[: self.own_cells] < 0
-        local[mirrored] = local[mirrored][:, _MIRRORED[self.nodes_per_cell]]
+        local = self.local_cells()
         index_map = self.V.dofmap.index_map
         kind = np.int32 if index_map.size_global < np.iinfo(np.int32).max else np.int64
         numbers = index_map.local_to_global(local.ravel().astype(np.int32))
         return np.asarray(numbers, dtype=kind).reshape(local.shape)
+
+    def local_cells(self) -> AnyArray:
+        """As `cells`, with the numbers that points have on this rank, ghosts too."""
+        order = np.argsort(cpp.io.perm_vtk(self.mesh.topology.cell_type, self.nodes_per_cell))
+        local = self.V.dofmap.list[: self.own_cells][:, order]
+        mirrored = signed_volumes(cell_corners(self.mesh))[: self.own_cells] < 0
+        local[mirrored] = local[mirrored][:, _MIRRORED[self.nodes_per_cell]]
+        return np.asarray(local)
+
+    def with_ghosts(self, values: FloatArray) -> FloatArray:
+        """Values of the owned points and, behind them, those of this rank's ghosts. Collective.
+
+        Args:
+            values: Of the owned points, shape (n, columns).
+        """
+        work = la.vector(self.V.dofmap.index_map, values.shape[1])
+        table = work.array.reshape(-1, values.shape[1])
+        table[: self.own_points] = values
+        work.scatter_forward()
+        return np.asarray(table)
 
     def rows(self, centre: str, values: AnyArray) -> Rows:
         """This rank's values as rows of an array over all ranks. Not collective.

@@ -21,7 +21,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
@@ -29,7 +29,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import OutputError
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.types import AnyArray
-from dolfin_elastic.results.files import need_space, writing
+from dolfin_elastic.results.files import need_space, open_together, write_at, writing
 
 if TYPE_CHECKING:
     import h5py
@@ -40,7 +40,7 @@ class Rows:
     """This rank's rows of an array that is spread over the ranks.
 
     Attributes:
-        values: Shape (own rows, columns), float64, int32 or int64.
+        values: Shape (own rows, columns), float64, int32, int64 or uint8.
         first: Number of the first of them in the whole array.
         count: Rows of the whole array.
     """
@@ -73,7 +73,7 @@ def write(comm: MPI.Comm, path: Path, arrays: Mapping[str, Rows], *, durable: bo
         OutputError: On all ranks, when the file cannot be written on any.
     """
     offsets = on_root(comm, lambda: _allocate(path, arrays))
-    file = _open(comm, path)
+    file = open_together(comm, path)
     errors = [_write_rows(file, path, offsets[name], rows) for name, rows in arrays.items()]
     if durable:
         errors.append(_sync(file, path))
@@ -105,30 +105,11 @@ def _create_array(h5py: ModuleType, file: h5py.File, name: str, rows: Rows) -> i
     )
 
 
-def _open(comm: MPI.Comm, path: Path) -> MPI.File:
-    error, file = None, MPI.FILE_NULL
-    try:
-        with writing(path):
-            file = MPI.File.Open(cast(MPI.Intracomm, comm), str(path), MPI.MODE_WRONLY)
-    except OutputError as caught:
-        error = caught
-    agree(comm, error)
-    return file
-
-
 def _write_rows(file: MPI.File, path: Path, offset: int, rows: Rows) -> OutputError | None:
     """Writes this rank's rows; returns an error, which all ranks then raise. Not collective."""
     values = np.ascontiguousarray(rows.values)
     place = offset + rows.first * values.shape[1] * values.itemsize
-    status = MPI.Status()
-    try:
-        with writing(path):
-            file.Write_at(place, values, status)
-    except OutputError as caught:
-        return caught
-    if status.Get_count(MPI.BYTE) != values.nbytes:
-        return OutputError(f"cannot write {path}: only a part was written; is the disk full?")
-    return None
+    return write_at(file, path, place, values)
 
 
 def _sync(file: MPI.File, path: Path) -> OutputError | None:

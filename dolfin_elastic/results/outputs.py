@@ -8,11 +8,11 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.results.fields import check_field_names
 from dolfin_elastic.results.pictures.pictures import (
@@ -27,7 +27,12 @@ from dolfin_elastic.results.writer import Numbers, Steps, Writer
 from dolfin_elastic.results.writers.history import HistoryWriter
 from dolfin_elastic.results.writers.modes import ModesWriter
 from dolfin_elastic.results.writers.modes import listing as animations
+from dolfin_elastic.results.writers.msh import MshWriter
+from dolfin_elastic.results.writers.series import SeriesWriter
 from dolfin_elastic.results.writers.summary import SummaryWriter
+from dolfin_elastic.results.writers.tables import TableWriter
+from dolfin_elastic.results.writers.vtkhdf import VtkhdfWriter
+from dolfin_elastic.results.writers.vtu import VtuWriter
 from dolfin_elastic.results.writers.xdmf import XdmfWriter
 
 if TYPE_CHECKING:
@@ -81,32 +86,37 @@ def _check_suffix(file: str, suffix: str) -> str:
     return file
 
 
-class Xdmf(Output):
-    """Fields of each step for ParaView.
+class FieldFile(Output):
+    """Fields of selected states in one of the formats of `FORMATS`.
 
     Attributes:
-        file: The file to open; the numbers go to a folder of the same name beside it.
+        file: The file to open; the numbers go to a folder beside it, where it has one.
         fields: Names from `FIELDS`; by default displacement, von Mises and Cauchy stress, and in
             motion velocity.
         every: The first state at or after each n-th step is written, and the last one.
         frames: If given, so many states evenly over the run are written instead.
     """
 
-    file: str = "results.xdmf"
     fields: tuple[str, ...] | None = None
     every: Steps = 1
     frames: int | None = Field(default=None, ge=1)
 
-    _check_file = field_validator("file")(lambda file: _check_suffix(file, ".xdmf"))
+    writer: ClassVar[type[SeriesWriter]]
+    """What writes the format."""
+
+    @field_validator("file")
+    @classmethod
+    def _check_file(cls, file: str) -> str:
+        return _check_suffix(file, Path(cls.model_fields["file"].default).suffix)
 
     @field_validator("fields")
     @classmethod
     def _check_fields(cls, fields: Iterable[str] | None) -> tuple[str, ...] | None:
         return fields if fields is None else check_field_names(fields)
 
-    def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> XdmfWriter:
+    def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> SeriesWriter:
         """See `Output.open`."""
-        return XdmfWriter(
+        return self.writer(
             problem,
             folder / self.file,
             fields=self.fields,
@@ -114,6 +124,84 @@ class Xdmf(Output):
             frames=self.frames,
             saved=saved,
         )
+
+    def remove(self, folder: Path) -> None:
+        """Removes its files that an earlier run has left in a folder. Not collective.
+
+        Raises:
+            OutputError: They cannot be removed.
+        """
+        self.writer.files_of(folder / self.file).remove()
+
+
+class Xdmf(FieldFile):
+    """XDMF with HDF5, for ParaView; see `FieldFile`."""
+
+    file: str = "results.xdmf"
+    writer = XdmfWriter
+
+
+class Vtu(FieldFile):
+    """VTK's XML files, a piece a rank, for ParaView and PyVista; see `FieldFile`."""
+
+    file: str = "results.pvd"
+    writer = VtuWriter
+
+
+class Vtkhdf(FieldFile):
+    """VTKHDF, for ParaView from 5.12 on; see `FieldFile`."""
+
+    file: str = "results.vtkhdf"
+    writer = VtkhdfWriter
+
+
+class Tables(FieldFile):
+    """CSV tables of the values at nodes and of those of cells; see `FieldFile`."""
+
+    file: str = "results.csv"
+    writer = TableWriter
+
+
+class Msh(FieldFile):
+    """Gmsh's .msh, whose views are the fields; see `FieldFile`."""
+
+    file: str = "results.msh"
+    writer = MshWriter
+
+
+FORMATS: dict[str, type[FieldFile]] = {
+    "xdmf": Xdmf,
+    "vtu": Vtu,
+    "vtkhdf": Vtkhdf,
+    "csv": Tables,
+    "msh": Msh,
+}
+"""Name of a format in `output.formats` to its output."""
+_REFUSED = {"frd": "no library that Debian has writes CalculiX's .frd files"}
+
+
+def check_formats(names: Iterable[str]) -> tuple[str, ...]:
+    """The names, each once, in their order.
+
+    Raises:
+        InputError: There is no such format, or none is given.
+    """
+    unique = tuple(dict.fromkeys(names))
+    for index, name in enumerate(unique):
+        if name in _REFUSED:
+            known = ", ".join(FORMATS)
+            raise InputError(
+                f"'{name}' cannot be written: {_REFUSED[name]}",
+                where=f"[{index}]",
+                expected=f"known: {known}",
+            )
+        if name not in FORMATS:
+            raise InputError(
+                f"unknown format '{name}'", where=f"[{index}]", expected=nearest(name, FORMATS)
+            )
+    if not unique:
+        raise InputError("no format is given", expected=f"known: {', '.join(FORMATS)}")
+    return unique
 
 
 class History(Output):

@@ -23,7 +23,7 @@ from dolfin_elastic.mesh.selectors import MeshLength, metres
 from dolfin_elastic.problem.loads.edges_points import points_of
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
-from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.fields import FIELDS, component_names
 from dolfin_elastic.results.recovery.points import StressAtPoints, is_recovered
 from dolfin_elastic.results.surface_means import (
     NODAL,
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
-_AXES = "xyz"
 _WHERE = "output.probes"
 
 
@@ -345,11 +344,7 @@ def _materials(problem: Problem) -> IndexArray:
 
 
 def _columns(name: str, size: int) -> list[str]:
-    name = name.removesuffix("_displacement")
-    if size == 1:
-        return [name]
-    ends = _AXES[:size] if size < 4 else [a + b for a in _AXES for b in _AXES]
-    return [f"{name}_{end}" for end in ends]
+    return component_names(name.removesuffix("_displacement"), size)
 
 
 def _shape_functions(dim: int, degree: int, local: FloatArray) -> FloatArray:

@@ -277,7 +277,7 @@ def test_a_file_size_limit_raises_on_all_ranks(
 ) -> None:
     """The system refuses to write: to rank 0 that lays the file out, or to all that fill it."""
     resource = pytest.importorskip("resource")
-    old, opened = resource.getrlimit(resource.RLIMIT_FSIZE), hdf5._open
+    old, opened = resource.getrlimit(resource.RLIMIT_FSIZE), hdf5.open_together
     rows = Rows(np.ones((100_000, 3)), COMM.rank * 100_000, COMM.size * 100_000)
 
     def limit(*arguments: Any) -> Any:
@@ -287,7 +287,7 @@ def test_a_file_size_limit_raises_on_all_ranks(
     if moment == "before":
         limit()
     else:
-        monkeypatch.setattr(hdf5, "_open", limit)
+        monkeypatch.setattr(hdf5, "open_together", limit)
     try:
         with pytest.raises(OutputError, match="cannot write"):
             hdf5.write(COMM, folder / "big.h5", {"a": rows, "b": rows})

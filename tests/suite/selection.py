@@ -98,6 +98,7 @@ SHARED = {
     "results/finished/test_finished.py",
     "results/test_probes.py",
     "results/test_results.py",
+    "results/writers/test_formats.py",
     "solvers/audit/test_audit.py",
     "solvers/dynamics/explicit/test_explicit.py",
     "solvers/dynamics/explicit/test_explicit_loop.py",

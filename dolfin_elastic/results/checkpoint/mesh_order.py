@@ -105,6 +105,19 @@ class DofOrdering:
         function.x.scatter_forward()
 
 
+def node_numbers(V: fem.FunctionSpace) -> IntArray:
+    """Number of each local node in the ordering, ghosts too. Collective.
+
+    Args:
+        V: Space of continuous Lagrange elements.
+    """
+    ordering, numbers = DofOrdering(V), fem.Function(V)
+    size = V.dofmap.index_map_bs
+    run = np.arange(ordering.first, ordering.first + ordering.mine, dtype=np.float64)
+    ordering.fill(numbers, np.repeat(run[:, None], size, axis=1))
+    return np.asarray(numbers.x.array[::size]).astype(np.int64)
+
+
 def _dof_keys(V: fem.FunctionSpace, cells: AnyArray) -> IntArray:
     """Key of each owned node: original number of its first cell times width plus position.
 

@@ -23,178 +23,113 @@ the files that it refers to.
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 from mpi4py import MPI
 
-from dolfin_elastic.core.parallel import largest, on_root
-from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.problem.state import State, plain
 from dolfin_elastic.results import hdf5
-from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.fields import DEFAULT, FIELDS, IN_MOTION
-from dolfin_elastic.results.files import (
-    make_folder,
-    missing_results,
-    replace_text,
-    sync,
-    writing,
-)
+from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.files import replace_text
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.hdf5 import Rows
-from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
+from dolfin_elastic.results.writers.series import IndexedSeries
 
-if TYPE_CHECKING:
-    from dolfin_elastic.problem.problem import Problem
-
-_OWN_FILES = re.compile(r"mesh\.h5|(?:mesh_)?(\d{6,})\.h5")
 _MESH = re.compile(r"/([^/:<>]+\.h5):/points<")
+_ARRAYS = re.compile(r"/([^/:<>]+\.h5):/")
 _FRAME = '<Grid Name="step '
 _END = "</Grid>\n</Domain>"
 
 
-class XdmfWriter:
-    """Writes states of a problem as XDMF; see the module.  All of it is collective.
+class Hdf5Series(IndexedSeries):
+    """Arrays of states in HDF5 files, one a step, and one of the mesh.  All of it is collective.
 
-    Args:
-        problem: The problem that is solved.
-        path: The `.xdmf` file; the arrays go into a folder beside it.
-        fields: Names from `FIELDS`; None: displacement and stresses, in motion also velocity.
-        every: Steps between written states, see `StepInterval`; the last state is always written.
-        frames: If given, so many states evenly over the run are written instead, and the last.
-        saved: Its restart state: later steps are cut off.
-
-    Raises:
-        InputError: An unknown field.
-        RestartError: Steps from before the checkpoint are missing.
-        OutputError: The folder cannot be written to.
+    See `SeriesWriter`.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        path: Path,
-        *,
-        fields: tuple[str, ...] | None = None,
-        every: int = 1,
-        frames: int | None = None,
-        saved: Numbers | None = None,
-    ) -> None:
-        self.problem, self.path, self.fields = problem, path, fields
-        self.every, self.frames = (
-            StepInterval(every, -1 if saved is None else saved["taken"]),
-            frames,
-        )
-        self.comm = problem.body.comm
-        self.data = _data_folder(path)
-        self._frames: list[str] = []
-        self._synced = 0
-        self._mesh_file = self._mesh_xml = ""
-        self._last_state = LastState()
-        self._pending = False
-        with stage("output"):
-            self._evaluate = Evaluator(problem, fields or DEFAULT)
-            if saved is None:
-                on_root(self.comm, self._clear)
-            else:
-                self._frames = on_root(self.comm, lambda: self._cut(saved["frames"]))
-                self._synced = len(self._frames)
+    own = re.compile(r"mesh\.h5|(?:mesh_)?(\d{6,})\.h5")
+    mesh_file = ""
+    """HDF5 file of the mesh and of fields that are the same at all steps; empty: none yet."""
 
-    def _clear(self) -> None:
-        make_folder(self.data)
-        clear(self.path)
-
-    def _cut(self, count: int) -> list[str]:
-        """Removes all frames but the first ones, and returns the XML of these. On rank 0."""
-        make_folder(self.data)
-        with writing(self.path):
-            text = self.path.read_text(encoding="utf-8") if self.path.is_file() else ""
-        frames = [_FRAME + part for part in text.partition(_END)[0].split(_FRAME)[1:]][:count]
-        meshes = {mesh for frame in frames for mesh in _MESH.findall(frame)}
-        needed = meshes | {f"{number:06d}.h5" for number in range(count)}
-        if len(frames) < count or any(not (self.data / name).is_file() for name in needed):
-            raise missing_results(self.path, "steps")
-        if count:
-            replace_text(self.path, _document(frames), durable=True)
-        else:
-            clear(self.path)
-        with writing(self.data):
-            for file in self.data.glob("*.h5"):
-                if _OWN_FILES.fullmatch(file.name) and file.name not in needed:
-                    file.unlink()
-        return frames
-
-    def restart_state(self) -> Numbers:
-        """See `Writer`."""
-        on_root(self.comm, self._sync)
-        self._synced = len(self._frames)
-        return {"frames": len(self._frames), "taken": self.every.taken}
-
-    def _sync(self) -> None:
-        for number in range(self._synced, len(self._frames)):
-            sync(self.data / f"{number:06d}.h5")
-        if self._frames:
-            sync(self.data / _MESH.findall(self._frames[-1])[0])
-            sync(self.path)
-
-    def write(self, state: State) -> None:
-        """Writes one step, if it is due: on return its file is complete."""
-        with stage("output"):
-            self._pending = not self._due(state)
-            if self._pending:
-                self._last_state.copy(state)
-            else:
-                self._write(state)
-
-    def _due(self, state: State) -> bool:
-        if self.frames is None:
-            return self.every.takes(state.step)
-        return state.done * self.frames >= len(self._frames)
-
-    def _write(self, state: State) -> None:
-        grid = self._evaluate.grid
-        default_in_motion = self.fields is None and state.v is not None
-        values = self._evaluate(state, more=IN_MOTION if default_in_motion else ())
-        rows = {name: grid.rows(FIELDS[name].centre, v) for name, v in values.items()}
-        moving = {name: r for name, r in rows.items() if not FIELDS[name].fixed}
-        if not self._mesh_xml:
+    def _add(self, state: State, rows: Mapping[str, Rows]) -> str:
+        if not self.mesh_file:
             fixed = {name: r for name, r in rows.items() if FIELDS[name].fixed}
-            self._write_mesh(grid, {**mesh_rows(grid), **fixed})
+            self._write_mesh({**self._mesh_arrays(self._evaluate.grid), **fixed})
         file = f"{len(self._frames):06d}.h5"
+        moving = {name: r for name, r in rows.items() if not FIELDS[name].fixed}
         hdf5.write(self.comm, self.data / file, moving)
-        self._frames.append(self._frame(state, file, rows))
-        on_root(self.comm, lambda: replace_text(self.path, _document(self._frames), durable=True))
+        return self._entry(state, file, rows)
 
-    def _write_mesh(self, grid: Grid, arrays: Mapping[str, Rows]) -> None:
+    def _write_mesh(self, arrays: Mapping[str, Rows]) -> None:
         """Writes arrays that are the same at all steps, unless the continued run has done so."""
-        before = _MESH.findall(self._frames[-1])[0] if self._frames else ""
-        self._mesh_file = before or "mesh.h5"
+        before = self._mesh_of(self._frames[-1]) if self._frames else ""
+        self.mesh_file = before or "mesh.h5"
         if not before or not _same(self.comm, self.data / before, arrays):
             if before:
-                self._mesh_file = f"mesh_{len(self._frames):06d}.h5"
-            hdf5.write(self.comm, self.data / self._mesh_file, arrays)
-        self._mesh_xml = mesh_xml(grid, f"{self.data.name}/{self._mesh_file}")
+                self.mesh_file = f"mesh_{len(self._frames):06d}.h5"
+            hdf5.write(self.comm, self.data / self.mesh_file, arrays)
 
-    def _frame(self, state: State, file: str, rows: Mapping[str, Rows]) -> str:
-        files = {name: self._mesh_file if FIELDS[name].fixed else file for name in rows}
+    @abstractmethod
+    def _mesh_arrays(self, grid: Grid) -> dict[str, Rows]:
+        """This rank's rows of the arrays of the mesh. Not collective."""
+
+    @abstractmethod
+    def _mesh_of(self, entry: str) -> str:
+        """The file of the mesh that an entry refers to. Not collective."""
+
+    @abstractmethod
+    def _entry(self, state: State, file: str, rows: Mapping[str, Rows]) -> str:
+        """The entry of a state in the index.
+
+        Args:
+            state: The state.
+            file: HDF5 file with its fields.
+            rows: Name of a field to this rank's rows.
+        """
+
+
+class XdmfWriter(Hdf5Series):
+    """Writes states of a problem as XDMF; see the module.  All of it is collective.
+
+    See `SeriesWriter`.
+    """
+
+    folder = "_data"
+    _mesh_text = ""
+
+    def _mesh_arrays(self, grid: Grid) -> dict[str, Rows]:
+        return mesh_rows(grid)
+
+    def _mesh_of(self, entry: str) -> str:
+        return str(_MESH.findall(entry)[0])
+
+    def _entry(self, state: State, file: str, rows: Mapping[str, Rows]) -> str:
+        files = {name: self.mesh_file if FIELDS[name].fixed else file for name in rows}
+        if not self._mesh_text:
+            place = f"{self.data.name}/{self.mesh_file}"
+            self._mesh_text = mesh_xml(self._evaluate.grid, place)
         attributes = "".join(
             _attribute(name, r, f"{self.data.name}/{files[name]}") for name, r in rows.items()
         )
         return (
-            f'<Grid Name="step {state.step}" GridType="Uniform">\n{self._mesh_xml}'
+            f'<Grid Name="step {state.step}" GridType="Uniform">\n{self._mesh_text}'
             f'<Time Value="{plain(state.t)!r}"/>\n{attributes}</Grid>\n'
         )
 
-    def close(self, status: str = "completed", error: object = None) -> None:
-        """See `Writer`; writes the last step, if it was not due."""
-        if self._pending and self._last_state.state:
-            with stage("output"):
-                self._write(self._last_state.state)
-            self._pending = False
+    def _named(self, entry: str) -> list[str]:
+        return list(dict.fromkeys(_ARRAYS.findall(entry)))
+
+    def _entries(self) -> list[str]:
+        text = self.path.read_text(encoding="utf-8")
+        return [_FRAME + part for part in text.partition(_END)[0].split(_FRAME)[1:]]
+
+    def _replace_index(self, frames: Sequence[str]) -> None:
+        replace_text(self.path, _document(frames), durable=True)
 
 
 def _document(frames: Sequence[str]) -> str:
@@ -220,44 +155,6 @@ def _differs(path: Path, arrays: Mapping[str, Rows]) -> bool:
         )
     except OSError:
         return True
-
-
-def clear(path: Path) -> None:
-    """Removes the results of an earlier run, first the `.xdmf`. Not collective.
-
-    Files in the folder that this writer does not make stay.
-
-    Args:
-        path: The `.xdmf` file; it need not exist.
-
-    Raises:
-        OutputError: They cannot be removed.
-    """
-    with writing(path):
-        path.unlink(missing_ok=True)
-        for file in _data_folder(path).glob("*.h5"):
-            if _OWN_FILES.fullmatch(file.name):
-                file.unlink()
-
-
-def remove(path: Path) -> None:
-    """As `clear`; the folder of the arrays is removed, too, if it is empty. Not collective.
-
-    Args:
-        path: The `.xdmf` file; it need not exist.
-
-    Raises:
-        OutputError: They cannot be removed.
-    """
-    clear(path)
-    data = _data_folder(path)
-    with writing(data):
-        if data.is_dir() and not any(data.iterdir()):
-            data.rmdir()
-
-
-def _data_folder(path: Path) -> Path:
-    return path.with_name(f"{path.stem}_data")
 
 
 def mesh_rows(grid: Grid) -> dict[str, Rows]:

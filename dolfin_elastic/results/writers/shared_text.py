@@ -1,0 +1,69 @@
+"""Text files to which each rank adds its part; no rank holds the part of another one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from dolfin_elastic.core.parallel import agree, on_root, total
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.results.files import open_together, write_at, writing
+
+
+def add_text(comm: MPI.Comm, path: Path, text: str, start: int) -> int:
+    """Adds the ranks' texts to a file, one behind the other. Collective.
+
+    The first byte of all is written last: until then readers find a byte 0 in its place.
+
+    Args:
+        comm: The ranks.
+        path: The file; what it holds behind `start` is lost.
+        text: This rank's part.
+        start: Size of the file before [bytes]; 0: it is made.
+
+    Returns:
+        Its size then.
+
+    Raises:
+        OutputError: On all ranks, when one of them could not write its part.
+    """
+    own = np.frombuffer(text.encode(), dtype=np.uint8)
+    before = int(comm.exscan(len(own)) or 0)
+    size = total(comm, len(own))
+    on_root(comm, lambda: _cut(path, start))
+    if not size:
+        return start
+    file = open_together(comm, path)
+    held = 1 if before == 0 and len(own) else 0
+    error = write_at(file, path, start + before + held, own[held:])
+    errors = comm.allgather(error is not None)
+    if held and not any(errors):
+        error = write_at(file, path, start, own[:1])
+    file.Close()
+    agree(comm, error)
+    return start + size
+
+
+def _cut(path: Path, size: int) -> None:
+    with writing(path), path.open("r+b" if size else "wb") as file:
+        file.truncate(size)
+
+
+def lines_of(table: FloatArray, prefix: list[str] | None = None, between: str = " ") -> str:
+    """Rows of numbers as lines of text, with all digits.
+
+    Args:
+        table: Shape (rows, columns).
+        prefix: What each line begins with.
+        between: What stands between two numbers.
+    """
+    if not len(table):
+        return ""
+    line = between.join(["%.17g"] * table.shape[1])
+    if prefix is None:
+        return "".join([f"{line}\n" % tuple(row) for row in table.tolist()])
+    line = f"%s{between}{line}\n"
+    rows = zip(prefix, table.tolist(), strict=True)
+    return "".join([line % (first, *row) for first, row in rows])
