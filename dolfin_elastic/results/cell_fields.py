@@ -36,7 +36,8 @@ def cell_components(
         where: Key of the case file that asks for the fields, for the message.
 
     Returns:
-        For each field its components, of tensors row by row; None: the law has no such quantity.
+        For each field the components of its formula, of tensors row by row; None: the law has no
+        such quantity.
 
     Raises:
         InputError: An energy density of a law without a strain energy.
@@ -74,7 +75,11 @@ class _Once(ModifiedLaw):
 
 
 def _components(tensor: Expr) -> list[Expr]:
-    return [tensor[i, j] for i in range(3) for j in range(3)] if tensor.ufl_shape else [tensor]
+    if not tensor.ufl_shape:
+        return [tensor]
+    if len(tensor.ufl_shape) == 1:
+        return [tensor[i] for i in range(len(tensor))]
+    return [tensor[i, j] for i in range(3) for j in range(3)]
 
 
 @dataclass(frozen=True)
@@ -131,7 +136,7 @@ def cell_kernel(
         InputError: See `cell_components`.
     """
     found = cell_components(problem, region, w, names, where)
-    widths = [FIELDS[name].columns for name in names]
+    widths = [FIELDS[name].evaluated for name in names]
     columns = np.flatnonzero(np.repeat([part is not None for part in found], widths))
     if not len(columns):
         return None

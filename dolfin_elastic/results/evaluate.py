@@ -16,6 +16,7 @@ from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
+from dolfin_elastic.results.derived.normals import NodalNormals
 from dolfin_elastic.results.fields import FIELDS, RecoveredField, check_field_names
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
@@ -50,6 +51,8 @@ class Evaluator:
         self._recovery = StressRecovery(problem, self.w) if recovered else None
         if {"reaction", "residual"} & set(self.names):
             _ = self.residual
+        if "normal" in self.names:
+            _ = self.normals
 
     def _kernel(self, region: MaterialRegion) -> CellKernel | None:
         dim = self.problem.body.dim
@@ -58,7 +61,12 @@ class Evaluator:
 
     @property
     def _widths(self) -> list[int]:
-        return [FIELDS[name].columns for name in self.cell_names]
+        return [FIELDS[name].evaluated for name in self.cell_names]
+
+    @cached_property
+    def normals(self) -> NodalNormals:
+        """Of the body's surface."""
+        return NodalNormals(self.problem.V)
 
     @cached_property
     def residual(self) -> fem.Form:
@@ -94,7 +102,7 @@ class Evaluator:
                 table[part.cells[:, None], kernel.columns] = kernel(part.cells)[:, 0]
         ends = np.cumsum(widths)
         return {
-            name: table[:, end - width : end]
+            name: FIELDS[name].finished(table[:, end - width : end])
             for name, width, end in zip(self.cell_names, widths, ends, strict=True)
         }
 
@@ -190,6 +198,10 @@ class StateSource:
         for pair in self.evaluator.problem.contact_pairs:
             values[pair.nodes_of_displacement, 0] += pair.pressures()
         return values
+
+    def normal(self) -> AnyArray:
+        """See `FieldSource`."""
+        return self.evaluator.normals(self.state.u)
 
     def stress_error(self) -> AnyArray:
         """See `FieldSource`."""

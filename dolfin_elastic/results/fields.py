@@ -19,11 +19,25 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.model import kinematics
-from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.fibres import direction
+from dolfin_elastic.model.materials.law import Law, ModifiedLaw
+from dolfin_elastic.results.derived import spectral
 
 SHAPES = {"scalar": 1, "vector": 3, "tensor": 9}
 
-RecoveredField = Literal["von_mises", "cauchy_stress", "pressure", "safety_factor"]
+RecoveredField = Literal[
+    "von_mises",
+    "cauchy_stress",
+    "pressure",
+    "safety_factor",
+    "principal_stresses",
+    "max_principal_stress",
+    "min_principal_stress",
+    "principal_direction_1",
+    "principal_direction_2",
+    "principal_direction_3",
+    "tresca",
+]
 
 
 class FieldSource(Protocol):
@@ -46,6 +60,9 @@ class FieldSource(Protocol):
 
     def contact_pressure(self) -> AnyArray:
         """Pressure of the obstacles on the body [Pa] at the points, shape (points, 1)."""
+
+    def normal(self) -> AnyArray:
+        """Outward unit normals of the deformed surface at the points, shape (points, 3)."""
 
     def stress_error(self) -> AnyArray:
         """Estimated error of each cell's stress [Pa], shape (cells, 1)."""
@@ -71,6 +88,8 @@ class Field:
         description: One line for listings.
         formula: Law and 3x3 deformation gradient to a UFL expression; None for a law without such
             a quantity, whose cells get NaN.  Of a field of nodes it gives the value inside a cell.
+        of_tensor: Where `formula` gives a tensor from which the field follows in NumPy: rows of the
+            tensor, shape (n, 9), to rows of the field.
         values: Of a field of nodes, and of cells without a formula: this rank's rows from a
             `FieldSource`.
         recovered: It follows from the recovered stress.
@@ -84,6 +103,7 @@ class Field:
     unit: str
     description: str
     formula: Callable[[Law, Expr], Expr | None] | None = None
+    of_tensor: Callable[[AnyArray], AnyArray] | None = None
     values: Callable[[FieldSource], AnyArray] | None = None
     recovered: bool = False
     motion: bool = False
@@ -94,6 +114,15 @@ class Field:
     def columns(self) -> int:
         """Number of components."""
         return SHAPES[self.shape]
+
+    @property
+    def evaluated(self) -> int:
+        """Number of components of `formula`."""
+        return self.columns if self.of_tensor is None else SHAPES["tensor"]
+
+    def finished(self, rows: AnyArray) -> AnyArray:
+        """Rows of the field from rows of `formula`."""
+        return rows if self.of_tensor is None else self.of_tensor(rows)
 
     def of_cell(self, law: Law, F: Expr) -> Expr | None:
         """Value of `formula`, which the field has.
@@ -136,24 +165,104 @@ def _von_mises(law: Law, F: Expr) -> Expr:
     return kinematics.von_mises(cauchy_stress(law, F))
 
 
+def _second_piola(law: Law, F: Expr) -> Expr:
+    P = law.stress(F)
+    return P if law.linear else kinematics.second_from_first(P, F)
+
+
+def _kirchhoff(law: Law, F: Expr) -> Expr:
+    P = law.stress(F)
+    return P if law.linear else kinematics.kirchhoff_from_first(P, F)
+
+
+def _fibre(law: Law, number: int) -> Expr | None:
+    """Unit vector of a material direction in the reference configuration; None without one.
+
+    Args:
+        law: Law of the material.
+        number: 0 or 1: the first or second of its directions.
+    """
+    inner: Law | ModifiedLaw = law
+    while isinstance(inner, ModifiedLaw):
+        inner = inner.law
+    names = inner.directions[number : number + 1]
+    value = getattr(inner, names[0], None) if names else None
+    return None if value is None else direction(value)
+
+
+def _fibre_strain(number: int) -> Callable[[Law, Expr], Expr | None]:
+    """Green strain along a fibre, a.E a (Holzapfel, Nonlinear Solid Mechanics (2000), (2.75))."""
+
+    def formula(law: Law, F: Expr) -> Expr | None:
+        """See `Field.formula`.
+
+        Args:
+            law: Law of the material.
+            F: Deformation gradient, 3x3.
+        """
+        a = _fibre(law, number)
+        return None if a is None else (ufl.inner(F * a, F * a) - 1) / 2
+
+    return formula
+
+
+def _fibre_stretch(law: Law, F: Expr) -> Expr | None:
+    a = _fibre(law, 0)
+    return None if a is None else ufl.sqrt(ufl.inner(F * a, F * a))
+
+
 _FORMULAS: dict[RecoveredField, Callable[[Law, Expr], Expr | None]] = {
     "von_mises": _von_mises,
     "cauchy_stress": cauchy_stress,
     "pressure": _pressure,
     "safety_factor": _safety_factor,
 }
+_OF_STRESS: dict[RecoveredField, Callable[[AnyArray], AnyArray]] = {
+    "principal_stresses": spectral.principal_values,
+    "max_principal_stress": spectral.principal_value(0),
+    "min_principal_stress": spectral.principal_value(2),
+    "principal_direction_1": spectral.principal_direction(0),
+    "principal_direction_2": spectral.principal_direction(1),
+    "principal_direction_3": spectral.principal_direction(2),
+    "tresca": spectral.tresca,
+}
+"""Fields that follow from the Cauchy stress in NumPy."""
+_VECTORS = (
+    "principal_stresses",
+    "principal_direction_1",
+    "principal_direction_2",
+    "principal_direction_3",
+)
+_PURE = ("safety_factor", *_VECTORS[1:])
+"""Fields of the recovered stress without a unit."""
 
 
 def _recovered(name: RecoveredField, description: str) -> Field:
     return Field(
-        "tensor" if name == "cauchy_stress" else "scalar",
+        "tensor" if name == "cauchy_stress" else "vector" if name in _VECTORS else "scalar",
         "node",
-        "" if name == "safety_factor" else "Pa",
+        "" if name in _PURE else "Pa",
         description,
-        _FORMULAS[name],
+        _FORMULAS.get(name, cauchy_stress),
+        of_tensor=_OF_STRESS.get(name),
         values=lambda source: source.recovered(name),
         recovered=True,
     )
+
+
+def _of_F(
+    shape: Literal["scalar", "vector", "tensor"],
+    description: str,
+    of_tensor: Callable[[AnyArray], AnyArray] | None = None,
+) -> Field:
+    """A field of cells without a unit that follows from the deformation gradient in NumPy.
+
+    Args:
+        shape: Of the field.
+        description: One line for listings.
+        of_tensor: See `Field`; None: the deformation gradient itself.
+    """
+    return Field(shape, "cell", "", description, lambda law, F: F, of_tensor=of_tensor)
 
 
 FIELDS: dict[str, Field] = {
@@ -205,12 +314,93 @@ FIELDS: dict[str, Field] = {
         "first Piola-Kirchhoff stress: force over reference area",
         lambda law, F: law.stress(F),
     ),
+    "second_piola": Field(
+        "tensor",
+        "cell",
+        "Pa",
+        "second Piola-Kirchhoff stress, of the reference configuration",
+        _second_piola,
+    ),
+    "kirchhoff_stress": Field(
+        "tensor", "cell", "Pa", "Kirchhoff stress: J times the Cauchy stress", _kirchhoff
+    ),
+    "principal_stresses": _recovered(
+        "principal_stresses", "principal values of the recovered Cauchy stress, largest first"
+    ),
+    "max_principal_stress": _recovered(
+        "max_principal_stress", "largest principal value of the recovered Cauchy stress"
+    ),
+    "min_principal_stress": _recovered(
+        "min_principal_stress", "smallest principal value of the recovered Cauchy stress"
+    ),
+    "principal_direction_1": _recovered(
+        "principal_direction_1", "unit direction of the largest principal stress"
+    ),
+    "principal_direction_2": _recovered(
+        "principal_direction_2", "unit direction of the middle principal stress"
+    ),
+    "principal_direction_3": _recovered(
+        "principal_direction_3", "unit direction of the smallest principal stress"
+    ),
+    "tresca": _recovered(
+        "tresca", "Tresca stress: largest minus smallest principal stress, recovered"
+    ),
     "pressure": _recovered("pressure", "pressure: minus the mean recovered Cauchy stress"),
     "pressure_cell": Field(
         "scalar", "cell", "Pa", "pressure of the cell: minus its mean Cauchy stress", _pressure
     ),
     "green_strain": Field(
         "tensor", "cell", "", "Green strain", lambda law, F: kinematics.green_strain(F)
+    ),
+    "deformation_gradient": _of_F("tensor", "deformation gradient F, row by row"),
+    "log_strain": _of_F("tensor", "logarithmic strain ln V (Hencky)", spectral.log_strain),
+    "almansi_strain": Field(
+        "tensor",
+        "cell",
+        "",
+        "Almansi strain, of the current configuration",
+        lambda law, F: kinematics.almansi_strain(F),
+    ),
+    "principal_stretches": _of_F(
+        "vector", "principal stretches, largest first", spectral.principal_stretches
+    ),
+    "stretch_direction_1": _of_F(
+        "vector",
+        "direction of the largest stretch, undeformed body",
+        spectral.stretch_direction(0),
+    ),
+    "stretch_direction_2": _of_F(
+        "vector", "direction of the middle stretch, undeformed body", spectral.stretch_direction(1)
+    ),
+    "stretch_direction_3": _of_F(
+        "vector",
+        "direction of the smallest stretch, undeformed body",
+        spectral.stretch_direction(2),
+    ),
+    "fibre": Field(
+        "vector",
+        "cell",
+        "",
+        "unit vector along the law's first direction, undeformed body",
+        lambda law, F: _fibre(law, 0),
+        fixed=True,
+    ),
+    "fibre2": Field(
+        "vector",
+        "cell",
+        "",
+        "unit vector along the law's second direction, undeformed body",
+        lambda law, F: _fibre(law, 1),
+        fixed=True,
+    ),
+    "fibre_strain": Field(
+        "scalar", "cell", "", "Green strain along the law's first direction", _fibre_strain(0)
+    ),
+    "fibre2_strain": Field(
+        "scalar", "cell", "", "Green strain along the law's second direction", _fibre_strain(1)
+    ),
+    "fibre_stretch": Field(
+        "scalar", "cell", "", "stretch along the law's first direction", _fibre_stretch
     ),
     "jacobian": Field(
         "scalar",
@@ -251,6 +441,13 @@ FIELDS: dict[str, Field] = {
         "mass of the material per reference volume",
         lambda law, F: law.density,
         fixed=True,
+    ),
+    "normal": Field(
+        "vector",
+        "node",
+        "",
+        "outward unit normal of the deformed surface; zero inside",
+        values=lambda source: source.normal(),
     ),
     "contact_pressure": Field(
         "scalar",

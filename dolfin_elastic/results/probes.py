@@ -395,7 +395,7 @@ class _CellFields:
         self.problem, self.places, self.names = problem, places, names
         self.mesh = problem.body.mesh
         self.w = fem.Function(problem.W)
-        self.widths = [FIELDS[name].columns for name in names]
+        self.widths = [FIELDS[name].evaluated for name in names]
         self.corners = fem.functionspace(self.mesh, ("Lagrange", 1)).dofmap
         self.volumes = cell_volumes(self.mesh)
         self.samples = _samples(self.mesh.topology.dim, problem.degree)
@@ -436,9 +436,18 @@ class _CellFields:
                     values[name][part.kernel.columns] = found
         ends = np.cumsum(self.widths)[:-1]
         return {
-            point: dict(zip(self.names, np.split(row, ends), strict=True))
+            point: {
+                name: self._finished(name, part, point)
+                for name, part in zip(self.names, np.split(row, ends), strict=True)
+            }
             for point, row in values.items()
         }
+
+    def _finished(self, name: str, part: FloatArray, point: str) -> FloatArray:
+        """Components of a field from those of its formula; zeros on ranks without the point."""
+        if self.places[point].cell < 0:
+            return np.zeros(FIELDS[name].columns)
+        return np.asarray(FIELDS[name].finished(part[None])[0])
 
     def _at_corners(self, kernel: CellKernel, cells: IndexArray) -> FloatArray:
         """Means at the local corners, shape (corners, columns); 0 away from these cells."""

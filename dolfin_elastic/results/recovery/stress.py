@@ -28,7 +28,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.results.fields import SAFEST, cauchy_stress
+from dolfin_elastic.results.fields import FIELDS, SAFEST, cauchy_stress
 from dolfin_elastic.results.recovery.patches import Patches, sampling_points, sums_by_row
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def safety_factor(allowable: FloatArray, stress: FloatArray) -> FloatArray:
 
 
 def field_rows(name: str, stress: FloatArray, safety: FloatArray) -> FloatArray:
-    """Rows of a field that follows from the recovered stress, shape (n, 1 or 9).
+    """Rows of a field that follows from the recovered stress, shape (n, 1, 3 or 9).
 
     Args:
         name: Of the field.
@@ -74,6 +74,8 @@ def field_rows(name: str, stress: FloatArray, safety: FloatArray) -> FloatArray:
     """
     if name == "cauchy_stress":
         return whole_tensor(stress)
+    if (follows := FIELDS[name].of_tensor) is not None:
+        return np.asarray(follows(whole_tensor(stress)))
     if name == "pressure":
         return -stress[:, :3].mean(axis=1)[:, None]
     return (safety if name == "safety_factor" else von_mises(stress))[:, None]

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -71,7 +72,7 @@ class MshWriter(SeriesWriter):
             f"$PhysicalNames\n{len(regions)}\n{groups}$EndPhysicalNames\n"
         )
         self._end = add_text(self.comm, self.path, head if self.comm.rank == 0 else "", 0)
-        own = [str(number) for number in nodes[: grid.own_points]]
+        own = nodes[: grid.own_points]
         count = grid.rows("node", grid.points()).count
         self._section("Nodes", str(count), lines_of(grid.points(), own))
         group = np.ones(grid.own_cells, dtype=np.int64)
@@ -79,11 +80,10 @@ class MshWriter(SeriesWriter):
             group[part.cells] = k + 1
         table = nodes[grid.local_cells()][:, _ORDERS.get(grid.kind, slice(None))]
         kind = _TYPES[grid.kind]
+        rows = zip(cells, group, cast("list[list[int]]", table.tolist()), strict=True)
         lines = "".join(
-            f"{number} {kind} 2 {region} {region} {' '.join(map(str, row))}\n"
-            for number, region, row in zip(
-                cells.tolist(), group.tolist(), table.tolist(), strict=True
-            )
+            f"{number} {kind} 2 {region} {region} {' '.join([str(node) for node in row])}\n"
+            for number, region, row in rows
         )
         total = grid.mesh.topology.index_map(grid.mesh.topology.dim).size_global
         self._section("Elements", str(total), lines)
@@ -99,9 +99,8 @@ class MshWriter(SeriesWriter):
         """
         head = f'1\n"{name}"\n1\n{plain(state.t)!r}\n3\n{len(self._frames)}\n'
         head += f"{rows.shape[1]}\n{rows.count}"
-        lines = lines_of(
-            rows.values.astype(np.float64), [str(n) for n in numbers[: len(rows.values)].tolist()]
-        )
+        own = numbers[: len(rows.values)]
+        lines = lines_of(rows.values.astype(np.float64), own)
         self._section(_SECTIONS[FIELDS[name].centre], head, lines)
 
     def _section(self, name: str, head: str, lines: str) -> None:

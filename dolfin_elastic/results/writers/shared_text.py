@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic.core.parallel import agree, on_root, total
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.results.files import open_together, write_at, writing
 
 
@@ -30,7 +31,7 @@ def add_text(comm: MPI.Comm, path: Path, text: str, start: int) -> int:
         OutputError: On all ranks, when one of them could not write its part.
     """
     own = np.frombuffer(text.encode(), dtype=np.uint8)
-    before = int(comm.exscan(len(own)) or 0)
+    before = int(cast(MPI.Intracomm, comm).exscan(len(own)) or 0)
     size = total(comm, len(own))
     on_root(comm, lambda: _cut(path, start))
     if not size:
@@ -51,19 +52,16 @@ def _cut(path: Path, size: int) -> None:
         file.truncate(size)
 
 
-def lines_of(table: FloatArray, prefix: list[str] | None = None, between: str = " ") -> str:
+def lines_of(table: FloatArray, first: IntArray, between: str = " ") -> str:
     """Rows of numbers as lines of text, with all digits.
 
     Args:
         table: Shape (rows, columns).
-        prefix: What each line begins with.
+        first: A whole number for the beginning of each line, shape (rows,).
         between: What stands between two numbers.
     """
-    if not len(table):
-        return ""
-    line = between.join(["%.17g"] * table.shape[1])
-    if prefix is None:
-        return "".join([f"{line}\n" % tuple(row) for row in table.tolist()])
-    line = f"%s{between}{line}\n"
-    rows = zip(prefix, table.tolist(), strict=True)
-    return "".join([line % (first, *row) for first, row in rows])
+    line = between.join(["%d", *["%.17g"] * table.shape[1]]) + "\n"
+    rows = zip(
+        cast("list[int]", first.tolist()), cast("list[list[float]]", table.tolist()), strict=True
+    )
+    return "".join([line % (number, *row) for number, row in rows])

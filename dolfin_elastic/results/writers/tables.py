@@ -84,7 +84,7 @@ class TableWriter(IndexedSeries):
         ]
         text = lines_of(
             np.column_stack(list(columns.values())).astype(np.float64),
-            [str(number) for number in numbers],
+            numbers,
             between=",",
         )
         head = ",".join([first, *names]) + "\n" if self.comm.rank == 0 else ""

@@ -1,0 +1,1 @@
+"""What follows from tensors at points and from surfaces, evaluated in NumPy."""
