@@ -1,4 +1,4 @@
-"""`pip install .` into a virtual environment of Debian, as the documentation says."""
+"""`pip install --no-deps .` into a virtual environment of Debian, as the documentation says."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def done(command: list[str | Path], folder: Path, **variables: str) -> str:
 @pytest.mark.long
 def test_virtual_environment(tmp_path: Path) -> None:
     """A wheel is built, installed and used; nothing is fetched, all packages are Debian's."""
-    offline = ["--no-index", "--no-build-isolation", "--disable-pip-version-check", "-q"]
+    offline = ["--no-index", "--no-deps", "--disable-pip-version-check", "-q"]
     source = tmp_path / "source"  # setuptools leaves a folder `build` beside what it builds
     done(["git", "-c", "safe.directory=*", "clone", "-q", ROOT, source], tmp_path)
     pip = [sys.executable, "-m", "pip"]
-    done([*pip, "wheel", *offline, "--no-deps", "-w", tmp_path, source], tmp_path)
+    done([*pip, "wheel", *offline, "--no-build-isolation", "-w", tmp_path, source], tmp_path)
     (wheel,) = tmp_path.glob("*.whl")
     assert wheel.stat().st_size < 2e6
     names = zipfile.ZipFile(wheel).namelist()
