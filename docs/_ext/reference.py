@@ -25,8 +25,8 @@ from dolfin_elastic.results.fields import FIELDS
 ROOT = Path(__file__).parents[2]
 Schema = Mapping[str, Any]
 
-TOP = {"Case": "The whole file"}
-GROUPS = {"law-": "law", "": "kind"}
+TABLES: dict[str, str] = {}
+"""Name of a record to the table of a case file that it reads, filled by `keys`."""
 
 
 def write(folder: Path) -> None:
@@ -56,13 +56,27 @@ def keys(schema: Schema) -> str:
     """Every table with its keys."""
     tables = {"The whole file": schema}
     names = schema["definitions"]
+    TABLES["FormulaEnergy"] = "[materials.NAME] with an energy"
+    TABLES["SplitFormulaEnergy"] = "[materials.NAME] with an energy and volumetric"
+    for key, one in schema["properties"].items():
+        for name in referred(one):
+            TABLES.setdefault(name, f"[[{key}]]" if one.get("type") == "array" else f"[{key}]")
+    for outer in [name for name in names if name in TABLES]:
+        for key, one in names[outer].get("properties", {}).items():
+            for name in referred(one):
+                TABLES.setdefault(name, f"{TABLES[outer]} {key}")
     plain = sorted(name for name in names if "-" not in name and "properties" in names[name])
     tables |= {f"{name}": names[name] for name in plain}
     tables |= {name: names[name] for name in sorted(names) if "-" in name and "law-" not in name}
     tables |= {name: names[name] for name in sorted(names) if name.startswith("law-")}
     return "\n\n".join(
-        [f"({anchor(name)})=\n## {title(name)}\n\n{table(one)}" for name, one in tables.items()]
+        f"({anchor(name)})=\n## {title(name)}\n\n{table(one)}" for name, one in tables.items()
     )
+
+
+def referred(schema: Schema) -> list[str]:
+    """Names of the tables that a value may be."""
+    return re.findall(r"#/definitions/([\w-]+)", json.dumps(schema))
 
 
 def anchor(name: str) -> str:
@@ -75,7 +89,8 @@ def title(name: str) -> str:
     kind, _, word = name.partition("-")
     if kind == "law":
         return f"Law `{word}`"
-    return f"{kind} `{word}`" if word else kind
+    key = f"`{TABLES[name]}`" if name in TABLES else kind
+    return f"{key} of kind `{word}`" if word else key
 
 
 def table(schema: Schema) -> str:
@@ -105,7 +120,8 @@ def kind(schema: Schema) -> str:
     """What a value is, in words."""
     if "$ref" in schema:
         name = schema["$ref"].rpartition("/")[2]
-        return "curve" if name == "Curve" else f"[{escaped(title(name))}](#{anchor(name)})"
+        word = name.partition("-")[2]
+        return "curve" if name == "Curve" else f"[{word or escaped(name)}](#{anchor(name)})"
     if "const" in schema:
         return f"`{json.dumps(schema['const'])}`"
     if "enum" in schema:
