@@ -93,14 +93,21 @@ def negative_eigenvalues(newton: Newton) -> int | None:
 
 
 def can_prove_stability(newton: Newton) -> bool:
-    """Whether `is_stable` has anything to go by. Not collective."""
-    problem = newton.assembler.problem
-    if not problem.symmetric:
+    """Whether `is_proven_stable` has anything to go by. Not collective."""
+    if not newton.assembler.problem.symmetric:
         return False
     if newton.linear.direct:
         return _counts_pivots(newton.ksp.getPC())
-    by_gradients = newton.ksp.getType() == "cg" or newton.linear.left_gradients
-    return by_gradients and newton.bordered is None
+    return newton.bordered is None and (_by_gradients(newton) or _condenses(newton))
+
+
+def _by_gradients(newton: Newton) -> bool:
+    return newton.ksp.getType() == "cg" or newton.linear.left_gradients
+
+
+def _condenses(newton: Newton) -> bool:
+    """Whether pressures are split off, and can be eliminated for what follows."""
+    return newton.linear.split is not None and not newton.assembler.problem.unknowns.stabilised
 
 
 def is_stable(newton: Newton) -> bool | None:
@@ -116,33 +123,57 @@ def is_stable(newton: Newton) -> bool | None:
         newton: The solver, after a solve that has converged.
 
     Returns:
-        None where nothing tells: see `can_prove_stability`; or conjugate gradients end otherwise.
+        None where nothing tells, or conjugate gradients end otherwise.
     """
     if newton.linear.direct:
         below = negative_eigenvalues(newton)
         return None if below is None else below == 0
-    return _is_positive_definite(newton) if can_prove_stability(newton) else None
+    told = can_prove_stability(newton) and _by_gradients(newton)
+    return _is_positive_definite(newton) if told else None
+
+
+def is_proven_stable(newton: Newton) -> bool:
+    """Whether it is certain that the tangent is that of a stable body. Collective.
+
+    As `is_stable`; with an iterative solver for displacement and pressure by conjugate gradients on
+    the displacement's tangent with softer pressures eliminated, see `SofterVolume`: where it is
+    positive definite, so is the body's; where it is not, nothing is certain.
+
+    Args:
+        newton: The solver, after a solve that has converged.
+    """
+    if newton.linear.direct or not (can_prove_stability(newton) and _condenses(newton)):
+        return is_stable(newton) is True
+    return _is_positive_definite(newton) is True
 
 
 def _is_positive_definite(newton: Newton) -> bool | None:
-    """Whether the last tangent is, by conjugate gradients; None: they tell nothing. Collective."""
-    assembler = newton.assembler
+    """Whether the last tangent is, by conjugate gradients; None: they tell nothing. Collective.
+
+    With a pressure: whether it is with softer pressures eliminated.
+    """
+    assembler, split = newton.assembler, newton.linear.split
     if newton.shift > 0.0 or not (newton.result.newton or newton.factorised):
         newton.factorise()
-    x, b = assembler.create_vector(), assembler.create_vector()
+    b = assembler.create_vector()
     b.array_w[assembler.displacement_dofs] = start_vector(assembler)
     assembler.remove_constrained(b)
-    # Newton's solver may be GMRES by now; its preconditioner, as old as it may be, serves both.
-    gradients = PETSc.KSP().create(assembler.comm)
-    gradients.setType("cg")
-    gradients.setPC(newton.ksp.getPC())
-    gradients.setOperators(*newton.ksp.getOperators())
-    gradients.setTolerances(rtol=CURVATURE_TOLERANCE, max_it=CURVATURE_ITERATIONS)
     with stage("solve"):
-        gradients.solve(b, x)
-    reason = gradients.getConvergedReason()
-    for thing in (gradients, x, b):
-        thing.destroy()
+        if split is not None:
+            reason = split.solve_softer(b, CURVATURE_TOLERANCE, CURVATURE_ITERATIONS)
+        else:
+            x = b.duplicate()
+            # Newton's solver may be GMRES by now; its preconditioner, as old as it may be, serves.
+            gradients = PETSc.KSP().create(assembler.comm)
+            gradients.setType("cg")
+            gradients.setPC(newton.ksp.getPC())
+            gradients.setOperators(*newton.ksp.getOperators())
+            gradients.setTolerances(rtol=CURVATURE_TOLERANCE, max_it=CURVATURE_ITERATIONS)
+            gradients.solve(b, x)
+            reason = gradients.getConvergedReason()
+            gradients.destroy()
+            x.destroy()
+    b.destroy()
     if reason == PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT:
         return False
     return True if reason > 0 else None

@@ -156,8 +156,6 @@ def _iterative(problem: Problem, symmetric: bool) -> dict[str, PetscValue]:
     krylov: dict[str, PetscValue] = {
         "ksp_type": "cg" if symmetric else "gmres",
         "ksp_max_it": 500,
-        # Setting multigrid up costs as much as many iterations: once a load step is enough.
-        "snes_lag_preconditioner": 20,
         "ksp_rtol": 1e-8,
     }
     if not symmetric:

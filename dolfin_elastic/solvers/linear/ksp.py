@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 
+import numpy as np
 from petsc4py import PETSc
 
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.linear.age import Age
 from dolfin_elastic.solvers.linear.choice import GMRES, LAST_DIRECT, factorising
 from dolfin_elastic.solvers.linear.multigrid import PMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.linear.schur import PressureSplit
 from dolfin_elastic.solvers.messages import in_words
+from dolfin_elastic.solvers.petsc.c_api import leave_preconditioner
 from dolfin_elastic.solvers.petsc.options import Options
 
 log = logging.getLogger("dolfin_elastic")
@@ -19,11 +23,14 @@ log = logging.getLogger("dolfin_elastic")
 class LinearSolver:
     """A KSP for the tangent of one assembler.
 
+    An iterative one keeps its preconditioner as long as `Age` says; with the user's option
+    -snes_lag_preconditioner, as long as SNES does.
+
     Args:
         assembler: Of the tangent.
         options: PETSc's, in force while it is set up.
         ksp: The solver; owned elsewhere.
-        snes: Whose preconditioner's age is set.
+        snes: Newton's method around it.
 
     Attributes:
         direct: It factorises.
@@ -36,6 +43,9 @@ class LinearSolver:
         self._assembler, self._options, self.ksp, self._snes = assembler, options, ksp, snes
         self._parts: PMultigrid | PressureSplit | None = None
         self._prepared, self.direct, self.left_gradients = False, False, False
+        self._age: Age | None = None
+        self._rtol = 0.0  # of the last solve; 0 where there was none
+        self._each = False  # the preconditioner is set up for each tangent
 
     def set_up(self) -> None:
         """Reads the options in force and attaches multigrid and near null space. Collective."""
@@ -51,6 +61,10 @@ class LinearSolver:
             self._parts = PMultigrid(problem, pc)
         elif not self.direct:
             self._set_modes()
+        self._free_age()
+        if not self.direct and "snes_lag_preconditioner" not in self._options.users:
+            self._age = Age(self._assembler)
+            leave_preconditioner(self._snes)
 
     def _extend(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Makes tied unknowns of a solution follow the others. Collective.
@@ -61,6 +75,11 @@ class LinearSolver:
             x: The solution.
         """
         self._assembler.extend(x.array_w)
+
+    @property
+    def split(self) -> PressureSplit | None:
+        """The displacement and the pressure apart, where they are preconditioned so."""
+        return self._parts if isinstance(self._parts, PressureSplit) else None
 
     def factorise_each_tangent(self) -> None:
         """Makes a direct solver factorise each tangent, for quadratic convergence."""
@@ -77,24 +96,49 @@ class LinearSolver:
             self._assembler.tangent.matrix.setNearNullSpace(modes)
             modes.destroy()
 
-    def set_tangent(self, tangent: PETSc.Mat) -> None:
-        """Takes a tangent that SNES does not hand on, and lags the preconditioner as SNES would.
+    def take(self, tangent: PETSc.Mat) -> None:
+        """Takes a tangent, and sets the preconditioner up where it is none or too old. Collective.
+
+        With the options in force, before SNES hands the tangent on, if it does.
 
         Args:
             tangent: The assembler's matrix.
         """
-        self.ksp.getPC().setReusePreconditioner(self._prepared and not self.direct)
+        pc, age = self.ksp.getPC(), self._age
+        if age is None:
+            if self.ksp != self._snes.ksp:  # else SNES does so
+                pc.setReusePreconditioner(self._prepared and not self.direct)
+                self.ksp.setOperators(tangent)
+                self._prepared = True
+            return
+        served = self._has_served(age)
+        if (age.take(tangent) or self._each or not served) and self._prepared:
+            self.refresh()
         self.ksp.setOperators(tangent)
-        self._prepared = True
+        if not self._prepared:
+            pc.setReusePreconditioner(False)
+            with suppress(PETSc.Error):  # the solve meets it again, and can say it
+                self.ksp.setUp()
+            age.begin(tangent)
+        pc.setReusePreconditioner(True)
+        self._prepared, self._rtol = True, self.ksp.getTolerances()[0]
+
+    def _has_served(self, age: Age) -> bool:
+        """Whether the preconditioner was good enough for the last solve."""
+        if not 0.0 < self._rtol < 1.0:
+            return True
+        solved = self.ksp.getConvergedReason() >= 0
+        return solved and age.served(self.ksp.getIterationNumber(), -np.log10(self._rtol))
 
     def refresh(self) -> None:
         """Rebuilds the preconditioner with the present rigid-body modes. Collective."""
         if self.direct:
             return
-        self._prepared = False
+        self._prepared, self._rtol = False, 0.0
+        if self._age is not None:
+            self._age.forget()
         if self._parts is not None:
-            # A reset of the whole PC would lose interpolation and splits; SNES sets the PC up anew
-            # at the first iteration of each solve anyhow.
+            # A reset of the whole PC would lose interpolation and splits.
             self._parts.refresh()
         else:
             self._set_modes()
@@ -103,8 +147,9 @@ class LinearSolver:
     def fall_back(self, reason: str) -> bool:
         """Goes to a more robust linear solver. Collective.
 
-        From conjugate gradients, which an indefinite tangent breaks, to GMRES, and from there to
-        a factorisation where the problem is not too large for one.
+        From a preconditioner that is kept to one that is set up for each tangent; from conjugate
+        gradients, which an indefinite tangent breaks, to GMRES, and from there to a factorisation
+        where the problem is not too large for one.
 
         Args:
             reason: Why the present one failed.
@@ -112,6 +157,12 @@ class LinearSolver:
         Returns:
             False if there is nothing left to fall back to.
         """
+        kept = self._age is not None and self._age.kept and not self._each
+        if kept and "LINEAR_SOLVE" in reason and "INDEFINITE" not in reason:
+            log.info("the iterative solver failed (%s): set up anew from here on", in_words(reason))
+            self._each = True
+            self.refresh()
+            return True
         if self.direct or "ksp_type" in self._options.users or "pc_type" in self._options.users:
             return False
         if self.ksp.getType() == "cg":
@@ -135,6 +186,12 @@ class LinearSolver:
             self._parts.destroy()
         self._parts = None
 
+    def _free_age(self) -> None:
+        if self._age is not None:
+            self._age.destroy()
+        self._age = None
+
     def destroy(self) -> None:
         """Frees what it owns, not the KSP. Collective."""
         self._free_parts()
+        self._free_age()

@@ -17,11 +17,14 @@ from dolfinx import fem, la
 from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.linear.multigrid import PMultigrid, renew, rigid_body_modes
+
+SOFTER = 4.0
+"""Bulk modulus over shear modulus of `SofterVolume` where the material has an infinite one."""
 
 
 class PressureSplit:
@@ -33,19 +36,19 @@ class PressureSplit:
     """
 
     def __init__(self, assembler: Assembler, pc: PETSc.PC) -> None:
-        self._problem = assembler.problem
+        self._problem, self._tangent = assembler.problem, assembler.tangent.matrix
         start = assembler.tangent.matrix.getOwnershipRange()[0]
         # Rows of a split have to be sorted, but the displacement has an order of its own.
         self._order = np.argsort(assembler.displacement_dofs, kind="stable").astype(np.int32)
+        self._moves = assembler.displacement_dofs[self._order]
         pressures = np.setdiff1d(np.arange(assembler.size), assembler.displacement_dofs)
+        self._pressures = pressures
         comm = assembler.comm
-        self._u = PETSc.IS().createGeneral(
-            (assembler.displacement_dofs[self._order] + start).astype(PETSc.IntType), comm
-        )
+        self._u = PETSc.IS().createGeneral((self._moves + start).astype(PETSc.IntType), comm)
         self._u.setBlockSize(self._block_size())
         self._p = PETSc.IS().createGeneral((pressures + start).astype(PETSc.IntType), comm)
         entries = PETSc.Vec().createMPI((len(pressures), None), comm=comm)
-        entries.array_w[:] = _schur_diagonal(self._problem)[pressures]
+        entries.array_w[:] = _compliances(self._problem, 1.0)[pressures]
         self._S = PETSc.Mat().createDiagonal(entries)
         entries.destroy()
         pc.setFieldSplitIS(("u", self._u), ("p", self._p))
@@ -86,6 +89,41 @@ class PressureSplit:
             self._set_modes()
             renew(self._ksp)
 
+    def solve_softer(self, b: PETSc.Vec, rtol: float, most: int) -> int:
+        """Solves with the tangent of `SofterVolume` by conjugate gradients. Collective.
+
+        With the displacement's multigrid, as old as it may be.
+
+        Args:
+            b: Right-hand side, of all unknowns [N].
+            rtol: Relative tolerance of the preconditioned residual.
+            most: Iterations.
+
+        Returns:
+            PETSc's number of why it has ended.
+        """
+        compliances = -_compliances(self._problem, 1.0 / SOFTER)[self._pressures]
+        softer = SofterVolume(self._tangent, self._moves, self._pressures, compliances)
+        comm, size = b.comm, len(self._moves)
+        matrix = PETSc.Mat().createPython(((size, None),) * 2, context=softer, comm=comm)
+        rhs, x = matrix.createVecs()
+        rhs.array_w[:] = b.array_r[self._moves]
+        inner = self._ksp.getPC()
+        operators = inner.getOperators()
+        gradients = PETSc.KSP().create(comm)
+        gradients.setType("cg")
+        gradients.setPC(inner)
+        inner.setReusePreconditioner(True)
+        gradients.setOperators(matrix, operators[1])
+        gradients.setTolerances(rtol=rtol, max_it=most)
+        gradients.solve(rhs, x)
+        reason = int(gradients.getConvergedReason())
+        inner.setReusePreconditioner(False)
+        inner.setOperators(*operators)
+        for thing in (gradients, matrix, rhs, x):
+            thing.destroy()
+        return reason
+
     def destroy(self) -> None:
         """Frees what it owns, not the PC. Collective."""
         if self._multigrid is not None:
@@ -94,12 +132,69 @@ class PressureSplit:
             thing.destroy()
 
 
-def _schur_diagonal(problem: Problem) -> FloatArray:
-    """Row sums of S, the scaled mass matrix of pressures, at all local unknowns. Collective."""
+class SofterVolume:
+    """The displacement's tangent K + B^T W^-1 B with pressures of a softer material eliminated.
+
+    A body of the bulk modulus k, whose pressures have the compliance C = M/k with their mass matrix
+    M, is stable where K + B^T C^-1 B is positive definite.  W are the row sums of M times 1/k plus
+    1/`SOFTER` mu.  They exceed M/k, because row sums exceed a mass matrix of linear elements (their
+    difference is diagonally dominant), so where this is positive definite, that is.  Unlike that it
+    is well conditioned, and unlike K itself it is not indefinite as soon as pressures exceed mu.
+
+    Source: M. Fortin and R. Glowinski, Augmented Lagrangian Methods (1983), section I.2.
+
+    Args:
+        tangent: Of all unknowns.
+        moves: Owned rows of displacements.
+        pressures: Owned rows of pressures.
+        compliances: W of these.
+    """
+
+    def __init__(
+        self, tangent: PETSc.Mat, moves: IndexArray, pressures: IndexArray, compliances: FloatArray
+    ) -> None:
+        self._tangent, self._moves, self._pressures = tangent, moves, pressures
+        self._compliances = compliances
+        self._x, self._y = tangent.createVecs()
+
+    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Multiplies, as PETSc's MatMult. Collective.
+
+        Args:
+            matrix: The PETSc matrix that this one is the context of.
+            x: Displacements [m].
+            y: Forces [N], which it writes.
+        """
+        self._x.array_w[self._moves], self._x.array_w[self._pressures] = x.array_r, 0.0
+        self._tangent.mult(self._x, self._y)
+        forces, strains = self._y.array_r[self._moves].copy(), self._y.array_r[self._pressures]
+        pressures = strains / self._compliances
+        self._x.array_w[self._moves], self._x.array_w[self._pressures] = 0.0, pressures
+        self._tangent.mult(self._x, self._y)
+        y.array_w[:] = forces + self._y.array_r[self._moves]
+
+    def destroy(self, matrix: PETSc.Mat) -> None:
+        """Frees what it owns. Collective."""
+        self._x.destroy()
+        self._y.destroy()
+
+
+def _compliances(problem: Problem, share: float) -> FloatArray:
+    """Row sums of - (share/mu + 1/k) p q at all local unknowns; of S where it is 1. Collective.
+
+    Args:
+        problem: With a pressure.
+        share: Of the compliance 1/mu that counts.
+    """
     scale = problem.unknowns.scale["pressure"]
+    factor = fem.Constant(problem.body.mesh, share)
     q = problem.unknowns.auxiliary("pressure", ufl.TestFunction(problem.W))
     form = sum(
-        -((1 / region.shear + region.compliance) if region.compliance else UNUSED / region.shear)
+        -(
+            (factor / region.shear + region.compliance)
+            if region.compliance
+            else UNUSED / region.shear
+        )
         * scale
         * q
         * problem.weak_form.volume(region, 2)

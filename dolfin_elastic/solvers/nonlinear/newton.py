@@ -305,16 +305,19 @@ class Newton:
         else:
             self.bordered.renew(x)
             self.test.take_loads()  # scalars may load the body
-            self.linear.set_tangent(self.assembler.tangent.matrix)
         self.take_tangent(self.assembler.tangent.matrix)
         self.shift = 0.0
         if self._shift_of is not None:
             self.shift = self._shift_of(self.assembler.residual.free_norm, self.test.target())
         if self.shift > 0.0:
             self.assembler.tangent.shift_diagonal(self.shift)
+        self.linear.take(self.assembler.tangent.matrix)
 
     def take_tangent(self, P: PETSc.Mat) -> None:
-        """Sets the linear tolerance and the round-off floor from a fresh tangent. Collective."""
+        """Sets the linear tolerance and the round-off floor from a fresh tangent. Collective.
+
+        `linear.take` has to follow.
+        """
         self.test.round_off.renew(P)
         if not self.linear.direct and "ksp_rtol" not in self.options.users:
             self.ksp.setTolerances(rtol=self.test.linear_tolerance())

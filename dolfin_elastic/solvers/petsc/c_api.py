@@ -5,6 +5,7 @@ They are in the library that petsc4py itself has loaded:
 | function | for |
 |---|---|
 | PetscOptionsUsed | the report of options that nothing asked for |
+| SNESSetLagPreconditioner | preconditioners that others than SNES set up |
 | MatMPIAIJGetSeqAIJ, MatSeqAIJGetArray, MatSeqAIJRestoreArray | assembly without MatSetValues |
 | TSGetAdapt, TSAdaptCandidatesClear, TSAdaptCandidateAdd, TSAdaptChoose | the next time step |
 """
@@ -44,6 +45,16 @@ def option_used(name: str) -> bool:
     used = ctypes.c_int(1)
     ask(None, ctypes.c_char_p(name.encode()), ctypes.byref(used))
     return bool(used.value)
+
+
+def leave_preconditioner(snes: PETSc.SNES) -> None:
+    """Makes a SNES use its preconditioner as it is, for all tangents; no option can. Collective.
+
+    Args:
+        snes: The solver.
+    """
+    integer = ctypes.c_int if PETSc.IntType().itemsize == 4 else ctypes.c_int64
+    _check(_library().SNESSetLagPreconditioner(ctypes.c_void_p(snes.handle), integer(-1)))
 
 
 def overwrite_aij(matrix: PETSc.Mat, own: FloatArray, others: FloatArray) -> None:

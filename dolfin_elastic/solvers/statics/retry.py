@@ -39,11 +39,11 @@ class RetryStrategy:
     newton: Newton
     augmentation: ContactAugmentation | None
     failed: FloatArray | None = field(default=None, init=False)
-    _first: bool = field(default=True, init=False)
+    _ready: bool = field(default=True, init=False)
 
     def restarted(self) -> None:
-        """Makes the first solve refresh the linear solver, which was set up at another state."""
-        self._first = False
+        """Makes the next solve refresh the linear solver, which was set up at another state."""
+        self._ready = False
 
     def solve(self, starts: Sequence[tuple[str, FloatArray]]) -> NewtonResult:
         """Finds equilibrium from the first start that leads there. Collective.
@@ -58,10 +58,11 @@ class RetryStrategy:
         if len(starts) > 1 and self._residual_norm(starts[1][1]) < self._residual_norm(first):
             starts = [("", starts[1][1]), ("from where the last step ended", first)]
         for how, start, line_search in self._attempts(starts):
-            if not self._first:
+            if not self._ready:
                 newton.linear.refresh()
-            self._first = False
+            self._ready = False  # after a failure it is of a state that was no good
             result = self._attempt(start, line_search)
+            self._ready = result.converged
             rejected += result.rejected
             if result.worst is not None and (worst is None or result.worst[0] < worst[0]):
                 worst = result.worst

@@ -11,12 +11,13 @@ steps themselves are judged by:
   `NEAR` of its length: `StepSpeed` lets a load step move a body three times as far;
 - the energy is that of a nearly proportional response, to `PROPORTIONAL_WORK`;
 - the tangent is positive definite, proven by the pivots of its factors or by conjugate gradients
-  with a right-hand side that has a part in every mode.
+  with a right-hand side that has a part in every mode; with pressures eliminated where these are
+  iterated on.
 
 A body that has snapped fails by its energy, one that has buckled or should have by the tangent.
-Where one of these signs cannot be seen (no energy, unsymmetric tangents, a pressure that is
-iterated on) or the path is an end in itself (contact, curves, states that the user has asked for),
-the load grows step by step from the start.
+Where one of these signs cannot be seen (no energy, unsymmetric tangents) or the path is an end in
+itself (contact, curves, states that the user has asked for), the load grows step by step from the
+start.
 
 What a trial in vain may cost: most are given up after the first or the second Newton step, where a
 cell turns inside out, the residual does not fall, or the body moves elsewhere than the linear
@@ -38,7 +39,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
 from dolfin_elastic.solvers.breakpoints import corners, driven_by_formula
-from dolfin_elastic.solvers.diagnostics.stability import can_prove_stability, is_stable
+from dolfin_elastic.solvers.diagnostics.stability import can_prove_stability, is_proven_stable
 from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.convergence import ANOTHER, BEYOND, UNSTABLE, NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
@@ -155,4 +156,4 @@ def _judged(newton: Newton, path_check: PathEnergyCheck) -> NewtonResult:
         return result.refused(BEYOND)
     if path_check.jumped(result.target, share=PROPORTIONAL_WORK):
         return result.refused(ANOTHER)
-    return result if is_stable(newton) else result.refused(UNSTABLE)
+    return result if is_proven_stable(newton) else result.refused(UNSTABLE)

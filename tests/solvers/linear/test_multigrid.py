@@ -131,7 +131,7 @@ def iterations(linear: LinearSolver, assembler: Assembler) -> int:
     x, b = assembler.tangent.matrix.createVecs()
     assembler.get(x)
     assembler.tangent.assemble(x)
-    linear.set_tangent(assembler.tangent.matrix)
+    linear.take(assembler.tangent.matrix)
     b.set(1.0)
     b.array_w[assembler.prescribed_dofs] = 0.0
     linear.ksp.solve(b, x)

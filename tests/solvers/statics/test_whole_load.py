@@ -104,6 +104,27 @@ def test_conjugate_gradients_tell_a_buckled_column(factor, side, first):
     states.close()
 
 
+@pytest.mark.parametrize(("factor", "first"), [(0.7, 1.0), (1.1, 0.25)])
+def test_eliminated_pressures_tell_a_straight_column(factor, first):
+    """Of rubber, with an iterative solver for displacement and pressure.
+
+    Softer pressures take a sixth of the column's stiffness, so 0.7 of its critical load counts.
+    """
+    nu = 0.4999
+    critical = EULER * (1 - NU**2) / (1 - nu**2)
+    problem = Problem(
+        rectangle_body(size=(1, 10), cells=(2, 20)),
+        NeoHookean(E=E, nu=nu),
+        degree=2,
+        formulation="mixed",
+        supports=[Support(on="bottom")],
+        loads=[Traction(on="top", value=[0.0, -factor * critical])],
+    )
+    states = Statics(problem, linear=LinearSettings(method="iterative")).steps()
+    assert [next(states).t, next(states).t] == [0.0, first]
+    states.close()
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("side", [0.0, 1e-3])
 def test_iterative_solvers_see_the_column_buckle(side):

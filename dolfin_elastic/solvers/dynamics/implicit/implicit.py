@@ -166,7 +166,6 @@ class Implicit:
         self.auditor = MotionAuditor(problem, self.moving, watch, parameters, end=settings.end)
         self.auxiliary = AuxiliaryFields(problem)
         self._newton = self._krylov = 0
-        self._first_krylov = 0.0
 
     # --- TS ---
 
@@ -307,21 +306,9 @@ class Implicit:
         self._krylov += krylov
         if ts.getConvergedReason() < 0:
             raise self._failure()
-        self._refresh_multigrid(krylov / max(newton, 1))
 
     def _failed(self) -> bool:
         return self.ts.getConvergedReason() < 0 and not self.newton.test.interrupted
-
-    def _refresh_multigrid(self, each: float) -> None:
-        """Rebuilds multigrid when iterations grow, with the rigid-body modes of the present places.
-
-        Args:
-            each: Linear iterations of each Newton iteration.
-        """
-        if self._first_krylov and each > 1.5 * self._first_krylov + 5:
-            self.newton.linear.refresh()
-            each = 0.0
-        self._first_krylov = self._first_krylov or each
 
     def _failure(self) -> ConvergenceError:
         t = float(self.ts.getTime())
@@ -382,7 +369,6 @@ class Implicit:
             "step": int(self.ts.getStepNumber()),
             "dt": float(self.ts.getTimeStep()),
             "scale": self.control.scale,
-            "usual": self._first_krylov,
             "ledger": self.balance.restart_state(),
             "audit": self.auditor.restart_state(),
             "newton": self.newton.restart_state(),
@@ -408,7 +394,6 @@ class Implicit:
         self.ts.setStepNumber(numbers["step"])
         self.ts.setTimeStep(numbers["dt"])
         self.control.restore(numbers["scale"])
-        self._first_krylov = numbers["usual"]
         self.problem.set_time(numbers["t"])
         self.balance.restore(numbers["ledger"])
         self.auditor.restore(numbers["audit"])

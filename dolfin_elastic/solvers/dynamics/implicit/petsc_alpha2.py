@@ -202,6 +202,7 @@ class PetscAlpha2(ImplicitScheme):
         self.moving.acceleration_shift.value, self.moving.velocity_shift.value = shift_a, shift_v
         self.assembler.tangent.assemble(U, shift_a)
         self.newton.take_tangent(P)
+        self.newton.linear.take(P)
 
     def _step(self, ts: PETSc.TS) -> float:
         h = float(ts.getTimeStep())

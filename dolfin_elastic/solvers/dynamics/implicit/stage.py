@@ -173,6 +173,7 @@ class StageSolver:
         """
         self._assembler.tangent.assemble(x, self._moving.factor)
         self._newton.take_tangent(P)
+        self._newton.linear.take(P)
 
     # --- one step ---
 

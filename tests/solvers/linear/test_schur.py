@@ -1,0 +1,110 @@
+"""Displacement and pressure apart: what stands for the stiffness of the body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfin_elastic import NeoHookean, Problem, Support, box_body
+from dolfin_elastic.core.petsc_options import PREFIX
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
+from dolfin_elastic.solvers.linear.ksp import LinearSolver
+from dolfin_elastic.solvers.linear.schur import SOFTER, SofterVolume, _compliances
+from dolfin_elastic.solvers.petsc.options import Options
+
+
+@pytest.mark.parametrize("nu", [0.49, 0.4999])
+def test_a_softer_volume_is_softer(nu):
+    """x . (K + B^T W^-1 B) x lies between x . K x and x . (K + B^T C^-1 B) x, for any x.
+
+    So a body whose softer tangent is positive definite is stable.  C^-1 by a solve.
+    """
+    problem = Problem(
+        box_body(size=(2.0, 1.0, 1.0), cells=(4, 2, 2)),
+        NeoHookean(E=1e6, nu=nu),
+        degree=2,
+        formulation="mixed",
+        supports=[Support(on="left")],
+    )
+    problem.u.interpolate(lambda x: 0.1 * np.array([x[0] * x[1], x[0] ** 2, x[2]]))
+    problem.unknowns.u_to_w()
+    assembler = Assembler(problem)
+    x = assembler.create_vector()
+    assembler.get(x)
+    assembler.tangent.assemble(x)
+    A, moves = assembler.tangent.matrix, assembler.displacement_dofs
+    pressures = np.setdiff1d(np.arange(assembler.size), moves)
+    W = -_compliances(problem, 1.0 / SOFTER)[pressures]
+    softer = SofterVolume(A, moves, pressures, W)
+    start = A.getOwnershipRange()[0]
+    comm = assembler.comm
+    rows = PETSc.IS().createGeneral((pressures + start).astype(PETSc.IntType), comm)
+    C = A.createSubMatrix(rows, rows)
+    C.scale(-1.0)
+    ksp = PETSc.KSP().create(comm)
+    ksp.setOperators(C)
+    ksp.setType("cg")
+    ksp.getPC().setType("jacobi")
+    ksp.setTolerances(rtol=1e-13)
+    v, Av = A.createVecs()
+    a = PETSc.Vec().createMPI((len(moves), None), comm=comm)
+    b = a.duplicate()
+    strains, p = C.createVecs()
+    generator = np.random.default_rng(comm.rank)
+    for _ in range(3):
+        v.set(0.0)
+        v.array_w[moves] = generator.normal(size=len(moves))
+        assembler.remove_constrained(v)
+        A.mult(v, Av)
+        plain = v.dot(Av)
+        strains.array_w[:] = Av.array_r[pressures]
+        ksp.solve(strains, p)
+        stiff = plain + strains.dot(p)
+        a.array_w[:] = v.array_r[moves]
+        softer.mult(A, a, b)
+        middle = a.dot(b)
+        squares = float(np.sum(np.square(strains.array_r) / W))
+        expected = plain + comm.allreduce(squares, op=MPI.SUM)
+        assert middle == pytest.approx(expected, rel=1e-10)
+        assert plain < middle < stiff
+    for thing in (softer._x, softer._y, C, ksp, rows, v, Av, a, b, strains, p, x):
+        thing.destroy()
+    assembler.destroy()
+
+
+def test_its_solve_leaves_the_preconditioner_as_it_was():
+    """Conjugate gradients borrow the displacement's multigrid: iterations stay the same."""
+    problem = Problem(
+        box_body(size=(2.0, 1.0, 1.0), cells=(4, 2, 2)),
+        NeoHookean(E=1e6, nu=0.5),
+        degree=2,
+        formulation="mixed",
+        supports=[Support(on="left")],
+    )
+    assembler = Assembler(problem)
+    options = Options(choose(problem, LinearSettings(method="iterative")).options, {})
+    snes = PETSc.SNES().create(assembler.comm)
+    snes.setOptionsPrefix(PREFIX)
+    linear = LinearSolver(assembler, options, snes.ksp, snes)
+    x, b = assembler.create_vector(), assembler.create_vector()
+    with options.in_force():
+        snes.setFromOptions()
+        linear.set_up()
+        assembler.tangent.assemble(x)
+        linear.take(assembler.tangent.matrix)
+        b.set(1.0)
+        assembler.remove_constrained(b)
+        counts = []
+        for _ in range(2):
+            linear.ksp.solve(b, x)
+            counts.append(linear.ksp.getIterationNumber())
+            assert linear.split is not None
+            assert linear.split.solve_softer(b, 1e-2, 200) > 0
+    assert counts[0] == counts[1] > 0
+    linear.destroy()
+    for thing in (snes, x, b):
+        thing.destroy()
+    assembler.destroy()
