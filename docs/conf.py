@@ -22,7 +22,7 @@ reference.write(HERE / "reference/generated")
 
 project = "dolfin_elastic"
 author = "the authors of dolfin_elastic"
-copyright = "LGPL-3.0-or-later"  # noqa: A001
+copyright = "the authors of dolfin_elastic; LGPL-3.0-or-later"  # noqa: A001
 release = version = re.findall(r'__version__ = "(.*)"', CODE.read_text(encoding="utf-8"))[0]
 extensions = ["myst_parser"]
 source_suffix = {".md": "markdown"}
