@@ -233,8 +233,10 @@ def test_no_mesh_inside_out_is_accepted():
         ],
         degree=1,
     )
+    factors: list[float] = []
     with pytest.raises(ConvergenceError) as caught:
-        _ = [*Statics(problem, min_step=1 / 64).steps()]
+        factors.extend(s.load_factor for s in Statics(problem, min_step=1 / 64).steps())
+    assert factors[:2] == [0.0, 0.25], "after cells inside out a quarter is tried, not half"
     assert "no equilibrium beyond load factor 0.6" in str(caught.value)  # 1/1.5
     assert "inside out (det F = -" in str(caught.value)
 

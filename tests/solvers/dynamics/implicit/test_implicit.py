@@ -41,6 +41,7 @@ from dolfin_elastic import (
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.results.writers.summary import peak_memory
 from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit
+from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import GeneralizedAlphaScheme
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 # --- waves ---
@@ -357,6 +358,27 @@ def test_events_of_ts_find_their_time():
     assert met[0] == pytest.approx(PERIOD / 4, rel=3e-3)
     assert state.t == pytest.approx(0.4 * PERIOD)
     assert max(seen) == state.step
+
+
+def test_how_often_a_step_without_solution_is_tried_shorter():
+    """Eight times a quarter, from 1 s to 15 microseconds; then the motion has failed."""
+    size, tried = [1.0], []
+    ts = SimpleNamespace(
+        getSolution2=lambda: (None, None),
+        getTime=lambda: 0.0,
+        getTimeStep=lambda: size[0],
+        setTimeStep=lambda h: size.__setitem__(0, h),
+    )
+    stages = SimpleNamespace(begin=lambda _: None, solve=lambda _, h: tried.append(h))
+    scheme = SimpleNamespace(
+        _present=lambda t: SimpleNamespace(t=t),
+        _stages=stages,
+        impact_error=None,
+        _inverted=lambda: False,
+        _put_back=lambda *_: None,
+    )
+    assert not GeneralizedAlphaScheme._take_step(scheme, ts)  # type: ignore[arg-type]
+    assert tried == [0.25**n for n in range(9)]
 
 
 def test_between_the_ends_of_a_step_there_is_a_cubic():
