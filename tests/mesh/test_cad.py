@@ -107,6 +107,27 @@ def test_units_of_other_files(folder: Path, suffix: str, unit: str | None) -> No
     assert (None if stated is None else stated.name) == unit
 
 
+@pytest.mark.parametrize(
+    ("prefix", "metres"),
+    [
+        *((f".{name}.", 10.0**power) for power, name in [(3, "KILO"), (2, "HECTO"), (1, "DECA")]),
+        *((f".{name}.", 10.0**-power) for power, name in [(1, "DECI"), (2, "CENTI"), (3, "MILLI")]),
+        *((f".{name}.", 10.0**-power) for power, name in [(6, "MICRO"), (9, "NANO")]),
+        ("$", 1.0),
+        (".LIGHT.", None),
+    ],
+)
+def test_prefixes_of_step(prefix: str, metres: float | None, tmp_path: Path) -> None:
+    """Those of SI, in the words of ISO 10303-41."""
+    (tmp_path / "part.step").write_text(
+        "#1 = ( GLOBAL_UNIT_ASSIGNED_CONTEXT ( ( #2 ) ) );\n"
+        f"#2 = ( LENGTH_UNIT() NAMED_UNIT(*) SI_UNIT({prefix},.METRE.) );\n"
+    )
+    stated = stated_unit(tmp_path / "part.step")
+    found = None if stated is None else stated.metres
+    assert found == (None if metres is None else pytest.approx(metres, rel=1e-12))
+
+
 IGES_UNITS = {
     1: 25.4e-3,  # inch
     2: 1e-3,

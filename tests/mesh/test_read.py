@@ -758,7 +758,11 @@ def test_errors_of_a_check_come_with_the_notes_of_the_mesh(folder: Path) -> None
 
 @pytest.mark.parametrize(
     ("kind", "dim"),
-    [("vertex", 0), ("line3", 1), ("triangle6", 2), ("tetra10", 3), ("wedge15", 3), ("vtk80", 3)],
+    [
+        *(("vertex", 0), ("line", 1), ("line3", 1)),
+        *(("triangle6", 2), ("quad8", 2), ("polygon", 2)),
+        *(("tetra10", 3), ("wedge15", 3), ("hexahedron20", 3), ("pyramid", 3), ("vtk80", 3)),
+    ],
 )
 def test_dimension_of_elements(kind: str, dim: int) -> None:
     """Unknown ones count as solid: they are refused, and not taken for a part of the surface."""

@@ -79,6 +79,8 @@ def test_the_interpolation_keeps_constraints(angle: float) -> None:
     """P is the plain interpolation of what is free, and P^T P is regular where nothing is."""
     problem = block("p2", angle=angle)
     coarse = problem.unknowns.linear_space()
+    vertices = problem.body.mesh.topology.index_map(0).size_global
+    assert coarse.dofmap.index_map.size_global == vertices
     P = constrained_interpolation(problem, coarse)
     dim, dirichlet = problem.body.dim, problem.dirichlet
     x, y = P.createVecs()
