@@ -177,7 +177,7 @@ def _compute(displayed: _DisplayedRun, comm: MPI.Comm) -> None:
     if visible:
         from dolfin_elastic.cli.console import show_files, show_restart
 
-        if code != INTERRUPTED or displayed.folder.is_dir():
+        if displayed.folder.is_dir():
             show_files(displayed.folder, displayed.case.listing(displayed.folder))
         if code == INTERRUPTED:
             show_restart(displayed.folder)

@@ -734,3 +734,16 @@ def test_how_far_values_lie_outside_of_a_range():
     values = np.array([0.0, 0.5, 1.0, 1.25, 1.75, -3.0, np.nan, np.inf])
     found = Range(low=0.0, high=1.0, high_too=True).distance(values)
     np.testing.assert_array_equal(found, [0.0, -1, -1, 0.25, 0.75, 3.0, np.inf, np.inf])
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (Range(low=0.0, high=0.5), "above 0 and below 0.5"),
+        (Range(low=-1.0, low_too=True), "at least -1"),
+        (Range(high=2.0, high_too=True), "at most 2"),
+        (Range(), "a finite number"),
+    ],
+)
+def test_ranges_in_words(values: Range, words: str):
+    assert str(values) == words

@@ -40,6 +40,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.results.writers.summary import peak_memory
+from dolfin_elastic.solvers.dynamics.implicit.impact_error import ImpactError
 from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit
 from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import GeneralizedAlphaScheme
 from dolfin_elastic.solvers.linear.choice import LinearSettings
@@ -379,6 +380,21 @@ def test_how_often_a_step_without_solution_is_tried_shorter():
     )
     assert not GeneralizedAlphaScheme._take_step(scheme, ts)  # type: ignore[arg-type]
     assert tried == [0.25**n for n in range(9)]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.5])
+def test_contact_forces_that_do_not_follow_a_line_are_the_error_of_an_impact(share):
+    """Through start and stage, -h^2/(6 m) times what they are off by at the end."""
+    first, end, off = np.array([2.0, 0.0]), np.array([3.0, 5.0]), np.array([0.0, 0.6])
+    impact = SimpleNamespace(
+        _share=share,
+        _first=first,
+        _stage=(1 - share) * end + share * first,
+        _contact_forces=lambda: end + off,
+        _mobility=np.array([1.0, 0.5]),
+    )
+    found = ImpactError.error(impact, 0.1)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found, [0.0, -0.01 / 6 * 0.6 * 0.5], rtol=0, atol=1e-16)
 
 
 def test_between_the_ends_of_a_step_there_is_a_cubic():
