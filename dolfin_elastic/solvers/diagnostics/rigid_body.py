@@ -156,7 +156,6 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
         bodies, constrained_directions(problem, reached=reached), centres, sizes
     )
     nulls = [_null_space(problem, matrix) for matrix in sums]
-    alone = False
     if any(len(motion.free) for motion in problem.dirichlet.rigid_motions):
 
         def motions_at(nodes: IndexArray) -> FloatArray:
@@ -168,14 +167,10 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
         null = _null_space(problem, joint)
         for k, body in enumerate(which):
             nulls[body] = _restricted(null, k, n)
-        alone = _surface_moves_alone(null, len(which) * n)
-    found = [
+    return [
         FreeBody(name, tuple(_in_words(problem, null, centre, float(size))))
         for name, null, centre, size in zip(bodies.names(), nulls, centres, sizes, strict=True)
     ]
-    if alone:
-        found[0] = FreeBody(found[0].name, (*found[0].motions, "let a rigid surface turn alone"))
-    return found
 
 
 def _parts_of_cell(problem: Problem, bodies: ConnectedBodies) -> list[FreeBody]:
@@ -349,14 +344,3 @@ def _restricted(null: FloatArray, k: int, n: int) -> FloatArray:
     """
     left, sizes, _ = np.linalg.svd(null[k * n : (k + 1) * n], full_matrices=False)
     return np.asarray(left[:, sizes > _SAME])
-
-
-def _surface_moves_alone(null: FloatArray, size: int) -> bool:
-    """Whether a rigid surface can move, for example turn, without moving any of its nodes.
-
-    Args:
-        null: Null space of the joint matrix.
-        size: Of its part of the bodies' motions.
-    """
-    sizes = np.linalg.svd(null[:size], compute_uv=False)
-    return bool(np.sum(sizes > _SAME) < null.shape[1])

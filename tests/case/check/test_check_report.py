@@ -114,6 +114,7 @@ def test_sizes_and_masses():
             materials={"rubber": RUBBER, "lead": {**RUBBER, "density": 11000, "on": "foot"}},
         )
     )
+    assert (found.dim, found.geometry) == (3, "solid")
     surfaces, regions = named(found.surfaces), named(found.regions)
     assert surfaces["right"].measure == pytest.approx(3, rel=EXACT)
     assert surfaces["right"].centroid == pytest.approx((2, 0.5, 1.5), rel=EXACT)
@@ -156,7 +157,9 @@ def test_without_density():
 def test_axisymmetric_and_thickness():
     """What the mesh does not show counts: a ring of 1 to 2 m, 1 m high, and a thin plate."""
     mesh = {"rectangle": {"size": [1, 1], "cells": [2, 2], "origin": [1, 0]}, "degree": 1}
-    ring = report(case(mesh={**mesh, "geometry": "axisymmetric"})).regions[0]
+    found = report(case(mesh={**mesh, "geometry": "axisymmetric"}))
+    assert (found.dim, found.geometry) == (2, "axisymmetric")
+    ring = found.regions[0]
     assert ring.mass == pytest.approx(3000 * np.pi, rel=EXACT)
     assert ring.centre_of_mass == pytest.approx((0, 0.5), rel=EXACT)
     plate = report(case(mesh={**mesh, "thickness": "10 mm"})).regions[0]
