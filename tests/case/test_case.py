@@ -751,6 +751,20 @@ def test_round_trip(folder: Path) -> None:
     assert case.materials["rubber"].law.nu == again.materials["rubber"].law.nu
 
 
+def test_parts_of_one_selector_and_of_two() -> None:
+    """Written as a table and as a list of tables; none of them is lost."""
+    one, two = {"plane": "x", "at": 0.0}, {"plane": "x", "at": 1.0}
+    case = Case(
+        mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}, "degree": 1},
+        surfaces={"foot": one, "ends": [one, two]},
+        materials={"m": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3}},
+    )
+    written = case.to_dict()["surfaces"]
+    assert written["foot"]["at"] == 0.0
+    assert [row["at"] for row in written["ends"]] == [0.0, 1.0]
+    assert Case.from_dict(case.to_dict()).surfaces == case.surfaces
+
+
 def test_case_in_python() -> None:
     """The same records without a file; errors name the key alone."""
     case = Case(
