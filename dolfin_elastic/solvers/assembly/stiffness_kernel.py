@@ -110,7 +110,7 @@ static inline void element(const double corners[NG][3], const double* restrict m
                                     tables + q * DIM * NDP, g);
     const double* A = moduli + q * DIM * DIM * DIM * DIM;
     for (int i = 0; i < DIM; i++)
-      for (int k = 0; k < DIM; k++)
+      for (int k = SYMMETRIC ? i : 0; k < DIM; k++)
       {
         double h[DIM][NDP];
         for (int J = 0; J < DIM; J++)
@@ -134,6 +134,12 @@ static inline void element(const double corners[NG][3], const double* restrict m
           }
       }
   }
+  if (SYMMETRIC) /* A_iJkL = A_kLiJ, so K_ai,bk = K_bk,ai */
+    for (int i = 0; i < DIM; i++)
+      for (int k = i + 1; k < DIM; k++)
+        for (int a = 0; a < ND; a++)
+          for (int b = 0; b < ND; b++)
+            K[k][i][b][a] = K[i][k][a][b];
 }
 
 static inline void take_corners(const int32_t* corners, const double* x, double y[NG][3])
