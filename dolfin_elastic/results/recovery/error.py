@@ -142,7 +142,7 @@ class ErrorEstimator:
             cells[chosen], elastic[chosen], in_cells[chosen] = of.energy, of.elastic, of.stress
             found.append((region.part, of.recovered))
             errors[number] = means_at_nodes(V, chosen, of.at_nodes[:, :, None])[:, 0]
-            off = von_mises(means_at_nodes(V, chosen, of.recovered[..., :6] - of.extrapolated))
+            off = von_mises(means_at_nodes(V, chosen, of.difference))
             largest[:] = np.fmax(largest, off)
         difference.scatter_forward()
         stress = NodalStress.of(V, found)
@@ -167,9 +167,9 @@ class _Found:
         elastic: Strain energy in the same norm [J].
         stress: See `ErrorEstimate.stress_in_cells`.
         at_nodes: Estimated error of the von Mises stress [Pa], shape (cells, nodes of a cell).
-        recovered: Recovered values, see `RegionStress`.
-        extrapolated: Cauchy stress of the cells at their nodes [Pa], shape (cells, nodes of a cell,
-            6).
+        recovered: Recovered Cauchy stress at the nodes of the cells [Pa], shape (cells, nodes of a
+            cell, 6).
+        difference: The same less the stress of the cells, extrapolated to these nodes [Pa].
     """
 
     energy: FloatArray
@@ -177,7 +177,7 @@ class _Found:
     stress: FloatArray
     at_nodes: FloatArray
     recovered: FloatArray
-    extrapolated: FloatArray
+    difference: FloatArray
 
 
 class _RegionError:
@@ -208,13 +208,15 @@ class _RegionError:
 
     def __call__(self) -> _Found:
         """The error of the state that is in the unknowns."""
-        recovered, n = self.part(), self._pairs
-        extrapolated = np.empty((*recovered.shape[:2], 6))
+        fitted, n = self.part.patches.fit(self.part.samples()), self._pairs
+        stresses, difference = np.empty((2, len(self.part.cells), self._shape.shape[1], 6))
         energy, elastic, squares, volume = np.zeros((4, len(self.part.cells)))
         for part in self.part.chunks():
             raw = self.part.at_points(part)
-            extrapolated[part] = self._to_nodes @ raw[..., :6]
-            off = self._shape @ recovered[part] - raw
+            recovered = self.part.patches.at_nodes(fitted, part)
+            stresses[part] = recovered[..., :6]
+            difference[part] = stresses[part] - self._to_nodes @ raw[..., :6]
+            off = self._shape @ recovered - raw
             size = np.abs(cell_jacobians(self._mesh, self._points, self.part.cells[part]))
             size = size * self._weights
             volume[part] = size.sum(axis=1)
@@ -228,8 +230,8 @@ class _RegionError:
             elastic,
             np.sqrt(squares / volume),
             self._at_nodes(squares, volume),
-            recovered,
-            extrapolated,
+            stresses,
+            difference,
         )
 
     def _work(self, values: FloatArray) -> FloatArray:

@@ -133,17 +133,32 @@ class Patches:
             Values at the nodes of the cells, shape (cells, nodes of a cell, columns); the same at
             a node in all cells of the region.
         """
+        fitted = self.fit(values)
+        parts = [self.at_nodes(fitted, part.cells) for part in self._parts]
+        return np.concatenate([*parts, np.zeros((0, len(self._nodes), values.shape[2]))])
+
+    def fit(self, values: FloatArray) -> FloatArray:
+        """The polynomials of fields from their values at the sampling points. Collective.
+
+        Args:
+            values: Shape (cells, sampling points, columns).
+
+        Returns:
+            Coefficients at the vertices of the cells, shape (vertices, monomials, columns).
+        """
         width, size = values.shape[2], len(self._powers)
 
         def moments(part: _Chunk) -> FloatArray:
             found = self._weighted(part).swapaxes(2, 3) @ values[part.cells][:, None]
             return np.asarray(found.reshape(*found.shape[:2], size * width))
 
+        if not total(self._mesh.comm, float(np.any(values != 0.0))):  # as of a body at rest
+            return np.zeros((len(self._used), size, width))
         right = self._sum(size * width, moments).reshape(-1, size, width)
         fitted = np.asarray(self._solve @ right)
         for extrapolation in self._rounds:
             self._extrapolate(fitted, extrapolation)
-        return self._at_nodes(fitted)
+        return fitted
 
     def sums(self, values: FloatArray) -> FloatArray:
         """Sums of values of cells over the patches of their corners. Collective.
@@ -169,22 +184,23 @@ class Patches:
         places[self._corners.reshape(-1)] = self._mesh.geometry.x[nodes.reshape(-1), : self._dim]
         return places
 
-    def _places(self, part: _Chunk, shape: FloatArray) -> FloatArray:
+    def _places(self, cells: slice, shape: FloatArray) -> FloatArray:
         """Places of points of the reference cell, shape (cells, points, dim)."""
-        nodes = self._mesh.geometry.x[self._mesh.geometry.dofmap[self.cells[part.cells]]]
+        nodes = self._mesh.geometry.x[self._mesh.geometry.dofmap[self.cells[cells]]]
         return np.einsum("sn,cnj->csj", shape, nodes[:, :, : self._dim])
 
     def _spread(self, part: _Chunk) -> FloatArray:
         """Number of sampling points of a cell, and the sum of their squared distances."""
         offsets = (
-            self._places(part, self._samples)[:, None] - self._centres[part.corners][:, :, None]
+            self._places(part.cells, self._samples)[:, None]
+            - self._centres[part.corners][:, :, None]
         )
         squares = np.einsum("cvsj,cvsj->cv", offsets, offsets)
         return np.stack([np.full(squares.shape, float(len(self._samples))), squares], axis=2)
 
-    def _monomials(self, part: _Chunk, shape: FloatArray) -> FloatArray:
+    def _monomials(self, cells: slice, shape: FloatArray) -> FloatArray:
         """Monomials about each corner of a cell, shape (cells, corners, points, monomials)."""
-        places, corners = self._places(part, shape), part.corners
+        places, corners = self._places(cells, shape), self._corners[cells]
         offsets = places[:, None] - self._centres[corners][:, :, None]
         return _monomials(offsets / self._size[corners][:, :, None, None], self._powers)
 
@@ -193,7 +209,7 @@ class Patches:
         kept = self._kept.get(part.cells.start)
         if kept is not None:
             return kept
-        p = self._monomials(part, self._samples)
+        p = self._monomials(part.cells, self._samples)
         return p * self._weights(p)
 
     def _weights(self, p: FloatArray) -> FloatArray:
@@ -232,7 +248,7 @@ class Patches:
         size = len(self._powers)
 
         def products(part: _Chunk) -> FloatArray:
-            p = self._monomials(part, self._samples)
+            p = self._monomials(part.cells, self._samples)
             found = (p * self._weights(p)).swapaxes(2, 3) @ p
             return np.asarray(found.reshape(*found.shape[:2], size * size))
 
@@ -318,18 +334,24 @@ class Patches:
 
     # --- evaluation ---
 
-    def _at_nodes(self, fitted: FloatArray) -> FloatArray:
-        edges, corners = cell_edges(self._dim), self._dim + 1
-        found = np.zeros((len(self.cells), len(self._nodes), fitted.shape[2]))
-        values = np.ascontiguousarray(fitted[:, 0])
-        for part in self._parts:
-            found[part.cells, :corners] = values[part.corners]
-            if self._degree > 1:
-                p = self._monomials(part, self._nodes[corners:])
-                for node, (a, b) in enumerate(edges):
-                    for end in (a, b):
-                        value = p[:, end, node, None] @ fitted[part.corners[:, end]]
-                        found[part.cells, corners + node] += 0.5 * value[:, 0]
+    def at_nodes(self, fitted: FloatArray, cells: slice) -> FloatArray:
+        """Values at the nodes of some cells, shape (cells, nodes of a cell, columns).
+
+        Not collective.
+
+        Args:
+            fitted: From `fit`.
+            cells: Which of the region's.
+        """
+        edges, count, numbers = cell_edges(self._dim), self._dim + 1, self._corners[cells]
+        found = np.zeros((len(numbers), len(self._nodes), fitted.shape[2]))
+        found[:, :count] = np.ascontiguousarray(fitted[:, 0])[numbers]
+        if self._degree > 1:
+            p = self._monomials(cells, self._nodes[count:])
+            for node, (a, b) in enumerate(edges):
+                for end in (a, b):
+                    value = p[:, end, node, None] @ fitted[numbers[:, end]]
+                    found[:, count + node] += 0.5 * value[:, 0]
         return found
 
 

@@ -200,9 +200,14 @@ class RegionStress:
         Returns:
             Shape (cells, nodes of a cell, 6 and more).
         """
-        parts = [self._evaluated(part)[:, : self._samples] for part in self.chunks()]
-        empty = np.zeros((0, self._samples, self._width))
-        return self.patches(np.concatenate([*parts, empty]))
+        return self.patches(self.samples())
+
+    def samples(self) -> FloatArray:
+        """Values of the finite element solution at the sampling points. Not collective."""
+        values = np.zeros((len(self.cells), self._samples, self._width))
+        for part in self.chunks():
+            values[part] = self._evaluated(part)[:, : self._samples]
+        return values
 
     def chunks(self) -> list[slice]:
         """The cells in parts whose values need little memory."""
