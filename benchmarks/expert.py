@@ -11,6 +11,7 @@ Prints one line of JSON.
 from __future__ import annotations
 
 import json
+import resource
 import sys
 import time
 
@@ -91,7 +92,7 @@ def main(degree: int, n: int) -> None:
     mu, lmbda = (fem.Constant(body, value) for value in (1e6 / 2.6, 1e6 * 0.3 / (1.3 * 0.4)))
     traction = fem.Constant(body, np.array([0, 0, -1.3e4]))
     P = mu * (F - ufl.inv(F).T) + lmbda * ufl.ln(ufl.det(F)) * ufl.inv(F).T
-    dx = ufl.Measure("dx", domain=body, metadata={"quadrature_degree": 2 * (degree - 1)})
+    dx = ufl.Measure("dx", domain=body, metadata={"quadrature_degree": 2 * degree - 1})
     tags = mesh.meshtags(body, 2, np.sort(right), np.full(len(right), 1, dtype=np.int32))
     ds = ufl.Measure("ds", domain=body, subdomain_data=tags)
     residual = ufl.inner(P, ufl.grad(v)) * dx - ufl.inner(traction, v) * ds(1)
@@ -123,10 +124,14 @@ def main(degree: int, n: int) -> None:
     snes.setJacobian(jacobian, A)
     snes.setFromOptions()
     x = A.createVecRight()
+    begin = time.time()
     snes.solve(None, x)
+    seconds = time.time() - begin
     x.copy(u.x.petsc_vec)
     u.x.scatter_forward()
     tip = body.comm.allreduce(fem.assemble_scalar(fem.form(u[2] * ds(1))))
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    memory = body.comm.allreduce(1024 * usage.ru_maxrss)
     if body.comm.rank == 0:
         print(
             json.dumps(
@@ -136,6 +141,9 @@ def main(degree: int, n: int) -> None:
                     "newton": snes.getIterationNumber(),
                     "krylov": snes.getLinearSolveIterations(),
                     "reason": snes.getConvergedReason(),
+                    "nonzeros": A.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"],
+                    "solve": seconds,
+                    "memory": memory,
                     "seconds": time.time() - BEGIN,
                 }
             )

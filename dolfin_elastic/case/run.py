@@ -323,6 +323,7 @@ class _RunCheckpoints:
 # --- output files ---
 
 
+@timing.stage("checks")
 def log_notes(case: Case, body: Body) -> None:
     """Logs how a body was made, and warns of what is doubtful in it and in its case. Collective.
 
@@ -338,6 +339,7 @@ def log_notes(case: Case, body: Body) -> None:
         log.warning("%s", note)
 
 
+@timing.stage("checks")
 def check_problem(case: Case, problem: Problem) -> None:
     """Warns of what needs the problem: loads beyond the material, obstacles, elements. Collective.
 

@@ -19,6 +19,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.problem.problem import Problem
@@ -99,6 +100,7 @@ class EquilibriumAuditor:
         self._offences = WorstOffences()
         self._strains = SmallStrains(problem, watch)
 
+    @stage("audit")
     def audit(self, t: float, energy: float) -> Audit:
         """The audit of the step that the problem and the assembler are in. Collective.
 
@@ -398,6 +400,7 @@ class PathEnergyCheck:
         self._before: tuple[float, FloatArray, FloatArray] | None = None
         self._now: tuple[float, FloatArray, FloatArray] | None = None
 
+    @stage("audit")
     def evaluate(self) -> None:
         """Evaluates energy and forces of the present equilibrium. Collective.
 

@@ -19,6 +19,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
@@ -68,6 +69,7 @@ class FreeBody:
     motions: tuple[str, ...]
 
 
+@stage("checks")
 def check_no_rigid_motion(problem: Problem) -> None:
     """Supports must prevent every rigid motion of each connected body in equilibrium. Collective.
 

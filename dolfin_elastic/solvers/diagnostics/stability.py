@@ -110,6 +110,7 @@ def _condenses(newton: Newton) -> bool:
     return newton.linear.split is not None and not newton.assembler.problem.unknowns.stabilised
 
 
+@stage("stability")
 def is_stable(newton: Newton) -> bool | None:
     """Whether the tangent at the end of a Newton solve is that of a stable body. Collective.
 
@@ -158,7 +159,7 @@ def _is_positive_definite(newton: Newton) -> bool | None:
     b = assembler.create_vector()
     b.array_w[assembler.displacement_dofs] = start_vector(assembler)
     assembler.remove_constrained(b)
-    with stage("solve"):
+    with stage("stability"):
         if split is not None:
             reason = split.solve_softer(b, CURVATURE_TOLERANCE, CURVATURE_ITERATIONS)
         else:

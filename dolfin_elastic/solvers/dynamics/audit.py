@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
@@ -99,6 +100,7 @@ class MotionAuditor(EquilibriumAuditor):
         assert self._forces is not None
         return self._forces.u
 
+    @stage("audit")
     def judge(self, t: float, balance: EnergyBalance, energies: Mapping[str, float]) -> Audit:
         """The audit of all steps since the last audit. Collective.
 

@@ -12,6 +12,7 @@ from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, smallest, total
+from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
@@ -62,10 +63,12 @@ class ContactAugmentation:
         for pair, saved in zip(self._pairs, self._saved, strict=True):
             pair.lam.x.array[:] = saved
 
+    @stage("contact")
     def needed(self) -> bool:
         """Whether a node that presses is off its obstacle, beyond the tolerance. Collective."""
         return any(contact_gap_error(pair) > pair.tolerance for pair in self._pairs)
 
+    @stage("contact")
     def update(self) -> None:
         """Renews the multipliers from the gaps at hand. Collective."""
         for pair in self._pairs:
@@ -90,6 +93,7 @@ class ContactAugmentation:
         return replace(result, newton=newton, krylov=krylov, predicted=predicted)
 
 
+@stage("contact")
 def contact_gap_error(pair: ContactPair) -> float:
     """Largest distance from the obstacle of nodes that press or penetrate [m]. Collective."""
     gaps, _ = pair.gaps()
@@ -113,6 +117,7 @@ class ContactResults:
         stored = [pair.energy for pair in self._pairs] if moving else []
         self._energies: list[fem.Form] = compiled(problem, stored) if stored else []
 
+    @stage("contact")
     def numbers(self) -> dict[str, float]:
         """Largest penetration [m] and area under pressure [m^2] of each contact. Collective."""
         found: dict[str, float] = {}
@@ -123,6 +128,7 @@ class ContactResults:
             found[second] = found.get(second, 0.0) + integral(self._problem, area)
         return found
 
+    @stage("contact")
     def energies(self) -> dict[str, float]:
         """What the penalties store [J]; nothing without contacts. Collective."""
         if not self._energies:
@@ -190,6 +196,7 @@ def smallest_gap(pair: ContactPair) -> float:
     return smallest(pair.comm, float(np.min(pair.gaps()[0], initial=np.inf)))
 
 
+@stage("contact")
 def begin_motion(problem: Problem, *, warn: bool) -> None:
     """Motion has penalties alone, and softer ones. Collective.
 
@@ -223,6 +230,7 @@ def penetration_message(pair: ContactPair, gap: float, place: tuple[float, ...])
     )
 
 
+@stage("contact")
 def check_initial_gaps(problem: Problem, *, moving: bool) -> list[Gap]:
     """No surface begins deep inside its obstacle; returns `initial_gaps`. Collective.
 

@@ -28,7 +28,7 @@ EULER = np.pi**2 * E / (1 - NU**2) / 12 / 4 / 100
 
 
 def block() -> Problem:
-    """Twice as long as wide, 1 MPa, bent by 13 kPa: what `benchmarks/block.py` solves."""
+    """Twice as long as wide, 1 MPa, bent by 13 kPa: what `benchmarks/run` solves."""
     body = box_body(size=(2, 1, 1), cells=(6, 3, 3))
     load = Traction(on="right", value=[0, 0, -13e3])
     return Problem(body, NH, degree=1, supports=[Support(on="left")], loads=[load])
