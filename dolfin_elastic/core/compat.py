@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import inspect
+from typing import Any
 
 import numpy as np
-from dolfinx import fem
+from dolfinx import cpp, fem
 from dolfinx.fem import petsc as _fem_petsc
 from dolfinx.io import XDMFFile
-from dolfinx.mesh import Mesh, MeshTags
+from dolfinx.mesh import GhostMode, Mesh, MeshTags, create_cell_partitioner
+from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 
 
 def integration_entities(mesh: Mesh, facets: IndexArray) -> IndexArray:
@@ -39,6 +41,59 @@ def interpolation_points(element: fem.FiniteElement) -> FloatArray:
     """Interpolation points of an element: a method in 0.9, a property from 0.10."""
     points = element.interpolation_points
     return points() if callable(points) else points
+
+
+def collapsed(V: fem.FunctionSpace) -> tuple[fem.FunctionSpace, IndexArray]:
+    """A part of a mixed space as a space of its own, and where its entries stand. Collective.
+
+    From 0.11 on there is an array for each kind of cell.
+
+    Args:
+        V: The part, `W.sub(i)`.
+
+    Returns:
+        The space, and the entry of W of each of its entries, ghosts included.
+    """
+    space, dofs = V.collapse()
+    if len(dofs) and np.ndim(dofs[0]):
+        (dofs,) = dofs
+    return space, np.asarray(dofs, dtype=np.int32)
+
+
+def cell_partitioner(mode: GhostMode) -> Any:
+    """DOLFINx's own way of distributing cells: 0.11 asks how many cells share a facet.
+
+    Args:
+        mode: Which cells are ghosts.
+    """
+    try:
+        return create_cell_partitioner(mode)
+    except TypeError:
+        return create_cell_partitioner(mode, 2)
+
+
+def make_index_map(
+    comm: MPI.Comm, count: int, ghosts: IntArray, owners: IndexArray
+) -> cpp.common.IndexMap:
+    """Indices that ranks share: 0.11 asks for the tag of its messages, too. Collective.
+
+    Args:
+        comm: The ranks.
+        count: Indices that this rank owns.
+        ghosts: Global indices of its ghosts, shape (n,).
+        owners: Their ranks, shape (n,).
+    """
+    try:
+        return cpp.common.IndexMap(comm, count, ghosts, owners)
+    except TypeError:
+        return cpp.common.IndexMap(comm, count, ghosts, owners, 1)
+
+
+def norm_without_value() -> int:
+    """PETSc's reason that the norm of a residual is no number: 3.25 calls it by another name."""
+    reason = PETSc.SNES.ConvergedReason
+    old = getattr(reason, "DIVERGED_FNORM_NAN", None)
+    return int(reason.DIVERGED_FUNCTION_NANORINF if old is None else old)
 
 
 def interpolation_matrix(coarse: fem.FunctionSpace, fine: fem.FunctionSpace) -> PETSc.Mat:

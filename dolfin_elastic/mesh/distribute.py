@@ -9,9 +9,10 @@ from dataclasses import replace
 import basix.ufl
 import numpy as np
 from dolfinx import cpp
-from dolfinx.mesh import CellType, GhostMode, Mesh, create_cell_partitioner, create_mesh
+from dolfinx.mesh import CellType, GhostMode, Mesh, create_mesh
 from mpi4py import MPI
 
+from dolfin_elastic.core.compat import cell_partitioner
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import agree
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
@@ -145,7 +146,7 @@ def make_mesh(comm: MPI.Comm, cells: IntArray, x: FloatArray, order: int) -> Mes
     element = basix.ufl.element("Lagrange", kind, order, shape=(dim,))
     before_partitioning(comm)
     mesh = create_mesh(
-        comm, cells=cells, x=x, e=element, partitioner=create_cell_partitioner(GhostMode.none)
+        comm, cells=cells, x=x, e=element, partitioner=cell_partitioner(GhostMode.none)
     )
     prepare_facets(mesh)
     return mesh

@@ -18,6 +18,7 @@ from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
 from ufl.finiteelement import AbstractFiniteElement
 
+from dolfin_elastic.core.compat import collapsed
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
@@ -86,8 +87,8 @@ class Unknowns:
             V = fem.functionspace(mesh, elements[0])
             return V, V, V, None
         W = fem.functionspace(mesh, basix.ufl.mixed_element(elements))
-        V, dofs = W.sub(0).collapse()
-        return V, V, W, np.asarray(dofs, dtype=np.int32)
+        V, dofs = collapsed(W.sub(0))
+        return V, V, W, dofs
 
     def _split(self, w: Expr) -> tuple[Expr, ...]:
         return tuple(ufl.split(w)) if self.auxiliary_fields else (w,)

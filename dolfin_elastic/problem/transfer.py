@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from dolfinx import fem
 
+from dolfin_elastic.core.compat import collapsed
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.mesh.refine.refinement import Refinement
 from dolfin_elastic.problem.problem import Problem
@@ -32,7 +33,7 @@ def refined_unknowns(
         guess.x.array[:] = _carried(refinement, coarse.V, w.x.array, fine.V)
     for i, scale in enumerate((1.0, *(_rescaled(coarse, fine, f.name) for f in fields))):
         if fields:
-            (before, here), (after, there) = (p.W.sub(i).collapse() for p in (coarse, fine))
+            (before, here), (after, there) = (collapsed(p.W.sub(i)) for p in (coarse, fine))
             guess.x.array[there] = scale * _carried(refinement, before, w.x.array[here], after)
     guess.x.scatter_forward()
     return np.asarray(guess.x.array)

@@ -78,6 +78,9 @@ _KSP = {
 _ENDS = {
     # Newton's method (SNES)
     "DIVERGED_FNORM_NAN": "the forces out of balance grow without bound or have no value",
+    "DIVERGED_FUNCTION_NANORINF": (  # its name from PETSc 3.25 on
+        "the forces out of balance grow without bound or have no value"
+    ),
     "DIVERGED_FUNCTION_DOMAIN": (
         "step after step of Newton's method was shortened, lest cells turn inside out"
     ),

@@ -12,6 +12,7 @@ import ufl
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from dolfin_elastic.core.compat import interpolation_points
 from dolfin_elastic.core.errors import FormulaError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.formula_functions import FUNCTIONS
@@ -258,6 +259,6 @@ def test_compiled_code_agrees(name: str) -> None:
     space = fem.functionspace(square, ("Lagrange", 2))
     X = ufl.SpatialCoordinate(square)
     u = fem.Function(space)
-    u.interpolate(fem.Expression(formula.ufl(x=X[0], y=X[1]), space.element.interpolation_points()))
+    u.interpolate(fem.Expression(formula.ufl(x=X[0], y=X[1]), interpolation_points(space.element)))
     x, y, _ = space.tabulate_dof_coordinates().T
     assert np.allclose(u.x.array, formula.evaluate(x=x, y=y), rtol=1e-12, atol=1e-14)

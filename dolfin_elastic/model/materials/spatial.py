@@ -264,5 +264,5 @@ class Range:
     def __str__(self) -> str:
         low = f"{'at least' if self.low_too else 'above'} {self.low:g}"
         high = f"{'at most' if self.high_too else 'below'} {self.high:g}"
-        bounds = [low] * np.isfinite(self.low) + [high] * np.isfinite(self.high)
+        bounds = [low] * bool(np.isfinite(self.low)) + [high] * bool(np.isfinite(self.high))
         return " and ".join(bounds) or "a finite number"

@@ -16,6 +16,7 @@ from dolfinx import cpp, fem, la
 from dolfinx.graph import adjacencylist
 from mpi4py import MPI
 
+from dolfin_elastic.core.compat import make_index_map
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import Body, connected_components, span
@@ -142,7 +143,7 @@ class PeriodicPairing:
         new = np.empty(len(number), dtype=np.int32)
         new[mine] = number[mine] - offset
         new[~mine] = count + back
-        index_map = cpp.common.IndexMap(comm, count, ghosts, owner[~mine][first])
+        index_map = make_index_map(comm, count, ghosts, owner[~mine][first])
         return MergedDofmap(_space(V, index_map, new), new)
 
     def _edges(self, V: fem.FunctionSpace, fields: Sequence[Field]) -> IntArray:

@@ -11,6 +11,7 @@ from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
 from ufl.finiteelement import AbstractFiniteElement
 
+from dolfin_elastic.core.compat import collapsed
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.problem.periodic.dofmap import Field, MergedDofmap
 from dolfin_elastic.problem.periodic.unit_cell import Cell
@@ -60,12 +61,12 @@ class Fluctuation(Unknowns):
             self._merged = pairing.merged(V)
             return V, self._merged.space, self._merged.space, self._unrolled(self._merged.new)
         plain = fem.functionspace(mesh, basix.ufl.mixed_element(list(elements)))
-        V, dofs = plain.sub(0).collapse()
+        V, dofs = collapsed(plain.sub(0))
         dofs = np.asarray(dofs, dtype=np.int32)
         fields = [Field(V, dofs.reshape(-1, self._dim))]
         for k, field in enumerate(self.auxiliary_fields, start=1):
             if field.continuous:
-                Q, entries = plain.sub(k).collapse()
+                Q, entries = collapsed(plain.sub(k))
                 fields.append(Field(Q, np.asarray(entries, dtype=np.int32)[:, None]))
         whole: MergedDofmap = pairing.merged(plain, fields)
         self._merged = pairing.merged(V)

@@ -26,6 +26,7 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
+from dolfin_elastic.core.compat import collapsed
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.petsc_options import PREFIX
@@ -364,7 +365,7 @@ class AuxiliaryFields:
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
         found = {
-            extra.name: problem.W.sub(1 + k).collapse()
+            extra.name: collapsed(problem.W.sub(1 + k))
             for k, extra in enumerate(problem.unknowns.auxiliary_fields)
         }
         self._dofs = {name: dofs for name, (_, dofs) in found.items()}

@@ -75,7 +75,7 @@ def test_a_refusal_is_one_message() -> None:
 
 
 def test_reasons_have_names() -> None:
-    assert snes_reason(-4) == "DIVERGED_FNORM_NAN"
+    assert snes_reason(-3) == "DIVERGED_LINEAR_SOLVE"
     assert ksp_reason(-3) == "DIVERGED_MAX_IT"
     assert ts_reason(1) == "CONVERGED_TIME"
     assert ksp_reason(-999) == "-999"
