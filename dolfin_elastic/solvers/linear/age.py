@@ -19,7 +19,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 
-CHANGE = 0.1
+CHANGE = 0.05
 """Relative change of the tangent from which its preconditioner is set up anew."""
 
 GROWTH = 1.2
