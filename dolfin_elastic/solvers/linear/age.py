@@ -1,6 +1,6 @@
 """When a preconditioner has become too old for the tangent.
 
-Setting multigrid up costs as much as 10 to 20 iterations, so a preconditioner serves for several
+Setting multigrid up costs as much as 10 to 50 iterations, so a preconditioner serves for several
 tangents; but one of an unloaded bracket took 483 iterations for a bracket bent by 50 degrees, and
 77 after it was set up anew.  Two signs tell:
 
@@ -19,8 +19,10 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 
-CHANGE = 0.05
-"""Relative change of the tangent from which its preconditioner is set up anew."""
+CHANGE = {1: 0.5, 2: 0.05}
+"""Relative change of the tangent from which its preconditioner is set up anew, by the degree of the
+elements: multigrid of linear ones costs 50 iterations to set up, that of quadratic ones 10 to 20.
+"""
 
 GROWTH = 1.2
 """Iterations a digit over those of the first solve from which it is, too."""
@@ -46,7 +48,9 @@ class Age:
         self._v.array_w[rows] = np.random.default_rng(assembler.comm.rank).normal(size=len(rows))
         self._v.array_w[assembler.prescribed_dofs] = 0.0
         self._then: FloatArray | None = None
-        self._first = 0.0
+        problem = assembler.problem
+        mixed = bool(problem.unknowns.auxiliary_fields)
+        self._change, self._first = CHANGE[2 if mixed else problem.degree], 0.0
 
     def forget(self) -> None:
         """There is no preconditioner any more. Not collective."""
@@ -64,7 +68,7 @@ class Age:
         now = self._times(tangent)
         squares = np.array([np.sum((now - self._then) ** 2), np.sum(self._then**2)])
         off, size = total(self._assembler.comm, squares)
-        return not off <= CHANGE**2 * size  # no numbers count as a change
+        return not off <= self._change**2 * size  # no numbers count as a change
 
     def served(self, iterations: int, digits: float) -> bool:
         """Whether a solve has taken no more iterations than a set-up saves. Not collective.
