@@ -18,9 +18,10 @@ from dolfin_elastic.case.check import check
 from dolfin_elastic.case.check.formulas import check_poles
 from dolfin_elastic.case.check.initial_state import contact_notes, tie_notes
 from dolfin_elastic.case.check.integrals import Integrals
-from dolfin_elastic.case.check.loads import load_sums, stress_notes
+from dolfin_elastic.case.check.loads import LoadSum, load_sums, stress_notes
 from dolfin_elastic.case.check.mesh_quality import bending_notes, shape_notes
 from dolfin_elastic.case.check.plausibility import unit_information
+from dolfin_elastic.case.model_record import model_record
 from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished, written_tables
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import (
@@ -162,21 +163,24 @@ class _Run:
             description = describe_run(self.case, fingerprint(body), self.petsc, before)
         if before is not None:
             before.check_mesh(description)
-        log_notes(self.case, body)
+        notes = log_notes(self.case, body)
         problem = self.case.make_problem(body)
-        check_problem(self.case, problem)
+        more, sums = check_problem(self.case, problem)
+        model = model_record(self.case, body, sums, [*notes, *more], self.petsc)
         solver = self.case.make_solver(problem, petsc=self.petsc)
         steps = _steps(solver, problem, before)
         step, settings = 0 if before is None else before.step, self.case.output.checkpoint
         checkpoints = Checkpoints(self.comm, self.folder, settings, description, step=step)
         run_checkpoints = _RunCheckpoints(checkpoints, solver, self.asked)
         with locate_errors(self.case.file), closing(steps):
-            yield from self._write_all(problem, steps, run_checkpoints, before, lock)
+            files = outputs_of(self.case, model)
+            yield from self._write_all(problem, files, steps, run_checkpoints, before, lock)
         checkpoints.clear()
 
     def _write_all(
         self,
         problem: Problem,
+        files: Sequence[Output],
         steps: States,
         checkpoints: _RunCheckpoints,
         before: Unfinished | None,
@@ -190,7 +194,7 @@ class _Run:
         lock.acquire(create=True)
         checkpoints.remove_foreign(new=before is None)
         saved = None if before is None else before.found.content["outputs"]
-        with open_outputs(outputs_of(self.case), problem, self.folder, saved) as writers:
+        with open_outputs(files, problem, self.folder, saved) as writers:
             try:
                 for result in chain(first, probed):
                     checkpoints.forget()  # the files are about to be ahead of it
@@ -324,28 +328,34 @@ class _RunCheckpoints:
 
 
 @timing.stage("checks")
-def log_notes(case: Case, body: Body) -> None:
+def log_notes(case: Case, body: Body) -> list[str]:
     """Logs how a body was made, and warns of what is doubtful in it and in its case. Collective.
 
     Args:
         case: The case.
         body: Its body.
+
+    Returns:
+        The warnings.
     """
     for text in (*body.information, *unit_information(case, body)):
         log.info("mesh: %s", text)
-    for note in body.notes:
-        log.warning("mesh: %s", note)
-    for note in check(case, body):
+    notes = [*(f"mesh: {note}" for note in body.notes), *check(case, body)]
+    for note in notes:
         log.warning("%s", note)
+    return notes
 
 
 @timing.stage("checks")
-def check_problem(case: Case, problem: Problem) -> None:
+def check_problem(case: Case, problem: Problem) -> tuple[list[str], tuple[LoadSum, ...]]:
     """Warns of what needs the problem: loads beyond the material, obstacles, elements. Collective.
 
     Args:
         case: The case.
         problem: Made of the case.
+
+    Returns:
+        The warnings, and the resultants of the loads; none where one has no value at some time.
 
     Raises:
         CaseError: A formula has a pole in the body, see `check_poles`.
@@ -355,18 +365,25 @@ def check_problem(case: Case, problem: Problem) -> None:
         check_poles(case, integrals)
     finders = tie_notes, contact_notes, bending_notes, shape_notes
     notes = [note for find in finders for note in find(case, problem)]
+    sums: tuple[LoadSum, ...] = ()
     with suppress(CaseError):  # of a load without a value at some time: the run finds it, or not
-        notes += stress_notes(case, integrals, load_sums(case, integrals))
+        sums = load_sums(case, integrals)
+        notes += stress_notes(case, integrals, sums)
     for note in notes:
         log.warning("%s", note)
+    return notes, sums
 
 
-def outputs_of(case: Case) -> list[Output]:
-    """The outputs of a case, its summary with a copy of it. Not collective."""
+def outputs_of(case: Case, model: Mapping[str, object]) -> list[Output]:
+    """The outputs of a case, its summary with copies of it and of its model. Not collective.
+
+    Args:
+        case: The case.
+        model: See `model_record`.
+    """
+    copies = {"case": written_tables(case), "model": model}
     return [
-        file.model_copy(update={"case": written_tables(case)})
-        if isinstance(file, Summary)
-        else file
+        file.model_copy(update=copies) if isinstance(file, Summary) else file
         for file in case.files()
     ]
 

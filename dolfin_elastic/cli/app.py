@@ -21,6 +21,7 @@ from click.exceptions import ClickException
 from dolfin_elastic.cli.converge import converge
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import guard_output
+from dolfin_elastic.cli.report import report
 from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen, restart, run
 from dolfin_elastic.cli.tools.new import new
 from dolfin_elastic.cli.tools.schema import schema
@@ -49,6 +50,7 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
   dolfin-elastic run beam.toml              compute it
   mpirun -n 4 dolfin-elastic run beam.toml  the same on four cores
   dolfin-elastic restart beam_results       go on after it was stopped or killed
+  dolfin-elastic report beam_results        a page about it that can be mailed
   dolfin-elastic converge beam.toml --until "displacement of tip" 1%
                                             refine the mesh until it is known so well
   dolfin-elastic verify                     known results, computed on this installation
@@ -143,6 +145,7 @@ app.command()(converge)
 app.command()(restart)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(material)
 app.command()(materials)
+app.command()(report)
 app.command()(new)
 app.command()(schema)
 app.command()(verify)

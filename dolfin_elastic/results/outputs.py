@@ -224,14 +224,16 @@ class Summary(Output):
     Attributes:
         file: The JSON file.
         case: Tables of the case, of which the summary holds a copy.
+        model: What is noted of its model, of which it holds a copy, too.
     """
 
     file: str = "summary.json"
     case: dict[str, Any] = Field(default={})
+    model: dict[str, Any] = Field(default={})
 
     def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> SummaryWriter:
         """See `Output.open`."""
-        return SummaryWriter(problem, folder / self.file, saved, case=self.case)
+        return SummaryWriter(problem, folder / self.file, saved, case=self.case, model=self.model)
 
 
 class Picture(Output):

@@ -39,6 +39,7 @@ POINTS = {
     "model/materials/test_reference_energies.py",
     "model/test_amplitude.py",
     "model/test_kinematics.py",
+    "report/test_report.py",
     "solvers/dynamics/implicit/test_schemes.py",
     "test_docs.py",
     "test_install.py",

@@ -21,6 +21,7 @@ from dolfin_elastic.case.converge.extrapolation import extrapolate, grows
 from dolfin_elastic.case.converge.progress import Level, Progress, Verdict
 from dolfin_elastic.case.converge.quantity import Measured, Measurement, Quantity
 from dolfin_elastic.case.converge.report import write_report
+from dolfin_elastic.case.model_record import model_record
 from dolfin_elastic.case.run import check_problem, log_notes, open_outputs, outputs_of
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import InputError, StoppedError
@@ -343,7 +344,8 @@ class _Convergence:
     def _write(self, solved: _Solved, progress: Progress) -> None:
         """The results of this mesh, in place of those of the one before. Collective."""
         self.lock.acquire(create=True)
-        with open_outputs(outputs_of(self.case), solved.problem, self.folder) as writers:
+        model = model_record(self.case, solved.body, (), (), {})
+        with open_outputs(outputs_of(self.case, model), solved.problem, self.folder) as writers:
             for writer in writers:
                 if isinstance(writer, SummaryWriter) and progress.verdict == "running":
                     writer.silence()

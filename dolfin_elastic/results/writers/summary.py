@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import logging
 import math
+import re
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import dolfinx
 import numpy as np
@@ -64,6 +65,7 @@ class SummaryWriter:
         path: The file; an old one is overwritten.
         saved: Its restart state: counts and seconds before the checkpoint are added.
         case: Tables of the case, of which the file holds a copy.
+        model: What is noted of its model, see `case/model_record.py`.
 
     Raises:
         OutputError: The file cannot be written.
@@ -76,14 +78,16 @@ class SummaryWriter:
         saved: Numbers | None = None,
         *,
         case: Mapping[str, object] | None = None,
+        model: Mapping[str, object] | None = None,
     ) -> None:
         self.problem, self.path, self.comm = problem, path, problem.body.comm
-        self._case = dict(case or {})
+        self._copies = {"case": dict(case or {}), "model": dict(model or {})}
         self._begin = self._written = time.monotonic()
         before = dict(saved or {})
         self._started = before.get("started", _now())
         self._newton, self._krylov = before.get("newton", 0), before.get("krylov", 0)
         self._last: dict[str, object] = before.get("last", _NUMBERS)
+        self._convergence: dict[str, dict[str, object]] = before.get("convergence", {})
         self._spent: dict[str, float] = before.get("timings", {})
         self._restarts: list[dict[str, object]] = before.get("restarts", [])
         if saved is not None:
@@ -109,6 +113,7 @@ class SummaryWriter:
             self._krylov += state.krylov
             self._last_state.copy(state)
             self._last = _numbers(state)
+            self._convergence = _convergence(self._convergence, state)
             self._audits.add(state)
             self._save_if_due()
 
@@ -134,6 +139,7 @@ class SummaryWriter:
             "newton": self._newton,
             "krylov": self._krylov,
             "last": _plain(self._last),
+            "convergence": _plain(self._convergence),
             "timings": self._timings(),
             "restarts": self._restarts,
             "audits": self._audits.restart_state(),
@@ -174,11 +180,10 @@ class SummaryWriter:
             "units": UNITS,
             "started": self._started,
             "restarts": self._restarts,
-            "case": self._case,
+            **self._copies,
             **(extra or {}),
         }
-        text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        on_root(self.comm, lambda: replace_text(self.path, text))
+        on_root(self.comm, lambda: replace_text(self.path, _text(content)))
         self._written = time.monotonic()
 
     def _sizes(self) -> dict[str, object]:
@@ -191,7 +196,8 @@ class SummaryWriter:
 
     def _numbers(self) -> dict[str, object]:
         counts = {"newton_iterations": self._newton, "krylov_iterations": self._krylov}
-        return {**self._last, **counts, "audit": self._audits.as_json(), **self._of_modes()}
+        found = {"audit": self._audits.as_json(), "convergence": self._convergence}
+        return {**self._last, **counts, **found, **self._of_modes()}
 
     def _of_modes(self) -> dict[str, object]:
         """The modes, masses and inertias of the body, and shares of the modes' effective masses."""
@@ -244,6 +250,28 @@ def _numbers(state: State) -> dict[str, object]:
     }
 
 
+def _convergence(
+    before: Mapping[str, dict[str, object]], state: State
+) -> dict[str, dict[str, object]]:
+    """Residuals of Newton's method in the step with most iterations, and in the last one.
+
+    Args:
+        before: The same of the steps before.
+        state: Of the step.
+    """
+    if len(state.residuals) < 2:
+        return dict(before)
+    now: dict[str, object] = {
+        "step": state.step,
+        "t": plain(state.t),
+        "newton": state.newton,
+        "residuals": [float(f"{value:.4g}") for value in state.residuals],
+    }
+    most = before.get("most_iterations", now)
+    more = state.newton > cast(int, most["newton"])
+    return {"most_iterations": now if more else most, "last": now}
+
+
 def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str, object]:
     """The estimated error and the largest stresses. Collective.
 
@@ -287,7 +315,7 @@ def mark_stopped(
     text = json.loads(path.read_text(encoding="utf-8"))
     if text["status"] == before:
         text |= {"status": "stopped", "reason": reason}
-        replace_text(path, json.dumps(text, indent=2, ensure_ascii=False) + "\n")
+        replace_text(path, _text(text))
 
 
 def _now() -> str:
@@ -321,6 +349,16 @@ def versions() -> dict[str, str]:
         "petsc": petsc,
         "numpy": np.__version__,
     }
+
+
+def _text(content: object) -> str:
+    """JSON for people, too: a list of numbers stands in one line."""
+    text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False)
+    return _NUMBERS_ONLY.sub(lambda found: f"[{' '.join(found[0][1:-1].split())}]", text) + "\n"
+
+
+# A text holds no line break in JSON, so that nothing in one can look like this.
+_NUMBERS_ONLY = re.compile(r"\[\n\s+[-\d][-+.\deE]*(?:,\n\s+[-\d][-+.\deE]*)*\n\s+\]")
 
 
 def _plain(value: object) -> object:

@@ -1,0 +1,111 @@
+"""What a run notes of its model, for its report: places, resultants of loads, warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check.loads import LoadSum
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.petsc_options import PetscOptions
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.mesh.body import Body, extent
+from dolfin_elastic.mesh.geometry.curved import facet_areas
+from dolfin_elastic.mesh.geometry.simplices import (
+    edge_nodes,
+    facet_corners,
+    outward_normals,
+    prepare_edges,
+    prepare_facets,
+)
+
+SAMPLES = 24
+"""Places that are noted of a surface or edge."""
+_DIGITS = 6
+
+
+def model_record(
+    case: Case, body: Body, sums: Sequence[LoadSum], notes: Iterable[str], petsc: PetscOptions
+) -> dict[str, object]:
+    """JSON data about a model, a few kilobytes. Collective.
+
+    Args:
+        case: What is computed.
+        body: Its body.
+        sums: Resultants of its loads; none where a load has no value at some time.
+        notes: Warnings of its checks.
+        petsc: PETSc options from outside the case.
+    """
+    names = {name for row in (*case.support, *case.contact) for name in row.surfaces}
+    names |= {name for load in case.load for name in load.parts}
+    return {
+        "file": Path(case.file).name,
+        "mesh": {
+            "source": Path(body.source).name,
+            "dim": body.dim,
+            "extent": list(extent(body)),
+            "information": list(body.information),
+            "fields": sorted(body.fields),
+        },
+        "parts": {name: found for name in sorted(names) if (found := _part(body, name))},
+        "loads": [asdict(row) for row in sums],
+        "warnings": list(notes),
+        "petsc": dict(petsc),
+    }
+
+
+def _part(body: Body, name: str) -> dict[str, object]:
+    """Size and some places of a surface, edge or point; empty for a region. Collective."""
+    if name in body.surfaces:
+        prepare_facets(body.mesh)
+        facets = body.owned_facets(name)
+        places = facet_corners(body.mesh, facets).mean(axis=1)
+        normals = outward_normals(body.mesh, facets)
+        areas = facet_areas(body.mesh, facets)
+        return {
+            "kind": "surface",
+            "area": float(total(body.comm, float(np.sum(areas)))),
+            **_samples(body, np.hstack([places, normals])),
+        }
+    if name in body.edges:
+        prepare_edges(body.mesh)
+        ends = body.mesh.geometry.x[edge_nodes(body.mesh, body.owned_edges(name))]
+        return {"kind": "edge", **_samples(body, ends.mean(axis=1))}
+    if name in body.points:
+        places = body.mesh.geometry.x[body.owned_points(name), : body.dim]
+        return {"kind": "point", **_samples(body, places)}
+    return {}
+
+
+def _samples(body: Body, rows: FloatArray) -> dict[str, object]:
+    """Rows that are spread over all: places [m], of surfaces with the outward normal. Collective.
+
+    Each rank sends no more than `SAMPLES`.
+    """
+    own = _spread(rows, body.dim)
+    every = body.comm.gather(own.tolist(), root=0)
+    every = [row for part in every or [] for row in part]
+    found = _spread(np.array(every), body.dim) if every else np.empty((0, 0))
+    shown = [[float(f"{value:.{_DIGITS}g}") for value in row] for row in found]
+    return {"places": body.comm.bcast(shown)}
+
+
+def _spread(rows: FloatArray, dim: int) -> FloatArray:
+    """At most `SAMPLES` rows, each the farthest in space from those before.
+
+    Args:
+        rows: They begin with coordinates.
+        dim: Number of these.
+    """
+    if len(rows) <= SAMPLES:
+        return rows
+    x = rows[:, :dim]
+    kept, away = [0], np.full(len(rows), np.inf)
+    while len(kept) < SAMPLES:
+        away = np.minimum(away, np.linalg.norm(x - x[kept[-1]], axis=1))
+        kept.append(int(away.argmax()))
+    return np.asarray(rows[kept])

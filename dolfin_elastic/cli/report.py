@@ -1,0 +1,68 @@
+"""The command `report`."""
+# ruff: noqa: D301
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", hidden=True)],
+    *,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="The page (DIR/report.html)."),
+    ] = None,
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="Print it as PDF, too; needs Chromium.")
+    ] = False,
+) -> None:
+    """Make a page of a finished run that can be mailed.
+
+    \b
+      dolfin-elastic report bracket_results
+      dolfin-elastic report bracket_results --output bracket.html --pdf
+
+    One HTML file that every browser opens, without network: what was computed, pictures that can be
+    turned, largest values, curves, audit, materials, and how to repeat it.
+
+    \f
+    Args:
+        folder: Of the results.
+        output: The page.
+        pdf: Print it, too.
+
+    Raises:
+        CaseError: The output is no HTML file.
+        InputError: It is no folder of results.
+        OutputError: Something cannot be written, or there is no Chromium for the PDF.
+    """
+    from mpi4py import MPI
+
+    # Imported on all ranks: this starts PETSc, which is collective.
+    from dolfin_elastic.core.errors import CaseError
+    from dolfin_elastic.core.parallel import on_root
+    from dolfin_elastic.report.report import write_report
+
+    page = output or folder / "report.html"
+    if page.suffix.lower() not in (".html", ".htm"):
+        raise CaseError(
+            f"'{page}' is no page", where="--output", expected='for example "report.html"'
+        )
+    on_root(MPI.COMM_WORLD, lambda: _write(write_report(folder, page), pdf=pdf))
+
+
+def _write(page: Path, *, pdf: bool) -> None:
+    """Says what was written, and prints the page. On rank 0."""
+    size = page.stat().st_size
+    print(f"{page} written ({size / 1e6:.1f} MB)", flush=True)
+    if size > 10_000_000:
+        print("warning: it is larger than many mail servers take (10 MB)", file=sys.stderr)
+    if pdf:
+        from dolfin_elastic.report.pdf import print_pdf
+
+        print(f"{print_pdf(page, page.with_suffix('.pdf'))} written")

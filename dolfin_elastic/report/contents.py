@@ -1,0 +1,633 @@
+"""What a report says of a finished run, section by section."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.report.charts import Axis, Line, line_chart
+from dolfin_elastic.report.quantity import number, percent, quantity, scaled_unit, vector
+from dolfin_elastic.report.quantity import size as size_text
+from dolfin_elastic.report.words import (
+    Table,
+    analysis_of,
+    contact_words,
+    label,
+    load_words,
+    names,
+    support_words,
+)
+from dolfin_elastic.results.finished.run import FinishedRun
+
+_ROWS = 60
+"""Steps that the table shows: the first and the last ones."""
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number of `summary.json` as it is shown.
+
+    Attributes:
+        value: In SI units, as it is there.
+        text: For people.
+    """
+
+    value: float
+    text: str
+
+    @staticmethod
+    def of(value: object, unit: str = "") -> Value | None:
+        """None of what is no number.
+
+        Args:
+            value: Of the summary.
+            unit: Its SI unit.
+        """
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return None
+        return Value(float(value), quantity(float(value), unit))
+
+
+@dataclass(frozen=True)
+class Extreme:
+    """A largest or smallest value with its place.
+
+    Attributes:
+        name: Of what.
+        value: The value.
+        place: Where, for people.
+        trust: How well it is known; empty: that is not known.
+        remark: What limits it.
+    """
+
+    name: str
+    value: Value
+    place: str
+    trust: str = ""
+    remark: str = ""
+
+
+# --- how it ended ---
+
+STATUS = {
+    "completed": ("Completed", "good"),
+    "stopped": ("Stopped before its end", "warn"),
+    "failed": ("Failed: no solution was found", "bad"),
+    "running": ("Still running, or killed", "warn"),
+}
+
+
+def status_of(summary: Table) -> tuple[str, str]:
+    """Words and kind ("good", "warn", "bad") of how a run has ended."""
+    return STATUS.get(str(summary.get("status")), ("Its end is not known", "warn"))
+
+
+def diagnosis_lines(summary: Table) -> list[str]:
+    """What is known of why a run has failed: each finding in a line."""
+    found, reason = summary.get("diagnosis") or {}, str(summary.get("reason") or "")
+    texts = [str(found.get(key) or "") for key in ("text", "advice")]
+    return [text for text in texts if text and text not in reason]
+
+
+# --- largest values ---
+
+_EXTREMES = {
+    "displacement": ("largest displacement", "m"),
+    "von_mises": ("largest von Mises stress", "Pa"),
+    "safety_factor": ("smallest safety factor", ""),
+    "speed": ("largest speed", "m/s"),
+    "velocity": ("largest velocity", "m/s"),
+    "min_jacobian": ("smallest change of volume J", ""),
+    "max_jacobian": ("largest change of volume J", ""),
+    "contact_pressure": ("largest contact pressure", "Pa"),
+}
+
+
+def extremes_of(summary: Table, size: float) -> list[Extreme]:
+    """The largest values of the last state; none of a run that has reached no step.
+
+    Args:
+        summary: Of the run.
+        size: Of the body [m], for the unit of places.
+    """
+    found: list[Extreme] = []
+    if not summary.get("steps"):
+        return found
+    for name, row in (summary.get("extremes") or {}).items():
+        title, unit = _EXTREMES.get(name, (str(name).replace("_", " "), ""))
+        value = Value.of(row.get("value"), unit)
+        if value is None:
+            continue
+        peak = _peak(summary, name)
+        same = peak is not None and peak.get("value") == row.get("value")
+        trust, remark = _trust(peak) if peak is not None and same else ("", "")
+        on = str(peak.get("surface", "")) if peak is not None and same else ""
+        found.append(Extreme(title, value, place_text(row, size, on), trust, remark))
+        found += _elsewhere(summary, name, size)
+    return found
+
+
+def _peak(summary: Table, name: str) -> Table | None:
+    found = (summary.get("error") or {}).get(name)
+    return found if isinstance(found, Mapping) else None
+
+
+def _elsewhere(summary: Table, name: str, size: float) -> list[Extreme]:
+    """The largest value away from where it is unbounded."""
+    key = {"von_mises": "elsewhere", "safety_factor": "safety_factor_elsewhere"}.get(name)
+    other = _peak(summary, key) if key else None
+    if other is None:
+        return []
+    title, unit = _EXTREMES[name]
+    value = Value.of(other.get("value"), unit)
+    text = f"{title} elsewhere"
+    where = place_text(other, size, str(other.get("surface", "")))
+    return [Extreme(text, value, where, *_trust(other))] if value is not None else []
+
+
+def _trust(peak: Table) -> tuple[str, str]:
+    """Estimated error and remark of a peak."""
+    if peak.get("singular"):
+        return "no figure: unbounded", (
+            f"In the exact solution it is unbounded here ({peak['singular']}): the value depends "
+            "on the size of the elements, and a finer mesh makes it worse."
+        )
+    error = peak.get("error")
+    return (f"± {percent(error)}" if isinstance(error, int | float) else ""), ""
+
+
+def place_text(row: Table, size: float, surface: str = "") -> str:
+    """A place for people.
+
+    Args:
+        row: With "place" [m] and "part".
+        size: Of the body [m].
+        surface: That the place is on.
+    """
+    place = [x for x in row.get("place") or [] if isinstance(x, int | float)]
+    if not place:
+        return ""
+    factor, unit = scaled_unit(min(size, 0.999), "m") if size < 1 else (1.0, "m")
+    text = ", ".join(number(0.0 if abs(x) < 1e-9 * size else x / factor) for x in place)
+    part = f", in ‘{row['part']}’" if row.get("part") else ""
+    return f"({text}) {unit}{part}" + (f", on ‘{surface}’" if surface else "")
+
+
+# --- supports, loads, reactions ---
+
+
+@dataclass(frozen=True)
+class Acting:
+    """A support, load or contact.
+
+    Attributes:
+        name: The parts it acts on.
+        key: Of its colour in pictures; empty: it is not drawn.
+        words: What it does.
+        size: Area of its surfaces, if the run has noted it.
+        force: Its resultant or reaction, for people.
+    """
+
+    name: str
+    key: str
+    words: str
+    size: str = ""
+    force: str = ""
+
+
+def supports_of(run: FinishedRun) -> list[Acting]:
+    """What holds the body, with the reactions of the last state."""
+    reactions = run.summary.get("reactions") or {}
+    most = max((abs(x) for row in reactions.values() for x in row), default=0.0)
+    found = []
+    for k, row in enumerate(_rows(run.case, "support")):
+        force = reactions.get(label(row))
+        text = vector(force, "N", most) if force else ""
+        words, area = support_words(row), _area(run, row)
+        found.append(Acting(_where(row), f"support {k}", words, area, text))
+    for row in _rows(run.case, "contact"):
+        force = reactions.get(label(row))
+        text = vector(force, "N", most) if force else ""
+        found.append(Acting(_where(row), "", contact_words(row), _area(run, row), text))
+    return found
+
+
+def _where(table: Table) -> str:
+    """The parts that a support or contact acts on, after its own name."""
+    return f"{table['name']}: {names(table)}" if table.get("name") else names(table)
+
+
+def loads_of(run: FinishedRun) -> list[Acting]:
+    """What acts on the body, with its resultants."""
+    sums = model(run).get("loads") or []
+    found = []
+    for k, row in enumerate(_rows(run.case, "load")):
+        force = next(
+            (s.get("force") for s in sums if str(s.get("load", "")).startswith(f"load[{k}]")), None
+        )
+        text = vector(force, "N") if force else ""
+        found.append(Acting(names(row), f"load {k}", load_words(row), _area(run, row), text))
+    return found
+
+
+def _rows(case: Table, key: str) -> list[Table]:
+    rows = case.get(key) or []
+    return [row for row in rows if isinstance(row, Mapping)] if isinstance(rows, list) else []
+
+
+def model(run: FinishedRun) -> Table:
+    """What the run has noted of its model; empty of older runs."""
+    found = run.summary.get("model")
+    return found if isinstance(found, Mapping) else {}
+
+
+def _area(run: FinishedRun, table: Table) -> str:
+    parts = model(run).get("parts") or {}
+    on = table.get("on")
+    on = on if isinstance(on, list) else [on]
+    areas = [a for name in on if (a := (parts.get(name) or {}).get("area")) is not None]
+    if not areas or len(areas) != len(on):
+        return ""
+    plane = (model(run).get("mesh") or {}).get("dim") == 2
+    return f"length {size_text(sum(areas), 1)}" if plane else f"area {size_text(sum(areas), 2)}"
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Loads against reactions of a body at rest.
+
+    Attributes:
+        rows: Name and force of each.
+        force: The audit's measure: what is left of all forces, relative; None: not audited.
+        moment: The same of moments.
+        remark: What the comparison does not show.
+    """
+
+    rows: tuple[tuple[str, str], ...]
+    force: Value | None
+    moment: Value | None
+    remark: str
+
+
+def balance_of(run: FinishedRun) -> Balance | None:
+    """Loads against reactions; None where there are neither, or no step was reached."""
+    if not run.summary.get("steps"):
+        return None
+    summary, rows = run.summary, []
+    reactions = {k: v for k, v in (summary.get("reactions") or {}).items() if isinstance(v, list)}
+    sums = [s for s in model(run).get("loads") or [] if s.get("force") is not None]
+    own = [s for s in sums if s.get("load") != "all loads"]
+    whole = next((s["force"] for s in sums if s.get("load") == "all loads"), None)
+    if whole is None and len(own) == 1 == len(_rows(run.case, "load")):
+        whole = own[0]["force"]
+    total = _sum(list(reactions.values()))
+    most = max(
+        (abs(x) for row in (*reactions.values(), *(s["force"] for s in own)) for x in row),
+        default=0.0,
+    )
+    if whole is not None:
+        rows.append(("all loads, on the undeformed body", vector(whole, "N", most)))
+    if total is not None:
+        rows.append(("all reactions", vector(total, "N", most)))
+    audit = summary.get("audit") or {}
+    if whole is not None and total is not None and len(whole) == len(total) and not run.moving:
+        left = [a + b for a, b in zip(whole, total, strict=True)]
+        rows.append(("loads and reactions together", vector(left, "N", most)))
+    if not rows:
+        return None
+    return Balance(
+        tuple(rows),
+        Value.of(audit.get("balance_force")),
+        Value.of(audit.get("balance_moment")),
+        _balance_remark(run),
+    )
+
+
+def _balance_remark(run: FinishedRun) -> str:
+    if run.moving:
+        return (
+            "In motion reactions contain the inertia of the body, and need not cancel the loads; "
+            "the audit counts it in."
+        )
+    follows = {"pressure", "cavity", "centrifugal"}
+    if any(row.get("kind") in follows for row in _rows(run.case, "load")):
+        return (
+            "A load that follows the deformed surface has another resultant there than on the "
+            "undeformed one: where deformations are large, look at the audit's figure."
+        )
+    return ""
+
+
+def _sum(rows: Sequence[Sequence[float]]) -> list[float] | None:
+    if not rows or len({len(row) for row in rows}) != 1:
+        return None
+    return [float(x) for x in np.sum(np.array(rows, dtype=float), axis=0)]
+
+
+# --- history ---
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A picture with a title.
+
+    Attributes:
+        title: Of the picture.
+        svg: The picture.
+    """
+
+    title: str
+    svg: str
+
+
+_TITLES = {
+    "max_displacement": "Largest displacement",
+    "newton": "Newton iterations",
+    "balance_force": "What is left of the balance of forces",
+}
+_NOT_DRAWN = (
+    "step",
+    "t",
+    "load_factor",
+    "krylov",
+    "newton",
+    "balance_force",
+    "balance_moment",
+    "external_work",
+    "min_jacobian",
+    "max_jacobian",
+)
+
+
+def history_charts(run: FinishedRun) -> list[Chart]:
+    """Curves of `history.csv`; none of fewer than three rows."""
+    history = run.history
+    if len(history.get("t", ())) < 3:
+        return []
+    across, axis = _time_axis(run)
+    found = []
+    for title, columns in _groups(list(history)):
+        drawn = [name for name in columns if _worth(history[name])]
+        if drawn:
+            found.append(Chart(title, _chart(run, title, drawn, across, axis)))
+    return found
+
+
+def _time_axis(run: FinishedRun) -> tuple[FloatArray, Axis]:
+    if run.moving:
+        factor, unit = scaled_unit(float(np.nanmax(run.history["t"])), "s")
+        return np.asarray(run.history["t"] / factor), Axis(f"time [{unit}]")
+    # Beyond a limit point the load falls: steps are the only axis along which a path goes forward.
+    load = run.history.get("load_factor", run.history["t"])
+    if (np.diff(load) < 0).any():
+        return run.history["step"], Axis("step", whole=True)
+    return load, Axis("load factor")
+
+
+def _groups(columns: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Columns that share a picture, with its title."""
+    found: dict[str, list[str]] = {}
+    for name in columns:
+        if name in _NOT_DRAWN:
+            continue
+        stem, _, last = name.rpartition("_")
+        if name in _TITLES:
+            title = _TITLES[name]
+        elif name.endswith("_energy"):
+            title = "Energies"
+        elif stem.startswith("reaction_") and last in _AXES:
+            title = f"Reaction of {stem.removeprefix('reaction_')}"
+        elif stem and last in _AXES:
+            title = stem.replace("_", " ")
+            title = title[:1].upper() + title[1:]
+        else:
+            title = name.replace("_", " ")
+        found.setdefault(title, []).append(name)
+    return list(found.items())
+
+
+def _worth(values: FloatArray) -> bool:
+    finite = values[np.isfinite(values)]
+    return len(finite) > 1 and bool(np.any(finite != 0.0))
+
+
+def _chart(run: FinishedRun, title: str, columns: list[str], x: FloatArray, axis: Axis) -> str:
+    unit = run.units.get(columns[0], "")
+    most = max(float(np.nanmax(np.abs(run.history[name]))) for name in columns)
+    factor, shown = scaled_unit(most, unit)
+    lines = [
+        Line(_line_name(name, len(columns)), x, np.asarray(run.history[name] / factor))
+        for name in columns[:8]
+    ]
+    up = Axis(f"[{shown}]" if shown else "")
+    return line_chart(lines, axis, up, title=title)
+
+
+def _line_name(column: str, count: int) -> str:
+    if column.endswith("_energy"):
+        return column.removesuffix("_energy")
+    last = column.rpartition("_")[2]
+    return last if last in _AXES else "" if count == 1 else column
+
+
+# --- convergence ---
+
+
+def newton_chart(run: FinishedRun) -> Chart | None:
+    """Newton iterations of each step; None where there are none."""
+    counts, steps = run.history.get("newton"), run.history.get("step")
+    if counts is None or steps is None or len(steps) < 3 or not _worth(counts):
+        return None
+    line = Line("", steps[1:], counts[1:])
+    x, y = Axis("step", whole=True), Axis("iterations", whole=True)
+    return Chart("Newton iterations of each step", line_chart([line], x, y, "Newton iterations"))
+
+
+def residual_chart(summary: Table) -> Chart | None:
+    """Residuals over Newton iterations, of the steps whose residuals the run has kept."""
+    lines = []
+    for name, row in (summary.get("convergence") or {}).items():
+        values = np.array([float(x) for x in row.get("residuals") or [] if x is not None])
+        if len(values) > 1 and (values > 0).any():
+            text = f"step {row.get('step')} ({str(name).replace('_', ' ')})"
+            lines.append(Line(text, np.arange(len(values), dtype=float), values))
+    if not lines:
+        return None
+    if len(lines) > 1 and np.array_equal(lines[0].y, lines[1].y):
+        lines = lines[1:]
+    x, y = Axis("Newton iteration", whole=True), Axis("residual [N]", logarithmic=True)
+    return Chart("Residual of Newton's method", line_chart(lines, x, y, "Residuals"))
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Rows of the table of steps.
+
+    Attributes:
+        heads: Of the columns.
+        rows: Texts.
+        left_out: Steps between the first and the last that are not shown.
+    """
+
+    heads: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    left_out: int
+
+
+def steps_of(run: FinishedRun) -> Steps | None:
+    """The table of steps; None without a history."""
+    history = run.history
+    if not len(history.get("step", ())):
+        return None
+    wanted = [
+        ("step", "step", ""),
+        ("t", "time", "s") if run.moving else ("load_factor", "load factor", ""),
+        ("newton", "Newton iterations", ""),
+        ("krylov", "linear iterations", ""),
+        ("max_displacement", "largest displacement", "m"),
+        ("balance_force", "force left", ""),
+        ("min_jacobian", "smallest J", ""),
+    ]
+    columns = [
+        (title, unit, history[name])
+        for name, title, unit in wanted
+        if name in history and (name != "krylov" or _worth(history[name]))
+    ]
+    count = len(history["step"])
+    kept = list(range(count))
+    if count > _ROWS:
+        kept = [*kept[: _ROWS // 3], *kept[-(_ROWS - _ROWS // 3) :]]
+    rows = tuple(
+        tuple(quantity(float(values[k]), unit) for _, unit, values in columns) for k in kept
+    )
+    return Steps(tuple(title for title, _, _ in columns), rows, count - len(kept))
+
+
+# --- modes ---
+
+
+@dataclass(frozen=True)
+class ModeRow:
+    """A mode.
+
+    Attributes:
+        number: 1, 2, ...
+        kind: Of the mode, with the name of a rigid one.
+        value: Frequency, or load factor.
+        shares: Direction to share of the effective mass, for people.
+    """
+
+    number: int
+    kind: str
+    value: Value | None
+    shares: tuple[tuple[str, str], ...]
+
+
+def modes_of(run: FinishedRun) -> list[ModeRow]:
+    """The modes of a run."""
+    found, whole = [], run.summary.get("whole") or {}
+    for row in run.summary.get("modes") or []:
+        buckling = row.get("kind") == "buckling"
+        value = Value.of(
+            row.get("load_factor") if buckling else row.get("frequency"), "" if buckling else "Hz"
+        )
+        shares = [
+            (key, percent(float(row.get(f"effective_{key}") or 0.0) / whole[key]))
+            for key in whole
+            if whole[key] and math.isfinite(whole[key])
+        ]
+        name = f": {row['name']}" if row.get("name") else ""
+        found.append(
+            ModeRow(int(row.get("mode", 0)), f"{row.get('kind', '')}{name}", value, tuple(shares))
+        )
+    return found
+
+
+# --- audit ---
+
+
+@dataclass(frozen=True)
+class Checked:
+    """The audit in words.
+
+    Attributes:
+        verdict: For people.
+        kind: "good", "warn" or "bad".
+        lines: What was checked, with figures.
+        reasons: What speaks against the run.
+        notes: What cannot be judged.
+        error: Estimated error of the whole stress field; None: not estimated.
+    """
+
+    verdict: str
+    kind: str
+    lines: tuple[str, ...]
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+    error: Value | None
+
+
+_VERDICTS = {
+    "pass": (
+        "Passed: forces, moments and energy balance, and no element is turned inside out",
+        "good",
+    ),
+    "warn": ("Passed with doubts", "warn"),
+    "fail": ("Failed: not to be relied on", "bad"),
+}
+
+
+def audit_of(run: FinishedRun) -> Checked:
+    """What the run has checked of itself, and what it cannot."""
+    summary = run.summary
+    audit = summary.get("audit") or {}
+    verdict, kind = _VERDICTS.get(str(audit.get("verdict")), ("Nothing was audited", "warn"))
+    known = (summary.get("error") or {}).get("energy_norm")
+    error = Value(float(known), percent(known)) if isinstance(known, int | float) else None
+    return Checked(
+        verdict,
+        kind,
+        tuple(_audit_lines(audit, summary)),
+        tuple(str(text) for text in audit.get("reasons") or []),
+        (*(str(text) for text in audit.get("notes") or []), *_not_judged(run, error)),
+        error,
+    )
+
+
+def _audit_lines(audit: Table, summary: Table) -> Iterator[str]:
+    names_of = {"balance_force": "forces", "balance_moment": "moments"}
+    for key, what in names_of.items():
+        if isinstance(audit.get(key), int | float):
+            yield f"Of all {what} together {number(float(audit[key]), 2)} is left (0 is balance)."
+    work, stored = audit.get("external_work"), audit.get("stored_energy")
+    if isinstance(work, int | float) and isinstance(stored, int | float):
+        yield (
+            f"Work of loads and supports: {quantity(work, 'J')}; energy in the body: "
+            f"{quantity(stored, 'J')}."
+        )
+    for key, what in (("min_jacobian", "most compressed"), ("max_jacobian", "most expanded")):
+        row = audit.get(key)
+        if isinstance(row, Mapping) and isinstance(row.get("value"), int | float):
+            yield f"The {what} material has {number(float(row['value']))} of its volume."
+    limits = [x for x in summary.get("limit_points") or [] if isinstance(x, int | float)]
+    if limits:
+        yield f"Limit points were passed at the load factors {', '.join(map(number, limits))}."
+
+
+def _not_judged(run: FinishedRun, error: Value | None) -> Iterator[str]:
+    yield (
+        "No computation knows whether material constants, loads and supports are those of the real "
+        "body: that is for the reader to judge, from the sections below."
+    )
+    kind = analysis_of(run.case)
+    if kind in ("modal", "buckling"):
+        yield "The error by the size of the elements is not estimated for modes."
+    elif run.moving:
+        yield "The error by the size of the elements and of the time steps is not estimated."
+    elif error is None and run.summary.get("status") == "completed":
+        yield "The error by the size of the elements was not estimated."

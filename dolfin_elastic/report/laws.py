@@ -1,0 +1,143 @@
+"""Materials of a case: constants, stress-stretch curves, and where the law comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+
+from dolfin_elastic.case.material_report import law_table
+from dolfin_elastic.case.model_tables import read_material_tables
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.material_point.homogeneous_tests import ResponseCurve
+from dolfin_elastic.material_point.report import material_report
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.report.charts import Axis, Line, line_chart
+from dolfin_elastic.report.quantity import scaled_unit
+from dolfin_elastic.report.words import Table, names, value_text
+
+_DRAWN = 8
+"""Materials whose curves are computed: a second each."""
+_STRETCH = 2.0
+_STIFF = 1.02
+"""Largest stretch of the curves of a material that is stiffer than `_HARD`."""
+_HARD = 5e8
+"""Young's modulus [Pa] between soft and stiff materials: metals, wood and bone lie above it,
+rubbers and tissues below."""
+_UNITS = {"density": "kg/m^3", "nu": "", "expansion": "1/K", "viscosity": "Pa s", "allowable": "Pa"}
+
+
+@dataclass(frozen=True)
+class MaterialText:
+    """A material, for the page.
+
+    Attributes:
+        name: In the case.
+        law: Name of its law.
+        where: The parts that it fills.
+        constants: Name and value as they were given.
+        what: One sentence about the law.
+        formula: Its energy or stress.
+        source: Where it was published.
+        charts: Stress over stretch, and over shear.
+        notes: What its tests at a point have found, or why there are no curves.
+    """
+
+    name: str
+    law: str
+    where: str
+    constants: tuple[tuple[str, str], ...]
+    what: str
+    formula: str
+    source: str
+    charts: tuple[Markup, ...]
+    notes: tuple[str, ...]
+
+
+def materials_of(case: Table) -> list[MaterialText]:
+    """The materials of a case.
+
+    Args:
+        case: Its tables.
+    """
+    known = {str(row["law"]): row for row in law_table()}
+    tables = case.get("materials", {})
+    tables = tables if isinstance(tables, Mapping) else {}
+    found = []
+    for k, (name, given) in enumerate(tables.items()):
+        table = given if isinstance(given, Mapping) else {}
+        law = str(table.get("law", "energy" if "energy" in table else ""))
+        row = known.get(law, {})
+        charts, notes = _tested(name, table) if k < _DRAWN else ((), ())
+        found.append(
+            MaterialText(
+                name=str(name),
+                law=law,
+                where=names(table),
+                constants=tuple(_constants(table)),
+                what=str(row.get("what", "")),
+                formula=str(row.get("formula", "")),
+                source=str(row.get("source", "")),
+                charts=charts,
+                notes=notes,
+            )
+        )
+    return found
+
+
+def _constants(table: Table) -> list[tuple[str, str]]:
+    rows = ((str(key), value) for key, value in table.items() if key not in ("law", "on"))
+    # Moduli of most laws are stresses; of the others the unit is not known here, and left out.
+    stresses = {"E", "K", "lambda", "mu"}
+    return [
+        (key, value_text(value, "Pa" if key in stresses else _UNITS.get(key, "")))
+        for key, value in rows
+    ]
+
+
+def _tested(name: str, table: Table) -> tuple[tuple[Markup, ...], tuple[str, ...]]:
+    """Curves and notes of a material."""
+    try:
+        law = read_material_tables({name: dict(table)})[name].law
+        found = material_report(law, largest=_largest(law))
+    except InputError as error:
+        return (), (f"No curves: {error}",)
+    except (ArithmeticError, ValueError, KeyError, TypeError) as error:
+        return (), (f"No curves: the material cannot be tried at a point ({error})",)
+    failed = tuple(f"{row.check}: {row.text}" for row in found.failed)
+    if not found.curves:
+        return (), (*failed, *found.notes)
+    stretched = [c for c in found.curves.values() if c.mode.name in _MODES]
+    sheared = [c for c in found.curves.values() if c.mode.rest == 0]
+    charts = [_chart(part) for part in (stretched, sheared) if part]
+    return tuple(charts), (*failed, *([law.warning] if law.warning else []))
+
+
+_MODES = ("uniaxial", "equibiaxial", "planar")
+
+
+def _largest(law: Law) -> float:
+    """Largest stretch of its curves."""
+    from dolfin_elastic.problem.material_regions import young
+
+    try:
+        return _STIFF if young(law) > _HARD else _STRETCH
+    except (TypeError, ValueError, AttributeError):
+        return _STRETCH
+
+
+def _chart(curves: list[ResponseCurve]) -> Markup:
+    """Nominal stress of some tests."""
+    lines, most = [], 0.0
+    for curve in curves:
+        i, j = curve.mode.shown
+        most = max(most, float(np.nanmax(np.abs(curve.P[:, i, j]), initial=0.0)))
+    factor, unit = scaled_unit(most, "Pa")
+    for curve in curves:
+        i, j = curve.mode.shown
+        lines.append(Line(curve.mode.name, curve.values, curve.P[:, i, j] / factor))
+    across = "stretch" if curves[0].mode.rest else "amount of shear"
+    up = f"nominal stress [{unit}]"
+    return line_chart(lines, Axis(across), Axis(up), title=f"{up} over {across}")

@@ -1,0 +1,330 @@
+"""`write_report`: the page of a finished run."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dolfin_elastic.case.toml import toml_text
+from dolfin_elastic.core import __version__
+from dolfin_elastic.report import contents
+from dolfin_elastic.report.charts import Axis, histogram
+from dolfin_elastic.report.drawn import drawn_frames, mesh_quality, scene_of
+from dolfin_elastic.report.laws import materials_of
+from dolfin_elastic.report.page import render
+from dolfin_elastic.report.quantity import counted, listed, number, quantity, size, vector
+from dolfin_elastic.report.scene import Scene, packed
+from dolfin_elastic.report.still import colour_table, picture
+from dolfin_elastic.report.words import Table, analysis_of, what_was_computed
+from dolfin_elastic.results.files import replace_text
+from dolfin_elastic.results.finished.run import FinishedRun
+from dolfin_elastic.results.finished.xdmf import Frame
+
+log = logging.getLogger("dolfin_elastic")
+
+LARGEST = 10_000_000
+"""Bytes of a page: what goes through every mail server."""
+_PICTURES = 1_500_000
+"""Bytes of the run's own pictures in it."""
+_HASHED = 2_000_000_000
+"""Bytes of a file up to which it gets a checksum."""
+_CASE = 200_000
+"""Letters of the case that are shown."""
+_SUPPORTS = ("#1f6fb2", "#138a8a", "#5b5fc7", "#2a8f4f", "#6a7f95", "#7d4fb0")
+_LOADS = ("#d1341f", "#d9822b", "#b8327f", "#a5691c", "#e0503f", "#8f2d56")
+
+
+def write_report(folder: Path, output: Path) -> Path:
+    """Writes the page of a finished run. Not collective.
+
+    Args:
+        folder: Of the results; nothing in it is changed unless `output` lies there.
+        output: The HTML file.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: It is no folder of results, or a file in it cannot be read.
+        OutputError: The page cannot be written.
+    """
+    run = FinishedRun(folder)
+    text = render(report_contents(run))
+    replace_text(output, text)
+    return output
+
+
+def report_contents(run: FinishedRun) -> dict[str, object]:
+    """All that the template shows.
+
+    Args:
+        run: The run.
+
+    Raises:
+        InputError: A file of the results cannot be read.
+    """
+    frames = drawn_frames(run)
+    scene = scene_of(run, frames)
+    supports, loads = contents.supports_of(run), contents.loads_of(run)
+    palette = _palette(scene)
+    sides = _extent(run, scene)
+    status, kind = contents.status_of(run.summary)
+    dim = frames[-1][1].dim if frames else (contents.model(run).get("mesh") or {}).get("dim")
+    return {
+        "title": str(run.case.get("title") or run.folder.resolve().name),
+        "folder": run.folder.resolve().name,
+        "analysis": analysis_of(run.case),
+        "summary": run.summary,
+        "effort": _effort(run.summary),
+        "status": status,
+        "status_kind": kind,
+        "reason": str(run.summary.get("reason") or ""),
+        "diagnosis": contents.diagnosis_lines(run.summary),
+        "sentences": what_was_computed(run.case, run.summary, dim=dim) if run.case else [],
+        "key_figures": _key_figures(run, max(sides, default=1.0)),
+        "audit": contents.audit_of(run),
+        "audited": _audited(run.summary),
+        "extremes": contents.extremes_of(run.summary, max(sides, default=1.0)),
+        "supports": supports,
+        "loads": loads,
+        "balance": contents.balance_of(run),
+        "modes": contents.modes_of(run),
+        "charts": contents.history_charts(run),
+        "newton": contents.newton_chart(run),
+        "residuals": contents.residual_chart(run.summary),
+        "steps": contents.steps_of(run),
+        "materials": materials_of(run.case),
+        "mesh": _mesh(run, frames, sides),
+        "warnings": [str(text) for text in contents.model(run).get("warnings") or []],
+        **_pictures(scene, palette),
+        "own_pictures": list(_own_pictures(run.folder)),
+        "case_text": _case_text(run.case),
+        "checksums": list(_checksums(run.folder)),
+        "timings": _timings(run.summary),
+        "memory": quantity(float((run.summary.get("peak_memory") or {}).get("sum") or 0), "byte"),
+        "command": _command(run),
+        "version": __version__,
+    }
+
+
+def _audited(summary: Table) -> str:
+    """Words beside the title; empty where nothing was audited."""
+    verdict = (summary.get("audit") or {}).get("verdict")
+    if not verdict or not summary.get("steps"):
+        return ""
+    what = "Audit" if summary.get("status") == "completed" else "Audit of the steps so far"
+    return f"{what}: {verdict}"
+
+
+# --- pictures ---
+
+
+def _palette(scene: Scene | None) -> dict[str, str]:
+    """Support or load to its colour."""
+    found: dict[str, str] = {}
+    for marks in scene.marks if scene is not None else ():
+        colours = _LOADS if marks.load else _SUPPORTS
+        found[marks.name] = colours[int(marks.name.split()[-1]) % len(colours)]
+    return found
+
+
+def _pictures(scene: Scene | None, palette: Mapping[str, str]) -> dict[str, object]:
+    if scene is None:
+        return {"scene": None, "stills": [], "held": "", "palette": {}, "drawn": ""}
+    stills = [
+        (shown.title, picture(scene, shown, palette))
+        for shown in scene.fields
+        if shown.high > shown.low
+    ]
+    held = picture(scene, None, palette, marks=True) if scene.marks else ""
+    table = colour_table()
+    count, of = len(scene.triangles), scene.of
+    return {
+        "scene": packed(scene, table, palette),
+        "stills": stills[:3] or [("", picture(scene, None, palette))],
+        "held": held,
+        "palette": palette,
+        "drawn": f"drawn with {count} of {of} triangles of its surface" if count < of else "",
+        "still_label": scene.views[scene.last].label,
+        "still_scale": _scale_text(scene),
+    }
+
+
+def _scale_text(scene: Scene) -> str:
+    if scene.modes:
+        return "the size of a mode has no meaning"
+    return (
+        "deformation in true scale"
+        if scene.scale == 1
+        else f"deformation {number(scene.scale)} times"
+    )
+
+
+@dataclass(frozen=True)
+class OwnPicture:
+    """A picture that the run has made.
+
+    Attributes:
+        name: Of its file.
+        url: Its data.
+    """
+
+    name: str
+    url: str
+
+
+def _own_pictures(folder: Path) -> Iterator[OwnPicture]:
+    """PNG files of the folder that have room; of a series the last one."""
+    import base64
+
+    last: dict[str, Path] = {}
+    for path in sorted(folder.glob("*.png")):
+        stem = path.stem.rstrip("0123456789")
+        last[stem if stem.endswith("_") else path.stem] = path
+    room = _PICTURES
+    for path in last.values():
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            log.warning("%s is left out: %s", path, error)
+            continue
+        if data[:8] != b"\x89PNG\r\n\x1a\n" or len(data) > room:
+            continue
+        room -= len(data)
+        yield OwnPicture(
+            path.name, "data:image/png;base64," + base64.b64encode(data).decode("ascii")
+        )
+
+
+# --- numbers ---
+
+
+def _key_figures(run: FinishedRun, longest: float) -> list[tuple[str, contents.Value, str]]:
+    """What a reader looks for first: name, value, remark."""
+    found = []
+    summary = run.summary
+    rows = {row.name: row for row in contents.extremes_of(summary, longest)}
+    for name in ("largest displacement", "largest von Mises stress", "smallest safety factor"):
+        if (row := rows.get(name)) is not None:
+            other = rows.get(f"{name} elsewhere")
+            remark = row.trust
+            if row.remark and other is not None:
+                remark = f"unbounded there; elsewhere {other.value.text} {other.trust}"
+            found.append((name, row.value, remark))
+    for mode in contents.modes_of(run)[:3]:
+        if mode.value is not None:
+            what = "load factor of buckling" if "buckling" in mode.kind else "frequency"
+            found.append((f"{what} {mode.number}", mode.value, mode.kind))
+    if (
+        not found
+        and summary.get("steps")
+        and (value := contents.Value.of(summary.get("max_displacement"), "m"))
+    ):
+        found.append(("largest displacement", value, "of the last state"))
+    return found
+
+
+def _extent(run: FinishedRun, scene: Scene | None) -> list[float]:
+    """Sides of the body [m]."""
+    if scene is not None:
+        sides = np.ptp(scene.points, axis=0)
+        return [float(side) for side in (sides[:2] if scene.plane else sides)]
+    return [float(x) for x in (contents.model(run).get("mesh") or {}).get("extent") or []]
+
+
+def _mesh(
+    run: FinishedRun, frames: list[tuple[str, Frame]], sides: list[float]
+) -> dict[str, object]:
+    summary, noted = run.summary, contents.model(run).get("mesh") or {}
+    file = Path(str((run.case.get("mesh") or {}).get("file") or "")).name
+    found: dict[str, object] = {
+        "cells": summary.get("cells"),
+        "dofs": summary.get("dofs"),
+        "degree": summary.get("degree"),
+        "source": str(noted.get("source") or file),
+        "information": [str(text) for text in noted.get("information") or []],
+        "sides": vector(sides, "m") if sides else "",
+        "quality": None,
+    }
+    if not frames:
+        return found
+    quality, volumes = mesh_quality(run, frames)
+    counts, edges = np.histogram(quality, bins=20, range=(0.0, max(1.0, float(quality.max()))))
+    chart = histogram(
+        edges, counts, Axis("quality"), Axis("elements", whole=True), "Quality of elements"
+    )
+    plane = frames[-1][1].dim == 2
+    found["quality"] = {
+        "chart": chart,
+        "worst": contents.Value(float(quality.min()), number(float(quality.min()))),
+        "mean": contents.Value(float(quality.mean()), number(float(quality.mean()))),
+        "poor": counted(int(np.count_nonzero(quality < 0.05)), "element"),
+    }
+    found["volume"] = size(float(volumes.sum()), 2 if plane else 3)
+    return found
+
+
+def _timings(summary: Table) -> list[tuple[str, str]]:
+    rows = summary.get("timings") or {}
+    return [(str(k), f"{number(float(v), 3)} s") for k, v in rows.items() if v and v >= 0.005]
+
+
+def _effort(summary: Table) -> str:
+    """Steps and iterations in words."""
+    if summary.get("modes") and not summary.get("steps"):
+        return f"{counted(len(summary['modes']), 'mode')} of an eigenvalue problem."
+    counts = {
+        "step": summary.get("steps"),
+        "Newton iteration": summary.get("newton_iterations"),
+        "iteration of the linear solver": summary.get("krylov_iterations"),
+        "restart": len(summary.get("restarts") or []),
+    }
+    found = [counted(int(count), name) for name, count in counts.items() if count]
+    return f"{listed(found)}." if found else "No step was completed."
+
+
+# --- to repeat it ---
+
+
+def _case_text(case: Table) -> str:
+    if not case:
+        return ""
+    mesh = dict(case.get("mesh") or {})
+    if "file" in mesh:  # where it lay is nobody's business
+        mesh["file"] = Path(str(mesh["file"])).name
+    text = toml_text({**case, "mesh": mesh})
+    return text if len(text) <= _CASE else f"{text[:_CASE]}\n# ... {len(text) - _CASE} letters more"
+
+
+def _command(run: FinishedRun) -> str:
+    file = contents.model(run).get("file") or "case.toml"
+    ranks = run.summary.get("ranks") or 1
+    options = contents.model(run).get("petsc") or {}
+    text = f"dolfin-elastic run {shlex.quote(str(file))}"
+    if options:
+        given = (f"-{k}" if v in (None, "", True) else f"-{k} {v}" for k, v in options.items())
+        text += f" -- {' '.join(given)}"
+    return text if ranks == 1 else f"mpirun -n {ranks} {text}"
+
+
+def _checksums(folder: Path) -> Iterator[tuple[str, str, str]]:
+    """Name, size and SHA-256 of the files that the numbers come from."""
+    names = ["summary.json", "history.csv", "modes.csv", "results.xdmf"]
+    paths = [folder / name for name in names]
+    paths += sorted((folder / "results_data").glob("*.h5"))[-1:]
+    paths += sorted((folder / "modes_data").glob("*.h5"))[:1]
+    for path in paths:
+        if not path.is_file() or path.stat().st_size > _HASHED:
+            continue
+        digest = hashlib.sha256()
+        with path.open("rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+        length = quantity(float(path.stat().st_size), "byte")
+        yield str(path.relative_to(folder)), length, digest.hexdigest()

@@ -1,0 +1,330 @@
+"""The surface of a body, its deformed states and what acts on it, to be drawn.
+
+`Scene` is plain numbers; `still.py` makes pictures of it, and `packed` the data of the viewer.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
+from dolfin_elastic.report.quantity import scaled_unit
+
+if TYPE_CHECKING:
+    import pyvista
+
+MOST_TRIANGLES = 120_000
+"""Of the viewer; larger surfaces are drawn with fewer."""
+_ROOM = 2_500_000
+"""Bytes for the displacements and values of all frames."""
+MOST_FRAMES = 24
+_SHARP = 30.0
+"""Angle [degrees] between facets from which on the edge between them is drawn."""
+_VISIBLE = 0.08
+"""Largest displacement, over the body's size, to which small ones are scaled up."""
+_NOT_SMALL = 0.04
+"""The same from which on they are shown as they are."""
+FIELDS = {
+    "von_mises": ("von Mises stress", "Pa"),
+    "displacement": ("displacement", "m"),
+    "contact_pressure": ("contact pressure", "Pa"),
+    "safety_factor": ("safety factor", ""),
+}
+"""Fields that are drawn where a run has written them: title and SI unit."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A field as it is drawn.
+
+    Attributes:
+        name: Of the field.
+        title: For people.
+        low: Value of the first colour, SI units.
+        high: Of the last one.
+        factor: What to divide by for `unit`.
+        unit: For people.
+    """
+
+    name: str
+    title: str
+    low: float
+    high: float
+    factor: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class View:
+    """A deformed state, or a mode.
+
+    Attributes:
+        label: Its load, time or frequency.
+        u: Displacements of the nodes [m], shape (n, 3).
+        values: Field's name to its values at the nodes, shape (n,).
+    """
+
+    label: str
+    u: FloatArray
+    values: Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Arrows of a support or load.
+
+    Attributes:
+        name: The parts it acts on.
+        load: Of a load; otherwise of a support.
+        nodes: Of the scene where they stand; -1: in the middle of the body.
+        along: Directions, shape (n, 3).
+        tails: Those that begin at the node; the others end there.
+    """
+
+    name: str
+    load: bool
+    nodes: IntArray
+    along: FloatArray
+    tails: tuple[bool, ...]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is drawn.
+
+    Attributes:
+        points: Nodes [m], undeformed, shape (n, 3).
+        triangles: Shape (m, 3).
+        edges: Sharp edges and boundaries, shape (k, 2).
+        views: At least one.
+        plane: The body is plane.
+        modes: The views are modes, whose size means nothing.
+        of: Triangles of the surface before it was thinned out.
+        marks: Supports and loads.
+    """
+
+    points: FloatArray
+    triangles: IntArray
+    edges: IntArray
+    views: tuple[View, ...]
+    plane: bool = False
+    modes: bool = False
+    of: int = 0
+    marks: tuple[Marks, ...] = ()
+    fields: tuple[Shown, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        names = [name for name in FIELDS if all(_finite(view, name) for view in self.views)]
+        shown = tuple(_shown(name, self.views, modes=self.modes) for name in names)
+        object.__setattr__(self, "fields", shown)  # the only way to complete a frozen object
+
+    @property
+    def size(self) -> float:
+        """Longest side of the body [m]."""
+        return float(np.ptp(self.points, axis=0).max()) or 1.0
+
+    @property
+    def last(self) -> int:
+        """Index of the view that is shown first: the last state, the first mode."""
+        return 0 if self.modes else len(self.views) - 1
+
+    @property
+    def scale(self) -> float:
+        """Factor on the displacements at which they are seen."""
+        most = max(float(np.abs(view.u).max(initial=0.0)) for view in self.views)
+        if most == 0 or (most >= _NOT_SMALL * self.size and not self.modes):
+            return 1.0
+        wanted = _VISIBLE * self.size / most
+        if wanted <= 1 and not self.modes:
+            return 1.0
+        power = 10.0 ** np.floor(np.log10(wanted))
+        return float(max(k * power for k in (1, 2, 5) if k * power <= wanted))
+
+
+def _finite(view: View, name: str) -> bool:
+    """Whether a view has a field, with a number at some node."""
+    return name in view.values and bool(np.isfinite(view.values[name]).any())
+
+
+def _shown(name: str, views: Sequence[View], *, modes: bool) -> Shown:
+    title, unit = FIELDS[name]
+    every = [view.values[name] for view in views]
+    low = min(float(v[np.isfinite(v)].min()) for v in every)
+    high = max(float(v[np.isfinite(v)].max()) for v in every)
+    low = min(low, 0.0) if name != "safety_factor" else 0.0
+    high = 5.0 if name == "safety_factor" else high
+    factor, shown = (high or 1.0, "of the largest") if modes else scaled_unit(high, unit)
+    return Shown(name, title, low, high, factor, shown)
+
+
+# --- from grids ---
+
+
+def surface_of(grid: pyvista.UnstructuredGrid) -> tuple[IntArray, IntArray, IntArray, int]:
+    """The surface of a grid as triangles between its nodes.
+
+    Quadratic cells give four triangles a face, so that they are drawn curved.
+
+    Args:
+        grid: Tetrahedra or triangles.
+
+    Returns:
+        Nodes of the grid that are used, triangles and edges between these, and the number of
+        triangles before they were made fewer.
+    """
+    import pyvista as pv
+
+    grid = grid.copy(deep=False)
+    grid.clear_data()
+    grid.point_data["node"] = np.arange(grid.n_points)
+    triangles = _boundary_triangles(grid)
+    faces = np.insert(triangles, 0, 3, axis=1)
+    surface = pv.PolyData(np.asarray(grid.points), faces.ravel())
+    surface.point_data["node"] = np.arange(grid.n_points)
+    surface = surface.clean(tolerance=0.0, point_merging=False)
+    before = surface.n_cells
+    if before > MOST_TRIANGLES:
+        surface = surface.decimate_pro(1 - MOST_TRIANGLES / before, preserve_topology=True)
+    lines = surface.extract_feature_edges(
+        _SHARP, boundary_edges=True, non_manifold_edges=False, manifold_edges=False
+    )
+    nodes = np.asarray(surface.point_data["node"], dtype=np.int64)
+    where = np.full(grid.n_points, -1, dtype=np.int64)
+    where[nodes] = np.arange(len(nodes))
+    ends = np.asarray(lines.lines, dtype=np.int64).reshape(-1, 3)[:, 1:]
+    edges = where[np.asarray(lines.point_data["node"], dtype=np.int64)[ends]] if len(ends) else ends
+    found = np.asarray(surface.regular_faces, dtype=np.int64)
+    return nodes, found, edges, before
+
+
+_FACES = {
+    5: [[0, 1, 2]],
+    10: [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]],
+    22: [[0, 1, 2, 3, 4, 5]],
+    24: [[0, 2, 1, 6, 5, 4], [0, 1, 3, 4, 8, 7], [1, 2, 3, 5, 9, 8], [0, 3, 2, 7, 9, 6]],
+}
+"""VTK's number of a cell to its faces: three corners, then the nodes between them."""
+_QUARTERS = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
+
+
+def _boundary_triangles(grid: pyvista.UnstructuredGrid) -> IntArray:
+    """Faces that belong to one cell, as triangles between nodes of the grid."""
+    (kind,) = {int(number) for number in np.unique(grid.celltypes)}
+    cells = np.asarray(grid.cells_dict[kind], dtype=np.int64)
+    faces = np.concatenate([cells[:, face] for face in _FACES[kind]])
+    if kind in (10, 24):
+        # Cells may run either way round: the faces are turned so that they look outwards.
+        edges = np.asarray(grid.points)[cells[:, 1:4]] - np.asarray(grid.points)[cells[:, :1]]
+        turned = np.tile(np.linalg.det(edges) < 0, len(_FACES[kind]))
+        order = [0, 2, 1] if kind == 10 else [0, 2, 1, 5, 4, 3]
+        faces[turned] = faces[turned][:, order]
+        corners = np.sort(faces[:, :3], axis=1)
+        _, first, count = np.unique(corners, axis=0, return_index=True, return_counts=True)
+        faces = faces[np.sort(first[count == 1])]
+    if faces.shape[1] == 3:
+        return np.asarray(faces)
+    return np.concatenate([faces[:, quarter] for quarter in _QUARTERS])
+
+
+def node_values(grid: pyvista.UnstructuredGrid) -> dict[str, FloatArray]:
+    """Field's name to its values at the nodes; of vectors their length.
+
+    Values of cells are averaged at the nodes.  The tensor of stress gives nothing.
+    """
+    found: dict[str, FloatArray] = {}
+    cells = [name for name in FIELDS if name in grid.cell_data]
+    averaged = grid.cell_data_to_point_data() if cells else grid
+    for name in FIELDS:
+        data = averaged.point_data if name in cells else grid.point_data
+        if name in data:
+            values = np.asarray(data[name], dtype=np.float64)
+            found[name] = np.linalg.norm(values, axis=1) if values.ndim == 2 else values
+    return found
+
+
+def chosen_frames(count: int, nodes: int) -> list[int]:
+    """Indices of the frames that have room, spread evenly, with the last one.
+
+    Args:
+        count: Of all frames.
+        nodes: Of the surface.
+    """
+    most = max(1, min(MOST_FRAMES, _ROOM // max(10 * nodes, 1)))
+    if count <= most:
+        return list(range(count))
+    if most == 1:
+        return [count - 1]
+    return sorted({round(k) for k in np.linspace(0, count - 1, most)})
+
+
+# --- for the viewer ---
+
+
+def packed(scene: Scene, colours: AnyArray, palette: Mapping[str, str]) -> dict[str, object]:
+    """JSON data of the viewer: numbers of 16 bit between the ends of their ranges.
+
+    Args:
+        scene: What is drawn.
+        colours: Shape (256, 4), uint8.
+        palette: Name of each support and load to its colour.
+    """
+    low, span = scene.points.min(axis=0), np.ptp(scene.points, axis=0)
+    room = np.where(span > 0, span, 1.0)
+    lengths = np.linalg.norm(scene.views[scene.last].u, axis=1)
+    return {
+        "count": len(scene.points),
+        "size": scene.size,
+        "low": low.tolist(),
+        "span": span.tolist(),
+        "middle": (low + span / 2).tolist(),
+        "plane": scene.plane,
+        "modes": scene.modes,
+        "scale": scene.scale,
+        "longest": float(lengths.max(initial=0.0)) / scene.size,
+        "points": _text(np.rint((scene.points - low) / room * 65535).astype("<u2")),
+        "triangles": _text(scene.triangles.astype("<u4")),
+        "edges": _text(scene.edges.astype("<u4")),
+        "colours": _text(colours),
+        "fields": [
+            {key: getattr(shown, key) for key in ("name", "title", "low", "high", "factor", "unit")}
+            for shown in scene.fields
+        ],
+        "frames": [_frame(view, scene.fields) for view in scene.views],
+        "glyphs": [_glyph(marks, palette[marks.name]) for marks in scene.marks],
+    }
+
+
+def _frame(view: View, fields: Sequence[Shown]) -> dict[str, object]:
+    largest = float(np.abs(view.u).max(initial=0.0)) or 1.0
+    return {
+        "label": view.label,
+        "largest": largest,
+        "u": _text(np.rint(view.u / largest * 32767).astype("<i2")),
+        "values": {shown.name: _text(_shares(view.values[shown.name], shown)) for shown in fields},
+    }
+
+
+def _shares(values: FloatArray, shown: Shown) -> AnyArray:
+    room = (shown.high - shown.low) or 1.0
+    shares = np.nan_to_num(np.clip((values - shown.low) / room, 0.0, 1.0))
+    return np.asarray(np.rint(65535 * shares).astype("<u2"))
+
+
+def _glyph(marks: Marks, colour: str) -> dict[str, object]:
+    return {
+        "load": marks.load,
+        "colour": colour,
+        "at": marks.nodes.tolist(),
+        "along": np.round(marks.along, 5).ravel().tolist(),
+        "tail": list(marks.tails),
+        "grow": 2.2 if (marks.nodes < 0).any() else 1,
+    }
+
+
+def _text(array: AnyArray) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")

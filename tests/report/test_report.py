@@ -1,0 +1,336 @@
+"""Pages of runs of every kind: what they hold, that it is what the summary says, and that they run
+nothing of a stranger's.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+import re
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dolfin_elastic import Case, run
+from dolfin_elastic.cli.report import _write
+from dolfin_elastic.core.errors import InputError, OutputError, SolveError
+from dolfin_elastic.report import pdf
+from dolfin_elastic.report.charts import Axis, Line, line_chart
+from dolfin_elastic.report.page import json_text
+from dolfin_elastic.report.report import LARGEST, write_report
+from dolfin_elastic.report.scene import MOST_TRIANGLES, Scene, View, chosen_frames, packed
+from dolfin_elastic.report.words import load_words, support_words
+from dolfin_elastic.results.finished.run import FinishedRun
+
+EVIL = "</script><script>alert(1)</script><img src=x onerror='alert(2)'>&amp;\"`"
+BOX = {"box": {"size": [4, 1, 1], "cells": [4, 1, 1]}}
+STEEL = {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3, "density": 1000}
+HELD = [{"on": "left"}]
+DOWN = [{"kind": "traction", "on": "right", "value": [0, 0, "-100 Pa"]}]
+CASES: dict[str, dict[str, Any]] = {
+    "statics": {"statics": {"steps": 3}, "load": DOWN},
+    "dynamics": {"dynamics": {"end": "0.2 s", "dt": "0.05 s"}, "load": DOWN},
+    "modal": {"modal": {"count": 2}},
+    "buckling": {
+        "buckling": {"count": 1},
+        "load": [{"kind": "traction", "on": "right", "force": [-1, 0, 0]}],
+    },
+    "plane": {
+        "title": EVIL,
+        "mesh": {"rectangle": {"size": [4, 1], "cells": [4, 1]}},
+        "materials": {EVIL: STEEL},
+        "support": [{"on": "left", "name": EVIL}],
+        "load": [{"kind": "pressure", "on": "right", "value": "2 kPa"}],
+        "statics": {"steps": 3},
+        "output": {"probes": {"x<script>": [4, 0.5]}},
+    },
+    "failed": {
+        "materials": {"block": {**STEEL, "law": "st-venant-kirchhoff"}},
+        "load": [{"kind": "pressure", "on": "right", "value": "5 MPa"}],
+        "statics": {"steps": 4, "min_step": 0.1},
+    },
+}
+SECTIONS = [
+    "What was computed",
+    "Pictures",
+    "Supports and loads",
+    "Results",
+    "Audit",
+    "Steps and convergence",
+    "Body and mesh",
+    "Materials",
+    "The case",
+    "To repeat it",
+]
+VOID = {"meta", "img", "input", "br"}
+
+
+class Page(HTMLParser):
+    """A page that is read as browsers do: elements must be closed in order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.heads: list[str] = []
+        self.values: list[float] = []
+        self.text = ""
+        self.inside: dict[str, list[str]] = {"script": [], "style": []}
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        self.tags.append((tag, found))
+        if tag == "data":
+            self.values.append(float(str(found["value"])))
+        if tag in self.inside:
+            self.inside[tag].append("")
+        if tag == "h2":
+            self.heads.append("")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))  # of SVG
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] in self.inside:
+            self.inside[self.open[-1]][-1] += data
+            return
+        self.text += data
+        if "h2" in self.open:
+            self.heads[-1] += data
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [found for name, found in self.tags if name == tag]
+
+
+@pytest.fixture(scope="session")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Kind to the folder of its run, which is computed when it is first asked for."""
+
+    @cache
+    def finished(kind: str) -> Path:
+        folder = tmp_path_factory.mktemp(kind) / "results"
+        tables = {"title": kind, "mesh": BOX, "materials": {"block": STEEL}, "support": HELD}
+        case = Case(**{**tables, **CASES[kind]})
+        try:
+            for _ in run(case, output=folder):
+                pass
+        except SolveError:
+            assert kind == "failed"
+        return folder
+
+    return finished
+
+
+def page_of(folder: Path, output: Path) -> tuple[Page, dict[str, Any]]:
+    write_report(folder, output)
+    text = output.read_text(encoding="utf-8")
+    assert len(text.encode()) < LARGEST / 4
+    return Page(text), json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("kind", ["statics", "failed", "plane", "dynamics", "modal", "buckling"])
+def test_page(folders: Any, kind: str, tmp_path: Path) -> None:
+    """All sections, the numbers of the summary, and nothing that runs but the page's own."""
+    page, summary = page_of(folders(kind), tmp_path / "page.html")
+    heads = [head for head in page.heads if head != "History"]
+    assert heads == SECTIONS
+    assert ("History" in page.heads) == (kind in ("statics", "plane", "dynamics"))
+    expected = [row["value"] for row in summary["extremes"].values() if summary["steps"]]
+    expected += [
+        row[k] for row in summary.get("modes", []) for k in ("frequency", "load_factor") if k in row
+    ]
+    error = summary.get("error") or {}
+    expected += [row["value"] for row in (error.get("elsewhere"),) if row and summary["steps"]]
+    assert expected or kind == "failed"
+    missing = [value for value in expected if value not in page.values]
+    assert missing == []
+    check_policy(page)
+    check_words(page, summary, kind)
+
+
+def check_words(page: Page, summary: dict[str, Any], kind: str) -> None:
+    state = {"failed": "Failed: no solution was found"}.get(kind, "Completed")
+    assert state in page.text
+    if kind == "failed":
+        assert summary["status"] == "failed"
+        assert summary["reason"] in page.text
+        assert "the state that failed" in page.text
+    if kind == "statics":
+        assert "‘left’ (fixed: no displacement)" in page.text
+        assert "(0, 0, −100) N" in page.text  # 100 Pa on an area of 1 m^2
+        assert "(0, 0, 100) N" in page.text  # the reaction
+        assert "area 1 m²" in page.text
+        assert "volume4 m³" in "".join(page.text.split("\n"))
+        assert "dolfin-elastic run case.toml" in page.text
+    if kind == "buckling":
+        assert "factors on all loads at which it buckles" in page.text
+
+
+def check_policy(page: Page) -> None:
+    """The hashes are those of the content, and there is nothing else to run or load."""
+    (policy,) = [
+        str(row["content"])
+        for row in page.all("meta")
+        if row.get("http-equiv") == "Content-Security-Policy"
+    ]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    data, script = page.inside["script"]
+    json.loads(data)
+    for text in (script, *page.inside["style"]):
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"'sha256-{digest}'" in policy
+    assert [row.get("type") for row in page.all("script")] == ["application/json", None]
+    for tag, row in page.tags:
+        assert not [key for key in row if key.startswith("on") or key in ("style", "srcdoc")], tag
+        assert tag not in ("iframe", "object", "embed", "link", "base", "form")
+        for key in ("src", "href", "xlink:href"):
+            assert str(row.get(key, "#")).startswith(("#", "data:image/png;base64,")), (tag, row)
+
+
+@pytest.mark.long
+def test_strangers_names_are_text(folders: Any, tmp_path: Path) -> None:
+    """Names of the case with scripts in them are shown as they are; no element comes of them."""
+    page, _ = page_of(folders("plane"), tmp_path / "page.html")
+    assert page.text.count(EVIL) >= 4  # title, sentence, support, material, case
+    assert "x<script>" in page.text
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "<script>alert" not in text
+    assert "<img src=x" not in text
+
+
+@pytest.mark.long
+def test_strangers_summary(folders: Any, tmp_path: Path) -> None:
+    """What a run would never write into its summary is text, too, or is refused in one message."""
+    folder = folders("statics")
+    known = (folder / "summary.json").read_text(encoding="utf-8")
+    found = json.loads(known)
+    found["reason"] = found["status"] = EVIL
+    found["versions"] = {EVIL: EVIL}
+    found["audit"] |= {"reasons": [EVIL], "notes": [EVIL], "verdict": EVIL}
+    found["extremes"]["von_mises"]["part"] = EVIL
+    found["model"] |= {"warnings": [EVIL], "file": EVIL}
+    try:
+        (folder / "summary.json").write_text(json.dumps(found), encoding="utf-8")
+        write_report(folder, tmp_path / "page.html")
+    finally:
+        (folder / "summary.json").write_text(known, encoding="utf-8")
+    page = Page((tmp_path / "page.html").read_text(encoding="utf-8"))
+    check_policy(page)
+    assert page.text.count(EVIL) >= 7
+
+
+def test_no_results(tmp_path: Path) -> None:
+    """A folder that is none is refused before anything is written."""
+    with pytest.raises(InputError, match=r"summary\.json"):
+        write_report(tmp_path, tmp_path / "page.html")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_chromium(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The page stays, and the message says what to do."""
+    page = tmp_path / "page.html"
+    page.write_text("<p>")
+    monkeypatch.setattr(pdf, "BROWSERS", ("no-such-browser",))
+    with pytest.raises(OutputError, match="there is no Chromium here"):
+        _write(page, pdf=True)
+    assert "page.html written" in capsys.readouterr().out
+
+
+@pytest.mark.long
+def test_large_surface() -> None:
+    """The data of the largest surface with the most steps leave room for the rest of a page."""
+    count = MOST_TRIANGLES // 2
+    points = np.random.default_rng(0).random((count, 3))
+    triangles = np.arange(3 * MOST_TRIANGLES).reshape(-1, 3) % count
+    kept = chosen_frames(500, count)
+    assert kept[-1] == 499
+    values = {"von_mises": points[:, 0] * 1e6, "displacement": points[:, 1]}
+    views = tuple(View(f"{k}", points * 0.1, values) for k in kept)
+    scene = Scene(points, triangles, triangles[:, :2], views)
+    text = json_text(packed(scene, np.zeros((256, 4), np.uint8), {}))
+    assert len(text) < 0.75 * LARGEST
+
+
+def test_scene_keeps_its_numbers() -> None:
+    """What the viewer unpacks is within 16 bits of what was packed; small motion is scaled up."""
+    points = np.array([[0.0, 0, 0], [2, 0, 0], [0, 1, 0]])
+    u = np.array([[0.0, 0, 0], [0, 0, 1e-4], [0, 0, -3e-5]])
+    view = View("1", u, {"von_mises": np.array([1e6, 3e6, np.nan])})
+    scene = Scene(points, np.array([[0, 1, 2]]), np.array([[0, 1]]), (view,))
+    assert scene.scale == 1000  # 0.1 of 2
+    found = packed(scene, np.zeros((256, 4), np.uint8), {})
+    (frame,) = found["frames"]  # type: ignore[misc]
+    back = np.frombuffer(base64.b64decode(frame["u"]), "<i2").reshape(-1, 3) / 32767 * 1e-4
+    assert back == pytest.approx(u, abs=1e-4 / 32767)
+    (shown,) = scene.fields
+    assert (shown.low, shown.high, shown.unit) == (0.0, 3e6, "MPa")
+    shares = np.frombuffer(base64.b64decode(frame["values"]["von_mises"]), "<u2") / 65535
+    assert shares == pytest.approx([1 / 3, 1, 0], abs=1e-4)
+
+
+def test_words() -> None:
+    """Supports and loads as an engineer would say them, with the units that were written."""
+    assert support_words({"on": "a"}) == "fixed: no displacement"
+    assert support_words({"on": "a", "displacement": [0, "free", "2 mm"]}) == (
+        "moved along z by 2 mm; no displacement along x; free along y"
+    )
+    assert support_words({"on": "a", "kind": "spring", "stiffness": [0, 0, 5]}) == (
+        "on springs: stiffness (0, 0, 5) N/m^3"
+    )
+    assert load_words({"on": "a", "force": [0, 0, "-2 kN"]}) == (
+        "total force of (0, 0, −2 kN), spread over the surface"
+    )
+    assert load_words({"on": "a", "kind": "pressure", "value": 2e5, "curve": "ramp"}) == (
+        "pressure of 200 kPa, which follows the deformed surface; curve ramp"
+    )
+
+
+def test_chart_keeps_extremes() -> None:
+    """A long curve is thinned out, but its only peak is still there."""
+    y = np.zeros(100_000)
+    y[54_321] = 7.0
+    text = line_chart([Line("<b>", np.arange(100_000.0), y)], Axis("t"), Axis("u"), title="<i>")
+    assert len(text) < 20_000
+    assert "<b>" not in text
+    assert "<i>" not in text
+    (path,) = re.findall(r'class="line line-0" d="(M[^"]*L[^"]*)"', text)
+    heights = [float(point.split(" ")[1]) for point in path[1:].split("L")]
+    # 7 between the ticks 0 at 232 and 8 at 34, above which the legend stands
+    assert math.isclose(min(heights), 232 - (232 - 34) * 7 / 8, abs_tol=0.06)
+    assert heights.count(min(heights)) == 1
+
+
+@pytest.mark.long
+def test_older_run(folders: Any, tmp_path: Path) -> None:
+    """A folder without what runs note today gives a page that leaves it out."""
+    folder = folders("statics")
+    known = (folder / "summary.json").read_text(encoding="utf-8")
+    found = json.loads(known)
+    for key in ("case", "model", "convergence"):
+        del found[key]
+    try:
+        (folder / "summary.json").write_text(json.dumps(found), encoding="utf-8")
+        write_report(folder, tmp_path / "page.html")
+    finally:
+        (folder / "summary.json").write_text(known, encoding="utf-8")
+    page = Page((tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert [head for head in page.heads if head != "History"] == SECTIONS
+    assert FinishedRun(folder).summary["model"]["parts"]["left"]["area"] == pytest.approx(1.0)
