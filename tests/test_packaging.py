@@ -20,6 +20,7 @@ BROUGHT = {
     "annotated_types": "pydantic",
     "pydantic_core": "pydantic",
     "click": "typer",
+    "markupsafe": "jinja2",
     "vtkmodules": "pyvista",
 }
 """Modules that come with another package and are of its version."""
