@@ -46,7 +46,7 @@ def verify(
     """Compute cases with known results on this installation, and compare.
 
     \b
-      dolfin-elastic verify                               a minute or two the first time
+      dolfin-elastic verify                               longer the first time: it compiles
       dolfin-elastic verify --full --ranks 1,2
       mpirun -n 4 dolfin-elastic verify                   on these ranks
       dolfin-elastic verify --case my.toml --ranks 1,2,4  is my case the same on all of them?
