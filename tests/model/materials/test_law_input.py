@@ -11,9 +11,15 @@ from conftest import ROOT
 from dolfinx import fem
 from helpers.law_at_points import Point
 from helpers.laws import make, random_F
+from ufl.algorithms import expand_derivatives
 
 from dolfin_elastic import Problem, box_body
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.material_point.ufl_to_numpy import (
+    LawAtPoints,
+    NumpyProgram,
+    gradient_symbol,
+)
 from dolfin_elastic.model.materials import pages
 from dolfin_elastic.model.materials.fibres import direction, frame
 from dolfin_elastic.model.materials.law import SplitLaw
@@ -77,6 +83,18 @@ def test_shape_does_not_know_the_volume_modulus(name: str) -> None:
     F = ufl.as_matrix(random_F(0).tolist())
     for part in (law.shape_energy(F), law.shape_stress(F), law.volume_strain(F)):
         assert not np.isnan([float(x) for x in ufl_numbers(part)]).any()
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_stress_is_that_of_shape_and_of_volume(name: str) -> None:
+    """Also where a law writes the whole of it anew, and mixed forms take the parts."""
+    law = make(name)
+    if not isinstance(law, SplitLaw):
+        return
+    at, F = LawAtPoints(law), gradient_symbol()
+    whole = at.stress(random_F(0)[None])
+    parts = NumpyProgram(expand_derivatives(SplitLaw.stress(law, F)), F)(random_F(0)[None])
+    np.testing.assert_allclose(parts, whole, rtol=0, atol=1e-12 * np.abs(whole).max())
 
 
 def ufl_numbers(expression: Any) -> list[Any]:
