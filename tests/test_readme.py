@@ -112,6 +112,16 @@ def test_selectors() -> None:
     assert all(read(value) for table in parts.values() for value in table.values())
 
 
+def test_faces_and_smaller_elements() -> None:
+    """So are those of names of CAD faces, and of sizes in places."""
+    (text,) = blocks("toml-faces")
+    surfaces = {n: Selector(**keys) for n, keys in tomllib.loads(text)["surfaces"].items()}
+    assert all(selector.by_face for selector in surfaces.values())
+    (text,) = blocks("toml-refine")
+    mesh = tables.MeshTable(**tomllib.loads(text)["mesh"])
+    assert isinstance(mesh.refine, list) and len(mesh.refine) == 2
+
+
 def test_selectors_of_edges_and_points() -> None:
     """So are those of edges and points."""
     (text,) = blocks("toml-edges")

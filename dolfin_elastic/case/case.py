@@ -109,9 +109,11 @@ class Case(AnalysisTables):
         """The mesh with all its names. Collective."""
         key = next(k for k in ("file", "box", "rectangle") if getattr(self.mesh, k) is not None)
         with locate_errors(self.file, f"mesh.{key}", exact=False):
-            body = self.mesh.body(self.folder, comm, curved=self.curved, trust=self._trusted)
+            body = self.mesh.body(
+                self.folder, comm, curved=self.curved, surfaces=self.surfaces, trust=self._trusted
+            )
         with locate_errors(self.file):
-            return name_parts(
+            named = name_parts(
                 body,
                 surfaces=self.surfaces,
                 regions=self.regions,
@@ -119,6 +121,7 @@ class Case(AnalysisTables):
                 points=self.points,
                 scale=body.unit.metres,
             )
+            return self.mesh.refined(named)
 
     def make_problem(self, body: Body) -> Problem:
         """The boundary value problem. Collective.
@@ -205,6 +208,8 @@ def locate_errors(file: str, key: str = "", *, exact: bool = True) -> Iterator[N
             raise
         if exact or error.where in ("size", "cells", "origin"):
             where = [file, within(key, error).where]
+        elif error.where.startswith("mesh.refine"):
+            where = [file, error.where]
         else:
             where = [file, key, error.where]
         raise type(error)(

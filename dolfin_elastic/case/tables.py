@@ -5,7 +5,7 @@ An error names the key inside its table; the caller that reads the table puts it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -32,8 +32,9 @@ from dolfin_elastic.mesh import (
     read_body,
     rectangle_body,
 )
+from dolfin_elastic.mesh.local_size import CadSizes, LocalSize
 from dolfin_elastic.mesh.read import is_cad
-from dolfin_elastic.mesh.selectors import MeshLength, Place, metres
+from dolfin_elastic.mesh.selectors import MeshLength, Place, Selector, metres
 from dolfin_elastic.model.dimension import Geometry
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
@@ -99,6 +100,7 @@ class MeshTable(Record):
         box: A box made on the spot.
         rectangle: A rectangle made on the spot.
         size: Size of the elements, for CAD files only.
+        refine: How often every edge is halved, or places where the elements are smaller.
         time_limit: Time that Gmsh may take for a file.
         join: Whether bodies of a STEP, IGES or BREP file that touch are joined; True by default.
         curved: Whether a CAD file's cells are quadratic and follow curved surfaces; None: as
@@ -118,6 +120,7 @@ class MeshTable(Record):
     box: Box | None = None
     rectangle: Rectangle | None = None
     size: MeshLength | None = None
+    refine: Annotated[int, Field(ge=0, le=10)] | list[LocalSize] | None = None
     time_limit: Time = Field(default=600.0, gt=0)
     curved: bool | None = None
     join: bool | None = None
@@ -172,14 +175,21 @@ class MeshTable(Record):
         return 1.0 if self.thickness is None else metres(self.thickness, body.unit.metres)
 
     def body(
-        self, folder: Path, comm: MPI.Comm, *, curved: bool | None, trust: bool = False
+        self,
+        folder: Path,
+        comm: MPI.Comm,
+        *,
+        curved: bool | None,
+        surfaces: Mapping[str, Sequence[Selector]] | None = None,
+        trust: bool = False,
     ) -> Body:
-        """Reads or generates the mesh. Collective.
+        """Reads or generates the mesh; `refined` remains to be called. Collective.
 
         Args:
             folder: Folder that `file` is relative to.
             comm: The ranks that share the mesh.
             curved: Of CAD files, see `read_body`; of a finished mesh the key itself counts.
+            surfaces: Name to selectors, for the places in `refine` of a CAD file.
             trust: A script may do all that its user may, see `read_body`.
 
         Raises:
@@ -196,6 +206,7 @@ class MeshTable(Record):
                 join=self.join,
                 trust=trust,
                 time_limit=self.time_limit,
+                local=CadSizes(self._places if is_cad(self.file) else (), surfaces),
             )
         made = self.box or self.rectangle
         assert made is not None
@@ -211,6 +222,29 @@ class MeshTable(Record):
             comm=comm,
             scale=scale,
         )
+
+    @property
+    def _places(self) -> Sequence[LocalSize]:
+        """Where the elements are smaller."""
+        return self.refine if isinstance(self.refine, list) else ()
+
+    def refined(self, body: Body) -> Body:
+        """The mesh with its names, refined where Gmsh has not done so. Collective.
+
+        Args:
+            body: From `body`, with all names.
+
+        Raises:
+            MeshError: A place does not exist, or there would be too many cells.
+        """
+        if not self.refine:
+            return body
+        from dolfin_elastic.mesh.refine.local import refined_locally, refined_uniformly
+
+        if isinstance(self.refine, int):
+            return refined_uniformly(body, self.refine)
+        done = self.file is not None and is_cad(self.file)
+        return body if done else refined_locally(body, self.refine)
 
 
 class Material(Record):

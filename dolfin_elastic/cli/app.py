@@ -19,6 +19,7 @@ import typer
 from click.exceptions import ClickException
 
 from dolfin_elastic.cli.converge import converge
+from dolfin_elastic.cli.look.command import look
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import guard_output
 from dolfin_elastic.cli.report import report
@@ -45,6 +46,7 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
 
 \b
   dolfin-elastic new beam.toml              write a first case that runs as it is
+  dolfin-elastic look part.step -o look.png see the faces of a body, and their numbers
   dolfin-elastic check beam.toml            what will be computed, and what is wrong
   dolfin-elastic material beam.toml         try its materials at a point
   dolfin-elastic run beam.toml              compute it
@@ -140,6 +142,7 @@ def check(
         show_check(found)
 
 
+app.command()(look)
 app.command()(run)
 app.command()(converge)
 app.command()(restart)

@@ -15,6 +15,7 @@ from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import IndexArray, IntArray
 from dolfin_elastic.core.units import METRE, LengthUnit
+from dolfin_elastic.mesh.faces import CadFaces
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.formats.cad.process import Permission
 
@@ -99,6 +100,7 @@ class Body:
         fields: Name to values at cells or points from the mesh file.
         notes: Faults found while reading, and what is doubtful.
         cad: The CAD file it was made of, if it was.
+        faces: The faces of that file, and the facets on them.
         edges: Name to the local mesh edges of this rank (owned and ghost), sorted; in 3D only, the
             edges of a plane body are its surfaces.
         points: Name to the local nodes of the mesh's geometry (rows of `mesh.geometry.x`), owned
@@ -121,6 +123,7 @@ class Body:
     notes: tuple[str, ...] = ()
     fields: Mapping[str, MeshField] = field(default_factory=dict)
     cad: CadSource | None = None
+    faces: CadFaces | None = None
     edges: Mapping[str, IndexArray] = field(default_factory=dict)
     points: Mapping[str, IndexArray] = field(default_factory=dict)
     uncovered: Mapping[str, int] = field(default_factory=dict)
@@ -203,11 +206,14 @@ class Body:
                 )
             return self.parts[kind][name]
         others = self.kinds(name)
+        near = nearest(name, {n for parts in self.parts.values() for n in parts})
+        if self.faces is not None and kind == "surface":
+            near = "; ".join(filter(None, (near, self.faces.alike(name))))
         if others:
             raise MeshError(f"'{name}' is {_A[others[0]]}, not {_A[kind]}")
         raise MeshError(
             f"no {kind} '{name}' in {self.source or 'the mesh'}",
-            expected=nearest(name, {n for parts in self.parts.values() for n in parts}),
+            expected=near,
         )
 
     def common_kind(self, names: Sequence[str]) -> str:

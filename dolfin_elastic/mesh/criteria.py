@@ -210,21 +210,20 @@ def curved_tests(
         For each of them its name, and a function from points [m], shape (n, dim), to shape (n,).
     """
     found = []
-    if (sphere := selector.sphere) is not None:
+    if (sphere := selector.sphere) is not None and sphere.center is not None:
         center, radius = space.point(sphere.center, "sphere.center"), space.metres(sphere.radius)
         found.append(("sphere", lambda x: np.linalg.norm(x - center, axis=1) - radius))
-    if (cylinder := selector.cylinder) is not None:
-        found.append(("cylinder", _distance_from_cylinder(cylinder, space)))
+    if (cylinder := selector.cylinder) is not None and cylinder.point is not None:
+        point = space.point(cylinder.point, "cylinder.point")
+        found.append(("cylinder", _distance_from_cylinder(cylinder, point, space)))
     return found
 
 
 def _distance_from_cylinder(
-    cylinder: Cylinder, space: BoundingBox
+    cylinder: Cylinder, point: FloatArray, space: BoundingBox
 ) -> Callable[[FloatArray], FloatArray]:
-    point, radius = space.point(cylinder.point, "cylinder.point"), space.metres(cylinder.radius)
-    dim, axis = len(space.low), cylinder.axis
-    along = np.eye(3)["xyz".index(axis)] if isinstance(axis, str) else np.array([*axis, 0.0][:3])
-    along = (along / np.linalg.norm(along))[:dim]
+    dim, radius = len(space.low), space.metres(cylinder.radius)
+    along = np.array(cylinder.direction)[:dim]
     if dim == 2 and along.any():
         raise MeshError(
             "the body is plane: the axis of a cylinder must be z", where="cylinder.axis"

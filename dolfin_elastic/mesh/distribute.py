@@ -18,6 +18,7 @@ from dolfin_elastic.core.parallel import agree
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.faces import CadFaces
 from dolfin_elastic.mesh.fields import distribute_fields
 from dolfin_elastic.mesh.formats.cleaning import clean
 from dolfin_elastic.mesh.formats.raw import RawMesh, match_rows
@@ -79,6 +80,7 @@ def build_body(
         incomplete=incomplete,
         unit=unit,
         information=information,
+        faces=_faces(mesh, raw, unit),
     )
 
 
@@ -166,6 +168,22 @@ def _regions(mesh: Mesh, raw: RawMesh | None) -> dict[str, IndexArray]:
         inside = (bits[original >> 3] >> (7 - (original & 7)) & 1).astype(bool)
         found[name] = np.flatnonzero(inside).astype(np.int32)
     return found
+
+
+def _faces(mesh: Mesh, raw: RawMesh | None, unit: LengthUnit) -> CadFaces | None:
+    """The faces of the CAD model that was meshed, and the local facets on them. Collective."""
+    faces, of_faces = mesh.comm.bcast((raw.faces, raw.face_facets) if raw else None)
+    if not faces:
+        return None
+    known = {face.number: face for face in faces}
+    found = CadFaces(known, mesh.topology.dim, unit)
+    if not of_faces:
+        return found
+    vertices = np.sort(np.concatenate(list(of_faces.values())), axis=1)
+    numbers = np.repeat(list(of_faces), [len(rows) for rows in of_faces.values()])
+    facets, keys = _candidates(mesh, np.unique(vertices), mesh.topology.dim - 1)
+    at = match_rows(vertices, keys) if len(keys) else np.empty(0, dtype=np.int64)
+    return replace(found, facets=facets[at >= 0], numbers=numbers[at[at >= 0]])
 
 
 def _entities(

@@ -20,6 +20,7 @@ from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.formats.cleaning import straight
 from dolfin_elastic.mesh.formats.raw import MeshFile, RawMesh, assemble
 from dolfin_elastic.mesh.geometry.checks import check_cells
+from dolfin_elastic.mesh.local_size import NO_SIZES, CadSizes
 
 SHAPES = (".step", ".stp", ".brep", ".iges", ".igs")
 _IN_PARTS = (".pvtu", ".pvd", ".vtm", ".vtmb")
@@ -42,6 +43,7 @@ def read_body(
     join: bool | None = None,
     trust: bool = False,
     time_limit: float = 600.0,
+    local: CadSizes = NO_SIZES,
 ) -> Body:
     """Reads a mesh, or meshes a CAD file, with the names of the file's parts.
 
@@ -63,6 +65,7 @@ def read_body(
         join: Bodies of a STEP, IGES or BREP file that touch share the nodes there; True by default.
         trust: A .geo file may do all that its user may: run commands, write files and read others.
         time_limit: Time that Gmsh may take [s].
+        local: Smaller elements in places, for CAD files; see `refine.local` for finished meshes.
 
     Raises:
         MeshError: The file cannot be read, or the mesh is not fit for use.
@@ -95,6 +98,7 @@ def read_body(
             join=join is not False,
             stated=stated,
             unit=unit,
+            local=local,
             permission=permission,
         )
 

@@ -8,7 +8,7 @@ import numpy as np
 from dolfinx.mesh import Mesh
 
 from dolfin_elastic.core.errors import MeshError
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import first_of, total
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.criteria import (
@@ -22,6 +22,7 @@ from dolfin_elastic.mesh.criteria import (
     place_criteria,
 )
 from dolfin_elastic.mesh.edge_selection import pick_edges
+from dolfin_elastic.mesh.faces import chosen_faces
 from dolfin_elastic.mesh.geometry.simplices import (
     boundary_facets,
     cell_corners,
@@ -120,6 +121,11 @@ def _pick(body: Body, space: BoundingBox, kind: str, selector: Selector) -> Inde
     if kind == "surface":
         prepare_facets(mesh)
         parts = _searched_facets(body, selector.of) if selector.of else boundary_facets(mesh)
+        if selector.by_face:
+            on = chosen_faces(body.faces, selector, space.scale)
+            assert body.faces is not None  # see `chosen_faces`
+            facets = body.faces.facets_of(on)
+            parts = np.intersect1d(parts, facets) if selector.of else facets
         tests = _surface_criteria(mesh, parts, selector, space)
         size = mesh.topology.index_map(mesh.topology.dim - 1).size_local
     else:
@@ -131,8 +137,25 @@ def _pick(body: Body, space: BoundingBox, kind: str, selector: Selector) -> Inde
         things = "facets of the boundary" if kind == "surface" else "cells"
         if selector.of:
             things = f"{things.split(maxsplit=1)[0]} of '{selector.of}'"
-        raise not_found(body.comm, space, tests, parts < size, things)
+        raise _with_nearest_face(
+            body, parts, tests, not_found(body.comm, space, tests, parts < size, things)
+        )
     return np.asarray(parts[inside])
+
+
+def _with_nearest_face(
+    body: Body, facets: IndexArray, tests: Sequence[Criterion], error: MeshError
+) -> MeshError:
+    """The error with the CAD face that comes nearest to the first criterion. Collective."""
+    if body.faces is None or not tests:
+        return error
+    numbers, distance = body.faces.numbers_of(facets), tests[0].distance
+    mine = [(float(distance[i]), int(numbers[i])) for i in np.argsort(distance)[:1] if numbers[i]]
+    best = first_of(body.comm, mine)
+    if best is None:
+        return error
+    near = f"; the nearest CAD face is {body.faces.text(best[1])}"
+    return MeshError(error.what, where=error.where, expected=error.expected + near)
 
 
 def _searched_facets(body: Body, name: str) -> IndexArray:
@@ -157,11 +180,13 @@ def _region_criteria(
     mesh: Mesh, cells: IndexArray, selector: Selector, space: BoundingBox
 ) -> list[Criterion]:
     wrong = [key for key in ("plane", "normal") if getattr(selector, key) is not None]
+    wrong += [key for key in selector.by_face if key not in ("sphere", "cylinder")]
     if wrong:
         raise MeshError(
             f"a {wrong[0]} picks surfaces, not regions",
             expected="regions are picked by box, sphere, cylinder, of, or all",
         )
+    selector.check_placed()
     middle = cell_corners(mesh, cells).mean(axis=1)
     limit = allowed_distance(selector, space)
     tests = []

@@ -4,6 +4,8 @@
     foot  = {plane = "z", at = "min"}
     bore  = {cylinder = {axis = "z", point = [0, 0, 0], radius = 5}}
     rim   = [{plane = "x", at = 10}, {normal = [0, 1, 0], box = [[0, 0, 0], [10, 10, 2]]}]
+    holes = {faces = [7, 8]}
+    round = {cylinder = {radius = "6 mm"}}
     [regions]
     core  = {sphere = {center = [0, 0, 0], radius = "2 mm"}}
     [edges]
@@ -12,7 +14,8 @@
     tip   = {nearest = [10, 0, 0]}
 
 The keys of one selector must all hold; of a list of selectors one is enough.  A bare length is in
-the mesh's unit, one with a unit ("2 mm") is what it says.
+the mesh's unit, one with a unit ("2 mm") is what it says.  Numbers and kinds of faces, and
+cylinders and spheres without a place, are those of the CAD file that the mesh is made of.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.schema import Record
 
 
@@ -71,6 +75,12 @@ Level = Annotated[float | str, BeforeValidator(_no_switch), AfterValidator(_leve
 Point = Annotated[tuple[MeshLength, ...], Field(min_length=2, max_length=3)]
 Direction = Annotated[tuple[float, ...], Field(min_length=2, max_length=3)]
 Axis = Literal["x", "y", "z"]
+FaceNumber = Annotated[int, Field(gt=0)]
+FaceKind = Literal[
+    "plane", "cylinder", "cone", "sphere", "torus", "surface", "hole", "shaft", "fillet", "round"
+]
+_GEOMETRIC = ("plane", "box", "sphere", "cylinder", "normal", "line", "nearest")
+_OF_FACES = ("faces", "kind", "cone", "torus")
 
 
 def _nonzero(value: Axis | tuple[float, ...]) -> Axis | tuple[float, ...]:
@@ -80,18 +90,57 @@ def _nonzero(value: Axis | tuple[float, ...]) -> Axis | tuple[float, ...]:
 
 
 class Sphere(Record):
-    """A sphere (in 2D a circle)."""
+    """A sphere (in 2D a circle); without a centre all faces of a CAD file that are like it."""
 
-    center: Point
+    center: Point | None = None
     radius: Size
 
 
 class Cylinder(Record):
-    """An endless circular cylinder (in 2D, with axis z, a circle)."""
+    """An endless circular cylinder (in 2D, with axis z, a circle).
 
-    axis: Annotated[Axis | Direction, AfterValidator(_nonzero)] = "z"
-    point: Point
+    Without a point of its axis all faces of a CAD file that are like it.
+
+    Attributes:
+        axis: Its direction; z by default, any if there is no point.
+        point: Of the axis.
+        radius: Its radius.
+    """
+
+    axis: Annotated[Axis | Direction, AfterValidator(_nonzero)] | None = None
+    point: Point | None = None
     radius: Size
+
+    @property
+    def direction(self) -> tuple[float, ...]:
+        """Unit vector along the axis, three components."""
+        axis = self.axis or "z"
+        if isinstance(axis, str):
+            return tuple(1.0 if one == axis else 0.0 for one in "xyz")
+        length = math.hypot(*axis)
+        return tuple(one / length for one in (*axis, 0.0)[:3])
+
+
+class Cone(Record):
+    """Conical faces of a CAD file.
+
+    Attributes:
+        angle: Between axis and surface [degrees]; any by default.
+    """
+
+    angle: Annotated[float, Field(gt=0, lt=90)] | None = None
+
+
+class Torus(Record):
+    """Toroidal faces of a CAD file.
+
+    Attributes:
+        radius: Of the tube; any by default.
+        major: Distance of the tube's middle from the axis; any by default.
+    """
+
+    radius: Size | None = None
+    major: Size | None = None
 
 
 class Place(Record):
@@ -107,6 +156,9 @@ class Place(Record):
         tolerance: How far off a vertex may lie; by default 1e-6 of the body's diagonal.
     """
 
+    picks_faces: ClassVar[bool] = False
+    """Whether faces of a CAD file can be picked by what they are, not by where."""
+
     plane: Axis | None = None
     at: Level | None = None
     box: tuple[Point, Point] | None = None
@@ -119,23 +171,37 @@ class Place(Record):
     def _level_of_plane(self) -> Self:
         if (self.plane is None) != (self.at is None):
             raise ValueError('plane and at belong together, as in {plane = "z", at = "min"}')
+        if not self.picks_faces:
+            self.check_placed()
         return self
+
+    def check_placed(self) -> None:
+        """Checks that spheres and cylinders have a place.
+
+        Raises:
+            MeshError: A key is missing.
+        """
+        if self.sphere is not None and self.sphere.center is None:
+            raise MeshError("this key is missing", where="sphere.center")
+        if self.cylinder is not None and self.cylinder.point is None:
+            raise MeshError("this key is missing", where="cylinder.point")
 
     def given(self) -> list[str]:
         """The geometric keys that were given."""
-        return [
-            key
-            for key in ("plane", "box", "sphere", "cylinder", "normal", "line", "nearest")
-            if getattr(self, key, None) is not None
-        ]
+        return [key for key in (*_GEOMETRIC, *_OF_FACES) if getattr(self, key, None) is not None]
 
 
 class Selector(Place):
     """Facets of the boundary, or cells, picked by geometry; all keys given must hold.
 
-    A box takes facets with all vertices, cells with their midpoint, inside.
+    A box takes facets with all vertices, cells with their midpoint, inside.  Facets may also be
+    picked by the face of a CAD file on which they lie, as may a cylinder or sphere without a place.
 
     Attributes:
+        faces: Numbers of faces of a CAD file (of curves, if the body is plane).
+        kind: What these faces are: see `CadFace.kind` and `CadFace.form`.
+        cone: Conical ones.
+        torus: Toroidal ones.
         normal: Facets whose outward normal is within `angle` degrees of this direction.
         angle: Degrees, 20 by default.
         all: The whole boundary, or all cells.
@@ -143,7 +209,13 @@ class Selector(Place):
 
     normal: Annotated[Direction, AfterValidator(_nonzero)] | None = None
     angle: Annotated[float, Field(gt=0, le=180)] | None = None
+    faces: Annotated[tuple[FaceNumber, ...], Field(min_length=1)] | None = None
+    kind: FaceKind | None = None
+    cone: Cone | None = None
+    torus: Torus | None = None
     all: bool = False
+
+    picks_faces: ClassVar[bool] = True
 
     key_hints: ClassVar[Mapping[str, str]] = {
         "between": "edges between surfaces stand in the table [edges], points in [points]",
@@ -156,8 +228,21 @@ class Selector(Place):
         if self.angle is not None and self.normal is None:
             raise ValueError("angle goes with normal")
         if not (self.all or self.of or self.given()):
-            raise ValueError("say where: plane and at, box, sphere, cylinder, normal, of, or all")
+            raise ValueError(
+                "say where: plane and at, box, sphere, cylinder, normal, of, or all; of a CAD file "
+                "also faces, kind, cone, or torus"
+            )
         return self
+
+    @property
+    def by_face(self) -> list[str]:
+        """The keys that pick faces of a CAD file by what they are."""
+        found = [key for key in _OF_FACES if getattr(self, key) is not None]
+        if self.sphere is not None and self.sphere.center is None:
+            found.append("sphere")
+        if self.cylinder is not None and self.cylinder.point is None:
+            found.append("cylinder")
+        return found
 
 
 class Line(Record):

@@ -103,7 +103,7 @@ class Plane(Obstacle):
         _check_length(self.point, dim, "point")
         _check_length(self.normal, dim, "normal")
 
-    def _placed(self, dim: int) -> tuple[list[float], list[float]]:
+    def placed(self, dim: int) -> tuple[list[float], list[float]]:
         """A point of the surface and the unit normal."""
         if self.axis is not None:
             assert self.at is not None
@@ -116,7 +116,7 @@ class Plane(Obstacle):
 
     def gap(self, x: Sequence[Scalar], number: Constant, root: Root) -> Gap:
         """See `Obstacle.gap`: g = (x - point) . n."""
-        point, normal = self._placed(len(x))
+        point, normal = self.placed(len(x))
         n = [number(item) for item in normal]
         return sum((a - number(p)) * b for a, p, b in zip(x, point, n, strict=True)), n
 

@@ -116,6 +116,19 @@ def test_check_as_json(folder: Path) -> None:
     assert {part["name"] for part in found["surfaces"]} >= {"left", "right"}
 
 
+def test_look(folder: Path) -> None:
+    """The body of a case as a table in its unit, and as JSON in metres; pictures are PNG files."""
+    code, out, err = cli("look", "case.toml", folder=folder)
+    assert (code, err) == (0, ""), err
+    assert re.search(r"^ *left +\d+ +\S+ +\(.*\) +-x +support", out, re.MULTILINE), out
+    code, out, err = cli("look", "case.toml", "--json", folder=folder)
+    assert (code, err) == (0, "") and {"left", "right"} <= {
+        s["name"] for s in json.loads(out)["surfaces"]
+    }
+    code, _, err = cli("look", "case.toml", "-o", "look.jpg", folder=folder)
+    assert code == 2 and "the picture 'look.jpg' is no .png; look.png" in err
+
+
 def test_info(tmp_path: Path) -> None:
     """Versions of what the numbers depend on."""
     code, out, _ = cli("info", folder=tmp_path, ranks=2)

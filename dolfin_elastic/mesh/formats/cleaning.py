@@ -139,9 +139,11 @@ def _restricted(raw: RawMesh, used: BoolArray, why: str) -> RawMesh:
                 incomplete.setdefault(name, f"{lost} {why}")
             kept[parts][name] = new[rows[inside]]
     data = {name: values[used] for name, values in raw.point_data.items()}
+    of_faces = {n: new[rows[used[rows].all(axis=1)]] for n, rows in raw.face_facets.items()}
     return replace(
         raw,
         points=raw.points[used],
+        face_facets=of_faces,
         cells=new[raw.cells],
         point_data=data,
         incomplete=incomplete,

@@ -68,12 +68,14 @@ class _Run:
         tags: Tags in the file, shape (n,).
         groups: Physical groups of each element, shape (n,) or (n, groups); 0: none.
         nodes: Tags of the nodes, shape (n, k).
+        entity: Number of the point, curve, surface or volume that they mesh; 0: not known.
     """
 
     kind: int
     tags: IntArray
     groups: IntArray
     nodes: IntArray
+    entity: int = 0
 
 
 class OtherVersionError(Exception):
@@ -339,7 +341,7 @@ def _elements4(numbers: _Numbers, entities: dict[tuple[int, int], IntArray]) -> 
         rows = numbers.sizes(width * int(numbers.sizes(1)[0])).reshape(-1, width)
         groups = entities.get((dim, entity), np.empty(0, dtype=np.int64))
         of_each = np.broadcast_to(groups, (len(rows), len(groups)))
-        yield _Run(kind, rows[:, 0], of_each, rows[:, 1:])
+        yield _Run(kind, rows[:, 0], of_each, rows[:, 1:], entity)
 
 
 def _named(
@@ -359,7 +361,8 @@ def _named(
             name = names.get((block.dim, int(group)), str(group))
             parts[name] = np.union1d(rows, parts.get(name, rows))
             used.add((block.dim, int(group)))
-        blocks.append(Block(block.kind, block.nodes, parts, data_rows(data, run.tags)))
+        of_elements = data_rows(data, run.tags)
+        blocks.append(Block(block.kind, block.nodes, parts, of_elements, run.entity))
     empty = [name for key, name in names.items() if key not in used]
     notes = (
         [f"no elements carry the name{'s' if len(empty) > 1 else ''} {', '.join(empty)} (left out)"]

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.mesh.formats.cad.faces import CadFace
 
 _DIMS = {
     "vertex": 0,
@@ -48,12 +49,14 @@ class Block:
         nodes: Rows of `points` (shape (n, k)), vertices first.
         parts: Name to the rows of `nodes` that carry it; names may overlap.
         data: Name to numbers of each element, shape (n, columns).
+        entity: Number of the entity of a CAD model that they mesh; 0: not known.
     """
 
     kind: str
     nodes: IntArray
     parts: Mapping[str, IntArray] = field(default_factory=dict)
     data: Mapping[str, FloatArray] = field(default_factory=dict)
+    entity: int = 0
 
     @property
     def dim(self) -> int:
@@ -74,6 +77,7 @@ class MeshFile:
             surface of the boundary's facets within it if there are any.
         point_data: Name to numbers of each point, shape (N, columns).
         incomplete: Name of a set whose members are not all there, to the reason with their number.
+        faces: Of the CAD model that was meshed.
     """
 
     points: FloatArray
@@ -83,6 +87,7 @@ class MeshFile:
     point_sets: Mapping[str, IntArray] = field(default_factory=dict)
     point_data: Mapping[str, FloatArray] = field(default_factory=dict)
     incomplete: Mapping[str, str] = field(default_factory=dict)
+    faces: Sequence[CadFace] = ()
 
 
 @dataclass(frozen=True)
@@ -105,6 +110,8 @@ class RawMesh:
         uncovered: Name of a set of nodes that is in `surfaces` too, to how many of its nodes no
             facet of it holds; only where there are some.
         incomplete: Name of a part of which members are missing, to the reason with their number.
+        faces: Of the CAD model that was meshed.
+        face_facets: Number of a face to its facets' vertices (rows of `points`), shape (F, dim).
     """
 
     points: FloatArray
@@ -121,6 +128,8 @@ class RawMesh:
     incomplete: Mapping[str, str] = field(default_factory=dict)
     information: tuple[str, ...] = ()
     unit: str = "m"
+    faces: tuple[CadFace, ...] = ()
+    face_facets: Mapping[int, IntArray] = field(default_factory=dict)
 
     @property
     def dim(self) -> int:
@@ -180,7 +189,18 @@ def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh
         uncovered=uncovered,
         incomplete=found.incomplete,
         information=tuple(found.information),
+        faces=tuple(found.faces),
+        face_facets=_of_faces(below, dim) if found.faces else {},
     )
+
+
+def _of_faces(below: Sequence[Block], dim: int) -> dict[int, IntArray]:
+    """Number of a CAD face to the vertices of its facets."""
+    found: dict[int, list[IntArray]] = {}
+    for block in below:
+        if block.entity:
+            found.setdefault(block.entity, []).append(block.nodes[:, :dim])
+    return {number: np.concatenate(rows) for number, rows in found.items()}
 
 
 def _cell_data(solid: Sequence[Block]) -> dict[str, FloatArray]:

@@ -8,6 +8,7 @@ which share a part agree on it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import basix
@@ -16,6 +17,7 @@ from dolfinx.mesh import Mesh
 
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.faces import CadFaces
 from dolfin_elastic.mesh.refine.division import barycentric, lagrange
 
 _SHAPES = {2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
@@ -96,6 +98,28 @@ def _entities(
     within = _entities_within(d, dim, corners)  # (finer cells, own entity, parent's entity)
     own = np.einsum("cij,cjp->cip", within.astype(np.uint8), of_parent)
     return _named(parts, own, _around(mesh, dim))
+
+
+def carry_faces(
+    body: Body, mesh: Mesh, corners: FloatArray, of_parents: Callable[[AnyArray], AnyArray]
+) -> CadFaces | None:
+    """The CAD faces of the coarse body, with the facets of the finer mesh on them.  Collective.
+
+    Args:
+        body: See `carry_parts`, as the others.
+        mesh: The finer mesh.
+        corners: In the parents.
+        of_parents: To finer cells.
+    """
+    if body.faces is None:
+        return None
+    d = body.dim
+    members = _around(body.mesh, d - 1)
+    numbers = body.faces.numbers_of(members.reshape(-1)).reshape(members.shape)
+    within = _entities_within(d, d - 1, corners)
+    own = np.einsum("cij,cj->ci", within.astype(np.int64), of_parents(numbers))
+    facets, first = np.unique(_around(mesh, d - 1)[own > 0], return_index=True)
+    return replace(body.faces, facets=facets.astype(np.int32), numbers=own[own > 0][first])
 
 
 def _entities_within(d: int, dim: int, corners: FloatArray) -> AnyArray:

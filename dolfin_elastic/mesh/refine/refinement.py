@@ -25,7 +25,7 @@ from dolfin_elastic.mesh.refine.division import (
     lagrange,
 )
 from dolfin_elastic.mesh.refine.links import CellLinks
-from dolfin_elastic.mesh.refine.parts import carry_parts
+from dolfin_elastic.mesh.refine.parts import carry_faces, carry_parts
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,7 @@ def refine_body(body: Body, cells: IndexArray) -> Refinement:
         surfaces=parts["surfaces"],
         edges=parts["edges"],
         points=parts["points"],
+        faces=carry_faces(body, mesh, corners, of_parents),
         fields={},
         notes=notes,
         information=(),

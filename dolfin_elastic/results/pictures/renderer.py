@@ -20,17 +20,21 @@ from typing import IO, cast
 
 from dolfin_elastic.core.errors import OutputError
 
+_PROGRAM = Path(__file__).with_name("_draw.py")
 _TIMEOUT = 300
 """Seconds that one picture may take."""
 
 
 class Renderer:
-    """The drawing process with its display.  Not collective: on rank 0."""
+    """The drawing process with its display.  Not collective: on rank 0.
 
-    def __init__(self) -> None:
+    Args:
+        script: The program that draws.
+    """
+
+    def __init__(self, script: Path = _PROGRAM) -> None:
         self._display, environment = _display()
         self._output = cast(IO[str], tempfile.TemporaryFile("w+", encoding="utf-8"))  # noqa: SIM115
-        script = Path(__file__).with_name("_draw.py")
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(script)],
             env=environment,

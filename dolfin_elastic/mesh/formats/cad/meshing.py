@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -16,6 +17,7 @@ from dolfin_elastic.mesh.formats.cad.shapes import (
     load_shapes,
     touching,
 )
+from dolfin_elastic.mesh.formats.cad.sizes import LocalField, set_sizes
 
 RESULT = "mesh.msh"
 """The file that is saved."""
@@ -24,29 +26,23 @@ _OTHER_SIZES = 0.5, 0.25, 2.0
 """Factors on the default size that are tried where Gmsh fails with it."""
 
 
-def mesh_file(
-    gmsh: ModuleType,
-    path: Path,
-    *,
-    size: float | None,
-    curved: bool | None,
-    dim: int | None,
-    join: bool,
-    lengths: Lengths,
-) -> Remarks:
-    """Loads and meshes a CAD file; the mesh is Gmsh's current model. Local.
+def load_file(
+    gmsh: ModuleType, path: Path, *, dim: int | None, join: bool, lengths: Lengths
+) -> tuple[Remarks, int]:
+    """Loads a CAD file with the names of its bodies into Gmsh's current model. Local.
 
     Args:
         gmsh: Gmsh with an empty model.
         path: .geo, .step, .brep or .iges.
-        size: Size of the elements, see `read.mesh_cad`.
-        curved: Whether cells follow curved surfaces.
         dim: 2 or 3; None: 3 where there are volumes.
         join: Bodies that touch share the nodes there.
         lengths: The user's unit.
 
+    Returns:
+        Remarks, and the dimension of the body.
+
     Raises:
-        MeshError: It cannot be meshed.
+        MeshError: There is nothing to mesh.
     """
     if path.suffix.lower() in SCRIPTS:
         gmsh.open(str(path))
@@ -61,10 +57,36 @@ def mesh_file(
             else "the file has no volumes to mesh",
             where=path.name,
         )
-    how = _mesh(gmsh, size, dim, path.name, lengths)
+    return remarks, dim
+
+
+def mesh_model(
+    gmsh: ModuleType,
+    name: str,
+    *,
+    size: float | None,
+    local: Sequence[LocalField],
+    curved: bool | None,
+    dim: int,
+    lengths: Lengths,
+) -> Remarks:
+    """Meshes the current model. Local.
+
+    Args:
+        gmsh: Gmsh with the model.
+        name: Of its file.
+        size: Size of the elements, see `read.mesh_cad`.
+        local: Smaller sizes in places, see `sizes.set_sizes`.
+        curved: Whether cells follow curved surfaces.
+        dim: Of the body.
+        lengths: The user's unit.
+
+    Raises:
+        MeshError: It cannot be meshed.
+    """
+    how = _mesh(gmsh, size, dim, name, lengths, local)
     curves, notes = ("", []) if curved is False else follow_curves(gmsh, dim, curved, lengths)
-    meshed = f"meshed by Gmsh, {how}{curves}"
-    return Remarks([*remarks.information, meshed], [*remarks.notes, *notes])
+    return Remarks([f"meshed by Gmsh, {how}{curves}"], notes)
 
 
 def load(gmsh: ModuleType, path: Path) -> None:
@@ -92,7 +114,14 @@ def save(gmsh: ModuleType, folder: Path) -> None:
     gmsh.write(str(folder / RESULT))
 
 
-def _mesh(gmsh: ModuleType, size: float | None, dim: int, source: str, lengths: Lengths) -> str:
+def _mesh(
+    gmsh: ModuleType,
+    size: float | None,
+    dim: int,
+    source: str,
+    lengths: Lengths,
+    local: Sequence[LocalField],
+) -> str:
     """Meshes the current model; returns the size in words."""
     has_sizes = _has_sizes(gmsh)
     if size is not None:
@@ -102,6 +131,10 @@ def _mesh(gmsh: ModuleType, size: float | None, dim: int, source: str, lengths: 
         if not has_sizes:
             gmsh.option.setNumber("Mesh.MeshSizeMin", size / lengths.factor)
         _check_count(gmsh, size, dim, source, lengths)
+    if local:
+        gmsh.model.mesh.clear()
+        whole = size / lengths.factor if size is not None else 0.1 * diagonal(gmsh)
+        set_sizes(gmsh, dim, local, whole=whole, name=source)
     if len(gmsh.model.mesh.getElements(dim)[0]):  # a .geo file may mesh by itself
         return "as the file says"
     factor = _generate(gmsh, dim, source, retry=size is None)

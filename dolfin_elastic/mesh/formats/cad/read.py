@@ -13,6 +13,8 @@ import numpy as np
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import METRE, LengthUnit
+from dolfin_elastic.mesh.faces import CadFaces
+from dolfin_elastic.mesh.formats.cad.faces import CadFace
 from dolfin_elastic.mesh.formats.cad.meshing import RESULT
 from dolfin_elastic.mesh.formats.cad.process import (
     GmshProcess,
@@ -23,6 +25,7 @@ from dolfin_elastic.mesh.formats.cad.process import (
 from dolfin_elastic.mesh.formats.cad.script import SCRIPTS, files_of_script
 from dolfin_elastic.mesh.formats.msh import mesh_alone, read_msh
 from dolfin_elastic.mesh.formats.raw import MeshFile
+from dolfin_elastic.mesh.local_size import NO_SIZES, CadSizes
 
 
 def mesh_cad(
@@ -34,6 +37,7 @@ def mesh_cad(
     join: bool = True,
     stated: LengthUnit | None = None,
     unit: LengthUnit | None = None,
+    local: CadSizes = NO_SIZES,
     permission: Permission,
 ) -> MeshFile:
     """Meshes a CAD file. Local: one rank meshes.
@@ -48,28 +52,34 @@ def mesh_cad(
         join: Bodies that touch share the nodes there; a .geo file joins its bodies itself.
         stated: Unit that the file states.
         unit: Unit that is taken for it, for messages; by default the same, or m.
+        local: Smaller sizes in places.
         permission: What Gmsh may do.
 
     Raises:
         MeshError: Gmsh cannot read or mesh the file, or it asks for more than a mesh.
     """
-    factor = model_unit(stated, path)
+    factor, known = model_unit(stated, path), unit or stated or METRE
     with gmsh_process(path, _files(path, permission), permission) as (gmsh, folder):
+        lengths = {"unit": known.name, "factor": factor}
+        shapes = gmsh.ask("shapes", dim=dim, join=join, **lengths)
+        dim, model = int(shapes["dim"]), factor * known.metres
+        faces = [CadFace.read(data, model, dim) for data in shapes["faces"]]
+        every = CadFaces({face.number: face for face in faces}, dim, known)
         notes, information = gmsh.ask(
             "mesh",
             size=size,
+            local=local.for_gmsh(every, shapes["bodies"], model),
             curved=curved,
             dim=dim,
-            join=join,
-            unit=(unit or stated or METRE).name,
-            factor=factor,
+            **lengths,
         )
         found = read_msh(folder / RESULT)
     return MeshFile(
         found.points * factor,
         found.blocks,
-        [*found.notes, *notes, *notes_of(permission)],
-        information,
+        [*found.notes, *shapes["notes"], *notes, *notes_of(permission)],
+        [*shapes["information"], *information, *local.information(known)],
+        faces=faces,
     )
 
 

@@ -22,8 +22,16 @@ import numpy as np
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh.formats.cad import landlock
-from dolfin_elastic.mesh.formats.cad.meshing import load, logged_errors, mesh_file, save
+from dolfin_elastic.mesh.formats.cad.faces import describe_faces, named_bodies
+from dolfin_elastic.mesh.formats.cad.meshing import (
+    load,
+    load_file,
+    logged_errors,
+    mesh_model,
+    save,
+)
 from dolfin_elastic.mesh.formats.cad.shapes import Lengths
+from dolfin_elastic.mesh.formats.cad.sizes import LocalField
 
 ASKED_OF_MODEL = ("getEntities", "getBoundingBox", "getClosestPoint", "getType", "getAdjacencies")
 """Functions of Gmsh's model that tell something of it and change nothing."""
@@ -90,6 +98,7 @@ class _Worker:
         gmsh.model.add(self._path.stem)
         self._gmsh = gmsh
         self._tasks: Mapping[str, Callable[..., object]] = {
+            "shapes": self._shapes,
             "mesh": self._mesh,
             "convert": self._convert,
             "load": self._load,
@@ -120,23 +129,35 @@ class _Worker:
         except UnicodeDecodeError:
             return "an error at a text that is not UTF-8"
 
+    def _shapes(self, dim: int | None, join: bool, unit: str, factor: float) -> dict[str, object]:
+        """Loads the file; returns remarks, the body's dimension, its faces, and named bodies."""
+        lengths = Lengths(unit, factor)
+        remarks, dim = load_file(self._gmsh, self._path, dim=dim, join=join, lengths=lengths)
+        return {
+            "notes": remarks.notes,
+            "information": remarks.information,
+            "dim": dim,
+            "faces": describe_faces(self._gmsh, dim),
+            "bodies": named_bodies(self._gmsh, dim),
+        }
+
     def _mesh(
         self,
         size: float | None,
+        local: list[LocalField],
         curved: bool | None,
-        dim: int | None,
-        join: bool,
+        dim: int,
         unit: str,
         factor: float,
     ) -> tuple[list[str], list[str]]:
-        """Meshes the file; returns notes and information, see `mesh_file`."""
-        remarks = mesh_file(
+        """Meshes what is loaded; returns notes and information, see `mesh_model`."""
+        remarks = mesh_model(
             self._gmsh,
-            self._path,
+            self._path.name,
             size=size,
+            local=local,
             curved=curved,
             dim=dim,
-            join=join,
             lengths=Lengths(unit, factor),
         )
         save(self._gmsh, self._folder)

@@ -1,0 +1,95 @@
+"""`look_at`: lists and draws the body of a file or a case."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from mpi4py import MPI
+
+from dolfin_elastic.case.case import Case, read_case
+from dolfin_elastic.case.check.sizes import references
+from dolfin_elastic.case.look.listing import Look, listing
+from dolfin_elastic.case.look.scene import Drawn, drawn_of
+from dolfin_elastic.core.errors import InputError, MeshError, OutputError
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.mesh import Body, read_body
+from dolfin_elastic.results.body_picture.scene import Scene, gather_scene
+
+
+def look_at(
+    path: Path, *, picture: Path | None, trust: bool = False, comm: MPI.Comm = MPI.COMM_WORLD
+) -> Look:
+    """Lists what a file holds, and draws it. Collective.
+
+    A case that has a fault is listed as far as its body can be read; the fault is a note.
+
+    Args:
+        path: A mesh, a CAD file, or a case (.toml).
+        picture: The PNG file; None: none is drawn.
+        trust: A .geo script may do all that its user may.
+        comm: The ranks that share the mesh.
+
+    Raises:
+        InputError: The body cannot be read.
+        OutputError: The picture cannot be written.
+    """
+    case = read_case(path, comm=comm, trust=trust) if path.suffix.lower() == ".toml" else None
+    body, notes = _body(path, case, trust, comm)
+
+    def use(name: str, kind: str) -> str:
+        return "" if case is None else references(case, body, name, kind)
+
+    # Without the names of the case nothing of it has a place.
+    drawn = Drawn() if case is None or notes else drawn_of(case, body)
+    notes = (*notes, *drawn.notes)
+    found = listing(body, case="" if case is None else case.file, use=use, notes=notes)
+    if picture is None:
+        return found
+    # Of a plane body regions are drawn; surfaces are its outline.
+    named = found.surfaces if body.dim == 3 else found.regions[1:]
+    legend = {row.name: row.use for row in named}
+    title = found.case or body.source
+    scene = gather_scene(body, title, legend)
+    if scene is not None:
+        scene = replace(scene, symbols=drawn.symbols, obstacles=drawn.obstacles)
+    why = on_root(comm, lambda: _why_not_drawn(scene, picture))
+    if why:
+        return replace(found, notes=(*found.notes, f"no picture: {why}"))
+    return replace(found, picture=str(picture))
+
+
+def _body(
+    path: Path, case: Case | None, trust: bool, comm: MPI.Comm
+) -> tuple[Body, tuple[str, ...]]:
+    """The body with its names, or without those of a case in which one is wrong. Collective."""
+    if case is None:
+        return read_body(path, comm=comm, trust=trust), ()
+    try:
+        return case.read_body(comm), ()
+    except MeshError as error:
+        named: InputError = error
+    bare = Case.from_dict(
+        {
+            "mesh": {k: v for k, v in case.to_dict()["mesh"].items() if k != "refine"},
+            "materials": case.to_dict()["materials"],
+        },
+        case.folder,
+        file=case.file,
+        trust=trust,
+    )
+    return bare.read_body(comm), (f"without the names of the case: {named}",)
+
+
+def _why_not_drawn(scene: Scene | None, picture: Path) -> str:
+    """Why the picture could not be drawn; empty: it was. On rank 0."""
+    from dolfin_elastic.results.body_picture.draw import draw_scene
+
+    assert scene is not None
+    try:
+        draw_scene(scene, picture)
+    except OutputError as error:
+        if "cannot draw" in str(error) or "took longer" in str(error):
+            return str(error)
+        raise
+    return ""

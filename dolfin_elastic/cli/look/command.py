@@ -1,0 +1,65 @@
+"""The command `look`: what a mesh, a CAD file or the body of a case holds."""
+# ruff: noqa: D301
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen
+from dolfin_elastic.core.errors import CaseError
+from dolfin_elastic.core.signals import interrupt_on_request
+
+
+def look(
+    what: Annotated[Path, typer.Argument(metavar="FILE|CASE", hidden=True)],
+    *,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="PNG", help="Draw the body into this file."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
+    trust: Trust = False,
+) -> None:
+    """See a body and its names: faces, surfaces, regions, and a picture.
+
+    \b
+      dolfin-elastic look bracket.step --output look.png
+      dolfin-elastic look bracket.toml -o look.png     with supports, loads and contacts
+      dolfin-elastic look mesh.msh --json | jq .surfaces
+
+    Faces of CAD files have numbers; [surfaces] of a case names them: holes = {faces = [7, 8]}.
+
+    \f
+    Args:
+        what: A mesh, a CAD file, or a case.
+        output: The picture.
+        json: Write the list as JSON.
+        trust: Let a script do all that the user may.
+
+    Raises:
+        CaseError: The picture cannot have that name.
+    """
+    from mpi4py import MPI
+
+    from dolfin_elastic.case.look.look import look_at
+
+    comm = MPI.COMM_WORLD
+    collect_garbage()
+    interrupt_on_request()
+    log_to_screen(comm.rank, logging.ERROR)
+    if output is not None and output.suffix.lower() != ".png":
+        raise CaseError(f"the picture '{output}' is no .png", where="--output", expected="look.png")
+    found = look_at(what, picture=output, trust=trust, comm=comm)
+    if comm.rank == 0 and json:
+        from dataclasses import asdict
+        from json import dumps
+
+        print(dumps(asdict(found), indent=2, ensure_ascii=False))
+    elif comm.rank == 0:
+        from dolfin_elastic.cli.look.show import show_look
+
+        show_look(found)

@@ -1,0 +1,154 @@
+"""Finer cells in a finished mesh: all of them, or those of named parts, spheres and boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dolfin_elastic.core.errors import MeshError, nearest
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body, spelling
+from dolfin_elastic.mesh.geometry.simplices import cell_corners, prepare_facets
+from dolfin_elastic.mesh.local_size import MOST_CELLS, LocalSize
+from dolfin_elastic.mesh.refine.refinement import refine_body
+from dolfin_elastic.mesh.selectors import metres
+
+
+def refined_uniformly(body: Body, times: int) -> Body:
+    """The body with every edge of its cells halved so many times. Collective.
+
+    Args:
+        body: The body.
+        times: How often.
+
+    Raises:
+        MeshError: There would be too many cells.
+    """
+    _check_count(body, float(body.num_cells) * 2.0 ** (body.dim * times), "mesh.refine")
+    before = body.num_cells
+    for _ in range(times):
+        body = _finer(body, body.owned_cells())
+    text = f"refined uniformly {times} time{'s' if times > 1 else ''}: {before} cells before"
+    return replace(body, information=(*body.information, text))
+
+
+def refined_locally(body: Body, sizes: Sequence[LocalSize]) -> Body:
+    """The body with its cells divided until they are as small as asked for. Collective.
+
+    The size of a cell is the mean length of its edges.  Neighbours are divided as far as it takes
+    to leave no node hanging.
+
+    Args:
+        body: The body with its names.
+        sizes: Where, and how small; bare numbers are in the body's unit.
+
+    Raises:
+        MeshError: A name does not exist, there is nothing in a place, or there would be too many
+            cells.
+    """
+    before, information = body.num_cells, []
+    for index, one in enumerate(sizes):
+        where = f"mesh.refine[{index}]"
+        size = metres(one.size, body.unit.metres)
+        inside = _inside(body, one, where)
+        if not total(body.comm, int(np.count_nonzero(inside))):
+            raise MeshError(f"there is no cell in {one.place()}", where=where)
+        ratio = np.maximum(_edges(body)[inside] / size, 1.0) ** body.dim
+        more = total(body.comm, float(ratio.sum() - np.count_nonzero(inside)))
+        _check_count(body, body.num_cells + more, f"{where}.size")
+        information.append(one.words(body.unit))
+        while True:
+            marked = np.flatnonzero(_inside(body, one, where) & (_edges(body) > size))
+            if not total(body.comm, len(marked)):
+                break
+            body = _finer(body, marked.astype(np.int32))
+    text = f"refined to {', '.join(information)}: {before} cells before"
+    return replace(body, information=(*body.information, text))
+
+
+def _finer(body: Body, cells: IndexArray) -> Body:
+    """The refined body, with the remarks about the one that was read."""
+    found = refine_body(body, cells).body
+    notes = tuple(dict.fromkeys((*body.notes, *found.notes)))
+    return replace(found, notes=notes, information=body.information)
+
+
+def _check_count(body: Body, cells: float, where: str) -> None:
+    if cells > MOST_CELLS:
+        raise MeshError(
+            f"refined like this {body.source or 'the mesh'} would have about {cells:.1g} cells",
+            where=where,
+            expected=f"at most {MOST_CELLS:.0g}; lengths without a unit are in {body.unit.name}",
+        )
+
+
+def _edges(body: Body) -> FloatArray:
+    """Mean length of the edges of each owned cell [m]."""
+    corners = cell_corners(body.mesh, body.owned_cells())
+    pairs = [(i, j) for i in range(body.dim + 1) for j in range(i)]
+    every = [np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in pairs]
+    return np.asarray(np.mean(every, axis=0))
+
+
+def _inside(body: Body, one: LocalSize, where: str) -> BoolArray:
+    """Which owned cells belong to a place: have a vertex in it, or are of a region. Collective."""
+    cells = body.owned_cells()
+    found = np.zeros(len(cells), dtype=bool)
+    for name in one.parts:
+        found |= _of_part(body, name, f"{where}.on")
+    corners, unit = cell_corners(body.mesh, cells), body.unit.metres
+    if one.sphere is not None:
+        assert one.sphere.center is not None
+        center = _point(body, one.sphere.center, f"{where}.sphere.center")
+        radius = metres(one.sphere.radius, unit)
+        found |= np.linalg.norm(corners - center, axis=2).min(axis=1, initial=np.inf) <= radius
+    if one.box is not None:
+        a, b = (_point(body, corner, f"{where}.box") for corner in one.box)
+        low, high = np.minimum(a, b), np.maximum(a, b)
+        outside = np.maximum(np.maximum(low - corners, corners - high).max(axis=2), 0.0)
+        found |= outside.min(axis=1, initial=np.inf) <= 0.0
+    return found
+
+
+def _point(body: Body, values: Sequence[float | str], where: str) -> FloatArray:
+    if len(values) < body.dim:
+        raise MeshError(f"the body is three-dimensional, {list(values)} is not", where=where)
+    return np.array([metres(value, body.unit.metres) for value in values[: body.dim]])
+
+
+def _of_part(body: Body, name: str, where: str) -> BoolArray:
+    """Owned cells of a region, or with a vertex on a surface. Collective."""
+    size = len(body.owned_cells())
+    name = spelling(body, name)
+    if name in body.regions:
+        found = np.zeros(size, dtype=bool)
+        found[body.owned_cells(name)] = True
+        return found
+    if name not in body.surfaces:
+        known = {*body.regions, *body.surfaces}
+        advice = nearest(name, known)
+        if body.faces is not None:
+            advice = f"{advice}; {body.faces.alike(name)}"
+        raise MeshError(f"there is no surface or region '{name}'", where=where, expected=advice)
+    return _touching(body, name)
+
+
+def _touching(body: Body, name: str) -> BoolArray:
+    """Owned cells that have a vertex on a surface, also those of other ranks. Collective."""
+    from dolfinx import la
+
+    mesh = body.mesh
+    prepare_facets(mesh)
+    d = mesh.topology.dim
+    mesh.topology.create_connectivity(d - 1, 0)
+    mesh.topology.create_connectivity(d, 0)
+    marks = la.vector(mesh.topology.index_map(0), 1)
+    links = mesh.topology.connectivity(d - 1, 0).array.reshape(-1, d)
+    marks.array[np.unique(links[body.surface(name)])] = 1.0
+    marks.scatter_reverse(la.InsertMode.add)
+    marks.scatter_forward()
+    vertices = mesh.topology.connectivity(d, 0).array.reshape(-1, d + 1)
+    return np.asarray((marks.array[vertices[body.owned_cells()]] > 0).any(axis=1))

@@ -1,0 +1,146 @@
+"""Faces of CAD files: what they are, named by number and kind, on refined meshes, in messages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.cad import angle, round_things, write
+from mpi4py import MPI
+
+from dolfin_elastic.core.errors import InputError, MeshError
+from dolfin_elastic.core.parallel import on_root, total
+from dolfin_elastic.mesh import Body, Cylinder, Selector, name_parts, read_body
+from dolfin_elastic.mesh.generate import box_body
+from dolfin_elastic.mesh.geometry.curved import facet_areas
+from dolfin_elastic.mesh.refine.refinement import refine_body
+
+COMM = MPI.COMM_WORLD
+MM = 1e-3
+
+
+def area(body: Body, name: str) -> float:
+    """Area of a surface [mm^2]."""
+    return float(total(COMM, facet_areas(body.mesh, body.owned_facets(name)).sum())) / MM**2
+
+
+def forms(body: Body) -> dict[str, int]:
+    """Description of a face to how many there are."""
+    assert body.faces is not None
+    texts = [f.description("mm", MM, body.dim) for f in body.faces.faces.values()]
+    return {text: texts.count(text) for text in texts}
+
+
+@pytest.fixture(name="angle")
+def _angle(folder: Path) -> Body:
+    write(folder / "angle.step", angle)
+    return read_body(folder / "angle.step", size=3)
+
+
+def test_kinds_radii_and_forms(folder: Path, angle: Body) -> None:
+    """By construction: 8 planes, a fillet and a hole; a ball, a cone, a torus and a shaft."""
+    assert forms(angle) == {"plane": 8, "cylinder r 4 mm, fillet": 1, "cylinder r 1.5 mm, hole": 1}
+    write(folder / "round.step", round_things)
+    body = read_body(folder / "round.step", size=2)
+    slope = np.degrees(np.arctan(1 / 3))
+    assert forms(body) == {
+        "sphere r 2 mm": 1,
+        f"cone {slope:.4g} deg": 1,
+        "torus r 3 and 1 mm": 1,
+        "cylinder r 1 mm, shaft": 1,
+        "plane": 4,
+    }
+    assert body.faces is not None
+    exact = {"sphere": 16 * np.pi, "torus": 12 * np.pi**2, "cylinder": 4 * np.pi}
+    found = {f.kind: f.area / MM**2 for f in body.faces.faces.values() if f.area}
+    assert {kind: found[kind] for kind in exact} == pytest.approx(exact, rel=1e-9)
+
+
+def test_kinds_by_curvature(folder: Path) -> None:
+    """Splines are of no kind: the curvature of such a shaft tells what it is."""
+
+    def splines(occ: Any) -> None:
+        occ.convertToNURBS([(3, occ.addCylinder(0, 0, 0, 0, 0, 3, 2))])
+
+    write(folder / "shaft.brep", splines)
+    body = read_body(folder / "shaft.brep", size=1)
+    assert body.faces is not None
+    texts = sorted(f.description("m", 1.0) for f in body.faces.faces.values())
+    assert texts == ["cylinder r 2 m, shaft", "plane", "plane"]
+
+
+def test_each_facet_has_its_face(angle: Body) -> None:
+    """The faces divide the boundary; curved cells have their areas to 1e-3."""
+    assert angle.faces is not None
+    for number, face in angle.faces.faces.items():
+        body = name_parts(angle, surfaces={"s": Selector(faces=(number,))})
+        assert face.area is not None
+        assert area(body, "s") == pytest.approx(face.area / MM**2, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("keys", "exact"),
+    [
+        ({"kind": "hole"}, 2 * np.pi * 1.5 * 3),
+        ({"kind": "fillet"}, np.pi / 2 * 4 * 6),
+        ({"cylinder": {"radius": "4 mm"}}, np.pi / 2 * 4 * 6),
+        ({"cylinder": {"radius": 1.5, "axis": "z"}}, 2 * np.pi * 1.5 * 3),
+        ({"cylinder": {"radius": 4.1}, "tolerance": 0.2}, np.pi / 2 * 4 * 6),
+        ({"kind": "plane", "normal": [-1, 0, 0]}, 6 * 16),
+        ({"kind": "cylinder"}, 2 * np.pi * 1.5 * 3 + np.pi / 2 * 4 * 6),
+    ],
+    ids=["hole", "fillet", "radius", "axis", "tolerance", "normal", "cylinders"],
+)
+@pytest.mark.sample(3)
+def test_surfaces_by_kind(angle: Body, keys, exact) -> None:
+    body = name_parts(angle, surfaces={"s": Selector(**keys)}, scale=MM)
+    assert area(body, "s") == pytest.approx(exact, rel=1e-3)
+
+
+def test_refined_bodies_keep_names_and_faces(angle: Body) -> None:
+    """A refined cylinder is nearer to the true one, and every facet is still of its face."""
+    body = name_parts(angle, surfaces={"s": Selector(kind="fillet")}, scale=MM)
+    fine = refine_body(body, body.owned_cells()).body
+    assert fine.count("s") == 4 * body.count("s")
+    errors = [abs(area(b, "s") - 24 * np.pi / 2) for b in (body, fine)]
+    assert errors[1] < errors[0]
+    assert fine.faces is not None
+    again = name_parts(fine, surfaces={"t": Selector(kind="fillet")}, scale=MM)
+    assert np.array_equal(again.surface("t"), again.surface("s"))
+
+
+def test_faces_of_a_plane_body_are_its_curves(folder: Path) -> None:
+    text = 'SetFactory("OpenCASCADE");\nDisk(1) = {0, 0, 0, 3};\nDisk(2) = {0, 0, 0, 1};\n'
+    text += "BooleanDifference{ Surface{1}; Delete; }{ Surface{2}; Delete; }\n"
+    on_root(COMM, lambda: (folder / "ring.geo").write_text(text) and None)
+    body = read_body(folder / "ring.geo", size=1)
+    assert body.faces is not None
+    unit = body.faces.unit
+    texts = {f.description(unit.name, unit.metres, 2) for f in body.faces.faces.values()}
+    assert texts == {"circle r 3 m, shaft", "circle r 1 m, hole"}
+    body = name_parts(body, surfaces={"inner": Selector(cylinder=Cylinder(radius=1))})
+    length = float(total(COMM, facet_areas(body.mesh, body.owned_facets("inner")).sum()))
+    assert length == pytest.approx(2 * np.pi, rel=1e-3)
+
+
+def test_messages(angle: Body) -> None:
+    """Who names a face that is not there is told which are."""
+    with pytest.raises(MeshError, match=r"surfaces\.s\.faces: there is no face 12; .* 1 to 10"):
+        name_parts(angle, surfaces={"s": Selector(faces=(2, 12))})
+    with pytest.raises(MeshError, match=r"radius: no face .* like that; the nearest are \d+ \(cyl"):
+        name_parts(angle, surfaces={"s": Selector(cylinder=Cylinder(radius=3.9))}, scale=MM)
+    with pytest.raises(MeshError, match=r"no surface 'hole2' .*faces = .* r 1\.5 mm, hole\)"):
+        angle.surface("hole2")
+    with pytest.raises(MeshError, match=r"the nearest CAD face is \d+ \(plane\)"):
+        name_parts(angle, surfaces={"s": Selector(plane="z", at=16.5)}, scale=MM)
+    box = box_body(size=[1, 1, 1], cells=[1, 1, 1], comm=COMM)
+    with pytest.raises(MeshError, match=r"surfaces\.s\.kind: this picks faces of a CAD file, but"):
+        name_parts(box, surfaces={"s": Selector(kind="hole")})
+    with pytest.raises(MeshError, match=r"regions\.r: a faces picks surfaces, not regions"):
+        name_parts(angle, regions={"r": Selector(faces=(1,))})
+    with pytest.raises(MeshError, match=r"cylinder\.point: this key is missing"):
+        name_parts(angle, regions={"r": Selector(cylinder=Cylinder(radius=1))})
+    with pytest.raises(InputError, match=r"kind: .*did you mean 'fillet'"):
+        Selector(kind="filet")  # type: ignore[arg-type]
